@@ -182,8 +182,7 @@ class Registry:
         """Return a sentence on the package that a name comes with; nothing if it is installed."""
         package = canonical(name.rpartition(":")[0])
         if not package:
-            index = json.loads((files("termsel.plugins") / "packages.json").read_text("utf-8"))
-            package = next((one for one, names in index.items() if name in names), "")
+            package = next((one for one, names in own_packages().items() if name in names), "")
         if package in ("", *(plugin.distribution for plugin in self._loader.plugins)):
             return ""
         return (f"It comes with the package {package}, which is not installed. In a clone of "
@@ -254,6 +253,14 @@ def registry() -> Registry:
 def built_in() -> Registry:
     """Return the registry of what termsel itself provides, which needs no plugin."""
     return Registry([])
+
+
+@cache
+def own_packages() -> dict[str, list[str]]:
+    """Return the names that each plugin package of termsel's own provides, by distribution."""
+    found: dict[str, list[str]] = json.loads(
+        (files("termsel.plugins") / "packages.json").read_text("utf-8"))
+    return found
 
 
 def _nothing(_value: Any) -> list[Any]:

@@ -23,6 +23,7 @@ from termsel.studies.cells.cell import Cell, cells_of, kind_of
 from termsel.studies.cells.folder import PLAN, keys_by_labels, write_plan
 from termsel.studies.cells.images import IMAGES, folders_of, write_files
 from termsel.studies.cells.journal import Journal, read_journal
+from termsel.studies.execution.contained import contained
 from termsel.studies.execution.executors import deferred, processes, serial
 from termsel.studies.execution.progress import StudyProgress, Tally
 from termsel.studies.execution.work import Outcome, do, failed
@@ -55,7 +56,8 @@ def compare(
         Folder of the journal and the tables. The same call goes on where an earlier one stopped.
         Without it nothing is kept.
     workers : int
-        Processes at a time; 1 runs the cells in this process.
+        Processes at a time; 1 runs the cells in this process, those with parts of other plugins
+        or of modules of yours in one more.
     scheduler : str, optional
         Address of a dask scheduler, such as "tcp://host:8786"; its workers run the cells.
     observers : tuple of callable
@@ -239,7 +241,8 @@ def _outcomes(cells: list[Cell], stopped: Callable[[], bool], workers: int,
         yield from on_cluster(works, features, stopped, scheduler, plugins)
         return
     if workers == 1:
-        yield from serial(works, features, stopped)
+        yield from serial([cell for cell in works if not cell.others], features, stopped)
+        yield from contained([cell for cell in works if cell.others], features, stopped)
         return
     if works and needs_compilation():
         # Compiled code is kept on disk: the first cell makes it once for all processes.

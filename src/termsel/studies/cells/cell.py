@@ -10,7 +10,9 @@ from typing import Any
 
 from termsel.errors import TermselError
 from termsel.options import Configurable, Option
-from termsel.plugins.registry import registry
+from termsel.plugins.hookspecs import PROJECT
+from termsel.plugins.loading import canonical
+from termsel.plugins.registry import SESSION, own_packages, registry
 from termsel.runs.auto.strategy import LEAST, wanted
 from termsel.runs.run import problem_for
 from termsel.runs.task.request import DATA_OPTIONS, Request, Setup
@@ -38,6 +40,7 @@ class Cell:
     instance: str = ""  # checksum of what its optimum depends on: all but solver, seed and budget
     # classes, instances and recipes in place of names, where Python gave them
     things: Mapping[str, Any] = field(default_factory=dict)
+    others: bool = False  # whether it runs code that is not termsel's
 
 
 def kind_of(labels: Mapping[str, Any]) -> tuple[str, ...]:
@@ -125,6 +128,7 @@ class _Kind:
     names: Mapping[str, str]
     chance: bool
     made_of: Mapping[str, Any] = field(default_factory=dict)  # checksums by part
+    others: bool = False  # whether code that is not termsel's takes part
     unfit: TermselError | None = None
     reason: str = ""
 
@@ -181,7 +185,7 @@ class _Kinds:
                                    "criterion": request.criterion.name},
                          chance=strategy != "auto" and (
                              chosen.uses_chance or bool(request.options["search"]["polish"])),
-                         made_of=made)
+                         made_of=made, others=_of_others(strategy, request))
         assert first is not None  # some data can be read, or there would be no study
         named = next((part for word in ("solver", "model", "criterion", "problem")
                       if (part := parts[word]) and part.path), None)
@@ -277,7 +281,20 @@ def _cell(spec: Spec, strategy: str, parts: Mapping[str, Part | None], kind: _Ki
                     if not name.startswith(("solver.", "search.")) and name not in _OF_SEARCH},
         "made_of": {word: told for word, told in kind.made_of.items()
                     if word not in ("solver", "then")}}
-    return Cell(_sum(identity), labels, call, data, _sum(instance), things)
+    return Cell(_sum(identity), labels, call, data, _sum(instance), things, kind.others)
+
+
+def _of_others(strategy: str, setup: Setup) -> bool:
+    """Return whether plugins that are not termsel's, or objects from Python, take part in cells."""
+    own = {PROJECT, *own_packages()}
+    if strategy == "auto":  # its candidates are those of all plugins
+        return any(slot.plugin.distribution not in own for slot in registry().slots)
+    classes = [type(one) for one in (setup.model, setup.criterion, setup.solver, setup.then) if one]
+    entries = map(registry().origin, (setup.recipe, *classes))
+    if any(entry is not None and entry.provided_by == SESSION for entry in entries):
+        return False  # what is registered in this process has a name in no other one
+    return not own.issuperset(canonical(one.__module__.partition(".")[0])
+                              for one in (setup.recipe.build, *classes))
 
 
 def _sum(content: Mapping[str, Any]) -> str:
