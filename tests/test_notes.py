@@ -382,7 +382,7 @@ def test_an_image_far_beyond_all_points_is_a_note_of_a_choice() -> None:
 
 @pytest.fixture(scope="module")
 def task() -> termsel.Task:
-    return termsel.prepare("poly-terms", solver="stepwise", options={"recommend": "knee"})
+    return termsel.prepare("poly-terms", solver="all-terms", options={"recommend": "knee"})
 
 
 NO_FRONT = "This search has no front from which to recommend by the rule {}."

@@ -26,7 +26,7 @@ def shuffled(features: FeatureSet) -> FeatureSet:
 
 
 @pytest.mark.parametrize(("problem", "given"), [
-    ("rfm-terms", {"solver": "stepwise"}),
+    ("rfm-terms", {"solver": "ridge"}),
     ("rfm-terms", {"generations": 3, "criterion": "kfold", "options": {**SMALL, "how": "random"}}),
     ("owdis-points", {"generations": 5, "options": SMALL}),
     ("owdis-lines", {"generations": 5, "options": SMALL}),

@@ -121,7 +121,6 @@ def test_two_steps_share_a_budget(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize(("then", "options", "said"), [
     ("exact", {}, "'exact' cannot do the second step: .* such as --then ga"),
-    ("stepwise", {}, "'stepwise' cannot do the second step"),
     ("ridge", {}, "'ridge' cannot do the second step"),
     ("ga-correlation", {}, "'ga-correlation' cannot .* such as --then ga"),
     ("deap", {"then.select": "selMagic"}, "selMagic")])

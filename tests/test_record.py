@@ -82,8 +82,7 @@ RUNS: dict[str, tuple[str, dict[str, Any]]] = {
     **{f"solver {name}": ("poly-terms", {"solver": name, "evaluations": 60,
                                          "options": {"degree": 2}})
        for name in ("deap", "pymoo", "ga", "ga-correlation", "ica",
-                    "pso", "exact", "swap", "random", "all-terms", "stepwise", "t-test",
-                    "ridge")},
+                    "pso", "exact", "swap", "random", "all-terms", "ridge")},
     **{f"front by {name}": ("poly-terms", {"solver": name, "evaluations": 200,
                                            "options": {"degree": 2, "polish": False}})
        for name in ("nsga2", "age-moea2", "sms-emoa", "spea2")},

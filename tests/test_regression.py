@@ -1,4 +1,4 @@
-"""Baselines that choose terms by regression, against formulas and refits written out here."""
+"""Solvers by regression: their base, and ridge."""
 
 from __future__ import annotations
 
@@ -7,32 +7,30 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy import stats
 
 import termsel
-from termsel.adjustment.equations import Equations
 from termsel.adjustment.ridge import Spectrum, choose_penalty
-from termsel.adjustment.solve import solve
 from termsel.fits.least_squares import fit
-from termsel.measurements.features import FeatureSet, Points
+from termsel.measurements.features import BoolArray
 from termsel.problems.base import Problem
 from termsel.simulate import simulate_scene
 from termsel.solvers.heuristics.yardsticks import AllTerms
+from termsel.solvers.regression.base import Regression, TermRegression, regressions
 from termsel.solvers.regression.ridge import Ridge, shrink
-from termsel.solvers.regression.stepwise import (
-    Regression,
-    Stepwise,
-    TermRegression,
-    TTest,
-    gains,
-    independent,
-    losses,
-    regressions,
-    significance,
-)
 
-SELECTORS = (Stepwise, TTest)
-SOLVERS = (*SELECTORS, Ridge)
+
+class First(TermRegression):
+    """Choose the first columns, as many as there may be."""
+
+    name = "first"
+
+    def choose(self, part: Regression) -> BoolArray:
+        """Return the chosen columns."""
+        count = part.most - int(part.kept.sum())
+        return part.kept | (part.free & (np.cumsum(part.free) <= count))
+
+
+SOLVERS = (First, Ridge)
 
 
 def part_of(columns: np.ndarray, target: np.ndarray, **given: Any) -> Regression:
@@ -55,152 +53,6 @@ def sparse(seed: int, m: int = 40, k: int = 12, r: int = 1, noise: float = 0.1,
     true[[0, 2, 5, 7]] = True
     x = np.where(true[:, None], rng.choice([-1.0, 1.0], (k, r)) * rng.uniform(1, 3, (k, r)), 0.0)
     return part_of(columns, columns @ x + noise * rng.normal(size=(m, r))), true
-
-
-def square(part: Regression, chosen: np.ndarray) -> float:
-    """Return the residual sum of squares of an adjustment of the chosen columns."""
-    A = part.columns[:, chosen]
-    return float(((part.target - A @ np.linalg.lstsq(A, part.target)[0]) ** 2).sum())
-
-
-def flipped(chosen: np.ndarray, j: int) -> np.ndarray:
-    return chosen ^ (np.arange(len(chosen)) == j)
-
-
-def every_selector() -> list[TermRegression]:
-    return [solver() for solver in SELECTORS]
-
-
-# The tests of significance
-
-def test_gains_and_losses_are_those_of_refits() -> None:
-    part, _ = sparse(1, r=2)
-    chosen = np.zeros(12, dtype=bool)
-    chosen[[0, 1, 2, 6]] = True
-    gain, before = gains(part, chosen)
-    loss, same = losses(part, chosen)
-    assert before == pytest.approx(square(part, chosen))
-    assert same == pytest.approx(before)
-    for j in range(12):
-        other = square(part, flipped(chosen, j))
-        if chosen[j]:
-            assert loss[j] == pytest.approx(other - before)
-        else:
-            assert gain[j] == pytest.approx(before - other)
-            assert np.isinf(loss[j])
-
-
-def test_a_loss_is_the_square_of_t() -> None:
-    part, _ = sparse(2)
-    chosen = np.ones(12, dtype=bool)
-    adjusted = solve(Equations(part.columns, part.target[:, 0], np.arange(40)))
-    loss, rest = losses(part, chosen)
-    t = adjusted.coefficients / adjusted.deviations
-    np.testing.assert_allclose(loss / (rest / 28), t**2, rtol=1e-9)
-    for j in range(12):
-        assert significance(part, loss[j], rest, chosen) == pytest.approx(
-            2 * stats.t.sf(abs(t[j]), 28), rel=1e-9)
-
-
-def test_significance_of_a_line_through_five_points() -> None:
-    # y = 1, 3, 2, 5, 4 at x = -2 ... 2: slope 8/10, regression 6.4 and residual 3.6 of 10,
-    # F = 6.4 / (3.6 / 3) = 16/3.
-    columns = np.column_stack([np.ones(5), np.arange(-2.0, 3.0)])
-    part = part_of(columns, np.array([1.0, 3.0, 2.0, 5.0, 4.0]))
-    both = np.ones(2, dtype=bool)
-    loss, rest = losses(part, both)
-    assert (loss[1], rest) == pytest.approx((6.4, 3.6))
-    expected = stats.f.sf(16 / 3, 1, 3)
-    assert significance(part, loss[1], rest, both) == pytest.approx(expected)
-    assert expected == pytest.approx(
-        stats.linregress(columns[:, 1], part.target[:, 0]).pvalue)
-    # With an image of two axes: the same again next to it, twice the degrees of freedom.
-    double = part_of(columns, np.column_stack([part.target, part.target]))
-    assert significance(double, 12.8, 7.2, both) == pytest.approx(stats.f.sf(16 / 3, 2, 6))
-
-
-def p_value(part: Regression, smaller: np.ndarray, larger: np.ndarray) -> float:
-    """Return the p value of the partial F test of one column, from two refits."""
-    m, r = part.target.shape
-    rest, freedom = square(part, larger), r * (m - int(larger.sum()))
-    return float(stats.f.sf((square(part, smaller) - rest) / r / (rest / freedom), r, freedom))
-
-
-def stepwise(part: Regression, alpha_in: float, alpha_out: float) -> np.ndarray:
-    """Return what stepwise regression chooses, every test from two refits."""
-    chosen = part.kept.copy()
-    while True:
-        out = [j for j in range(len(chosen)) if not chosen[j]]
-        if not out or chosen.sum() >= part.most:
-            return chosen
-        p = {j: p_value(part, chosen, flipped(chosen, j)) for j in out}
-        best = min(out, key=lambda j: square(part, flipped(chosen, j)))
-        if p[best] >= alpha_in:
-            return chosen
-        chosen = flipped(chosen, best)
-        while True:
-            inside = [j for j in range(1, len(chosen)) if chosen[j]]
-            p = {j: p_value(part, flipped(chosen, j), chosen) for j in inside}
-            worst = max(inside, key=p.__getitem__)
-            if p[worst] <= alpha_out:
-                break
-            chosen = flipped(chosen, worst)
-
-
-@pytest.mark.parametrize("seed", range(6))
-@pytest.mark.parametrize("r", [1, 2])
-def test_stepwise_is_that_of_explicit_f_tests(seed: int, r: int) -> None:
-    part, _ = sparse(seed, m=14, k=12, r=r, noise=2.0)
-    # Columns that lean on one another, so that some leave again.
-    part.columns[:, 8] = part.columns[:, 2] + part.columns[:, 5] + 0.3 * part.columns[:, 8]
-    for alpha_in, alpha_out in ((0.05, 0.10), (0.3, 0.3), (0.9, 0.95)):
-        chosen = Stepwise(alpha_in=alpha_in, alpha_out=alpha_out).choose(part)
-        np.testing.assert_array_equal(chosen, stepwise(part, alpha_in, alpha_out))
-
-
-def test_stepwise_drops_what_others_make_superfluous() -> None:
-    rng = np.random.default_rng(5)
-    a, b = rng.normal(size=(2, 60))
-    columns = np.column_stack([np.ones(60), a, b, a + b + 0.4 * rng.normal(size=60)])
-    part = part_of(columns, a + b + 0.01 * rng.normal(size=60))
-    assert gains(part, part.kept)[0].argmax() == 3  # it enters first
-    np.testing.assert_array_equal(Stepwise().choose(part), [True, True, True, False])
-
-
-def test_stepwise_refuses_thresholds_that_go_in_circles() -> None:
-    with pytest.raises(termsel.TermselError, match="alpha_out"):
-        Stepwise(alpha_in=0.2, alpha_out=0.1).choose(sparse(1)[0])
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_t_test_is_backward_elimination_by_t(seed: int) -> None:
-    part, _ = sparse(seed, m=20, k=12, noise=2.0)
-    chosen = np.ones(12, dtype=bool)
-    while True:
-        adjusted = solve(Equations(part.columns, part.target[:, 0], np.arange(20)), chosen)
-        with np.errstate(invalid="ignore"):
-            t = np.abs(adjusted.coefficients / adjusted.deviations)
-        t[~chosen | part.constant] = np.inf
-        if 2 * stats.t.sf(t.min(), adjusted.redundancy) <= 0.05:
-            break
-        chosen[t.argmin()] = False
-    np.testing.assert_array_equal(TTest().choose(part), chosen)
-
-
-def test_elimination_begins_with_the_first_independent_columns() -> None:
-    rng = np.random.default_rng(7)
-    columns = np.column_stack([np.ones(8), rng.normal(size=(8, 11))])
-    columns[:, 3] = columns[:, 1] - 2 * columns[:, 2]
-    columns[:, 5] = 0.0
-    part = part_of(columns, rng.normal(size=8))
-    assert np.flatnonzero(independent(part, 12)).tolist() == [0, 1, 2, 4, 6, 7, 8, 9]
-    assert np.flatnonzero(independent(part, 5)).tolist() == [0, 1, 2, 4, 6]
-    assert np.linalg.matrix_rank(columns[:, independent(part, 12)]) == 8
-    # By default a quarter of the equations is left to test with.
-    begins = TTest(alpha=1.0).choose(part)
-    assert np.flatnonzero(begins).tolist() == [0, 1, 2, 4, 6, 7]
-    assert TTest(alpha=1.0, redundancy=1).choose(part).sum() == 7
-    assert TTest(redundancy=9).choose(part).tolist() == part.kept.tolist()
 
 
 # Ridge
@@ -356,46 +208,6 @@ def test_ridge_betters_a_rational_model_with_ample_control() -> None:
     assert miss("l-curve") < 1.0
 
 
-# Recovery
-
-@pytest.mark.parametrize("solver", SELECTORS)
-@pytest.mark.parametrize("r", [1, 2])
-def test_the_truth_is_found(solver: type[TermRegression], r: int) -> None:
-    for seed in range(3):
-        part, true = sparse(seed, r=r)
-        chosen = solver().choose(part)
-        assert chosen[true].all()
-        assert chosen.sum() <= true.sum() + 4
-
-
-@pytest.mark.parametrize("solver", SELECTORS)
-def test_without_noise_nothing_but_the_truth_is_found(solver: type[TermRegression]) -> None:
-    part, true = sparse(2, noise=0.0)
-    chosen = solver().choose(part)
-    assert chosen[true].all()
-    if solver is Stepwise:
-        np.testing.assert_array_equal(chosen, true)
-
-
-@pytest.mark.parametrize("solver", SELECTORS)
-def test_a_bilinear_image_is_found_among_polynomials(solver: type[TermRegression]) -> None:
-    rng = np.random.default_rng(8)
-    xy = rng.uniform(-1.0, 1.0, (60, 2))
-    xy[:4] = [[-1, -1], [1, -1], [-1, 1], [1, 1]]  # control keeps its scaling
-    x, y = xy.T
-    image = np.column_stack([4000 + 3000 * x + 200 * y + 90 * x * y,
-                             5000 - 300 * x + 2800 * y + 80 * x * y])
-    points = Points(tuple(f"p{i}" for i in range(60)), image + 0.2 * rng.normal(size=(60, 2)),
-                    np.column_stack([5e5 + 1e4 * xy, np.zeros(60)]), None,
-                    ("control",) * 36 + ("check",) * 12 + ("independent",) * 12)
-    task = termsel.prepare("poly-terms", features=FeatureSet(points, crs="local"),
-                           options={"degree": 4})
-    terms = task.problem.decode(termsel.search(task.problem, solver()).genes).terms
-    assert {f"{axis}.num:{name}" for axis in ("line", "sample")
-            for name in ("1", "X", "Y", "XY")} <= set(terms)
-    assert len(terms) < 20
-
-
 # As solvers
 
 @pytest.mark.parametrize("solver", SOLVERS)
@@ -403,7 +215,7 @@ def test_a_bilinear_image_is_found_among_polynomials(solver: type[TermRegression
     ("rfm-terms", {}), ("poly-terms", {"degree": 5}),
     ("poly-terms", {"degree": 5, "mask": "shared"})])
 def test_embedded_scenes_run(solver: type[termsel.Solver], name: str, options: dict) -> None:
-    task = termsel.prepare(name, solver=solver.name, options=options)
+    task = termsel.prepare(name, solver=solver, options=options)
     if name == "rfm-terms":
         assert [part.columns.shape for part in regressions(task.problem)] == [(24, 39)] * 2
     before = np.random.get_state()[1].tobytes()
@@ -441,13 +253,12 @@ def test_forced_genes_and_cardinality_hold(solver: type[termsel.Solver]) -> None
             genes, problem.genome.repair(genes, np.random.default_rng(0)))
 
 
-@pytest.mark.parametrize("solver", SELECTORS)
-def test_cardinality_is_kept_without_chance(solver: type[termsel.Solver]) -> None:
+def test_cardinality_is_kept_without_chance() -> None:
     problem = termsel.prepare("poly-terms", options={"degree": 4}).problem
     line, sample = problem.genome.segments
     problem.genome = termsel.Genome(
         [termsel.Bits(line.name, line.labels, minimum=9, maximum=9), sample])
-    first, second = (termsel.search(problem, solver(), seed=seed).genes for seed in (1, 2))
+    first, second = (termsel.search(problem, First(), seed=seed).genes for seed in (1, 2))
     np.testing.assert_array_equal(first, second)
 
 
@@ -461,22 +272,6 @@ def test_the_constant_is_found_under_weights() -> None:
         assert labels == [name]
         assert np.ptp(part.columns[:, part.constant]) > 0
         assert part.pixels == task.scaling.image_scale
-
-
-@pytest.mark.parametrize("selector", every_selector(), ids=lambda s: s.name)
-def test_hardly_any_equations(selector: TermRegression) -> None:
-    rng = np.random.default_rng(9)
-    for m in (2, 3, 4):
-        columns = np.column_stack([np.ones(m), rng.normal(size=(m, 5))])
-        chosen = selector.choose(part_of(columns, rng.normal(size=m)))
-        assert 1 <= chosen.sum() <= m - 1
-    # Kept columns that depend on one another, a column of zeros, a target of zeros.
-    columns = np.column_stack([np.ones(6), np.ones(6), np.zeros(6), rng.normal(size=(6, 4))])
-    kept = np.arange(7) < 2
-    for target in (rng.normal(size=6), np.zeros(6), np.ones(6)):
-        chosen = selector.choose(part_of(columns, target, kept=kept, free=~kept))
-        assert chosen[kept].all()
-        assert not chosen[2]
 
 
 @pytest.mark.parametrize("solver", SOLVERS)

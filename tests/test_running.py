@@ -109,7 +109,6 @@ PATHS = {
     "knee": ("rfm-terms", {"solver": "nsga2", "options": {**SMALL, "recommend": "knee"},
                            "generations": 4}),
     "exact": ("poly-terms", {"solver": "exact", "options": {"degree": 3, "recommend": "ebic"}}),
-    "stepwise": ("rfm-terms", {"solver": "stepwise"}),
     "ridge": ("rfm-terms", {"solver": "ridge"}),
     "shrink": ("poly-terms", {"solver": "ga", "options": {**SMALL, "shrink": True},
                               "generations": 3}),

@@ -126,7 +126,7 @@ def test_without_shrunken_polynomials_the_least_error_is_the_reason() -> None:
 
 
 @pytest.mark.parametrize("asked", [
-    {"solver": "stepwise"}, {"criterion": "press", "generations": 1},
+    {"solver": "ridge"}, {"criterion": "press", "generations": 1},
     {"model": "affine", "generations": 1}, {"generations": 1}, {"evaluations": 100},
     {"options": {"order": 1}, "evaluations": 100}, {"strategy": "as-asked", "evaluations": 100}])
 def test_a_method_asked_for_runs_as_it_is(asked: dict) -> None:

@@ -91,8 +91,8 @@ from .solvers.bridges.deap_toolbox import to_deap as to_deap
 from .solvers.bridges.pymoo_algorithms import from_pymoo as from_pymoo
 from .solvers.bridges.pymoo_problem import to_pymoo as to_pymoo
 from .solvers.genetic.ga import GeneticAlgorithm as GeneticAlgorithm
-from .solvers.regression.stepwise import Regression as Regression
-from .solvers.regression.stepwise import TermRegression as TermRegression
+from .solvers.regression.base import Regression as Regression
+from .solvers.regression.base import TermRegression as TermRegression
 from .solvers.search import Search as Search
 from .solvers.search import search as search
 from .studies.cells.folder import read_study as read_study

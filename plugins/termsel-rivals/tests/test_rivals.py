@@ -14,15 +14,15 @@ from termsel import TermselError
 from termsel.io.result_folder import write_result
 from termsel.plugins.registry import Registry, registry
 from termsel.testing import Check, checks
-from termsel_rivals import AntColony, Lasso, NestedRegression, TransgenicGA
+from termsel_rivals import AntColony, Lasso, NestedRegression, Stepwise, TransgenicGA, TTest
 
 NEEDS_COLUMNS = {"any_problem": "it needs the columns of an adjustment",
                  "optimum_found": "it does not search"}
 CHECKS = {
     "aco": checks(AntColony, options=[{}, {"population": 21, "restart": 0.0}]),
     "ga-transgenic": checks(TransgenicGA, options=[{}, {"population": 21}]),
-    "lasso": checks(Lasso, expected_failures=NEEDS_COLUMNS),
-    "nested-regression": checks(NestedRegression, expected_failures=NEEDS_COLUMNS),
+    **{one.name: checks(one, expected_failures=NEEDS_COLUMNS)
+       for one in (Lasso, NestedRegression, Stepwise, TTest)},
 }
 
 

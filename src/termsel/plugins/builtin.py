@@ -80,12 +80,11 @@ def termsel_solvers() -> Iterable[type[Solver]]:
     from termsel.solvers.heuristics.yardsticks import AllTerms, RandomSearch
     from termsel.solvers.proofs.exact import Exact
     from termsel.solvers.regression.ridge import Ridge
-    from termsel.solvers.regression.stepwise import Stepwise, TTest
 
     return [Deap, Pymoo, GeneticAlgorithm, CorrelationSeededGA, SteadyStateGA,
             ImperialistCompetition, BinarySwarm,
             Nsga2, AgeMoea2, SmsEmoa, Spea2, Exact, Swap, RandomSearch, AllTerms,
-            Stepwise, TTest, Ridge]
+            Ridge]
 
 
 @hookimpl

@@ -1,1 +1,1 @@
-"""Selection by regression: stepwise, nested, ridge, lasso."""
+"""Selection by regression, and ridge."""

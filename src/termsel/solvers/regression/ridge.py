@@ -13,7 +13,7 @@ from termsel.measurements.features import BoolArray, FloatArray
 from termsel.options import Option
 from termsel.problems.base import Problem
 from termsel.solvers.base import Generation, Solver
-from termsel.solvers.regression.stepwise import Regression, generation_of, regressions
+from termsel.solvers.regression.base import Regression, generation_of, regressions
 
 
 class Ridge(Solver):

@@ -1,0 +1,155 @@
+"""Base of solvers that choose terms by regression on the control rows, without a search."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from termsel.adjustment.solve import TOLERANCE
+from termsel.enumeration.columns.system import SubsetSystem
+from termsel.errors import TermselError
+from termsel.measurements.features import BoolArray, FloatArray, IntArray
+from termsel.problems.base import EnumerablePart, Problem
+from termsel.solvers.base import Generation, Solver
+from termsel.solvers.proofs.proof import segment_of
+
+EXPLAINED = 1e-12
+"""A target is explained when its residual is below this fraction of its length: rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Standardised:
+    """A regression without the columns that are not penalised, the others at unit length."""
+
+    # (m, j): orthogonal to the unpenalised ones; 0 for columns that depend on those.
+    columns: FloatArray
+    target: FloatArray  # (m, r): orthogonal to the unpenalised ones as well
+    lengths: FloatArray  # (j,): lengths of the columns before they were brought to unit length
+
+
+@dataclass(frozen=True, eq=False)
+class Regression:
+    """The control rows of one part: columns to choose from, and their targets.
+
+    With one mask for line and sample there are two targets; their sums of squares and
+    degrees of freedom are pooled, as for one adjustment of both.
+    """
+
+    genes: IntArray  # (k,): the genes that switch the columns
+    columns: FloatArray  # (m, k): as in the adjustment
+    target: FloatArray  # (m, r)
+    # (m, k): linear form of the denominator without its 1: the error of the image coordinate is
+    # (target - columns x) / (1 + denominator x).
+    denominator: FloatArray | None
+    constant: BoolArray  # (k,): the column of the constant, if there is one
+    kept: BoolArray  # (k,): columns that are always chosen
+    free: BoolArray  # (k,): those to choose from
+    least: int  # fewest columns
+    most: int  # most columns, which leave a redundancy of at least 1
+    pixels: float  # px per unit of the target
+
+    @cached_property
+    def unit(self) -> FloatArray:
+        """Columns of length 1, or 0 if they are all zeros."""
+        lengths = np.linalg.norm(self.columns, axis=0)
+        return np.asarray(self.columns / np.where(lengths > 0, lengths, 1.0))
+
+    def explained(self, square: float) -> bool:
+        """Return whether a residual sum of squares is rounding error."""
+        return bool(square <= (EXPLAINED * np.linalg.norm(self.target)) ** 2)
+
+    def standardised(self, penalised: BoolArray, others: BoolArray, rows: BoolArray | None = None,
+                     ) -> Standardised:
+        """Return penalised columns (k,) and target orthogonal to other columns (k,).
+
+        The others are independent ones, such as the constant. Only some rows (m,), if given.
+        """
+        here = slice(None) if rows is None else rows
+        columns, target = self.columns[here][:, penalised], self.target[here]
+        q = np.linalg.qr(self.columns[here][:, others])[0]
+        rest = columns - q @ (q.T @ columns)
+        lengths = np.linalg.norm(rest, axis=0)
+        live = lengths > TOLERANCE * np.linalg.norm(columns, axis=0)
+        lengths = np.where(live, lengths, np.inf)  # a column that depends on those becomes 0
+        return Standardised(rest / lengths, target - q @ (q.T @ target), lengths)
+
+    def freedom(self, chosen: BoolArray) -> int:
+        """Return the degrees of freedom of the adjustment with the chosen columns."""
+        m, r = self.target.shape
+        return int(r * (m - chosen.sum()))
+
+
+def regressions(problem: Problem) -> list[Regression]:
+    """Return the parts of a term selection as regressions over their control rows.
+
+    The constant is kept unless it is forbidden, like the intercept in textbooks and in Long et al.
+    2014. Raises TermselError if the space cannot be enumerated (see `Problem.parts`), or terms need
+    parents.
+    """
+    if any(part.system.parents is not None for part in problem.parts()):
+        raise TermselError("regression adds and drops single terms and cannot keep a hierarchy",
+                           hint="Choose another solver, such as --solver ga or exact, or remove "
+                                "hierarchy=true.")
+    return [_regression(problem, part) for part in problem.parts()]
+
+
+def _regression(problem: Problem, part: EnumerablePart) -> Regression:
+    system = part.system
+    m, k = system.design.shape
+    none = np.zeros(k, dtype=bool)
+    forced = none if system.forced is None else system.forced
+    forbidden = none if system.forbidden is None else system.forbidden
+    constant = _constant(system) & ~forbidden
+    segment = segment_of(problem, part)
+    kept = forced | constant
+    most = min(k if segment.maximum is None else segment.maximum, m - 1)  # a redundancy of 1
+    return Regression(part.genes, system.design, system.target, system.denominator, constant,
+                      kept, ~(kept | forbidden), max(1, segment.minimum), most,
+                      part.pixels)
+
+
+def _constant(system: SubsetSystem) -> BoolArray:
+    """Return the column of the constant, the first that is the same in every row.
+
+    If standard deviations weight the control rows, only check rows reveal it, if there are any.
+    Nothing else is taken from those.
+    """
+    constant = np.zeros(system.design.shape[1], dtype=bool)
+    for rows in (system.design, system.check_design):
+        if rows is not None and not constant.any():
+            same = (np.ptp(rows, axis=0) == 0) & (rows[0] != 0)
+            constant = same & (np.cumsum(same) == 1)  # the first of them alone
+    return constant
+
+
+def generation_of(problem: Problem, parts: list[Regression], chosen: list[BoolArray],
+                  rng: np.random.Generator) -> Generation:
+    """Return the one selection of a method, evaluated, from the chosen columns of each part.
+
+    Chance is used only if a method could not keep the genome's cardinality.
+    """
+    genes = np.zeros((1, problem.genome.size), dtype=bool)
+    for part, columns in zip(parts, chosen, strict=True):
+        genes[0, part.genes] = columns
+    genes = problem.genome.repair(genes, rng)
+    return Generation(0, genes, problem.evaluate(genes))
+
+
+class TermRegression(Solver):
+    """Base of solvers that choose the columns of each part only from its control rows."""
+
+    ends_by_itself = True
+    uses_chance = False
+
+    @abstractmethod
+    def choose(self, part: Regression) -> BoolArray:
+        """Return the chosen columns, shape (k,)."""
+
+    def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
+        """Yield the one selection (see `Solver.generations`)."""
+        parts = regressions(problem)
+        yield generation_of(problem, parts, [self.choose(part) for part in parts], rng)
