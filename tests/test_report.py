@@ -22,10 +22,11 @@ from scipy.stats import chi2
 import termsel
 from termsel.cli import plot
 from termsel.cli.main import cli
+from termsel.errors import TermselError
 from termsel.files.thumbnail import thumbnail
 from termsel.fits.accuracy import rmse_interval
 from termsel.record.base import plain
-from termsel.report.plots import KINDS
+from termsel.report.plots import KINDS, chart, save
 from termsel.results.repeat import command, not_by_command
 
 altair = pytest.importorskip("altair")
@@ -512,3 +513,39 @@ def test_an_image_is_reduced_to_a_thousand_pixels(size: tuple[int, int], shown: 
     with rasterio.MemoryFile(content) as file, file.open() as jpeg:
         assert jpeg.shape == shown
         assert jpeg.read(1).min() < 120 < 240 < jpeg.read(1).max()
+
+
+NAMES = ("constructor", "toString", "valueOf", "hasOwnProperty", "__proto__")
+
+
+def test_ids_may_be_what_objects_of_javascript_have(tmp_path: Path) -> None:
+    scene = termsel.simulate_scene("ikonos-hamedan")
+    image = scene.points.image.copy()
+    image[:5] += [8, 5]  # so that they are among the worst
+    points = replace(scene.points, ids=(*NAMES, *scene.points.ids[5:]), image=image)
+    result = termsel.run("rfm-terms", features=termsel.FeatureSet(points, crs=scene.crs),
+                         strategy="as-asked", solver="all-terms", criterion="press")
+    save(chart(result.view, "worst"), tmp_path / "worst.svg")
+    drawn = (tmp_path / "worst.svg").read_text()
+    shown = {row["id"] for row in result.view.worst[:25]} & set(NAMES)
+    assert len(shown) > 2
+    assert all(f">{name}" in drawn for name in shown)
+    result.report(tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    for name in NAMES:
+        assert f'"{name}\\u2060"' in page
+        assert f'"id":"{name}"' not in page
+
+
+@pytest.mark.parametrize("suffix", [".svg", ".png", ".pdf"])
+def test_a_fault_of_the_drawing_library_ends_no_process_of_ours(
+        suffix: str, tmp_path: Path) -> None:
+    def of(name: str) -> Any:
+        return altair.Chart(altair.Data(values=[{"a": name}])).mark_text().encode(text="a:N")
+
+    with pytest.raises(TermselError, match="cannot draw this chart: a fault of compiled code"):
+        save(of("a\x1bb"), tmp_path / f"bad{suffix}")  # the library aborts its process
+    with pytest.raises(TermselError, match="cannot draw this chart"):
+        save(of("\ud800"), tmp_path / f"bad{suffix}")  # it raises
+    save(of("a"), tmp_path / f"good{suffix}")
+    assert [path.name for path in tmp_path.iterdir()] == [f"good{suffix}"]

@@ -15,6 +15,8 @@ import numpy as np
 import pytest
 
 import termsel
+from termsel.guard.helper import Helper
+from termsel.report import pictures
 from termsel.report.blocks import Document, Section, TableBlock
 from termsel.report.page import page
 from termsel.report.small import MOST, small_map
@@ -250,3 +252,14 @@ def test_a_study_in_a_notebook_has_one_line(monkeypatch: pytest.MonkeyPatch) -> 
     assert len(lines) == 1
     assert lines[0][0] == "Scenes: ..."
     assert lines[0][-1] == "Scenes: 2 of 2 cells, finished"
+
+
+def test_a_chart_that_cannot_be_drawn_takes_no_table_along(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    study = termsel.compare(problems=["poly-terms"], solvers=["random", "swap"], seeds=2,
+                            budget={"evaluations": 60}, options={"degree": 2}, out=tmp_path)
+    monkeypatch.setattr(pictures, "_helper", lambda: Helper("import os; os.abort()"))
+    written = write_outputs(study, tmp_path)
+    assert {path.name for path in written} >= {"study.csv", "summary.md", "report.html", "ioh"}
+    assert not list((tmp_path / "figures").iterdir())
+    assert "cannot draw this chart: a fault of compiled code" in caplog.text

@@ -16,6 +16,7 @@ from typing import Any
 from uuid import uuid4
 
 from termsel.report.library import EMBED, library
+from termsel.report.pictures import drawable, picture
 from termsel.report.theme import require_altair
 
 _sent = False
@@ -47,19 +48,17 @@ def _offline(kind: Any) -> type:
 def html_of(chart: Any) -> str:
     """Return a chart for the output of a cell."""
     global _sent
-    import vl_convert
-
     spec = chart.to_dict()
-    picture = base64.b64encode(vl_convert.vegalite_to_svg(spec).encode()).decode()
+    shown = base64.b64encode(picture(chart, ".svg")).decode()
     title = spec.get("title", "")
     said = title.get("text", "") if isinstance(title, dict) else title
     place = f"termsel-{uuid4().hex}"
     # Nothing in the data may end the script.
-    content = json.dumps(spec, allow_nan=False).replace("<", "\\u003c")
+    content = drawable(json.dumps(spec, allow_nan=False)).replace("<", "\\u003c")
     scripts = "" if _sent else f"<script>{library()}</script>"
     _sent = True
     return (f'<div id="{place}"><img alt="{escape(str(said))}" '
-            f'src="data:image/svg+xml;base64,{picture}"></div>{scripts}<script>(() => {{\n'
+            f'src="data:image/svg+xml;base64,{shown}"></div>{scripts}<script>(() => {{\n'
             f"const place = document.getElementById({json.dumps(place)});\n"
             f"if (!place || !window.{EMBED}) return;\nplace.replaceChildren();\n"
             f'window.{EMBED}(place, {content}, {{ actions: false, renderer: "svg", '

@@ -29,6 +29,7 @@ from termsel.report.blocks import (
     TableBlock,
 )
 from termsel.report.library import library
+from termsel.report.pictures import drawable
 from termsel.report.theme import dark_style, styled
 
 
@@ -52,7 +53,7 @@ def page(document: Document) -> str:
               f"style-src {_checksum(style)}; img-src data:; base-uri 'none'; form-action 'none'")
     # Nothing in a block of data may end it.
     charts = json.dumps(_sharing(specs), separators=(",", ":"), allow_nan=False)
-    charts = charts.replace("<", "\\u003c")
+    charts = drawable(charts).replace("<", "\\u003c")
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -132,7 +133,7 @@ def _table(table: TableBlock) -> str:
         name, *cells = map(_text, row)
         key = ' class="marked"' * (i == table.marked)
         if table.choice:
-            key += f' data-key="{_text(json.dumps(table.keys[i]))}"'
+            key += f' data-key="{_text(drawable(json.dumps(table.keys[i])))}"'
             name = f'<button type="button">{name}</button>'
         picture = f'<td class="picture">{table.pictures[i]}</td>' if table.pictures else ""
         rows.append(f'<tr{key}><th scope="row">{name}</th>{picture}'

@@ -8,16 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from termsel.errors import TermselError, requires, unknown_name
+from termsel.errors import TermselError, unknown_name
 from termsel.files.atomic import write_bytes
 from termsel.report.blocks import Figure
 from termsel.report.charts import bars, maps, search, terms
 from termsel.report.notebook import offline
+from termsel.report.pictures import picture
 from termsel.report.theme import require_altair, styled
 from termsel.report.view import View
-
-SCALE = 2.0
-"""Pixels of a PNG for each pixel of the screen."""
 
 
 @dataclass(frozen=True)
@@ -246,14 +244,7 @@ def save(drawn: Any, path: Path) -> None:
     Raises
     ------
     TermselError
-        If the suffix is another, vl-convert-python is missing, or the file cannot be written.
+        If the suffix is another, the file cannot be written, or as `picture`.
     """
     require_picture(path)
-    with requires("pictures require", "vl-convert-python", '"termsel[report]"'):
-        import vl_convert
-    spec = drawn.to_json(indent=None)
-    suffix = path.suffix.lower()
-    content = (vl_convert.vegalite_to_svg(spec).encode() if suffix == ".svg" else
-         vl_convert.vegalite_to_png(spec, scale=SCALE) if suffix == ".png" else
-         vl_convert.vegalite_to_pdf(spec))
-    write_bytes(path, content)
+    write_bytes(path, picture(drawn, path.suffix.lower()))

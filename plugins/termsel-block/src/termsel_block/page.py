@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import html
-import io
 from typing import Any
 
 import numpy as np
 
+from termsel.report.pictures import picture
 from termsel_block.joint import BlockResult
 from termsel_block.record import BlockRecord, times_seen
 from termsel_block.summary import opening
@@ -60,9 +60,7 @@ def page_of(result: BlockResult, record: BlockRecord) -> str:
 
 def _svg(chart: Any) -> str:
     """Return a chart as SVG."""
-    out = io.StringIO()
-    chart.save(out, format="svg")
-    return out.getvalue()
+    return picture(chart, ".svg").decode()
 
 
 def _map(result: BlockResult) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 from html import escape
 from importlib.util import find_spec
@@ -23,6 +24,8 @@ from termsel.studies.shown.ioh import ioh_files
 from termsel.studies.shown.pages import latex, markdown, tables_of
 from termsel.studies.statistics.groups import group
 from termsel.studies.study import Study
+
+log = logging.getLogger(__name__)
 
 REPORT = "report.html"
 
@@ -111,6 +114,10 @@ def write_outputs(study: Study, out: Path) -> list[Path]:
     for one in charts:
         path = out / "figures" / f"{one.name}.svg"
         path.parent.mkdir(exist_ok=True)
-        save(styled(one.chart, one.title, one.look), path)
+        try:
+            save(styled(one.chart, one.title, one.look), path)
+        except TermselError as error:  # no chart takes the tables along
+            log.warning("%s", error)
+            continue
         written.append(path)
     return [*written, *[out / "ioh"] * bool(files)]

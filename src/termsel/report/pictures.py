@@ -1,0 +1,85 @@
+"""Pictures of charts, drawn in a process of their own: a fault of the library ends that alone."""
+
+from __future__ import annotations
+
+import atexit
+import re
+from functools import cache
+from typing import Any
+
+from termsel.errors import TermselError, requires
+from termsel.guard.helper import Helper, ProcessEndedError
+
+SCALE = 2.0
+"""Pixels of a PNG for each pixel of the screen."""
+
+_DRAWING = """
+import os, pickle, signal, sys
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+questions, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
+os.dup2(2, 1)
+import vl_convert
+while True:
+    try:
+        suffix, spec, more = pickle.load(questions)
+    except EOFError:
+        break
+    try:
+        drawn = getattr(vl_convert, f"vegalite_to_{suffix}")(spec, **more)
+        answer = drawn.encode() if isinstance(drawn, str) else drawn
+    except ValueError as error:
+        answer = str(error)
+    pickle.dump(answer, answers)
+    answers.flush()
+"""
+
+_OF_OBJECTS = re.compile(
+    r'(?<!\\)"(constructor|hasOwnProperty|isPrototypeOf|propertyIsEnumerable|toLocaleString|'
+    r'toString|valueOf|__(?:proto|defineGetter|defineSetter|lookupGetter|lookupSetter)__)"(?! *:)')
+
+
+def drawable(spec: str) -> str:
+    """Return a chart, or other data of a page, as JSON that Vega can draw whatever its names are.
+
+    Vega keeps names in objects of JavaScript, in which some names have a meaning already, such as
+    that of a point "constructor". A character that is not seen makes them others.
+    """
+    return _OF_OBJECTS.sub(r'"\1\\u2060"', spec)
+
+
+def picture(chart: Any, suffix: str) -> bytes:
+    """Return a chart as a picture.
+
+    Parameters
+    ----------
+    chart : altair.Chart
+    suffix : {".svg", ".png", ".pdf"}
+
+    Raises
+    ------
+    TermselError
+        If vl-convert-python is not installed, or cannot draw the chart.
+    """
+    with requires("pictures require", "vl-convert-python", '"termsel[report]"'):
+        import vl_convert  # noqa: F401 (what the other process imports)
+    try:
+        drawn = _helper().ask((suffix[1:], drawable(chart.to_json(indent=None)),
+                               {"scale": SCALE} if suffix == ".png" else {}))
+    except ProcessEndedError as error:
+        raise _undrawn("a fault of compiled code, or out of memory") from error
+    if isinstance(drawn, str):
+        raise _undrawn(next((line for line in map(str.strip, drawn.splitlines()) if line), drawn))
+    return bytes(drawn)
+
+
+def _undrawn(why: str) -> TermselError:
+    return TermselError(f"the library vl-convert cannot draw this chart: {why[:200]}",
+                        hint="Tables and records are complete without it. "
+                             "`termsel report` draws it in a browser.")
+
+
+@cache
+def _helper() -> Helper:
+    helper = Helper(_DRAWING)
+    atexit.register(helper.end)
+    return helper
