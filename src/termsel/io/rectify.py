@@ -24,15 +24,18 @@ from termsel.io.export import as_exported
 from termsel.io.replacing import require_replaceable
 from termsel.measurements.coordinates.crs import (
     LOCAL,
+    UTM,
+    geodetic_of,
     horizontal,
     is_geocentric,
     is_geographic,
     metres_per_unit,
     normalise,
-    to_wgs84,
+    short,
+    transformation,
 )
 from termsel.measurements.coordinates.longitudes import continuous
-from termsel.measurements.coordinates.utm import utm_zone
+from termsel.measurements.coordinates.utm import metric_crs
 from termsel.measurements.features import FloatArray
 from termsel.models.rpc_fit import GOOD, RpcFit, rpc_of
 
@@ -83,7 +86,8 @@ def rectify(
     height : float, optional
         Of the ground, where no raster is given; that of the middle of the control by default.
     crs : str, optional
-        Of the map; by default that of the control where it is in metres, else the zone of UTM.
+        Of the map; by default that of the control where it is in metres, else the zone of UTM, or
+        on another body than the Earth a transverse Mercator projection.
     resolution : float, optional
         Size of a pixel of the map [units of its CRS]; that of the image on the ground by default.
     resampling : str
@@ -139,9 +143,10 @@ def rectify(
         shape, transform = _map(result, outline, dem, resolution, unit)
         with open_raster(source) as raster, atomic_path(output) as temporary:
             empty = _nodata(raster) if nodata is None else _held(nodata, raster.dtypes[0])
+            zone = "the zone of UTM, " if UTM.fullmatch(target) else ""
             chosen = "" if crs is not None or target == horizontal(result.features.crs) else \
-                " (the zone of UTM, as the control is not in metres; --crs names another)"
-            _say(shape, f"{transform.a:g} {unit} in {target}{chosen}", outline, dem)
+                f" ({zone}as the control is not in metres; --crs names another)"
+            _say(shape, f"{transform.a:g} {unit} in {short(target)}{chosen}", outline, dem)
             with utf8_folder(temporary.parent) as place, _gdal_faults(output):
                 _warp(raster, place / "map.tif", shape, transform, target, empty, progress,
                       resampling=resampling, **options)
@@ -153,9 +158,9 @@ def _in_metres(result: Result) -> str:
     own = result.features.crs
     if not is_geographic(own) and metres_per_unit(own) in (1.0, None):  # None: nobody knows it
         return horizontal(own)
-    lon, lat, _ = to_wgs84(own)(result.fit.ground_box()[0][None])[0]
+    lon, lat, _ = transformation(own, geodetic_of(own))(result.fit.ground_box()[0][None])[0]
     try:
-        return utm_zone(float(lon), float(lat))
+        return metric_crs(own, float(lon), float(lat))
     except TermselError as error:
         raise TermselError(f"the map has no CRS: {error.what}",
                            hint="Give --crs with a projected CRS in metres, such as EPSG:3413."

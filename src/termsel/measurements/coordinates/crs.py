@@ -36,7 +36,15 @@ WGS84 = frozenset({"EPSG:4326", "EPSG:4979"})
 Transformation = Callable[[FloatArray], FloatArray]
 """From ground coordinates to others, shapes (n, 3)."""
 
+SEMI_MAJOR, ECCENTRICITY = 6378137.0, 0.00669437999014
+"""Of WGS84: the semi-major axis [m], and the square of the first eccentricity."""
+
+_OF_EARTH = 0.01  # share by which ellipsoids of the Earth differ at most
+_NAMED = re.compile(r'\w+\s*\[\s*"([^"]{1,80})"')
+_BODY = re.compile(r"(?:GCS_|D_)?([A-Za-z]+)")
+
 _CODE = re.compile(r"(?:urn:ogc:def:crs:)?(EPSG|OGC):(?:[\d.]*:)?(\w+)", re.IGNORECASE)
+_OTHER_CODE = re.compile(r"(IAU_\d{4}|ESRI):(\d{1,9})", re.IGNORECASE)
 _COMPOUND = re.compile(r"EPSG:(\d{1,9})\+(\d{1,9})", re.IGNORECASE)
 # x is longitude in termsel, so the OGC names say nothing more than the EPSG codes.
 _OGC = {"CRS84": "EPSG:4326", "CRS84H": "EPSG:4979"}
@@ -53,10 +61,11 @@ _AUTHORITY = re.compile(r'(?:ID|AUTHORITY)\s*\[\s*"EPSG"\s*,\s*"?(\d{1,9})"?\s*\
 def normalise(crs: str) -> str:
     """Return the normal form of a CRS, in which names are compared.
 
-    It is "EPSG:n", "EPSG:n+m" with heights of their own, "OGC:CRS84", their URN forms, WKT, or
-    "local". "EPSG:n" is returned where the code is known, pyproj finds it or WKT ends with it.
-    Raises TermselError for text in none of these forms. If pyproj is installed, also for a code
-    that does not exist, WKT that cannot be read, or a CRS without horizontal coordinates.
+    It is "EPSG:n", "EPSG:n+m" with heights of their own, "OGC:CRS84", their URN forms, WKT,
+    "local", or with pyproj "ESRI:n" and the codes of other bodies than the Earth, "IAU_2015:n".
+    "EPSG:n" is returned where the code is known, pyproj finds it or WKT ends with it. Raises
+    TermselError for text in none of these forms. If pyproj is installed, also for a code that does
+    not exist, WKT that cannot be read, or a CRS without horizontal coordinates.
     """
     text = crs.strip()
     if text.lower() == LOCAL:
@@ -71,6 +80,12 @@ def normalise(crs: str) -> str:
             if name not in WGS84 and not UTM.fullmatch(name) and _with_pyproj(name) is None:
                 _say_unchecked(name)
             return name
+    elif other := _OTHER_CODE.fullmatch(text):
+        name = f"{other[1].upper()}:{int(other[2])}"
+        with requires(f"the CRS {name} requires", "pyproj", GIS):
+            import pyproj  # noqa: F401 - whether it is there
+        _with_pyproj(name)
+        return name
     elif (two := _COMPOUND.fullmatch(text)) or _WKT.fullmatch(text):
         text = f"EPSG:{int(two[1])}+{int(two[2])}" if two else text
         known = _with_pyproj(text)
@@ -128,6 +143,11 @@ def transformation(source: str, target: str, *, strict: bool = True) -> Transfor
 
     failure = f"coordinates in {short(source)} cannot be transformed to {into}"
     known = [_with_pyproj(name) for name in (source, target)]
+    here, there = body_of(source), body_of(target)
+    if here != there:
+        raise TermselError(f"{short(source)} is on {here}, and {short(target)} on {there}",
+                           hint="Formats of WGS84, such as RPCs and GeoJSON, are for the Earth. "
+                                "gcp-grid-vrt and geolocation-vrt keep the CRS.")
     ends = [one if len(one.axis_info) > 2 else one.to_3d() for one in known if one is not None]
     try:
         turn = Transformer.from_crs(*ends, always_xy=True, allow_ballpark=False)
@@ -149,6 +169,48 @@ def transformation(source: str, target: str, *, strict: bool = True) -> Transfor
         return np.stack(turned, axis=1)
 
     return convert
+
+
+EARTH = "the Earth"
+
+
+@lru_cache
+def body_of(crs: str) -> str:
+    """Return the celestial body of a CRS as messages call it, such as "Mars"."""
+    known = _ellipsoid_and_name(crs)
+    if known is None or abs(known[0] / SEMI_MAJOR - 1.0) < _OF_EARTH:
+        return EARTH
+    word = _BODY.match(known[2])
+    name = word[1].capitalize() if word else ""
+    return {"Moon": "the Moon", "": "another body", "Unknown": "another body"}.get(name, name)
+
+
+@lru_cache
+def ellipsoid_of(crs: str) -> tuple[float, float]:
+    """Return semi-major axis [m] and square of the first eccentricity; those of WGS84 by default.
+    """
+    known = _ellipsoid_and_name(crs)
+    return (SEMI_MAJOR, ECCENTRICITY) if known is None else known[:2]
+
+
+def geodetic_of(crs: str) -> str:
+    """Return the CRS of longitude, latitude and height on the body of a CRS."""
+    if body_of(crs) == EARTH:
+        return "EPSG:4979"
+    known = _with_pyproj(normalise(crs))
+    assert known is not None  # without pyproj all are on the Earth
+    return crs if known.is_geographic else str(known.geodetic_crs.to_wkt())
+
+
+def _ellipsoid_and_name(crs: str) -> tuple[float, float, str] | None:
+    """Return the axis, the squared eccentricity and the name of a body; None where WGS84 serves."""
+    name = normalise(crs) if crs else LOCAL
+    known = None if name == LOCAL or name in WGS84 or UTM.fullmatch(name) else _with_pyproj(name)
+    if known is None or known.ellipsoid is None:
+        return None
+    major, minor = known.ellipsoid.semi_major_metre, known.ellipsoid.semi_minor_metre
+    body = known.geodetic_crs or known
+    return float(major), float(1.0 - (minor / major) ** 2), str(body.name)
 
 
 def area_of_use(crs: str) -> tuple[float, float, float, float] | None:
@@ -174,7 +236,9 @@ def height_reference(crs: str) -> str:
     plane = name in WGS84 or UTM.fullmatch(name)
     known = None if plane else _with_pyproj(name)
     stated = "" if known is None else vertical_datum(known)
-    return stated or f"not stated by {short(name)}; taken as ellipsoidal"
+    body = body_of(name)
+    return stated or f"not stated by {short(name)}; taken as ellipsoidal" + (
+        "" if body == EARTH else f", above the sphere or ellipsoid of {body}")
 
 
 def vertical_datum(crs: CRS) -> str:
@@ -210,8 +274,9 @@ def _missing_grids(source: CRS, target: CRS) -> list[str]:
 
 
 def short(crs: str) -> str:
-    """Return a CRS as messages name it: WKT is long."""
-    return crs if len(crs) <= 40 else f"{crs[:40]}..."
+    """Return a CRS as messages name it: WKT is long, so they say the name in it."""
+    name = _NAMED.match(crs)
+    return name[1] if name else crs if len(crs) <= 40 else f"{crs[:40]}..."
 
 
 def kind_of(crs: str) -> str:
@@ -249,6 +314,11 @@ def _with_pyproj(crs: str) -> CRS | None:
         raise TermselError(f"CRS {short(crs)!r} does not exist or cannot be read",
                            hint=f"Examples: {EXAMPLES}.") from None
     if known.is_geographic or known.is_projected or known.is_geocentric or known.is_engineering:
+        # The usual order of termsel's x and y turns westings round for nobody.
+        if crs.startswith("IAU_") and "west" in [axis.direction for axis in known.axis_info]:
+            raise TermselError(f"CRS {crs} ({known.name}) counts to the west, and termsel's x to "
+                               "the east", hint="Transform the ground coordinates to a CRS whose "
+                               f"longitudes grow to the east, such as {crs[:-2]}00.")
         return known
     raise TermselError(f"CRS {short(crs)!r} ({known.name}) has no horizontal coordinates",
                        hint=f"Examples: {EXAMPLES}.")

@@ -1,4 +1,4 @@
-"""Where on Earth features are, and whether their axes look swapped or turned round."""
+"""Where features are, and whether their axes look swapped or turned round."""
 
 from __future__ import annotations
 
@@ -9,15 +9,17 @@ import numpy as np
 
 from termsel.errors import TermselError
 from termsel.measurements.coordinates.crs import (
+    EARTH,
     EXAMPLES,
     area_of_use,
+    body_of,
+    geodetic_of,
     horizontal,
     is_geocentric,
     is_geographic,
     kind_of,
     normalise,
     short,
-    to_wgs84,
     transformation,
 )
 from termsel.measurements.coordinates.longitudes import continuous
@@ -36,11 +38,13 @@ _BEYOND = 5.0  # degrees outside the area of a CRS at which features may still b
 def place_of(features: FeatureSet) -> str:
     """Return where the middle of features is, such as "34.8 N, 48.5 E"; "" if nothing tells."""
     ground = features.ground_vertices()
-    middle = _on_earth(features.crs, ground) if len(ground) else None
+    middle = _degrees_of(features.crs, ground) if len(ground) else None
     if middle is None:
         return ""
     lon, lat = (round(degrees, 1) for degrees in middle)
-    return f"{abs(lat):.1f} {'N' if lat >= 0 else 'S'}, {abs(lon):.1f} {'E' if lon >= 0 else 'W'}"
+    place = f"{abs(lat):.1f} {'N' if lat >= 0 else 'S'}, {abs(lon):.1f} {'E' if lon >= 0 else 'W'}"
+    body = body_of(features.crs)
+    return place if body == EARTH else f"{place} on {body}"
 
 
 def say_turned(features: FeatureSet) -> None:
@@ -163,7 +167,7 @@ def _misplaced(features: FeatureSet) -> bool:
     area = area_of_use(features.crs) if len(ground) else None
     if area is None or is_geocentric(features.crs):
         return False
-    here, there = (_on_earth(features.crs, place) for place in (ground, ground[:, [1, 0, 2]]))
+    here, there = (_degrees_of(features.crs, place) for place in (ground, ground[:, [1, 0, 2]]))
     # Scenes may reach beyond the area, so one that is near it is not outside.
     return there is not None and _is_inside(there, area, 0.0) \
         and (here is None or not _is_inside(here, area, _BEYOND))
@@ -178,15 +182,16 @@ def _is_inside(place: tuple[float, float], area: tuple[float, float, float, floa
         and ((lon - west + beyond) % 360 <= wide + 2 * beyond or wide + 2 * beyond >= 360)
 
 
-def _on_earth(crs: str, ground: FloatArray) -> tuple[float, float] | None:
+def _degrees_of(crs: str, ground: FloatArray) -> tuple[float, float] | None:
     """Return longitude and latitude [deg] of the middle of places, None where nothing tells."""
     try:
         if is_geographic(crs):
             lon, lat = float(np.median(continuous(ground[:, 0]))), float(np.median(ground[:, 1]))
         else:
             middle = np.nanmedian(np.nan_to_num(ground), axis=0)[None]
-            turn = to_wgs84(crs) if is_geocentric(crs) else transformation(
-                horizontal(crs), "EPSG:4326", strict=False)
+            geodetic = geodetic_of(crs)
+            turn = transformation(crs, geodetic) if is_geocentric(crs) else transformation(
+                horizontal(crs), horizontal(geodetic), strict=False)
             lon, lat = turn(middle)[0, :2].tolist()
     except TermselError:  # without a CRS or without pyproj nothing tells
         return None

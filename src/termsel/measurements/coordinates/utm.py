@@ -1,17 +1,32 @@
-"""Zones of UTM, on WGS84."""
+"""Coordinates in metres for a place: zones of UTM, and their like on other bodies."""
 
 from __future__ import annotations
+
+from functools import lru_cache
 
 import numpy as np
 
 from termsel.errors import GIS, TermselError, requires
-from termsel.measurements.coordinates.crs import horizontal, is_geographic, transformation
+from termsel.measurements.coordinates.crs import (
+    EARTH,
+    body_of,
+    geodetic_of,
+    horizontal,
+    is_geographic,
+    transformation,
+)
 from termsel.measurements.features import FloatArray
 
 
-def utm_zone(lon: float, lat: float) -> str:
-    """Return the CRS of the zone of a place [deg], whose longitude may go on beyond 180 degrees."""
+def metric_crs(crs: str, lon: float, lat: float) -> str:
+    """Return a CRS in metres around a place [deg], whose longitude may go on beyond 180 degrees.
+
+    The zone of UTM; on another body than the Earth, that of `crs`, a transverse Mercator projection
+    about the whole degrees next to the place.
+    """
     lon = (lon + 180) % 360 - 180
+    if body_of(crs) != EARTH:
+        return _transverse_mercator(crs, round(lon), round(lat))
     with requires("the UTM zone of the control requires", "pyproj", GIS):
         from pyproj.aoi import AreaOfInterest
         from pyproj.database import query_utm_crs_info
@@ -24,13 +39,24 @@ def utm_zone(lon: float, lat: float) -> str:
     return f"EPSG:{zones[0].code}"
 
 
+@lru_cache
+def _transverse_mercator(crs: str, lon: int, lat: int) -> str:
+    from pyproj import CRS
+    from pyproj.crs import ProjectedCRS
+    from pyproj.crs.coordinate_operation import TransverseMercatorConversion
+
+    return str(ProjectedCRS(
+        TransverseMercatorConversion(lat, lon), name=f"Transverse Mercator about {lat}, {lon}",
+        geodetic_crs=CRS(geodetic_of(crs)).to_2d()).to_wkt())
+
+
 def for_warping(ground: FloatArray, crs: str) -> tuple[FloatArray, str]:
     """Return ground coordinates (..., 3), and the CRS without heights, for GDAL's warper."""
     # It does not find places whose longitudes go on beyond 180 degrees: these come in UTM.
     if not is_geographic(crs) or not (np.abs(ground[..., 0]) > 180.0).any():
         return ground, horizontal(crs)
     lon, lat = (float(np.nanmin(ground[..., i]) + np.nanmax(ground[..., i])) / 2 for i in (0, 1))
-    zone = utm_zone(lon, lat)
+    zone = metric_crs(crs, lon, lat)
     turned = transformation(horizontal(crs), zone)(ground.reshape(-1, 3))
     turned[:, 2] = ground[..., 2].ravel()
     turned[np.isnan(ground[..., 0]).ravel()] = np.nan

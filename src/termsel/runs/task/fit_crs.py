@@ -11,15 +11,17 @@ from termsel.candidates.portfolio import choose
 from termsel.errors import TermselError
 from termsel.measurements.control import Control
 from termsel.measurements.coordinates.crs import (
+    EARTH,
     LOCAL,
     WGS84,
+    body_of,
+    geodetic_of,
     is_geocentric,
     normalise,
-    to_wgs84,
     transformation,
 )
 from termsel.measurements.coordinates.longitudes import continuous
-from termsel.measurements.coordinates.utm import utm_zone
+from termsel.measurements.coordinates.utm import metric_crs
 from termsel.measurements.features import FeatureSet
 from termsel.measurements.roles import Observations
 from termsel.models.base import SensorModel
@@ -28,13 +30,14 @@ from termsel.options import Option
 log = logging.getLogger(__name__)
 
 AUTO = "auto"
-SYSTEMS = {"geodetic": "EPSG:4979", "projected": "", "geocentric": "EPSG:4978"}
-"""CRS of each kind of coordinates; the UTM zone of projected ones is that of the control."""
+SYSTEMS = ("geodetic", "projected", "geocentric")
+"""Kinds of coordinates."""
 
 FIT_CRS = Option(
     "fit_crs", None, "CRS the model is fitted in; by default that of the ground coordinates. "
     "geodetic is WGS84 longitude, latitude and ellipsoidal height; projected is the UTM zone of "
-    "the control; geocentric is WGS84 X, Y, Z; EPSG:n is any other. auto takes the one of the "
+    "the control (on another body than the Earth a transverse Mercator projection); geocentric is "
+    "WGS84 X, Y, Z; EPSG:n is any other. auto takes the one of the "
     "first three that predicts best by leave-one-out. Coordinates of files and results stay in "
     "their own CRS.")
 
@@ -87,14 +90,21 @@ def fit_crs_of(choice: str, control: FeatureSet) -> str:
             raise TermselError("option 'fit_crs' does not take 'local'",
                                hint="Leave it out to fit in the coordinates as they are.")
         return name
-    return SYSTEMS[choice] or _utm_zone(control)
+    if choice == "geodetic":
+        return geodetic_of(control.crs)
+    if choice == "projected":
+        return _around(control)
+    if (body := body_of(control.crs)) != EARTH:
+        raise TermselError(f"geocentric coordinates are known of {EARTH} alone, and the control "
+                           f"is on {body}", hint="Fit in geodetic or projected coordinates.")
+    return "EPSG:4978"
 
 
-def _utm_zone(control: FeatureSet) -> str:
-    """Return the UTM zone of the middle of the control."""
-    place = to_wgs84(control.crs)(control.ground_vertices())
+def _around(control: FeatureSet) -> str:
+    """Return the CRS in metres around the middle of the control."""
+    place = transformation(control.crs, geodetic_of(control.crs))(control.ground_vertices())
     lon, lat = continuous(place[:, 0]), place[:, 1]
-    return utm_zone(*(float(part.min() + part.max()) / 2 for part in (lon, lat)))
+    return metric_crs(control.crs, *(float(part.min() + part.max()) / 2 for part in (lon, lat)))
 
 
 def _best(observations: Observations, spatial: bool) -> str:
@@ -102,9 +112,9 @@ def _best(observations: Observations, spatial: bool) -> str:
     both = observations.together
     predicted: dict[str, float] = {}
     for system in SYSTEMS:
-        fit_crs = fit_crs_of(system, observations.control)
-        if is_geocentric(fit_crs) and not spatial:
+        if system == "geocentric" and not (spatial and body_of(both.crs) == EARTH):
             continue
+        fit_crs = fit_crs_of(system, observations.control)
         choice = choose(Control.of(replace(both, fit_crs=fit_crs), observations.heights))
         predicted[fit_crs] = np.inf if choice is None else choice.chosen.predicted
     best = min(predicted, key=lambda crs: predicted[crs])
