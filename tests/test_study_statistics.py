@@ -230,6 +230,25 @@ def test_what_failed_is_counted_as_worst_and_what_waits_is_not_counted() -> None
     assert "Without a result, and counted as worst: 2 of 4 cells." in claims(groups, None, rows)
 
 
+def test_problems_with_models_of_their_own_are_compared_by_their_fitness() -> None:
+    own = {"a": ("poly2d", "check-rmse"), "b": ("rfm", "press"), "c": ("rfm", "press")}
+    rows = [_row(problem=name, model=model, criterion=criterion, objective=criterion, solver=solver)
+            for name, (model, criterion) in own.items() for solver in ("ga", "swap", "ga", "swap")]
+    groups = group(rows, {"c": {}})
+    assert groups.measure == "fitness"
+    assert groups.methods == ("ga", "swap")
+    assert list(groups.instances) == list(own)
+    said = claims(groups, None, rows)
+    assert said[0] == "Compared by the fitness (check-rmse or press); lower is better."
+    assert said[1].startswith("All methods ran on 3 instances")
+    # Models that are named are methods, and their fitness is not the accuracy.
+    named = [_row(model=model, solver=solver, independent=1.0)
+             for model in ("poly2d", "rfm") for solver in ("ga", "swap")]
+    groups = group(named, {"c": {}})
+    assert groups.measure == "independent"
+    assert groups.methods == ("poly2d, ga", "poly2d, swap", "rfm, ga", "rfm, swap")
+
+
 def test_claims_say_what_the_tests_allow() -> None:
     rng = np.random.default_rng(3)
     base = rng.uniform(1, 2, (20, 1))

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from msgspec import convert
 
+import termsel
 from termsel.io.earlier import completed
 from termsel.record.record import Record
 from termsel.report.answers import document
@@ -202,7 +203,7 @@ def test_a_short_opening_keeps_the_command_that_leaves_a_blunder_out() -> None:
 @pytest.mark.parametrize(("changed", "lines"), [
     ({"evaluations": 1, "lookups": 0, "generations": 1}, [
         "Search: 1 evaluation (0 looked up), 1 generation, 1.2 s"]),
-    ({"criterion": "check-rmse"}, [
+    ({"criterion": "check-rmse", "objectives": {"check-rmse": 1.0}}, [
         "check = the fitness, which the search minimised; independent = the accuracy",
         "Problem rfm-terms. Model poly3d, solver ga, criterion check-rmse, seed 4; termsel 9.9"]),
     (share(1.0), []),
@@ -399,7 +400,7 @@ RULE = ("The marked one is the selection, recommended by the rule {} (--set reco
 def test_a_front_tells_of_the_rule_where_there_is_a_choice(rule: str, objectives: int,
                                                            lines: list[str]) -> None:
     given = {"front": FRONT, "options": {**record()["options"], "problem": {"recommend": rule}},
-             "objectives": dict.fromkeys("ab"[:objectives], 1.0)}
+             "objectives": dict.fromkeys(("press", "n_terms")[:objectives], 1.0)}
     assert added(**given)[4:] == lines
 
 
@@ -475,3 +476,16 @@ def test_coefficients_that_correlate() -> None:
              {"terms": ["line:1", "line:Y"], "correlation": 0.96}]
     assert added(correlations=pairs) == [
         "Correlations of coefficients of 0.95 or more: 2, highest -0.9876 (line:1, line:X)"]
+
+
+@pytest.mark.parametrize(("solver", "criterion", "says"), [
+    ("all-terms", "check-rmse", "independent = the accuracy"),
+    ("ridge", "check-rmse", "independent = the accuracy"),
+    ("random", "press", "the search minimised press; independent = the accuracy"),
+    ("random", "check-rmse", "check = the fitness, which the search minimised; independent = the "
+                             "accuracy")])
+def test_check_is_called_the_fitness_where_it_was_minimised(solver: str, criterion: str,
+                                                            says: str) -> None:
+    result = termsel.run("rfm-terms", strategy="as-asked", solver=solver, criterion=criterion,
+                         evaluations=60)
+    assert says in result.summary(verbose=True).splitlines()

@@ -55,8 +55,8 @@ from termsel.options import MOST_RUNS
               shell_complete=complete("writers"),
               help="With the strategy auto, export each image's model; may be repeated.")
 @click.option("--measure", type=click.Choice(["fitness", "check", "independent"]),
-              help="What methods are compared by. By default the fitness where they differ in the "
-                   "solver alone, else the RMSE on independent points.")
+              help="What methods are compared by. By default the fitness where those of a problem "
+                   "differ in the solver alone, else the RMSE on independent points.")
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path),
               help="Folder of the journal and the tables. The same command goes on where an "
                    "earlier one stopped.")

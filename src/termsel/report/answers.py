@@ -156,12 +156,13 @@ def _legend(record: Record, view: View | None) -> Iterator[str]:
                + " (a hollow symbol in the chart)" * (view is not None))
     if any(not any(rmse.n for rmse in one.rmse.by_role.values()) for one in baselines):
         yield "- not determined with redundancy"
-    if record.strategy:
+    objective = next(iter(record.objectives), "")
+    if record.strategy or not objective or record.solver == "all-terms":  # nothing was minimised
         yield "independent = the accuracy"
-    elif record.criterion == "check-rmse":
+    elif objective == "check-rmse":
         yield "check = the fitness, which the search minimised; independent = the accuracy"
     else:
-        yield f"the search minimised {record.criterion}; independent = the accuracy"
+        yield f"the search minimised {objective}; independent = the accuracy"
 
 
 def _fits(record: Record) -> TableBlock:

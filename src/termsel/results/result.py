@@ -86,7 +86,7 @@ class Result(Glance):
     feasible : bool
         False if no selection satisfied all conditions.
     rmse : mapping
-        By role. "check" is the fitness, "independent" the accuracy.
+        By role. "independent" is the accuracy; "check" is not, where the search minimised it.
     baselines : tuple of Baseline
     judgement : str
         A plain sentence on what the selection is worth.

@@ -111,13 +111,11 @@ def convergence(groups: Groups) -> Figure:
                      if math.isfinite(high)]
     by_method = _by_method(groups.methods)
     scale, kind = spread_scale([row[end] for row in rows for end in ("low", "high")], zero=False)
-    criteria = sorted({row["criterion"] for runs_of in groups.instances.values()
-                       for runs in runs_of.values() for row in runs.rows})
     base = alt.Chart(data(rows)).encode(color=by_method["color"], x=alt.X(
         "evaluations:Q", title="evaluations, logarithmic",
         scale=alt.Scale(type="log", nice=False)))
     band = base.mark_area(opacity=0.18, interpolate="step-after").encode(
-        y=alt.Y("low:Q", title=f"best {' or '.join(map(with_unit, criteria))}{kind}",
+        y=alt.Y("low:Q", title=f"best {' or '.join(map(with_unit, groups.objectives))}{kind}",
                 scale=scale), y2="high:Q")
     line = base.mark_line(strokeWidth=2, interpolate="step-after").encode(
         y="median:Q", strokeDash=by_method["strokeDash"])

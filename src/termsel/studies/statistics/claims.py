@@ -8,8 +8,6 @@ from termsel.studies.statistics.groups import Groups
 from termsel.studies.statistics.significance import FEWEST, LEVEL, Comparison, effect_size
 from termsel.studies.statistics.summaries import quantiles
 
-MEASURES = {"fitness": "the fitness", "check": "the RMSE on check points",
-            "independent": "the RMSE on independent points"}
 _MOST_NAMED = 6
 """Methods without runs on an instance that are named one by one."""
 _SIZES = ((0.71, "large"), (0.64, "medium"), (0.56, "small"))
@@ -17,7 +15,11 @@ _SIZES = ((0.71, "large"), (0.64, "medium"), (0.56, "small"))
 
 def claims(groups: Groups, comparison: Comparison | None, rows: list[Row]) -> list[str]:
     """Return sentences on what may be claimed, and what not; with few instances no comparison."""
-    said = [f"Compared by {MEASURES[groups.measure]}; lower is better."]
+    measure = f"the RMSE on {groups.measure} points"
+    if groups.measure == "fitness":
+        names = " or ".join(groups.objectives)
+        measure = "the fitness" + f" ({names})" * bool(names)
+    said = [f"Compared by {measure}; lower is better."]
     if len(groups.methods) < 2:
         said.append("There is one method, so nothing is compared." if groups.methods else
                     "No cell is finished, so nothing is compared.")

@@ -38,6 +38,14 @@ class Groups:
                 if set(by_method) == set(self.methods)]
 
 
+    @property
+    def objectives(self) -> list[str]:
+        """Names of what the searches minimised."""
+        return sorted({row["objective"] for by_method in self.instances.values()
+                       for runs in by_method.values() for row in runs.rows
+                       if row.get("objective")})
+
+
 def group(rows: Sequence[Row], records: Mapping[str, CellRecord],
           measure: str | None = None) -> Groups:
     """Return the runs of a study by what they are compared on."""
@@ -48,7 +56,11 @@ def group(rows: Sequence[Row], records: Mapping[str, CellRecord],
     # model where each problem has its own.
     method: tuple[str, ...] = ("solver",) if measure == "fitness" else METHOD
     instance = (*INSTANCE, *(("model", "criterion") if measure == "fitness" else ()))
-    of_method, of_instance = _varying(rows, method, INSTANCE), _varying(rows, instance)
+    of_method = _varying(rows, method, INSTANCE)
+    of_instance: list[str] = []
+    for label in instance:  # without what others tell already, as the model that a problem has
+        if label in _varying(rows, instance, of_instance):
+            of_instance.append(label)
     instances: dict[str, dict[str, Runs]] = {}
     for row in rows:
         name = ", ".join(_shown(row, label) for label in of_instance)
@@ -63,8 +75,9 @@ def group(rows: Sequence[Row], records: Mapping[str, CellRecord],
 
 
 def _measure(rows: Sequence[Row]) -> str:
-    # Methods that differ in the solver alone minimise the same fitness.
-    alike = len({(row["strategy"], row["model"], row["criterion"]) for row in rows}) <= 1
+    # Methods that differ in the solver alone minimise the same fitness, whatever model and
+    # criterion each problem has.
+    alike = _varying(rows, METHOD, INSTANCE) == ["solver"]
     return "fitness" if alike and all(row["strategy"] == "as-asked" for row in rows) \
         else "independent"
 
