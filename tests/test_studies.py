@@ -5,10 +5,12 @@ from __future__ import annotations
 import csv
 import itertools
 import json
+import logging
 import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
+from threading import Event
 from types import SimpleNamespace
 from typing import Any
 
@@ -21,6 +23,7 @@ from termsel import TermselError
 from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
 from termsel.solvers.ledger import Progress
 from termsel.studies import compare
+from termsel.studies.cells import cell
 from termsel.studies.cells.images import IMAGES, folders_of
 from termsel.studies.cells.journal import CellRecord
 from termsel.studies.cells.table import TIMES
@@ -433,3 +436,33 @@ def test_the_study_files_of_the_documentation_can_be_planned(tmp_path: Path) -> 
         cells = compare.plan_cells(*compare.asked(tmp_path / f"{name}.toml", {}))
         assert {cell.labels["strategy"] for cell in cells} == {"auto", "as-asked"}
         assert {accuracy.parts_of(cell.data.label) for cell in cells} == {("ikonos-hamedan", 20, 0)}
+
+
+@pytest.mark.parametrize(("given", "says"), [
+    ({"seeds": 1000, "splits": 2000}, "has 2,000,000 cells, and can have 500,000"),
+    ({"solvers": [{"name": "random", "label": f"r{i}"} for i in range(3000)]},
+     "has 3,000 combinations of problems and methods, and can have 1,000")])
+def test_a_study_that_is_too_large_is_refused_before_it_is_planned(
+        given: dict[str, Any], says: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cell, "_Kinds", None)  # nothing is planned
+    asked = {"problems": ["poly-terms"], "solvers": ["random"], **given}
+    with pytest.raises(TermselError, match=says):
+        termsel.compare(**asked)
+
+
+def test_a_long_search_for_files_is_told(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    from termsel.studies.plan import data
+
+    told = Event()
+    handler = logging.Handler()
+    handler.emit = lambda record: told.set()  # type: ignore[method-assign]
+    monkeypatch.setattr(data.glob, "glob", lambda *_, **__: [] if told.wait(60) else ["late"])
+    monkeypatch.setattr(data, "SOON", 0.01)
+    data.log.addHandler(handler)
+    try:
+        with pytest.raises(TermselError, match="no file matches"):
+            termsel.compare(data=[{"points": "**/*.csv", "crs": "local"}])
+    finally:
+        data.log.removeHandler(handler)
+    assert "looking for files that match **/*.csv" in caplog.text

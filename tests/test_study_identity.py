@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -16,7 +17,7 @@ from termsel import Generation, Solver
 from termsel.files.names import JOURNAL
 from termsel.plugins.registry import registry
 from termsel.studies.cells.identity import made_of
-from termsel.studies.cells.journal import _sum, read_journal
+from termsel.studies.cells.journal import _sealed, _sum, read_journal
 
 FEW: dict[str, Any] = {"seeds": 1, "budget": {"evaluations": 60}}
 
@@ -110,3 +111,21 @@ def test_a_forged_or_flipped_line_costs_itself_alone(forged: str, tmp_path: Path
         (tmp_path / JOURNAL).write_text("\n".join([*lines, ""]))
         assert "damaged in 1 line" in read_journal(tmp_path).remarks[0]
         assert termsel.compare(**asked).rows[0]["seconds"] == rows[0]["seconds"]
+
+
+@pytest.mark.parametrize("forged", [
+    {"figures": {"fitness": "good"}}, {"figures": {"notes": [1]}}, {"figures": {"mine": 1.0}},
+    {"figures": {"seconds": None}}, {"trace": [[1.0]]}, {"front": [[]]}, {"state": "best"}])
+def test_a_record_that_no_run_writes_is_refused(forged: dict[str, Any], tmp_path: Path) -> None:
+    asked: dict[str, Any] = {"problems": ["poly-terms"], "solvers": ["random"], "out": tmp_path,
+                             **FEW}
+    first = termsel.compare(**asked).rows
+    head, line = (tmp_path / JOURNAL).read_text().splitlines()
+    record = json.loads(line)["record"]
+    record = {**record, **forged,
+              "figures": {**record["figures"], **forged.get("figures", {})}}
+    (tmp_path / JOURNAL).write_text(head + "\n" + _sealed(record).decode())
+    assert "damaged in 1 line" in read_journal(tmp_path).remarks[0]
+    again = termsel.compare(**asked).rows
+    assert again[0]["fitness"] == first[0]["fitness"]
+    assert again[0]["seconds"] != first[0]["seconds"]

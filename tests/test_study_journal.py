@@ -272,7 +272,8 @@ def test_a_disk_that_takes_a_few_bytes_at_a_time_gets_all(
 def test_a_record_survives_the_journal(tmp_path: Path) -> None:
     journal = Journal(tmp_path / JOURNAL)
     journal.open({"a": "1"})
-    record = CellRecord("k", "infeasible", "ä\u2028\n\"", {"x": 0.1 + 0.2}, [[1.0, 2.5, 0.1]], [])
+    record = CellRecord("k", "infeasible", "ä\u2028\n\"", {"fitness": 0.1 + 0.2},
+                        [[1.0, 2.5, 0.1]], [])
     journal.append(record)
     journal.close()
     assert read_journal(tmp_path).records["k"] == record

@@ -26,6 +26,10 @@ from termsel.studies.plan.spec import Part, Spec
 LABELS = ("problem", "data", "split", "strategy", "model", "criterion", "solver", "seed")
 """What tells the cells of a study apart, in the order in which they vary."""
 
+MOST_KINDS, MOST_CELLS = 1000, 500_000
+"""Combinations and cells of a study. Each is checked before the first runs, in some 5 ms and 20 us.
+"""
+
 _OF_SEARCH = {option.name for option in SEARCH_OPTIONS}
 
 
@@ -55,6 +59,7 @@ def cells_of(spec: Spec, data: list[Data]) -> list[Cell]:
     study file, for names and options that are not known, a solver that cannot handle the
     objectives, or a kind of cell that none of the data allows.
     """
+    _require_few(spec, len(data) or 1)
     kinds = _Kinds(spec)
     cells = []
     for problem in spec.problems or (None,):
@@ -75,6 +80,22 @@ def cells_of(spec: Spec, data: list[Data]) -> list[Cell]:
         raise TermselError("two cells of the study are the same",
                            hint="Remove the problem, model or solver that is named twice.")
     return cells
+
+
+def _require_few(spec: Spec, data: int) -> None:
+    """Refuse a study that would take longer to plan than to think over; `data` are how many."""
+    problems = len(spec.problems) or 1
+    methods = len(spec.models or (None,)) * len(spec.criteria or (None,)) * len(
+        spec.solvers or (None,))
+    searched = "as-asked" in spec.strategies
+    kinds = problems * (methods * searched + ("auto" in spec.strategies))
+    cells = problems * data * len(spec.splits) * (
+        methods * searched * len(spec.seeds) + ("auto" in spec.strategies))
+    for number, most, what in ((kinds, MOST_KINDS, "combinations of problems and methods"),
+                               (cells, MOST_CELLS, "cells")):
+        if number > most:
+            raise TermselError(f"the study has {number:,} {what}, and can have {most:,}",
+                               hint="Divide it into several studies.")
 
 
 def _own_data(spec: Spec, problem: Part | None) -> Data:

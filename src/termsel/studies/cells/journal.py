@@ -13,9 +13,9 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO, Literal
+from typing import Annotated, Any, BinaryIO, Literal
 
-from msgspec import ValidationError, convert
+from msgspec import Meta, ValidationError, convert
 
 from termsel.errors import TermselError, counted
 from termsel.files.names import JOURNAL
@@ -29,6 +29,38 @@ _SYNC = 1.0
 State = Literal["done", "infeasible", "failed"]
 
 
+Number = float | None
+
+
+class Figures(RecordPart, frozen=True):
+    """What the columns of a finished cell may hold: a journal with anything else was forged."""
+
+    objective: str | None = None
+    chosen: str | None = None
+    proven: bool = False
+    fitness: Number = None
+    optimum: Number = None
+    control: Number = None
+    check: Number = None
+    independent: Number = None
+    predicted: Number = None
+    predicted_low: Number = None
+    predicted_high: Number = None
+    n_control: int = 0
+    n_check: int = 0
+    n_independent: int = 0
+    n_terms: int = 0
+    n_features: int = 0
+    evaluations: int = 0
+    refinement_evaluations: int = 0
+    generations: int = 0
+    excluded: int = 0
+    blunders: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    seconds: float = 0.0
+    cpu_seconds: float = 0.0
+
+
 class CellRecord(RecordPart, frozen=True):
     """A finished cell."""
 
@@ -40,9 +72,9 @@ class CellRecord(RecordPart, frozen=True):
     """Why it has no result; empty if it has one."""
     figures: Mapping[str, Any]
     """Its columns in the table of the study, by name; empty if it failed."""
-    trace: list[list[float]]
+    trace: list[Annotated[list[float], Meta(min_length=3, max_length=3)]]
     """Evaluations, best value and CPU seconds at every improvement."""
-    front: list[list[float]]
+    front: list[Annotated[list[float], Meta(min_length=2)]]
     """Objectives of each member of its front."""
 
 
@@ -143,6 +175,7 @@ def read_journal(folder: Path) -> Journal:
         else:
             try:
                 cell = convert(record, CellRecord)
+                convert(cell.figures, Figures)
             except ValidationError:
                 damaged.append(number)
             else:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import glob
+import logging
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Timer
 from typing import Any
 
 from termsel.errors import TermselError
@@ -17,6 +19,11 @@ from termsel.plugins.registry import registry
 from termsel.results.checksums import of_attributes, of_features
 from termsel.studies.plan.places import Path as Keys
 from termsel.studies.plan.spec import Source, Spec
+
+log = logging.getLogger(__name__)
+
+SOON = 5.0
+"""Seconds after which a search for files is told."""
 
 _WILD = "*?["
 
@@ -77,12 +84,25 @@ def _matched(spec: Spec, source: Source, kind: str, patterns: tuple[str, ...],
     found: list[str] = []
     for pattern in patterns:
         wild = any(sign in pattern for sign in _WILD)
-        names = sorted(glob.glob(pattern, root_dir=folder, recursive=True)) if wild else [pattern]
+        names = _globbed(pattern, folder) if wild else [pattern]
         if not names or (not wild and not os.path.exists(folder / pattern)):
             raise spec.places.error((*source.path, kind), f"no file matches {pattern!r} in "
                                     f"{folder.resolve()}", "Check the name and the folder.")
         found += [Path(name).as_posix() for name in names]
     return list(dict.fromkeys(found))
+
+
+def _globbed(pattern: str, folder: Path) -> list[str]:
+    """Return the files that match a pattern, and say that this goes on where it takes long."""
+    told = Timer(SOON, log.warning, (
+        "Note: looking for files that match %s in %s takes long. Ctrl-C ends the command.",
+        pattern, folder.resolve()))
+    told.daemon = True
+    told.start()
+    try:
+        return sorted(glob.glob(pattern, root_dir=folder, recursive=True))
+    finally:
+        told.cancel()
 
 
 def _together(spec: Spec, source: Source,
