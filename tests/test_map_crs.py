@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.io import rectify as module
+from termsel.io import map_grid as module
 from termsel.io.rectify import rectify
 from termsel.models.polynomial import Polynomial3D
 

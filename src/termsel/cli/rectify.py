@@ -28,14 +28,18 @@ from termsel.errors import TermselError
               help="nearest, bilinear, cubic, cubic_spline, lanczos or average.")
 @click.option("--nodata", type=float, help="Value where the image has no data; by default that of "
                                            "the image, else 0.")
+@click.option("--sigma", metavar="FILE", type=click.Path(path_type=Path),
+              help="Raster of the uncertainty to write, too (termsel-standards).")
 @final_option
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 @click.option("--quiet", is_flag=True, help="Show no progress bar.")
 @progress_option
 @allow_remote
-def rectify(folder: Path, image: Path, output: Path, dem: Path | None, height: float | None,
-            crs: str | None, resolution: float | None, resampling: str, nodata: float | None,
-            final: bool | None, overwrite: bool, quiet: bool) -> None:
+@click.pass_context
+def rectify(context: click.Context, folder: Path, image: Path, output: Path, dem: Path | None,
+            height: float | None, crs: str | None, resolution: float | None, resampling: str,
+            nodata: float | None, sigma: Path | None, final: bool | None, overwrite: bool,
+            quiet: bool) -> None:
     """Resample an image to a map, by GDAL's warper through the fitted model.
 
     DIR is the folder that a run wrote with --out.
@@ -54,7 +58,18 @@ def rectify(folder: Path, image: Path, output: Path, dem: Path | None, height: f
     from termsel.io.replacing import require_replaceable
     from termsel.io.result_folder import read_result
 
-    require_replaceable([output], reads=[folder, image, dem], overwrite=overwrite)
+    uncertainty = None
+    if sigma is not None:
+        refuse_stdout(sigma)
+        # A plugin's command; without the plugin this says what to install.
+        group = context.find_root().command
+        assert isinstance(group, click.Group)
+        uncertainty = group.resolve_command(context, ["sigma"])[1]
+        if sigma.absolute() == output.absolute():
+            raise TermselError("--sigma and --output name the same file", file=sigma,
+                               hint="Give two names.")
+    require_replaceable([output] if sigma is None else [output, sigma],
+                        reads=[folder, image, dem], overwrite=overwrite)
     result = read_result(folder)
     if dem is None and height is None and result.fit.model.uses_height:
         raise TermselError("the place of the image on the map depends on the height of the ground",
@@ -64,3 +79,6 @@ def rectify(folder: Path, image: Path, output: Path, dem: Path | None, height: f
              resampling=resampling, nodata=nodata, overwrite=overwrite, final=final,
              progress=progress)
     say_written([output])
+    if uncertainty is not None:
+        context.invoke(uncertainty, folder=folder, output=sigma, like_map=output, dem=dem,
+                       height=height, final=final, overwrite=overwrite, quiet=quiet)

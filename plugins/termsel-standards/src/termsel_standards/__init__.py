@@ -21,23 +21,27 @@ if TYPE_CHECKING:
 
     from termsel import Writer
     from termsel_standards.errors import GroundErrors, errors_of, read_errors
+    from termsel_standards.sigma import write_sigma
     from termsel_standards.statement import Statement, Statements, statements_of
 
 # What is not needed for `termsel run` is not imported for it.
 __getattr__, _, _ = lazy_loader.attach(__name__, submod_attrs={
     "errors": ["GroundErrors", "errors_of", "read_errors"],
+    "sigma": ["write_sigma"],
     "statement": ["Statement", "Statements", "statements_of"]})
 
 __all__ = ["GroundErrors", "Statement", "Statements", "errors_of", "read_errors",
-           "statements_of"]
+           "statements_of", "write_sigma"]
 
 
 @hookimpl
 def termsel_commands(cli: click.Group) -> None:
-    """Add the command."""
+    """Add the commands."""
     from termsel_standards.command import accuracy
+    from termsel_standards.sigma_command import sigma
 
     cli.add_command(accuracy)
+    cli.add_command(sigma)
 
 
 @hookimpl

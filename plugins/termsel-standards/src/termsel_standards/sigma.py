@@ -1,0 +1,305 @@
+"""The uncertainty of a model as a raster: exact on a grid of nodes, interpolated between them."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from termsel import Result, TermselError, open_raster, require_replaceable
+from termsel.files.cog import write_cog
+from termsel.fits.extrapolation import outside
+from termsel.formats.heights import surface_of
+from termsel.formats.vrt import picture_for
+from termsel.io.accuracy_tags import accuracy_tags
+from termsel.io.map_grid import MapGrid, grid_of_image, map_crs
+from termsel.measurements.coordinates.crs import horizontal, is_geographic
+from termsel.measurements.coordinates.longitudes import nearest
+from termsel.measurements.coordinates.metres import in_metres
+from termsel.measurements.features import FloatArray
+
+log = logging.getLogger(__name__)
+
+BANDS = (("line", "px"), ("sample", "px"), ("east", "m"), ("north", "m"), ("outside", "1 or 0"))
+"""Bands of the raster, and their units."""
+
+TOLERANCE = 0.01
+"""Relative error of the interpolation below which the grid is made no finer."""
+
+_FIRST, _FINEST = 9, 129  # intervals along either side
+_LEVELS = 12  # intervals between the least and the largest height
+_AROUND = 4  # further nodes on each side: at its ends a spline is less exact
+_TESTED = 400  # places where a grid is tested
+_USUAL = 500  # pixels along the longer side
+_LARGEST = 2e4  # pixels along either side
+_STEP = 1e-4  # of the extent of the control: differences for the moves on the ground
+
+
+def write_sigma(
+    result: Result,
+    output: Path | str,
+    *,
+    image: Path | str | None = None,
+    like_map: Path | str | None = None,
+    bounds: Sequence[float] | None = None,
+    resolution: float | None = None,
+    crs: str | None = None,
+    dem: Path | str | None = None,
+    height: float | None = None,
+    final: bool | None = None,
+    overwrite: bool = False,
+    progress: Callable[[float], None] | None = None,
+) -> float:
+    """Write standard deviations of a model all over a map as a cloud-optimised GeoTIFF.
+
+    The bands are those of `BANDS`. Line and sample are what `termsel.Result.sigma` says; east and
+    north are these on the ground at a fixed height, line and sample taken as independent. `outside`
+    is 1 outside the hull of the control, or above or below its heights, and 0 inside.
+
+    Parameters
+    ----------
+    result : Result
+    output : path-like
+    image : path-like, optional
+        The image, where the result does not know its size: the raster covers what it shows.
+    like_map : path-like, optional
+        A map whose extent and CRS the raster has, instead of bounds and CRS.
+    bounds : sequence of float, optional
+        West, south, east and north in the CRS of the raster; by default those of the image.
+    resolution : float, optional
+        Size of a pixel [units of the CRS]; by default such that the longer side has about 500.
+    crs : str, optional
+        As for `termsel.rectify`.
+    dem : path-like, optional
+        Raster of heights, with the vertical datum of the control.
+    height : float, optional
+        Of the ground, where no raster is given; that of the middle of the control by default.
+    final : bool, optional
+        As for `termsel.export`.
+    overwrite : bool
+        Whether a file that is there may be replaced.
+    progress : callable, optional
+        Called with the fraction that is done, 0 to 1.
+
+    Returns
+    -------
+    float
+        Largest relative error of the interpolation at the places where it was tested.
+
+    Raises
+    ------
+    TermselError
+        If a file cannot be read or written, if the extent is none, or if the uncertainty is known
+        nowhere on it.
+    """
+    output = Path(output)
+    require_replaceable([output], reads=[image, like_map, dem], overwrite=overwrite)
+    if height is not None and not isfinite(height):
+        raise TermselError(f"the height of a map cannot be {height}", hint="Give a number.")
+    tags = accuracy_tags(result)
+    result = result.as_exported(final)
+    if image is not None:
+        result = result.of_image(picture_for(result, image).size)
+    level = float(result.fit.ground_box()[0][2]) if height is None else height
+    grid = _grid(result, like_map, bounds, resolution, crs, dem, level)
+    with surface_of(dem, result.features.crs, level) as surface:
+        nodes = _Nodes.of(result, grid, surface)
+        told = f"interpolated, within {100 * nodes.error:.2g} % of the model at {_TESTED} places"
+        log.info("Uncertainty: %d lines and %d samples of %g %s in %s, %s.", grid.lines,
+                 grid.samples, grid.transform.a, grid.unit, grid.crs, told)
+        if nodes.error > TOLERANCE:
+            log.warning("Warning: between the nodes of the finest grid the uncertainty differs by "
+                        "up to %.0f %%. Give smaller --bounds.", 100 * nodes.error)
+
+        def describe(raster: Any) -> None:
+            raster.update_tags(**tags, UNCERTAINTY=f"standard deviations, {told}")
+            for band, (name, unit) in enumerate(BANDS, 1):
+                raster.set_band_description(band, name)
+                raster.set_band_unit(band, unit)
+
+        write_cog(output, {"height": grid.lines, "width": grid.samples, "count": len(BANDS),
+                           "dtype": "float32", "crs": grid.crs, "transform": grid.transform,
+                           "nodata": float("nan")}, nodes.pixels, describe=describe,
+                  statistics=True, progress=progress)
+    return nodes.error
+
+
+def _grid(result: Result, like_map: Path | str | None, bounds: Sequence[float] | None,
+          resolution: float | None, crs: str | None, dem: Path | str | None, height: float,
+          ) -> MapGrid:
+    """Return the pixels of the raster."""
+    from affine import Affine
+
+    if resolution is not None and not (isfinite(resolution) and resolution > 0):
+        raise TermselError(f"the resolution of a map cannot be {resolution}",
+                           hint="Give a positive number.")
+    if like_map is not None:
+        with open_raster(like_map) as raster:
+            if raster.crs is None or raster.transform.b or raster.transform.d:
+                raise TermselError("this raster is no map with north up", file=like_map,
+                                   hint="Give a map that termsel rectify wrote.")
+            target, bounds = raster.crs.to_wkt(), tuple(raster.bounds)
+    else:
+        target = map_crs(result, crs)
+    if bounds is None:
+        seen = grid_of_image(result, target, dem=dem, height=height)[0]
+        corner = seen.transform @ (seen.samples, seen.lines)
+        bounds = seen.transform.c, corner[1], corner[0], seen.transform.f
+    west, south, east, north = bounds
+    if not (all(map(isfinite, bounds)) and west < east and south < north):
+        raise TermselError(f"the bounds {' '.join(f'{one:g}' for one in bounds)} enclose no area",
+                           hint="Give west, south, east and north in the CRS of the raster.")
+    if resolution is None:
+        resolution = float(f"{max(east - west, north - south) / _USUAL:.1g}")
+    samples, lines = (max(round(side / resolution), 1) for side in (east - west, north - south))
+    if max(samples, lines) > _LARGEST:
+        raise TermselError(f"with pixels of {resolution:g} the raster would have {lines} lines and "
+                           f"{samples} samples", hint="Give a larger --res, or smaller --bounds.")
+    return MapGrid(target, lines, samples, Affine(resolution, 0.0, west, 0.0, -resolution, north))
+
+
+@dataclass(frozen=True, eq=False)
+class _Nodes:
+    """Standard deviations on a grid of nodes, and how to look them up.
+
+    The table is of squares, the four bands by x by y by height, as coefficients of splines of an
+    order. `error` is the largest relative error found. `to_ground` turns places on the map (n, 2)
+    into ground in the CRS of the control (n, 3), whose own vertices are `control`; `flat` says that
+    the model uses no heights.
+    """
+
+    axes: tuple[FloatArray, FloatArray, FloatArray]
+    table: FloatArray
+    order: int
+    error: float
+    control: FloatArray
+    to_ground: Callable[[FloatArray], FloatArray]
+    surface: Callable[[FloatArray], FloatArray]
+    flat: bool
+
+    @classmethod
+    def of(cls, result: Result, grid: MapGrid, surface: Any) -> _Nodes:
+        """Return nodes as close together as the tolerance asks for."""
+        from scipy.ndimage import spline_filter
+
+        flat = not result.fit.model.uses_height
+        made = result.fit.made or result.fit
+        control = made.control.take(made.used).ground_vertices()
+        to_ground = _to_ground(grid.crs, result.features.crs, control)
+        heights = surface if callable(surface) else lambda xy: np.full(len(xy), float(surface))
+        west, north = grid.transform.c, grid.transform.f
+        east, south = west + grid.samples * grid.transform.a, north + grid.lines * grid.transform.e
+        rng = np.random.default_rng(0)  # of where the grid is tested
+        tested = np.column_stack([rng.uniform(west, east, _TESTED),
+                                  rng.uniform(south, north, _TESTED)])
+        there = to_ground(tested)
+        there[:, 2] = heights(there[:, :2])
+        known = there[np.isfinite(there[:, 2]), 2]
+        if not len(known):
+            raise TermselError("the raster of heights has none on this map",
+                               hint="Give a raster that covers the map.")
+        low, high = known.min(), known.max()
+        levels = np.array([low]) if flat or low == high else _axis(low, high, _LEVELS)
+        truth = _sigma(result, there)
+        if not np.isfinite(truth).any():
+            raise TermselError("the uncertainty of this model is not known anywhere on this map",
+                               hint="The control determines the model without redundancy, or the "
+                                    "map is elsewhere. Give more control, or other --bounds.")
+        side = _FIRST
+        while True:
+            x, y = _axis(west, east, side), _axis(south, north, side)
+            mesh = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+            ground = np.repeat(to_ground(mesh), len(levels), axis=0)
+            ground[:, 2] = np.tile(levels, len(mesh))
+            # Squares are the smoother: those of polynomials are polynomials.
+            squares = _sigma(result, ground).T.reshape(4, len(x), len(y), len(levels)) ** 2
+            order = 3 if np.isfinite(squares).all() else 1
+            table = np.stack([spline_filter(one, order=3, mode="mirror") for one in squares]) \
+                if order == 3 else squares
+            nodes = cls((x, y, levels), table, order, 0.0, control, to_ground, heights, flat)
+            found = nodes.looked_up(tested, there)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                error = np.abs(found / truth - 1.0)
+            largest = float(np.nanmax(error, initial=0.0))
+            if largest <= TOLERANCE or 2 * side > _FINEST:
+                return replace(nodes, error=largest)
+            side *= 2
+
+    def looked_up(self, xy: FloatArray, ground: FloatArray) -> FloatArray:
+        """Return standard deviations (n, 4) of places on the map that are these on the ground."""
+        from scipy.ndimage import map_coordinates
+
+        # Positions in units of the nodes, those of heights beyond the nodes at the last of them.
+        places = np.stack([np.clip((one - axis[0]) / np.ptp(axis) * (len(axis) - 1), 0,
+                                   len(axis) - 1) if len(axis) > 1 else 0.0 * one
+                           for one, axis in zip((*xy.T, ground[:, 2]), self.axes, strict=True)])
+        unknown = ~np.isfinite(places).all(axis=0)
+        places[:, unknown] = 0.0
+        squares = np.stack([map_coordinates(table, places, order=self.order, mode="mirror",
+                                            prefilter=False) for table in self.table], axis=1)
+        squares[unknown] = np.nan
+        return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
+
+    def pixels(self, window: Any, transform: Any) -> Any:
+        """Return the bands of a window."""
+        x = transform.c + (np.arange(window.width) + 0.5) * transform.a
+        y = transform.f + (np.arange(window.height) + 0.5) * transform.e
+        xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        ground = self.to_ground(xy)
+        ground[:, 2] = self.surface(ground[:, :2])
+        bands = np.empty((len(BANDS), len(xy)), dtype=np.float32)
+        bands[:4] = self.looked_up(xy, ground).T
+        if self.flat:
+            ground[:, 2] = np.nan  # heights of the ground say nothing of a plane model
+        apart = outside(self.control, ground)
+        bands[4] = np.where(np.isfinite(apart), apart > 0, np.nan)
+        bands[:, ~np.isfinite(bands[:4]).all(axis=0)] = np.nan
+        return bands.reshape(len(BANDS), window.height, window.width)
+
+
+def _axis(low: float, high: float, intervals: int) -> FloatArray:
+    """Return nodes from one end to the other, and some beyond either."""
+    step = (high - low) / intervals
+    return np.asarray(low + step * np.arange(-_AROUND, intervals + _AROUND + 1))
+
+
+def _to_ground(crs: str, own: str, control: FloatArray) -> Callable[[FloatArray], FloatArray]:
+    """Return what turns x and y on the map (n, 2) into ground (n, 3), with heights of 0."""
+    from pyproj import Transformer
+
+    turn = Transformer.from_crs(crs, horizontal(own), always_xy=True)
+    turns, middle = is_geographic(own), float(control[:, 0].min() + control[:, 0].max()) / 2
+
+    def to_ground(xy: FloatArray) -> FloatArray:
+        x, y = turn.transform(xy[:, 0], xy[:, 1])
+        x, y = (np.where(np.isfinite(one), one, np.nan) for one in (x, y))
+        return np.column_stack([nearest(x, middle) if turns else x, y, np.zeros(len(xy))])
+
+    return to_ground
+
+
+def _sigma(result: Result, ground: FloatArray) -> FloatArray:
+    """Return standard deviations of line and sample [px], east and north [m], shape (n, 4)."""
+    with np.errstate(all="ignore"):
+        of_image = result.sigma(ground)
+        scale = result.fit.ground_box()[1][:2]
+        step = _STEP * np.where(scale > 0, scale, scale.max())
+        (lx, sx), (ly, sy) = (
+            ((result.project(ground + move) - result.project(ground - move)) / (2 * size)).T
+            for move, size in zip(np.eye(2, 3) * step[:, None], step, strict=True))
+        determinant = lx * sy - ly * sx
+        # Moves on the ground for 1 px of line and of sample.
+        east = np.hypot(of_image[:, 0] * sy, of_image[:, 1] * ly) / np.abs(determinant)
+        north = np.hypot(of_image[:, 0] * sx, of_image[:, 1] * lx) / np.abs(determinant)
+        metres = in_metres(result.features.crs, ground, np.column_stack([east, north]))
+    if metres is None:
+        raise TermselError("the uncertainty on the ground is not known in metres",
+                           hint="State the CRS of the ground coordinates when you run termsel.")
+    values = np.column_stack([of_image, metres])
+    values[~np.isfinite(values).all(axis=1)] = np.nan
+    return values

@@ -1,0 +1,69 @@
+"""The command `termsel sigma`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from termsel.cli.bars import share_bar
+from termsel.cli.messages import refuse_stdout, say_written, show_messages
+from termsel.cli.options.shared import allow_remote, final_option, progress_option
+
+_PATH = click.Path(path_type=Path)
+
+
+@click.command("sigma")
+@click.argument("folder", metavar="DIR", type=_PATH)
+@click.option("--output", "-o", metavar="FILE", required=True, type=_PATH,
+              help="The raster to write, a cloud-optimised GeoTIFF.")
+@click.option("--image", metavar="FILE", type=_PATH,
+              help="The image, where the result does not know its size; the raster covers what it "
+                   "shows.")
+@click.option("--bounds", metavar="W S E N", type=float, nargs=4,
+              help="West, south, east and north in the CRS of the raster, instead of what the "
+                   "image shows.")
+@click.option("--map", "like_map", metavar="FILE", type=_PATH,
+              help="A map whose extent and CRS the raster has, instead of --bounds and --crs.")
+@click.option("--res", "resolution", type=click.FloatRange(min=0, min_open=True),
+              help="Pixel size in units of the CRS; by default some 500 pixels along the longer "
+                   "side.")
+@click.option("--crs", metavar="CRS", help="CRS of the raster; by default that of the control if "
+                                           "it is in metres, else UTM.")
+@click.option("--dem", metavar="FILE", type=_PATH,
+              help="Raster of heights, with the vertical datum of the control.")
+@click.option("--height", type=float, help="Height of the ground, instead of a raster; by default "
+                                           "that of the middle of the control.")
+@final_option
+@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+@click.option("--quiet", is_flag=True, help="Show no progress bar.")
+@progress_option
+@allow_remote
+def sigma(folder: Path, output: Path, quiet: bool, **options: Any) -> None:
+    """Write the uncertainty of a result as a raster, by the model alone.
+
+    DIR is the folder that a run wrote with --out. The bands are standard deviations of line and
+    sample [px], of east and north [m], and 1 outside the hull of the control, where they tell
+    little.
+
+    \b
+    Examples:
+      termsel sigma result --height 250 -o sigma.tif --res 10
+      termsel sigma result --map map.tif --dem heights.tif -o sigma.tif
+    """
+    from termsel import TermselError, read_result, require_replaceable
+    from termsel_standards.sigma import write_sigma
+
+    for one, other in (("dem", "height"), ("like_map", "bounds"), ("like_map", "crs")):
+        if options[one] is not None and options[other] is not None:
+            raise TermselError(f"--{one.removeprefix('like_')} and --{other} exclude each other",
+                               hint="Give one of them.")
+    refuse_stdout(output)
+    show_messages()
+    require_replaceable([output], reads=[folder, *(options[name] for name in (
+        "image", "like_map", "dem"))], overwrite=options["overwrite"])
+    result = read_result(folder)
+    with share_bar("sigma", quiet) as progress:
+        write_sigma(result, output, progress=progress, **options)
+    say_written([output])

@@ -1,0 +1,88 @@
+"""Cloud-optimised GeoTIFFs, written tile by tile."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from zlib import crc32
+
+from termsel.errors import TermselError
+from termsel.files.atomic import atomic_path
+from termsel.files.names import utf8_folder
+from termsel.files.rasters import require_rasterio
+
+TILE = 1024
+"""Size of the tiles that are computed at once [px]."""
+
+
+def write_cog(
+    path: Path,
+    profile: dict[str, Any],
+    pixels: Callable[[Any, Any], Any],
+    *,
+    describe: Callable[[Any], None],
+    across: int = TILE,
+    statistics: bool = False,
+    progress: Callable[[float], None] | None = None,
+) -> None:
+    """Write a cloud-optimised GeoTIFF, completely or not at all, and read it back.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        An existing file is replaced.
+    profile : dict
+        Height, width, count, dtype, crs, transform and nodata, as rasterio.open takes them.
+    pixels : callable
+        Returns the pixels (bands, lines, samples) of a rasterio Window with its affine.Affine.
+    describe : callable
+        Called with the dataset before the first tile: its tags, colours and names of bands.
+    across : int
+        Width of the tiles [px].
+    statistics : bool
+        Whether to keep minimum, maximum, mean and standard deviation of each band in the file.
+    progress : callable, optional
+        Called with the fraction that is done, 0 to 1.
+
+    Raises
+    ------
+    TermselError
+        If rasterio is not installed, GDAL fails, or the file cannot be written.
+    """
+    rasterio = require_rasterio()
+    from rasterio._err import CPLE_BaseError
+    from rasterio.shutil import copy
+    from rasterio.windows import Window
+
+    lines, samples = profile["height"], profile["width"]
+    tiles = [Window(column, row, min(across, samples - column), min(TILE, lines - row))
+             for row in range(0, lines, TILE) for column in range(0, samples, across)]
+    options = {"STATISTICS": "YES"} if statistics else {}
+    checksums = []
+    try:
+        with atomic_path(path) as temporary, utf8_folder(temporary.parent) as folder, \
+                warnings.catch_warnings():
+            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+            plain, made = folder / "tiles.tif", folder / "made.tif"
+            with rasterio.open(plain, "w", driver="GTiff", tiled=True, compress="deflate",
+                               bigtiff="if_safer", **profile) as raster:
+                describe(raster)
+                for done, window in enumerate(tiles):
+                    tile = pixels(window, raster.window_transform(window))
+                    raster.write(tile, window=window)
+                    checksums.append(crc32(tile.data))
+                    if progress is not None:
+                        progress((done + 1) / len(tiles))
+            copy(plain, made, driver="COG", compress="deflate", bigtiff="if_safer", **options)
+            # GDAL does not report that a disk is full when it closes a file.
+            with rasterio.open(made) as raster:
+                if [crc32(raster.read(window=window).data) for window in tiles] != checksums:
+                    raise TermselError("the map that is read back is not the one that was written",
+                                       file=path, hint="Check the free space on the disk.")
+            made.replace(folder / temporary.name)
+    except (rasterio.errors.RasterioError, CPLE_BaseError) as error:
+        raise TermselError(f"GDAL cannot make this map: {error}", file=path,
+                           hint="Check the image, the raster of heights, and the free space on the "
+                                "disk.") from error

@@ -1,0 +1,159 @@
+"""The CRS of a map, its pixels and its extent, from what an image shows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.formats.heights import surface_of
+from termsel.measurements.coordinates.crs import (
+    LOCAL,
+    geodetic_of,
+    horizontal,
+    is_geocentric,
+    is_geographic,
+    metres_per_unit,
+    normalise,
+    transformation,
+)
+from termsel.measurements.coordinates.longitudes import continuous
+from termsel.measurements.coordinates.utm import metric_crs
+from termsel.measurements.features import FloatArray
+
+if TYPE_CHECKING:
+    from termsel.results.result import Result
+
+_OUTLINE = 33  # places along either side of the image its extent on the map is found by
+_LARGEST = 2e5  # pixels along either side of a map; more is a mistake in --res
+_USUAL = 16, 30_000  # pixels along either side: others are a mistake unless the image has them
+
+
+@dataclass(frozen=True)
+class MapGrid:
+    """The pixels of a map.
+
+    `transform` is the affine.Affine from samples and lines, counted from the outer corner of the
+    upper-left pixel, to x and y in `crs`.
+    """
+
+    crs: str
+    lines: int
+    samples: int
+    transform: Any
+
+    @property
+    def unit(self) -> str:
+        """Unit of x and y."""
+        return _unit(self.crs)
+
+
+def map_crs(result: Result, crs: str | None) -> str:
+    """Return the CRS of a map: the one given, that of control in metres, or the zone of UTM.
+
+    Raises TermselError if that is no CRS of a map.
+    """
+    if normalise(result.features.crs) == LOCAL:
+        raise TermselError("a map requires a CRS, but the result has plane coordinates without one",
+                           hint="State the CRS of the ground coordinates when you run termsel.")
+    target = _in_metres(result) if crs is None else horizontal(crs)
+    if not target:
+        raise TermselError("a map needs a CRS", hint="Give --crs, such as EPSG:32631.")
+    if is_geocentric(target):
+        raise TermselError(f"a map cannot be in the geocentric CRS {target}, which has no plane",
+                           hint="Give --crs with a projected or geographic CRS, such as "
+                                "EPSG:32631.")
+    return target
+
+
+def _in_metres(result: Result) -> str:
+    """Return the CRS of the control if it is in metres, else the zone of UTM."""
+    own = result.features.crs
+    if not is_geographic(own) and metres_per_unit(own) in (1.0, None):  # None: nobody knows it
+        return horizontal(own)
+    lon, lat, _ = transformation(own, geodetic_of(own))(result.fit.ground_box()[0][None])[0]
+    try:
+        return metric_crs(own, float(lon), float(lat))
+    except TermselError as error:
+        raise TermselError(f"the map has no CRS: {error.what}",
+                           hint="Give --crs with a projected CRS in metres, such as EPSG:3413."
+                           ) from error
+
+
+def _unit(crs: str) -> str:
+    from pyproj import CRS
+
+    return str(CRS.from_user_input(crs).axis_info[0].unit_name)
+
+
+def grid_of_image(result: Result, crs: str, resolution: float | None = None, *,
+                  dem: Path | str | None, height: float) -> tuple[MapGrid, float]:
+    """Return the pixels of a map that shows the image, and the share of the image on it.
+
+    The ground has the heights of the raster `dem`, else the one given. The size of a pixel is by
+    default that of the image on the ground [units of the CRS]. Raises TermselError if no part of
+    the image is on the map, or if the map would have fewer than 16 or more than 30,000 px along a
+    side and the image does not.
+    """
+    from affine import Affine
+
+    outline, unit = _ground(result, dem, height, crs), _unit(crs)
+    known = outline[np.isfinite(outline).all(axis=-1)]
+    if not len(known):
+        raise TermselError("the image is outside the raster of heights", file=dem,
+                           hint="Give a raster that covers the image.")
+    (top, left), (bottom, right) = result.fit.image_box()
+    along, across = (np.linalg.norm(np.diff(outline, axis=axis), axis=-1) for axis in (0, 1))
+    pixels = [np.nanmedian(along) * (_OUTLINE - 1) / max(bottom - top, 1.0),
+              np.nanmedian(across) * (_OUTLINE - 1) / max(right - left, 1.0)]
+    of_image = float(f"{min(pixels):.2g}")
+    if resolution is None:
+        resolution = of_image
+    # Edges on multiples of the pixel size, so that maps of neighbouring images fit together.
+    low = np.floor(known.min(axis=0) / resolution) - 1
+    high = np.ceil(known.max(axis=0) / resolution) + 1
+    width, lines = high - low
+    least, most = _USUAL
+    sides, own = (high - low).tolist(), (np.ptp(known, axis=0) / of_image).tolist()
+    # An image may have such sides itself; a map that alone has them mixes up degrees and metres.
+    if min(sides) < least <= min(own) or max(sides) > most >= max(own) or max(sides) > _LARGEST:
+        raise TermselError(f"with pixels of {resolution:g} {unit} the map would have {lines:.0f} "
+                           f"lines and {width:.0f} samples",
+                           hint=f"Give --res in the units of the map, {unit}: the image has "
+                                f"{of_image:g}. Or give a --crs whose edge does not run through "
+                                "the image.")
+    west, north = low[0] * resolution, high[1] * resolution
+    return MapGrid(crs, int(lines), int(width), Affine(
+        resolution, 0.0, west, 0.0, -resolution, north)), \
+        float(np.isfinite(outline).all(axis=-1).mean())
+
+
+def _ground(result: Result, dem: Path | str | None, height: float, target: str,
+            ) -> FloatArray:
+    """Return where on the map a grid of image places is, shape (_OUTLINE, _OUTLINE, 2)."""
+    from pyproj import Transformer
+    from pyproj.exceptions import ProjError
+
+    (top, left), (bottom, right) = result.fit.image_box()
+    # From the outer edges of the outermost pixels.
+    image = np.stack(np.meshgrid(np.linspace(top - 0.5, bottom + 0.5, _OUTLINE),
+                                 np.linspace(left - 0.5, right + 0.5, _OUTLINE), indexing="ij"),
+                     axis=-1).reshape(-1, 2)
+    own = result.features.crs
+    with surface_of(dem, own, height) as surface:
+        ground = result.fit.locate(image, surface)
+    try:
+        turn = Transformer.from_crs(horizontal(own), target, always_xy=True)
+    except ProjError as error:
+        raise TermselError(f"coordinates in {own} cannot be transformed to the map's CRS: {error}",
+                           hint="Give another --crs.") from error
+    x, y = turn.transform(ground[:, 0], ground[:, 1])
+    places = np.stack([x, y], axis=-1)
+    known = np.isfinite(places).all(axis=1)
+    places[~known] = np.nan
+    if known.any() and is_geographic(target):
+        places[known, 0] = continuous(places[known, 0])
+    return np.asarray(places.reshape(_OUTLINE, _OUTLINE, 2))
