@@ -27,7 +27,7 @@ _PATH = click.Path(path_type=Path)
 @click.option("--map", "like_map", metavar="FILE", type=_PATH,
               help="A map whose extent and CRS the raster has, instead of --bounds and --crs.")
 @click.option("--res", "resolution", type=click.FloatRange(min=0, min_open=True),
-              help="Pixel size in units of the CRS; by default some 500 pixels along the longer "
+              help="Pixel size in units of the CRS; by default some 500 px along the longer "
                    "side.")
 @click.option("--crs", metavar="CRS", help="CRS of the raster; by default that of the control if "
                                            "it is in metres, else UTM.")
