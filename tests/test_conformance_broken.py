@@ -128,6 +128,13 @@ class ScribblesFeatures(Affine):
         return super().equations(features)
 
 
+class NoSteps(Affine):
+    """A start without equations about a solution."""
+
+    def start(self, features: FeatureSet) -> FloatArray:
+        return np.zeros(len(self.terms))
+
+
 class WrongProjection(Affine):
     """Line and sample exchanged in the projection alone."""
 
@@ -241,6 +248,7 @@ BROKEN_MODELS = [
     (LinesFirst, "equations", "feature must number"),
     (Scribbler, "inputs_unchanged", "changes the ground points"),
     (ScribblesFeatures, "inputs_unchanged", "read-only"),
+    (NoSteps, "linearisation", "a start and no equations about a solution"),
     (WrongProjection, "exact_recovery", r"equations\(\) and project\(\) do not say the same"),
     (WrongLines, "recovery_from_lines", "misses points"),
     (Mingled, "fit", "do the equations of a point depend on other points"),

@@ -66,6 +66,16 @@ def test_the_selection_against_all_of_it(mine: float, theirs: float, sentence: s
     assert judged(mine, theirs) == f"The selection is {sentence} on 20 independent points.{NONE}"
 
 
+def test_better_than_a_failure_is_no_praise() -> None:
+    others = (baseline("affine", 254.0),)
+    assert judged(764.0, 369_000.0, others=others, reference="affine") == (
+        "The RMSE of the selection is 764.00 px on 20 independent points. Use something plainer: "
+        "an affine polynomial over control and check together, which the rule of auto chooses, is "
+        "3.0 times better (254.00 px).")
+    assert judged(762.0, 369_000.0, others=others, reference="affine").startswith(
+        "The selection is 484 times better than all lines")
+
+
 def test_one_independent_point_is_a_point() -> None:
     assert judged(1.0, n=1) == ("The selection is no better than all lines (1.00 px against 1.00 "
                                 f"px) on 1 independent point.{NONE}")

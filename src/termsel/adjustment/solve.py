@@ -33,6 +33,9 @@ class Adjustment:
     # (n_terms, n_terms): of the coefficients of the selected terms; None where they are not
     # determined, or not known.
     correlations: FloatArray | None = None
+    # Gauss-Newton steps, None where equations are exact, and whether they converged.
+    steps: int | None = None
+    converged: bool = True
 
     @property
     def redundancy(self) -> int:

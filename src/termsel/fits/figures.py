@@ -29,9 +29,9 @@ class Baseline:
     """A fit without any search, with which the selection is compared.
 
     It has `n_terms` of both axes, and was fitted to the features of the roles `fitted_to`. If the
-    control does not determine it, its figures are those of the least-norm solution. RMSE [px] are
-    by role, None without points; `predicted` is that by leave-one-out over the features it was
-    fitted to.
+    control does not determine it, its figures are those of the least-norm solution, and if it has
+    not `converged`, those of its last step. RMSE [px] are by role, None without points; `predicted`
+    is that by leave-one-out over the features it was fitted to.
     """
 
     name: str
@@ -40,6 +40,7 @@ class Baseline:
     determined: bool
     rmse: Rmses
     predicted: float | None = None
+    converged: bool = True
 
     def row(self) -> BaselineRow:
         """Return the fit as the record of a run holds it."""
@@ -81,7 +82,8 @@ def baseline(name: str, fitted: Fit, predicted: float | None, observations: Obse
     """Return the figures of a fit to some roles, whose RMSE by leave-one-out [px] is `predicted`.
     """
     return Baseline(name, int(fitted.terms.sum()), roles, fitted.determined,
-                    figures(in_role(fitted, observations), observations), predicted)
+                    figures(in_role(fitted, observations), observations), predicted,
+                    fitted.adjustment.converged)
 
 
 def in_role(fitted: Fit, observations: Observations) -> Fit:

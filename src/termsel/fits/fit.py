@@ -186,8 +186,9 @@ class Fit(Glance):
 
     @property
     def determined(self) -> bool:
-        """True if the control determines the coefficients."""
-        return not self.estimator.least_squares or self.adjustment.feasible
+        """True if the control determines the coefficients, and an iteration to them converged."""
+        return (self.adjustment.feasible and self.adjustment.converged
+                ) or not self.estimator.least_squares
 
     @property
     def effective(self) -> float:
@@ -217,8 +218,8 @@ class Fit(Glance):
         unknown = np.full(len(coefficients), np.nan)
         return replace(self, estimator=estimator, trace=trace, held_out=None, adjustment=replace(
             self.adjustment, coefficients=coefficients, deviations=unknown,
-            residuals=equations.b - equations.A @ coefficients, sigma0=float("nan"),
-            correlations=None))
+            residuals=equations.b - equations.A @ coefficients, sigma0=np.nan, correlations=None,
+            steps=None, converged=True))
 
     def project(self, ground: ArrayLike) -> FloatArray:
         """Return where ground points are seen.

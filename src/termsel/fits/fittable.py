@@ -46,6 +46,9 @@ class Fittable(Protocol):
     def equations(self, features: FeatureSet) -> Equations:
         """Return the linear equations of scaled control features."""
 
+    def start(self, features: FeatureSet) -> FloatArray | None:
+        """Return coefficients that the first step of a fit begins at, or None."""
+
     def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations | None:
         """Return the equations about a solution, or None where `equations` are exact."""
 

@@ -13,11 +13,17 @@ from termsel.adjustment.parts import IndependentPart, independent_parts
 from termsel.adjustment.solve import Adjustment, solve
 from termsel.fits.fit import Estimator, Fit
 from termsel.fits.fittable import Fittable
+from termsel.guard.faults import wrong
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray
 from termsel.measurements.scaling import Scaling
 
-ITERATIONS = 20
-"""Most Gauss-Newton steps of a fit; two or three are usual."""
+ITERATIONS = 50
+"""Most Gauss-Newton steps of a fit; two or three are usual, ten from a distant start."""
+
+OFFSET, ROUNDING = 1e-3, 1e-12
+"""A fit has converged where a step would take away less than this share of the residuals
+(the relative offset of D.M. Bates and D.G. Watts, Technometrics 23 (1981) 179-183), or less than
+this much of each in the scaled image unit."""
 
 HALVINGS = tuple(0.5**i for i in range(8))
 """Shares of a Gauss-Newton step that are tried in turn."""
@@ -41,7 +47,7 @@ class LeastSquares(Estimator):
         model = model.prepared(scaling, control.crs)
         features = scaling.features(control)
         adjustment = (adjust(model, features, terms, used) if self.iterated
-                      else solve(model.equations(features), terms, used))
+                      else solve(first_order(model, features), terms, used))
         return Fit(model, scaling, control, terms, used, adjustment, self)
 
     def without_each(self, fitted: Fit) -> Iterator[Fit]:
@@ -52,7 +58,7 @@ class LeastSquares(Estimator):
         """
         model, features = fitted.model, fitted.scaled_control
         equations = (model.linearised(features, fitted.adjustment.coefficients)
-                     if self.iterated else None) or model.equations(features)
+                     if self.iterated else None) or first_order(model, features)
         solutions = None if model.corrects else solutions_without_each(
             independent_parts(equations, model.axis), fitted.terms, fitted.used)
         if solutions is None:
@@ -74,28 +80,39 @@ def adjust(model: Fittable, features: FeatureSet, terms: BoolArray,
     """Return the least squares of distances, by Gauss-Newton where equations are not exact.
 
     The model is prepared, the features are scaled; `terms` (k,) and `used` (features,) are in use.
-    A step that does not lessen the sum of squared distances is halved, and where that does not help
-    the search ends.
+    Steps begin at the model's own start, else at the solution of its equations. A step that does
+    not lessen the sum of squared distances is halved, and where that does not help the search ends.
     """
-    adjustment = solve(model.equations(features), terms, used)
+    start = model.start(features.take(used))
+    if start is None:
+        adjustment = solve(model.equations(features), terms, used)
+        x = adjustment.coefficients
+        equations = model.linearised(features, x) if adjustment.feasible else None
+        if equations is None:
+            return adjustment
+    else:
+        x = np.where(terms, start, 0.0)
+        equations = _linearised(model, features, x)
+        adjustment = _at(x, equations, solve(equations, terms, used))
+        if not adjustment.feasible:
+            return adjustment
 
     def left(equations: Equations, coefficients: FloatArray) -> FloatArray:
         """Return what the rows in use leave, pseudo-observations with them."""
         A, b = equations.take(used[equations.feature], np.ones_like(terms)).held()
         return np.asarray(b - A @ coefficients)
 
-    equations = (model.linearised(features, adjustment.coefficients)
-                 if adjustment.feasible else None)
-    for _ in range(ITERATIONS):
-        if equations is None:
-            break
-        v = left(equations, adjustment.coefficients)
-        step = solve(equations, terms, used).coefficients - adjustment.coefficients
-        for share in HALVINGS:
-            coefficients = adjustment.coefficients + share * step
-            nearer = model.linearised(features, coefficients)
-            assert nearer is not None
-            w = left(nearer, coefficients)
+    converged, steps, v = False, 0, left(equations, x)
+    while np.isfinite(v).all():
+        full = solve(equations, terms, used).coefficients
+        # The share of the residuals that the tangent plane can still take away.
+        gain = v - left(equations, full)
+        converged = bool(np.linalg.norm(gain)
+                         <= OFFSET * np.linalg.norm(v) + ROUNDING * len(v)**0.5)
+        for share in HALVINGS if steps < ITERATIONS else ():
+            tried = x + share * (full - x)
+            nearer = _linearised(model, features, tried)
+            w = left(nearer, tried)
             if w @ w < (1 - 1e-10) * (v @ v):
                 break
         else:
@@ -103,10 +120,34 @@ def adjust(model: Fittable, features: FeatureSet, terms: BoolArray,
         there = solve(nearer, terms, used)
         if not there.feasible:  # near a pole, where the equations say nothing of what is determined
             break
-        equations = nearer
-        adjustment = replace(there, coefficients=coefficients,
-                             residuals=equations.b - equations.A @ coefficients)
-    return adjustment
+        x, equations, v, steps = tried, nearer, w, steps + 1
+        adjustment = _at(x, equations, there)
+    return replace(adjustment, steps=steps, converged=converged)
+
+
+def _linearised(model: Fittable, features: FeatureSet, coefficients: FloatArray) -> Equations:
+    """Return the equations about a solution, of a model that has them."""
+    equations = model.linearised(features, coefficients)
+    if equations is None:
+        raise wrong(model, "linearised", "returned nothing; expected Equations, as it has a start")
+    return equations
+
+
+def _at(coefficients: FloatArray, equations: Equations, step: Adjustment) -> Adjustment:
+    """Return the adjustment at coefficients, whose next step by the equations is known."""
+    return replace(step, coefficients=coefficients,
+                   residuals=equations.b - equations.A @ coefficients)
+
+
+def first_order(model: Fittable, features: FeatureSet) -> Equations:
+    """Return the equations by which a search judges selections, of scaled features.
+
+    Of a model with a start they are those about the least squares of all terms.
+    """
+    everything = (np.ones(n, dtype=bool) for n in (len(model.terms), len(features)))
+    if model.start(features) is None:
+        return model.equations(features)
+    return _linearised(model, features, adjust(model, features, *everything).coefficients)
 
 
 def solutions_without_each(parts: tuple[IndependentPart, ...], terms: BoolArray,

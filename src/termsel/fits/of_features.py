@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from termsel.errors import TermselError
+from termsel.errors import TermselError, counted
 from termsel.fits.fit import Fit, Undetermined
 from termsel.fits.fittable import Fittable
 from termsel.fits.least_squares import LEAST_SQUARES
@@ -46,10 +46,14 @@ def fit_all_terms(model: Fittable, control: FeatureSet) -> Fit:
 
 
 def require_determined(fitted: Fit) -> Fit:
-    """Return a fit; raise `Undetermined` for one whose terms the control does not determine."""
+    """Return a fit; raise `Undetermined` for one that is not `Fit.determined`."""
     if fitted.determined:
         return fitted
     adjustment, name = fitted.adjustment, fitted.model.name
+    if not adjustment.converged:
+        raise Undetermined(f"the fit of model {name!r} did not converge (it ended after "
+                           f"{counted(adjustment.steps or 0, 'step')})",
+                           hint="Give more control, or choose a plainer model.")
     if adjustment.n_equations < adjustment.n_terms:
         raise Undetermined(
             f"{fitted.used.sum()} control features give {adjustment.n_equations} equations for the "

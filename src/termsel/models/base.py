@@ -38,10 +38,20 @@ def _terms_fault(_model: SensorModel, value: Any) -> str | None:
 
 def _equations_fault(model: SensorModel, value: Any, *_args: Any) -> str | None:
     """Return what is wrong with equations, if anything."""
+    return _linearised_fault(model, value, finite=True)
+
+
+def _linearised_fault(model: SensorModel, value: Any, *_args: Any, finite: bool = False,
+                      ) -> str | None:
+    """Return what is wrong with equations about a solution, if anything."""
     return (of_type(value, Equations)
-            or of_shape(value.A, (-1, len(model.terms)), what="returned as A")
-            or of_shape(value.b, (len(value.A),), what="returned as b")
+            or of_shape(value.A, (-1, len(model.terms)), finite=finite, what="returned as A")
+            or of_shape(value.b, (len(value.A),), finite=finite, what="returned as b")
             or of_shape(value.feature, (len(value.A),), what="returned as feature"))
+
+
+def _start_fault(model: SensorModel, value: Any, *_args: Any) -> str | None:
+    return of_shape(value, (len(model.terms),))
 
 
 def _image_fault(_model: SensorModel, value: Any, coefficients: FloatArray, *args: Any,
@@ -89,7 +99,8 @@ class SensorModel(Configurable, ABC):
     kind = "model"
     guards: ClassVar[Mapping[str, Check | None]] = {
         "terms": _terms_fault, "axis": _axis_fault, "prepared": _model_fault,
-        "equations": _equations_fault, "linearised": _or_none(_equations_fault),
+        "equations": _equations_fault, "linearised": _or_none(_linearised_fault),
+        "start": _or_none(_start_fault),
         "project": _image_fault, "predict": _image_fault, "denominators": _or_none(_image_fault),
         "residual_weights": _or_none(_weights_fault), "as_rpc": _or_none(_rpc_fault),
         "interpolation": _or_none(returns(Interpolation)),
@@ -226,10 +237,30 @@ class SensorModel(Configurable, ABC):
             Rows of the points first, then of the lines; all k columns.
         """
 
+    def start(self, features: FeatureSet) -> FloatArray | None:
+        """Return where a fit begins, of a model whose image positions are not linear in its terms.
+
+        From there `linearised` is iterated in steps that never increase the sum of squares. A model
+        with a solution of its own returns that: the fit then ends at once.
+
+        Parameters
+        ----------
+        features : FeatureSet
+            Those in use, in scaled coordinates.
+
+        Returns
+        -------
+        ndarray, shape (k,), or None
+            Of all terms; those that are not selected are set to 0. None, the default, where the
+            solution of `equations` is the start.
+        """
+        return None
+
     def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations | None:
         """Return the equations about a solution, where `equations` hold to first order only.
 
-        With them a fit iterates to the least squares of distances in the image (Gauss-Newton).
+        With them a fit iterates to the least squares of distances in the image (Gauss-Newton). A
+        step to where they are not finite is made shorter.
 
         Parameters
         ----------

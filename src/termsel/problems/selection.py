@@ -11,6 +11,7 @@ from termsel.adjustment.parts import independent_parts, solve_parts
 from termsel.criteria import Criterion, Fits
 from termsel.enumeration.features.walk import RowSystem
 from termsel.errors import TermselError, unknown_name
+from termsel.fits.least_squares import first_order
 from termsel.measurements.coordinates.places import centres
 from termsel.measurements.features import BoolArray, FloatArray, IntArray, select
 from termsel.models.base import LINE, SAMPLE, SensorModel
@@ -51,7 +52,7 @@ class SelectionProblem(Problem):
         model, control = inputs.model, inputs.control
         self.inputs = inputs
         self.objectives = (inputs.criterion.name, *(one.name for one in inputs.objectives))
-        self.equations = model.equations(control)
+        self.equations = first_order(model, control)
         self._guard = guard_points(control, inputs.check)
         self._parts = independent_parts(self.equations, model.axis)
         names = model.terms
@@ -120,7 +121,7 @@ class SelectionProblem(Problem):
                                hint="Choose a problem that searches these options alone.")
         problem = copy(self)
         problem.inputs = replace(self.inputs, model=model)
-        problem.equations = model.equations(self.inputs.control)
+        problem.equations = first_order(model, self.inputs.control)
         problem._parts = independent_parts(problem.equations, model.axis)
         return problem
 

@@ -55,8 +55,8 @@ class BaselineRow(RecordPart, frozen=True):
     fitted_to: Roles
     """Roles of the points it was fitted to."""
     determined: bool
-    """False if the points do not determine it; its figures are then those of the least-norm
-    solution."""
+    """False if the points do not determine it, or its fit did not converge; its figures are then
+    those of the least-norm solution, or of the last step."""
     predicted: float | None
     """RMSE by leave-one-out [px] where it was computed."""
     rmse: RmseByRole
@@ -189,3 +189,7 @@ class AdjustmentFigures(RecordPart, frozen=True):
     orientation_spread: float | None
     """1 if control lines of all directions occur equally, 0 if all are parallel; null without
     lines."""
+    steps: Count | None = None
+    """Gauss-Newton steps of a fit whose equations are not exact."""
+    converged: bool | None = None
+    """Whether these steps converged."""

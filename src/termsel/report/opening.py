@@ -101,7 +101,9 @@ def _model(record: Record) -> str:
     return (f"{title}, {share(selection.n_terms, offered.n_terms)} terms, "
             f"{share(selection.n_features, offered.n_features)} "
             f"{'lines' if record.data.counts.lines else 'points'}{'' if whole else by}"
-            + ("." if record.feasible else ". Do not use it: not all conditions hold."))
+            + ("." if record.feasible else ". Do not use it: its fit did not converge."
+               if record.adjustment.converged is False else
+               ". Do not use it: not all conditions hold."))
 
 
 def share(chosen: int, offered: int) -> str:

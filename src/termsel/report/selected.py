@@ -7,7 +7,7 @@ from typing import cast
 
 from termsel.errors import amount, counted, percent
 from termsel.fits.diagnosis import CORRELATED, SIGNIFICANT
-from termsel.record.figures import RoleRmse
+from termsel.record.figures import AdjustmentFigures, RoleRmse
 from termsel.record.record import Record
 from termsel.record.search import Certificate, Member, SizeRow, Strategy
 from termsel.report import sizes
@@ -44,6 +44,14 @@ def selected(record: Record, view: View | None, picture: str) -> Iterator[Block]
         yield Detail(Names("Terms", selection.terms))
 
 
+def _iterated(adjustment: AdjustmentFigures) -> str:
+    """Return how the iteration of a fit ended, after a comma; "" where there was none."""
+    if adjustment.steps is None:
+        return ""
+    ending = "converged" if adjustment.converged else "has not converged"
+    return f"; the fit {ending} after {counted(adjustment.steps, 'step')}"
+
+
 def _choice(record: Record, strategy: Strategy, view: View | None) -> Iterator[Block]:
     """Yield the candidates with their leave-one-out RMSE, the chosen one marked."""
     candidates = strategy.candidates
@@ -69,7 +77,7 @@ def _search(record: Record) -> Iterator[Block]:
                "other control and check points.")
     yield (f"Selected: {share(selection.n_features, offered.n_features)} control features, "
            f"{share(selection.n_terms, offered.n_terms)} terms; "
-           f"redundancy {record.adjustment.redundancy}")
+           f"redundancy {record.adjustment.redundancy}{_iterated(record.adjustment)}")
     if parameters := selection.parameters:  # not in older records
         yield "Parameters: " + ", ".join(
             f"{name} {value:.6g}" if isinstance(value, float) else f"{name} {value}"

@@ -41,7 +41,8 @@ def adjustment_figures(fitted: Fit, orientation_spread: float | None = None) -> 
     of = fitted.adjustment
     return AdjustmentFigures(
         of.n_equations, of.n_terms, of.redundancy, of.rank, finite_or_none(of.condition),
-        finite_or_none(of.sigma0 * fitted.scaling.image_scale), orientation_spread)
+        finite_or_none(of.sigma0 * fitted.scaling.image_scale), orientation_spread,
+        of.steps, None if of.steps is None else of.converged)
 
 
 def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, used: BoolArray,
@@ -85,7 +86,8 @@ def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, use
         _by_term(model, deviations, 0.0 if estimator.least_squares else np.nan),
         figures.terms, figures.equations, figures.rank,
         np.inf if figures.condition is None else figures.condition,
-        number(figures.sigma0) / scaling.image_scale, correlations)
+        number(figures.sigma0) / scaling.image_scale, correlations,
+        figures.steps, figures.converged is not False)
     return Fit(model, scaling, control, terms, used, adjustment, estimator, trace, held_out)
 
 

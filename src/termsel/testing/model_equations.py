@@ -8,6 +8,7 @@ import numpy as np
 
 from termsel.adjustment.solve import solve
 from termsel.errors import TermselError
+from termsel.fits.least_squares import adjust
 from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.models.base import SensorModel
 from termsel.models.quotient import RationalModel
@@ -20,6 +21,9 @@ EXACT = 1e-6
 NOISE, REPEATED = 1e-4, 0.05
 """Noise of points, as a share of the image, and by how much of an error leave-one-out may differ
 from a refit."""
+
+NEAR, SLOPE = 1e-5, 1e-3
+"""Step of numerical derivatives, and the share by which others may differ from them."""
 
 FIRST_ORDER = 0.01
 """Allowed median error if line equations are of first order, relative to the image."""
@@ -63,6 +67,36 @@ def _in_pieces(features: FeatureSet) -> FeatureSet:
     """Return the features with the last line as a piece of the one before it."""
     ids = features.lines.ids
     return features.with_(lines=replace(features.lines, ids=(*ids[:-1], ids[-2])))
+
+
+def linearisation(model: SensorModel) -> None:
+    """Its equations about a solution, if any, have values and derivatives of its image positions.
+
+    From its start, or the solution of `equations`, a fit to points that it computed converges.
+    """
+    features, truth, _ = experiment(model, 1, 0)
+    points, terms, used = features.points, np.ones(len(truth), bool), np.ones(len(features), bool)
+    try:
+        found = model.linearised(features, truth)
+    except TermselError:  # a model of lines alone, as `control_kinds` says
+        return
+    if found is None:
+        require(model.start(features) is None, "it has a start and no equations about a solution; "
+                                               "give them in linearised()")
+        return
+    steps = NEAR * np.eye(len(truth))
+    there, ahead, behind = (model.project(x, points.ground)
+                            for x in (truth, truth + steps, truth - steps))
+    columns = np.moveaxis(ahead - behind, 0, -1).reshape(found.A.shape) / (2 * NEAR)
+    for what, value, expected in (
+            ("A: the derivatives of project() by the terms", found.A, columns),
+            ("b: what is measured less project(), plus A times the coefficients", found.b,
+             (points.image - there).ravel() + columns @ truth)):
+        off = np.abs(value - expected).max()
+        require(off <= SLOPE * max(np.abs(expected).max(), 1.0),
+                f"linearised() at the truth is {off:.1g} from what it must have as {what}")
+    require(adjust(model, features, terms, used).converged,
+            "a fit to points that project() gave does not converge; give a nearer start()")
 
 
 def exact_recovery(model: SensorModel) -> None:

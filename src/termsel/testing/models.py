@@ -22,6 +22,7 @@ from termsel.testing.model_equations import (
     equations,
     exact_recovery,
     fit,
+    linearisation,
     recovery_from_lines,
     translation,
 )
@@ -81,7 +82,7 @@ def inputs_unchanged(model: SensorModel) -> None:
             ("image points", features.points.image), ("ground points", features.points.ground),
             ("image lines", features.lines.image), ("ground lines", features.lines.ground))}}
     require_unchanged(given, "it", lambda: (
-        model.equations(features), model.project(coefficients, ground),
+        model.equations(features), model.start(features), model.project(coefficients, ground),
         model.denominators(coefficients, ground), model.residual_weights(ground, ground[:4])))
 
 
@@ -211,8 +212,9 @@ def cases(model: type[SensorModel] | SensorModel, *,
 
 SUITE = Suite((
     declares("models", type), term_names, axis, control_kinds, equations, inputs_unchanged,
-    exact_recovery, recovery_from_lines, fit, translation, project_shapes, batch_project,
-    deterministic, prepared, picklable, masks_stay_finite, height, residual_weights), cases)
+    linearisation, exact_recovery, recovery_from_lines, fit, translation, project_shapes,
+    batch_project, deterministic, prepared, picklable, masks_stay_finite, height,
+    residual_weights), cases)
 
 
 def _made(model: type[SensorModel], options: Mapping[str, Any],

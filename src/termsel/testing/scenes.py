@@ -31,19 +31,27 @@ def flattened(ground: FloatArray) -> FloatArray:
 
 
 def random_coefficients(model: SensorModel, rng: np.random.Generator) -> FloatArray:
-    """Return coefficients (k,) that give a model a finite image within [-1, 1], without poles."""
+    """Return coefficients (k,) that give a model a finite image within [-1, 1], without poles.
+
+    They are near 0; those of a model with a start within 0.1 of it, for an image of half that size
+    with north above.
+    """
     ground = random_ground(rng, 500)
-    coefficients = rng.uniform(-1.0, 1.0, len(model.terms))
+    change = rng.uniform(-1.0, 1.0, len(model.terms))
+    start = model.start(FeatureSet(Points(
+        numbered("p", 500), 0.5 * ground[:, 1::-1] * [-1.0, 1.0], ground)))
+    middle, change = (0.0, change) if start is None else (start, 0.1 * change)
     for _ in range(60):
+        coefficients = middle + change
         # Copies, so that a model that changes its inputs fails only in that check.
         image = model.project(coefficients.copy(), ground.copy())
         below = model.denominators(coefficients.copy(), ground.copy())
         if (np.isfinite(image).all() and np.abs(image).max() <= 1.0
                 and (below is None or below.min() > LEAST_DENOMINATOR)):
             return coefficients
-        coefficients = coefficients * 0.8
+        change *= 0.8
     raise AssertionError("project() gives no finite image within [-1, 1] of ground points within "
-                         "[-1, 1], however small the coefficients")
+                         "[-1, 1], however small the coefficients, or near the start")
 
 
 def imaged(model: SensorModel, coefficients: FloatArray, rng: np.random.Generator, *,

@@ -135,7 +135,8 @@ def assessed(task: Task, found: Search, verdict: Verdict | None = None) -> Resul
         baselines=baselines,
         judgement=judge(name_conventional(task.problem.genome, observations),
                         task.criterion.name, *judged_by, comparison.reference, feasible,
-                        task.features.noise, candidate=comparison.candidate,
+                        task.features.noise, converged=chosen.adjustment.converged,
+                        candidate=comparison.candidate,
                         blunders=comparison.blunders),
         notes=(*notes_on_data(task.features, observations, task.model.uses_height,
                               task.blank, observations.control),
@@ -175,7 +176,7 @@ def is_feasible(task: Task, found: Search, chosen: Fit) -> bool:
     The coefficients may be others than those the search saw, so poles are looked for again.
     """
     return (found.violation == 0 if chosen.estimator.least_squares else chosen.determined) \
-        and not has_pole(chosen, task.observations.check)
+        and chosen.adjustment.converged and not has_pole(chosen, task.observations.check)
 
 
 def estimated(task: Task, selection: Selection, found: Search) -> Fit:

@@ -24,11 +24,14 @@ _ROUNDING = 1e-9  # px: smaller errors are those of arithmetic
 ALIKE = 1.05
 """Two RMSE whose ratio is below this are called alike: with a few dozen independent points
 an RMSE is itself uncertain by more."""
+POOR = 3.0
+"""A selection with so many times the RMSE of a plain structure is not compared with all terms."""
 
 
 def judge(conventional: str, criterion: str, rmse: Rmses,
           baselines: tuple[Baseline, ...], reference: str, feasible: bool,
-          noise: float | None, *, candidate: Candidate | None = None, blunders: int = 0) -> str:
+          noise: float | None, *, converged: bool = True, candidate: Candidate | None = None,
+          blunders: int = 0) -> str:
     """Return one or two sentences that compare the selection with what needs no search.
 
     `conventional` is what the conventional fit uses, such as "all lines"; that fit is the first
@@ -36,9 +39,12 @@ def judge(conventional: str, criterion: str, rmse: Rmses,
     `candidate` is what it is, by default that of its name, and `blunders` how many features it
     leaves out as such. The criterion is what the search minimised, the RMSE are those of the
     selection by role, like the baselines' without independent points that contradict all others,
-    and the noise is the standard deviation of the measurements [px], where it is
-    known.
+    and the noise is the standard deviation of the measurements [px], where it is known. A selection
+    that is not `feasible` may be so because its fit has not `converged`.
     """
+    if not converged:
+        return ("The fit of this selection did not converge: its coefficients are those of the "
+                "last step. Do not use it: give more control or choose a plainer model.")
     if not feasible:
         return ("This selection does not satisfy all conditions, and no better one was found. It "
                 "has undetermined or too many terms, an axis without terms, or a pole in the "
@@ -47,9 +53,16 @@ def judge(conventional: str, criterion: str, rmse: Rmses,
     if mine is None:
         return ("There are no independent points, so the accuracy of this selection is not "
                 f"known. The search minimised {criterion}.")
-    sentences = [_compare("The selection is", mine.total, baselines[0], conventional)
-                 + f" on {counted(mine.n, 'independent point')}."]
     best = next((b for b in baselines if b.name == reference), None)
+    # Better than what fails is nothing to be proud of.
+    poor = best is not None and _ratio(mine.total, _independent(best)) > POOR
+    if poor or not baselines[0].converged:
+        first = f"The RMSE of the selection is {_px(mine.total)}"
+        if not baselines[0].converged:
+            first += f" (the fit of {conventional} did not converge)"
+    else:
+        first = _compare("The selection is", mine.total, baselines[0], conventional)
+    sentences = [f"{first} on {counted(mine.n, 'independent point')}."]
     candidate = candidate or named(reference)
     if best is not None and candidate is not None:
         without = f" without {counted(blunders, 'blunder')}" if blunders else ""
