@@ -199,7 +199,9 @@ def _damaged(folder: Path, **change: object) -> None:
               "held_out": None, "features": None}}, "cannot be made with the options"),
     ({"fit": {"estimator": "averaging", "options": {}, "effective": 3.0, "held_out": [[0.0, 1.0]],
               "features": None}}, r"\$\.fit\.held_out: 1 errors, expected \d+"),
-    ({"precision": 1.0}, r"damaged at \$: object contains unknown field `precision`")])
+    ({"precision": 1.0}, r"damaged at \$: object contains unknown field `precision`"),
+    ({"precision": 1.0, "versions": {"termsel": "0.1.0.dev7"}},
+     r"this result is damaged, or of development code \(0\.1\.0\.dev7\), at \$: object contains")])
 def test_damaged_records_are_refused(change: dict[str, object], message: str, tmp_path: Path,
                                      ) -> None:
     write_result(example_results()[0], tmp_path)

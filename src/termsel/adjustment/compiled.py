@@ -12,6 +12,8 @@ import numba
 from numba.core import types
 from numba.core.caching import FunctionCache
 
+from termsel.errors import TermselError
+
 log = logging.getLogger(__name__)
 
 _UNREADABLE = (EOFError, UnpicklingError, OSError, AttributeError, ImportError)
@@ -55,8 +57,11 @@ class _Cache(FunctionCache):
 def compiled(function: _Function, **flags: Any) -> _Function:
     """Compile on first call and keep the machine code on disk, where there is a place for it.
 
-    Flags are those of `numba.njit`.
+    Flags are those of `numba.njit`. Raises TermselError where numba is to compile nothing.
     """
+    if numba.config.DISABLE_JIT:  # which intrinsics of the kernels cannot do
+        raise TermselError("NUMBA_DISABLE_JIT is set, and termsel cannot compute without compiled "
+                           "code", hint="Unset NUMBA_DISABLE_JIT, then repeat the command.")
     dispatcher = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True,
                             **flags)(function)
     of_types = dispatcher.get_call_template

@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import ValidationError, convert
 
 from termsel.candidates.base import Candidate
-from termsel.errors import TermselError
+from termsel.errors import TermselError, printable
 from termsel.fits.diagnosis import Diagnosis
 from termsel.fits.figures import Baseline, figures, in_role, residuals_of, rmse_from
 from termsel.fits.fit import Estimator, Fit
@@ -25,6 +25,7 @@ from termsel.record.base import plain
 from termsel.record.record import SCHEMA, PluginRecord, Record
 from termsel.results.result import CARRIED, Result
 from termsel.results.same_fit import fit_of_record
+from termsel.version import __version__
 
 AGAIN = "Run the search again."
 """What to do with a record that cannot be read."""
@@ -43,8 +44,16 @@ def record_from(content: Any) -> Record:
     except (ValidationError, UnicodeEncodeError) as error:  # keys may be no text at all
         what, _, where = str(error).partition(" - at ")
         place = where.strip("`") or "$"
-        raise TermselError(f"this result is damaged at {place}: {what[0].lower()}{what[1:]}",
-                           hint=AGAIN) from error
+        raise TermselError(f"this result is damaged{_or_of_another(content)} at {place}: "
+                           f"{what[0].lower()}{what[1:]}", hint=AGAIN) from error
+
+
+def _or_of_another(content: dict[str, Any]) -> str:
+    """Return that a record may be of development code: its keys changed from day to day."""
+    versions = content.get("versions")
+    written = str(versions.get("termsel")) if isinstance(versions, dict) else ""
+    return f", or of development code ({printable(written[:40])})," if (
+        "dev" in written and written != __version__) else ""
 
 
 def result_from(record: Record, features: FeatureSet) -> Result:
