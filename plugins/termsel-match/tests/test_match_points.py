@@ -85,6 +85,20 @@ def test_without_a_start_the_place_is_found(place: Any) -> None:
     assert (place.errors(other.points, other.crs) < 1).mean() > 0.8
 
 
+def test_what_takes_long_is_said_before(
+        place: Any, altered: Callable[..., Path], caplog: pytest.LogCaptureFixture,
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    caplog.set_level("INFO", logger="termsel")
+    monkeypatch.setattr(overview, "_LONG", 1e5)
+    many = altered("image.tif", lambda pixels: np.repeat(pixels, 40, axis=0))
+    many.with_suffix(".RPB").unlink()  # a start
+    found = match(many, place / "ortho.tif", dem=place / "dem.tif", count=40)
+    assert (place.errors(found.points, found.crs) < 1).mean() > 0.8
+    assert "the mean of 16 of the 40 bands" in caplog.text
+    assert f"px of {many} are read to find the image" in caplog.text
+    assert "With --start" in caplog.text
+
+
 def test_three_corners_are_a_start(place: Any, tmp_path: Path) -> None:
     points = place.world.independent().take([0, 40, 80, 120])
     rough = termsel.Points(points.ids, points.image + np.array([9, -7]), points.ground)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 import cv2
@@ -13,6 +14,9 @@ from termsel_match.rasters import FloatArray, Grey, GreyRaster, open_picture
 from termsel_match.starts import Start, start_by_points
 from termsel_match.warps import crs_of
 
+log = logging.getLogger("termsel.match")
+
+_LONG = 4e8  # px of all bands, which take some 3 s
 _SIDE = 1000  # px of what is compared
 _RATIO = 0.8
 _LEAST, _SHARE = 12, 0.1  # pairs that agree, and their share of all
@@ -40,6 +44,8 @@ def start_by_overview(picture: GreyRaster, reference: Path | str, band: int | No
     """
     with open_picture(reference, band) as other:
         crs, transform = crs_of(other), other.raster.transform
+        for one in (picture, other):
+            _say_if_long(one)
         own, own_vectors = _reduced(picture)
         seen, vectors = _reduced(other)
     own_number, number = alike(own_vectors, vectors, _RATIO)
@@ -62,6 +68,14 @@ def start_by_overview(picture: GreyRaster, reference: Path | str, band: int | No
     points = Points(tuple(map(str, range(len(unique)))), own[own_number[agree]][unique], ground)
     return start_by_points(FeatureSet(points, crs=crs),
                            f"an affine transformation by {len(points)} places that are alike")
+
+
+def _say_if_long(picture: GreyRaster) -> None:
+    pixels = picture.size[0] * picture.size[1] * len(picture.bands)
+    if pixels > _LONG and not picture.raster.overviews(picture.bands[0]):
+        log.info("Note: all %d x %d px of %s are read to find the image in the reference, which "
+                 "may take minutes: it has no overviews (gdaladdo makes them). With --start none "
+                 "is.", *picture.size, picture.path)
 
 
 def _step(size: tuple[int, int]) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,8 +18,11 @@ FloatArray = NDArray[np.float64]
 Grey = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
+log = logging.getLogger("termsel.match")
+
 _DARK, _BRIGHT = 1.0, 99.0  # percentiles that become 0 and 255
 _FEW = 16  # distinct pixels; fewer have no texture
+_BANDS = 16  # of which the mean is taken: more take their time, and change it little
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +96,8 @@ def open_picture(path: Path | str, band: int | None = None) -> Iterator[GreyRast
     ----------
     path : path-like
     band : int, optional
-        Counted from 1; by default the mean of all bands but those of transparency.
+        Counted from 1; by default the mean of all bands but those of transparency, or of some,
+        evenly spaced, where there are many.
 
     Raises
     ------
@@ -107,6 +112,10 @@ def open_picture(path: Path | str, band: int | None = None) -> Iterator[GreyRast
                                hint=f"Give a band from 1 to {raster.count}.")
         visible = tuple(index for index, kind in zip(raster.indexes, raster.colorinterp,
                                                      strict=True) if kind != ColorInterp.alpha)
+        if band is None and len(visible) > _BANDS:
+            log.info("Note: the mean of %d of the %d bands of %s is taken, evenly spaced. Choose "
+                     "one by its number (--band, --reference-band).", _BANDS, len(visible), path)
+            visible = tuple(visible[i * len(visible) // _BANDS] for i in range(_BANDS))
         yield GreyRaster(Path(path), raster, visible if band is None else (band,))
 
 
