@@ -22,8 +22,8 @@ from termsel.runs.task.request import DATA_OPTIONS
 from termsel.solvers.budget import SEARCH_OPTIONS
 
 OF_EVERY_RUN = {"data": DATA_OPTIONS, "search": SEARCH_OPTIONS}
-OWN = ("termsel", "termsel-block", "termsel-hybrids", "termsel-iiif", "termsel-match",
-       "termsel-photos", "termsel-rivals", "termsel-rpc", "termsel-standards")
+OWN = ("termsel", "termsel-block", "termsel-formats", "termsel-hybrids", "termsel-iiif",
+       "termsel-match", "termsel-photos", "termsel-rivals", "termsel-rpc", "termsel-standards")
 """Packages of the repository: others that happen to be installed are not documented here."""
 
 _ONCE = ("RmseByRole", "SelectionRecord", "AdjustmentFigures", "FitRecord", "ScalingNumbers")

@@ -1,0 +1,29 @@
+"""Files of other programs, and what these programs make of them, as a plugin."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import lazy_loader  # type: ignore[import-untyped]
+
+from termsel import hookimpl
+
+if TYPE_CHECKING:
+    import click
+
+    from termsel_formats.check.comparison import Deviation, compared
+    from termsel_formats.check.programs import Taken, taken_by
+
+# What is not needed for `termsel run` is not imported for it.
+__getattr__, _, _ = lazy_loader.attach(__name__, submod_attrs={
+    "check.comparison": ["Deviation", "compared"], "check.programs": ["Taken", "taken_by"]})
+
+__all__ = ["Deviation", "Taken", "compared", "taken_by"]
+
+
+@hookimpl
+def termsel_commands(cli: click.Group) -> None:
+    """Add the command."""
+    from termsel_formats.check.command import check
+
+    cli.add_command(check)

@@ -1,0 +1,1 @@
+"""Which transformation other programs take from a file."""

@@ -1,0 +1,71 @@
+"""What a program makes of a file, and how programs are asked."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from termsel import TermselError
+from termsel.measurements.features import FloatArray
+
+Places = Callable[[FloatArray, FloatArray], FloatArray]
+"""From line and sample (n, 2) and heights (n,) to x and y (n, 2), NaN where there are none."""
+
+_PATIENCE = 120.0  # s that a program has for an answer
+
+
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """The transformation that a program takes from a file.
+
+    Parameters
+    ----------
+    program : str
+        With its version.
+    transformation : str
+        What it takes, in words.
+    crs : str
+        Of the ground, a code or WKT; "" where the file states none.
+    places : callable, optional
+        From line and sample, shape (n, 2), and heights, shape (n,), to x and y, shape (n, 2).
+        None where the program takes no transformation, so that places are pixels.
+    by_default : bool
+        Whether the program takes it without being told.
+    """
+
+    program: str
+    transformation: str
+    crs: str = ""
+    places: Places | None = None
+    by_default: bool = True
+
+
+class NoAnswer(TermselError):
+    """A program that ended with an error, or not in time."""
+
+
+def answer(command: Sequence[str], text: str = "",
+           environment: Mapping[str, str] | None = None) -> str:
+    """Return what a program prints.
+
+    Raises
+    ------
+    NoAnswer
+        If it ends with an error, cannot be started, or takes longer than two minutes.
+    """
+    try:
+        done = subprocess.run(
+            list(command), input=text, capture_output=True, text=True, errors="replace",
+            timeout=_PATIENCE, check=False,
+            env=dict(environment) if environment else {**os.environ, "LC_ALL": "C.UTF-8"})
+    except subprocess.TimeoutExpired:
+        raise NoAnswer(f"{Path(command[0]).name} gave no answer in {_PATIENCE:g} s") from None
+    except OSError as error:
+        raise NoAnswer(f"{Path(command[0]).name} cannot be started: {error.strerror}") from error
+    if done.returncode:
+        said = (done.stderr or done.stdout).strip().splitlines()
+        raise NoAnswer(f"{Path(command[0]).name}: {said[-1] if said else 'failed'}")
+    return done.stdout

@@ -1,0 +1,88 @@
+"""The command `termsel check`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from termsel.cli.messages import echo, show_messages
+from termsel.cli.options.shared import final_option
+from termsel.cli.tables import print_json, print_table
+
+if TYPE_CHECKING:
+    from termsel_formats.check.comparison import Apart, Deviation
+
+CLOSE = 1.0
+"""Px from which on a deviation is told as a warning."""
+
+
+@click.command("check")
+@click.argument("file", metavar="FILE", type=click.Path(path_type=Path))
+@click.option("--result", "folder", metavar="DIR", type=click.Path(path_type=Path),
+              help="Folder of a run: how far is what programs take from its model?")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@final_option
+def check(file: Path, folder: Path | None, as_json: bool, final: bool | None) -> None:
+    """Say which transformation other programs take from a file, and how far it is off.
+
+    FILE is a raster, or a file next to one, such as a world file, an RPC or an .aux.xml. GDAL,
+    rasterio, QGIS and the Orfeo ToolBox are asked, as far as they are installed.
+
+    \b
+    Examples:
+      termsel check map.vrt --result result
+      termsel check scene_RPC.TXT --result result
+      termsel check scene.tif
+    """
+    from termsel import read_result
+    from termsel_formats.check.comparison import compared
+
+    show_messages()
+    result = None if folder is None else read_result(folder)
+    found, answers = compared(file, result, final=final)
+    if as_json:
+        print_json({"programs": [asdict(one) for one in found], "absent": list(answers.absent),
+                    "failed": list(answers.failed)})
+        return
+    if result is None:
+        print_table(("program", "takes"), [(one.program, one.transformation) for one in found])
+        echo("Give --result DIR, the folder of a run, to learn how far that is from its model.")
+    else:
+        print_table(("program", "takes", "points [px]", "image [px]", "image [m]"),
+                    [_row(one) for one in found])
+        for one in found:
+            _warn(one)
+    for name in answers.absent:
+        echo(f"Not asked: {name}, which is not installed.")
+    for said in answers.failed:
+        echo(f"No answer: {said}.")
+
+
+def _row(one: Deviation) -> tuple[str, ...]:
+    metres = one.over_image.metres if one.over_image else None
+    return (one.program, one.said or one.transformation, _largest(one.at_points),
+            _largest(one.over_image), "" if metres is None else f"{metres:,.3g}")
+
+
+def _largest(apart: Apart | None) -> str:
+    return "" if apart is None else f"{apart.largest:,.3g}"
+
+
+def _warn(one: Deviation) -> None:
+    """Say so where a program takes by default what is not the model."""
+    worst = max((apart for apart in (one.at_points, one.over_image) if apart is not None),
+                key=lambda apart: apart.largest, default=None)
+    if not one.by_default:
+        return
+    if worst is None:
+        echo(f"Warning: {one.program.strip()} takes {one.said or one.transformation}.")
+        return
+    if worst.largest > CLOSE:
+        metres = "" if worst.metres is None else f" ({worst.metres:,.3g} m)"
+        echo(f"Warning: {one.program} is up to {worst.largest:,.3g} px{metres} off the model, near "
+             f"line {worst.line:,.1f}, sample {worst.sample:,.1f}: {one.transformation}.")
+    if worst.lacking:
+        echo(f"Note: {one.program} has no place for {worst.lacking} of the places asked for.")

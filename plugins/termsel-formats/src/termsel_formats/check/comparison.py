@@ -1,0 +1,160 @@
+"""How far what programs take from a file is from the model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from termsel import Result, TermselError
+from termsel.measurements.coordinates.crs import EARTH, LOCAL, body_of, horizontal, transformation
+from termsel.measurements.coordinates.metres import in_metres
+from termsel.measurements.features import FloatArray
+from termsel_formats.check.base import NoAnswer, Taken
+from termsel_formats.check.gdal import outline
+from termsel_formats.check.programs import Answers, taken_by
+from termsel_formats.check.raster import size_of
+from termsel_formats.check.sidecars import raster_of
+
+_ACROSS = 15  # places along either side of the image
+
+
+@dataclass(frozen=True)
+class Apart:
+    """Distances from the model.
+
+    Parameters
+    ----------
+    rms, largest : float
+        In the image [px].
+    metres : float or None
+        The largest on the ground [m]; None in coordinates without a unit.
+    line, sample : float
+        Where the largest is.
+    lacking : int
+        Places without an answer.
+    """
+
+    rms: float
+    largest: float
+    metres: float | None
+    line: float
+    sample: float
+    lacking: int
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """What a program takes from a file, and how far that is from the model.
+
+    Parameters
+    ----------
+    program, transformation, crs : str
+        As of `Taken`.
+    by_default : bool
+        Whether the program takes it without being told.
+    at_points, over_image : Apart or None
+        None where the program takes no transformation, or does not answer.
+    said : str
+        What the program says where it does not answer.
+    """
+
+    program: str
+    transformation: str
+    crs: str
+    by_default: bool
+    at_points: Apart | None = None
+    over_image: Apart | None = None
+    said: str = ""
+
+
+def compared(path: Path | str, result: Result | None = None, *, final: bool | None = None,
+             ) -> tuple[tuple[Deviation, ...], Answers]:
+    """Return what programs take from a raster or from a file next to it, against a model.
+
+    Places are compared at the heights of the points, and over the image at the middle height of
+    the control.
+
+    Parameters
+    ----------
+    path : path-like
+        A raster, or a file that goes with one, such as a world file or an RPC.
+    result : Result, optional
+        The model. Without it there are no distances.
+    final : bool, optional
+        As for `termsel.export`.
+
+    Returns
+    -------
+    deviations : tuple of Deviation
+    answers : Answers
+
+    Raises
+    ------
+    TermselError
+        If no program can read the file, or no image is known that it goes with.
+    """
+    result = None if result is None else result.as_exported(final)
+    with raster_of(Path(path), result) as raster:
+        answers = taken_by(raster)
+        if result is None:
+            return tuple(Deviation(one.program, one.transformation, one.crs, one.by_default)
+                         for one in answers.taken), answers
+        size, known = size_of(raster), result.features.image_size
+        if known is not None and tuple(known) != size:
+            raise TermselError(
+                f"this raster has {size[0]} lines and {size[1]} samples, and the image of the "
+                f"result {known[0]} and {known[1]}", file=Path(path),
+                hint="Give the image or an export of it; a map has pixels of its own.")
+        return tuple(_of(one, result, size) for one in answers.taken), answers
+
+
+def _of(taken: Taken, result: Result, size: tuple[int, int]) -> Deviation:
+    """Return the deviation of what a program takes."""
+    known = Deviation(taken.program, taken.transformation, taken.crs, taken.by_default)
+    if taken.places is None:
+        return known
+    points = result.features.points.ground
+    points = points[np.isfinite(points[:, :2]).all(axis=1)]
+    share = np.linspace(0.0, 1.0, _ACROSS)
+    inside = np.stack(np.meshgrid(share, share, indexing="ij"), axis=-1).reshape(-1, 2)
+    image = np.concatenate([inside * size - 0.5, outline(size)])
+    level = float(result.fit.ground_box()[0][2])
+    try:
+        of_points = _apart(taken, result, result.project(points), points, level) \
+            if len(points) else None
+        of_image = _apart(taken, result, image, result.locate(image, level), level)
+    except (NoAnswer, TermselError) as error:
+        return Deviation(known.program, known.transformation, known.crs, known.by_default,
+                         said=error.what)
+    return Deviation(known.program, known.transformation, known.crs, known.by_default, of_points,
+                     of_image)
+
+
+def _apart(taken: Taken, result: Result, image: FloatArray, ground: FloatArray, level: float,
+           ) -> Apart | None:
+    """Return how far from ground (n, 3) a program puts image places (n, 2); None if nowhere."""
+    assert taken.places is not None
+    sound = np.isfinite(image).all(axis=1) & np.isfinite(ground[:, :2]).all(axis=1)
+    image, ground = image[sound], ground[sound].copy()
+    ground[:, 2] = np.where(np.isnan(ground[:, 2]), level, ground[:, 2])
+    own = result.features.crs
+    # RPCs count heights from the ellipsoid.
+    heights = transformation(own, "EPSG:4979")(ground)[:, 2] \
+        if own != LOCAL and body_of(own) == EARTH else ground[:, 2]
+    xy = taken.places(image, heights)
+    if taken.crs and own != LOCAL:
+        xy = transformation(horizontal(taken.crs), horizontal(own), strict=False)(
+            np.column_stack([xy, np.zeros(len(xy))]))[:, :2]
+    there = np.column_stack([xy, ground[:, 2]])
+    pixels = np.linalg.norm(result.project(there) - image, axis=1)
+    known = np.isfinite(pixels)
+    if not known.any():
+        return None
+    worst = int(np.argmax(np.where(known, pixels, -1.0)))
+    metres = in_metres(own, ground[known], (there - ground)[known, :2])
+    line, sample = image[worst].tolist()
+    return Apart(float(np.sqrt((pixels[known] ** 2).mean())), float(pixels[worst]),
+                 None if metres is None else float(np.hypot(*metres.T).max()), line, sample,
+                 int((~known).sum()))

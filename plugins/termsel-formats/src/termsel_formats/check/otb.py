@@ -1,0 +1,62 @@
+"""What the Orfeo ToolBox takes from a raster, by its applications."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+
+from termsel.measurements.features import FloatArray
+from termsel_formats.check.base import NoAnswer, Taken, answer
+from termsel_formats.check.gdal import WGS84, Header
+
+MOST = 25
+"""Places that OTB is asked for, each by a start of its application."""
+
+_VALUE = re.compile(r"^([\w.]+): *(.*)$", re.MULTILINE)
+
+
+def taken(path: Path, found: Header) -> Taken | None:
+    """Return what OTB takes, or None where it is not installed.
+
+    Raises
+    ------
+    NoAnswer
+        If OTB cannot read the raster.
+    """
+    info, convert = map(shutil.which, ("otbcli_ReadImageInfo", "otbcli_ConvertSensorToGeoPoint"))
+    if info is None or convert is None:
+        return None
+    name = "OTB"
+
+    def places(image: FloatArray, _heights: FloatArray) -> FloatArray:
+        ground = np.full((len(image), 2), np.nan)
+        for row in np.unique(np.linspace(0, len(image) - 1, MOST).round().astype(int)).tolist():
+            line, sample = image[row].tolist()
+            # Whole numbers are the centres of pixels.
+            said = dict(_VALUE.findall(answer(
+                [convert, "-in", str(path.absolute()), "-input.idx", repr(sample),
+                 "-input.idy", repr(line)])))
+            ground[row] = float(said["output.idx"]), float(said["output.idy"])
+        return ground
+
+    said = dict(_VALUE.findall(answer([info, "-in", str(path.absolute())])))
+    try:
+        origin = np.array([float(said["originx"]), float(said["originy"])])
+        spacing = np.array([float(said["spacingx"]), float(said["spacingy"])])
+    except (KeyError, ValueError):
+        raise NoAnswer("otbcli_ReadImageInfo gave an answer of another form") from None
+    try:
+        places(np.zeros((1, 2)), np.zeros(1))
+    except NoAnswer:  # no RPC, or none that it knows
+        pass
+    else:
+        return Taken(name, "RPC at the height 0", WGS84, places)
+    if np.allclose(origin, 0.5) and np.allclose(np.abs(spacing), 1.0):
+        return Taken(name, "none that its applications tell")
+    if found.geotransform and any(found.geotransform[i] for i in (2, 4)):
+        return Taken(name, "affine transformation, whose turn it does not tell")
+    return Taken(name, "origin and spacing", found.crs,
+                 lambda image, _heights: origin + spacing * image[:, ::-1])

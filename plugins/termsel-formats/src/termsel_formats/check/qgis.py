@@ -1,0 +1,62 @@
+"""Where QGIS shows a raster, by qgis_process."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+
+from termsel.files.atomic import private_folder
+from termsel_formats.check.base import NoAnswer, Taken, answer
+from termsel_formats.check.gdal import Header, outline, transformed
+
+_NEAR = 3.0  # px of the map that QGIS makes, by which its extent may differ from GDAL's
+
+
+def taken(path: Path, found: Header) -> Taken | None:
+    """Return what QGIS takes, or None where it is not installed.
+
+    QGIS opens a raster with GCPs, RPCs or a rotated geotransform through GDAL's warped raster, by
+    the transformation that GDAL takes by default. That is believed if the extent of the layer
+    agrees with it.
+
+    Raises
+    ------
+    NoAnswer
+        If QGIS cannot read the raster.
+    """
+    # The script of this name on some systems hands on an option that the program has not.
+    program = shutil.which("qgis_process.bin") or shutil.which("qgis_process")
+    if program is None:
+        return None
+    with private_folder() as folder:
+        # QGIS has a Python of its own, which another one would hide, and no screen is needed.
+        environment = {key: value for key, value in os.environ.items()
+                       if key not in ("VIRTUAL_ENV", "PYTHONHOME", "PYTHONPATH")} | {
+            "PATH": os.pathsep.join([str(Path(program).parent), os.defpath]),
+            "QT_QPA_PLATFORM": "offscreen", "QGIS_CUSTOM_CONFIG_PATH": str(folder)}
+        said = answer([program, "run", "--json", "native:rasterlayerproperties", "--",
+                       f"INPUT={path.absolute()}"], environment=environment)
+    try:
+        whole = json.loads(said)
+        layer, name = whole["results"], f"QGIS {whole['qgis_version'].partition('-')[0]}"
+        shown = np.array([layer[key] for key in ("X_MIN", "Y_MIN", "X_MAX", "Y_MAX")], dtype=float)
+        pixel = np.array([layer["PIXEL_WIDTH"], layer["PIXEL_HEIGHT"]] * 2, dtype=float)
+    except (ValueError, KeyError):
+        raise NoAnswer("qgis_process gave an answer of another form") from None
+    if not found.kind:
+        return Taken(name, "none: places are pixels")
+    places = transformed(path)
+    border = outline(found.size)
+    seen = places(border, np.zeros(len(border)))
+    least, most = np.nanmin(seen, axis=0), np.nanmax(seen, axis=0)
+    apart = np.abs((np.concatenate([least, most]) - shown) / pixel).max()
+    if not apart <= _NEAR:
+        return Taken(name, f"another than GDAL: its extent is {apart:,.0f} px off")
+    words = {"geotransform": "affine transformation", "gcps": "as GDAL, through GCPs",
+             "rpc": "RPC at the height 0", "geolocation": "geolocation array"}[found.kind]
+    return Taken(name, words, found.crs,
+                 lambda image, _heights: places(image, np.zeros(len(image))))

@@ -1,0 +1,55 @@
+"""What rasterio takes from a raster."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from termsel.files.rasters import open_raster, require_rasterio
+from termsel.measurements.features import FloatArray
+from termsel_formats.check.base import Places, Taken
+from termsel_formats.check.gdal import WGS84
+
+
+def taken(path: Path) -> Iterator[Taken]:
+    """Yield what rasterio takes: its geotransform, else its transformers of GCPs and RPCs."""
+    rasterio = require_rasterio()
+    from rasterio.transform import AffineTransformer, GCPTransformer, RPCTransformer
+
+    program = f"rasterio {rasterio.__version__}"
+    with open_raster(path) as raster:
+        (gcps, crs), rpcs = raster.gcps, raster.rpcs
+        if not raster.transform.is_identity:
+            yield Taken(program, "affine transformation", _wkt(raster.crs),
+                        _by(AffineTransformer, raster.transform))
+        elif gcps:
+            yield Taken(program, "polynomial through GCPs (GCPTransformer)", _wkt(crs),
+                        _by(GCPTransformer, gcps))
+        elif rpcs:
+            yield Taken(program, "RPC at the height 0 (RPCTransformer)", WGS84,
+                        _by(RPCTransformer, rpcs))
+        else:
+            yield Taken(program, "none: places are pixels")
+
+
+def size_of(path: Path) -> tuple[int, int]:
+    """Return lines and samples of a raster; raises TermselError if it cannot be read."""
+    with open_raster(path) as raster:
+        lines, samples = raster.shape
+        return lines, samples
+
+
+def _wkt(crs: object) -> str:
+    return crs.to_wkt() if crs else ""  # type: ignore[attr-defined]
+
+
+def _by(transformer: type, given: object) -> Places:
+    """Return what a transformer of rasterio computes at the height 0."""
+    def places(image: FloatArray, _heights: FloatArray) -> FloatArray:
+        with transformer(given) as made:
+            x, y = made.xy(image[:, 0].tolist(), image[:, 1].tolist(), zs=[0.0] * len(image))
+        return np.column_stack([x, y])
+
+    return places

@@ -1,0 +1,66 @@
+"""The raster that a file goes with, or one without a picture in its place."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from termsel import Result, TermselError
+from termsel.files.atomic import private_folder
+from termsel.files.rasters import require_rasterio
+
+_PICTURES = (".tif", ".tiff", ".jp2", ".jpg", ".jpeg", ".png", ".ntf", ".img", ".vrt")
+_STEM = re.compile(r"(?P<stem>.+?)(?P<rest>_rpc\.txt|\.rpb|\.t(?:i?f)?w|\.tifw|\.jgw|\.pgw|\.j2w"
+                   r"|\.wld)$", re.IGNORECASE)
+_AUXILIARY = ".aux.xml"
+
+
+@contextmanager
+def raster_of(path: Path, result: Result | None) -> Iterator[Path]:
+    """Yield a raster: the path, the raster that it goes with, or an empty one with a copy of it.
+
+    Raises TermselError where there is no raster and the result does not know its size.
+    """
+    if not path.is_file():
+        raise TermselError("there is no such file", file=path, hint="Check the name.")
+    found = _STEM.fullmatch(path.name)
+    auxiliary = path.name.lower().endswith(_AUXILIARY)
+    if not found and not auxiliary:
+        yield path
+        return
+    stem = path.name[:-len(_AUXILIARY)] if auxiliary else str(found and found["stem"])
+    beside = [path.with_name(stem)] if auxiliary else [
+        one for one in sorted(path.parent.iterdir())
+        if one.stem == stem and one.suffix.lower() in _PICTURES]
+    known = next((one for one in beside if one.is_file()), None)
+    if known is not None:
+        yield known
+        return
+    size = None if result is None else result.features.image_size
+    if size is None:
+        raise TermselError("this file goes with an image, and none of its name is next to it",
+                           file=path, hint="Put the image next to it, or give --result with a run "
+                                           "that knows the size of its image.")
+    with private_folder() as folder:
+        image = folder / ("image.tif" if found else Path(stem).with_suffix(".tif").name)
+        _empty(image, size)
+        name = f"{image.name}{_AUXILIARY}" if auxiliary else f"image{found['rest']}"  # type: ignore[index]
+        shutil.copy(path, folder / name)
+        yield image
+
+
+def _empty(path: Path, size: tuple[int, int]) -> None:
+    """Write a raster of zeros, which takes no room."""
+    import warnings
+
+    rasterio = require_rasterio()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that it has no place on the ground
+        with rasterio.open(path, "w", driver="GTiff", height=size[0], width=size[1], count=1,
+                           dtype=np.uint8, sparse_ok=True, tiled=True):
+            pass

@@ -1,0 +1,173 @@
+"""What programs take from a file: known transformations, put into files here."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+pytest.importorskip("termsel_formats", reason="termsel-formats is not installed: "
+                    "pip install -e plugins/termsel-formats")
+
+import termsel
+from termsel import FeatureSet, Points, TermselError
+from termsel.cli.main import cli
+from termsel.io.result_folder import write_result
+from termsel.testing import Check, checks
+from termsel_formats import compared
+
+rasterio = pytest.importorskip("rasterio")
+pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+
+SIZE = (400, 500)
+WITH_GDAL = shutil.which("gdaltransform") is not None
+
+
+@pytest.mark.parametrize("check", checks("termsel-formats"), ids=lambda check: check.name)
+def test_conforms(check: Check) -> None:
+    check.run()
+
+
+@pytest.fixture(scope="module")
+def result() -> termsel.Result:
+    """Return an image that is affine: 2 m a pixel, turned by 30 degrees."""
+    rng = np.random.default_rng(2)
+    image = rng.uniform(0, 1, (40, 2)) * SIZE
+    turn = 2.0 * np.array([[np.sin(0.5), np.cos(0.5)], [-np.cos(0.5), np.sin(0.5)]])
+    ground = np.column_stack([image @ turn + [500000.0, 5000000.0], np.full(40, np.nan)])
+    points = Points(tuple(f"P{i}" for i in range(40)), image, ground, None,
+                    ("control", "check") * 20)
+    return termsel.run("poly-terms", features=FeatureSet(points, crs="EPSG:32631",
+                                                         image_size=SIZE),
+                       model="poly2d", solver="all-terms", options={"degree": 1})
+
+
+def raster(path: Path, transform: object = None, gcps: object = (), crs: str = "EPSG:32631",
+           size: tuple[int, int] = SIZE) -> Path:
+    given = {"gcps": gcps, "crs": crs} if gcps else \
+        {"transform": transform, "crs": crs} if transform else {}
+    with rasterio.open(path, "w", driver="GTiff", height=size[0], width=size[1], count=1,
+                       dtype="uint8", **given):
+        pass
+    return path
+
+
+def exact(result: termsel.Result, moved: float = 0.0) -> object:
+    """Return the geotransform of the model, moved to the east."""
+    from affine import Affine
+
+    corner, right, down = result.locate([[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5]], 0.0)[:, :2]
+    return Affine(right[0] - corner[0], down[0] - corner[0], corner[0] + moved,
+                  right[1] - corner[1], down[1] - corner[1], corner[1])
+
+
+@pytest.mark.parametrize("moved", [0.0, 20.0])
+def test_an_affine_transformation_is_as_far_off_as_it_was_moved(
+        result: termsel.Result, tmp_path: Path, moved: float) -> None:
+    found, answers = compared(raster(tmp_path / "a.tif", exact(result, moved)), result)
+    asked = [one for one in found if one.by_default and one.over_image is not None]
+    assert asked[0].program.startswith("rasterio")
+    assert len(asked) >= 1 + WITH_GDAL
+    for one in asked:
+        assert one.over_image is not None
+        assert one.at_points is not None
+        assert one.transformation in ("affine transformation", "origin and spacing")
+        for apart in (one.over_image, one.at_points):
+            assert apart.metres == pytest.approx(moved, abs=1e-4)
+            assert apart.largest == pytest.approx(moved / 2, abs=1e-4)
+            assert apart.rms <= apart.largest + 1e-9
+            assert apart.lacking == 0
+    assert not answers.failed
+
+
+def test_a_geotransform_hides_gcps_from_nobody(result: termsel.Result, tmp_path: Path) -> None:
+    from rasterio.control import GroundControlPoint
+
+    image = np.array([[0.0, 0.0], [0.0, 499.0], [399.0, 0.0], [399.0, 499.0], [200.0, 250.0]])
+    ground = result.locate(image, 0.0)
+    gcps = [GroundControlPoint(row=line + 0.5, col=sample + 0.5, x=x, y=y, z=0.0)
+            for (line, sample), (x, y) in zip(image, ground[:, :2], strict=True)]
+    found, _ = compared(raster(tmp_path / "g.tif", gcps=gcps), result)
+    for one in found:
+        if one.over_image is not None and "spline" not in one.transformation:
+            assert one.over_image.largest < 0.01, one
+
+
+def test_a_raster_without_place_has_no_transformation(result: termsel.Result, tmp_path: Path,
+                                                      ) -> None:
+    found, _ = compared(raster(tmp_path / "plain.tif"), result)
+    assert all(one.over_image is None for one in found)
+    assert found[0].transformation == "none: places are pixels"
+
+
+@pytest.mark.parametrize("beside", [True, False])
+def test_a_world_file_is_read_with_or_without_its_image(result: termsel.Result, tmp_path: Path,
+                                                        beside: bool) -> None:
+    t = exact(result)
+    x, y = t.c + (t.a + t.b) / 2, t.f + (t.d + t.e) / 2  # type: ignore[attr-defined]
+    world = tmp_path / "scene.tfw"
+    world.write_text("".join(f"{value!r}\n" for value in (
+        t.a, t.d, t.b, t.e, x, y)))  # type: ignore[attr-defined]
+    if beside:
+        raster(tmp_path / "scene.tif")
+    before = sorted(tmp_path.iterdir())
+    found, _ = compared(world, result)
+    assert found[0].over_image is not None
+    assert found[0].over_image.largest < 1e-4
+    assert found[0].crs == ""
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_an_rpc_is_told_apart_from_one_at_the_height_0(tmp_path: Path) -> None:
+    scene = termsel.simulate_scene("ikonos-hamedan", n_lines=0)
+    own = termsel.run("rfm-terms", features=scene, solver="all-terms", options={"order": 2})
+    termsel.export(own, "rpc-txt", tmp_path / "scene_RPC.TXT")
+    found, _ = compared(tmp_path / "scene_RPC.TXT", own)
+    by_name = {one.transformation.partition(" (")[0]: one for one in found}
+    flat = by_name["RPC at the height 0"].over_image
+    assert flat is not None
+    assert flat.largest > 50.0
+    if WITH_GDAL:
+        high = by_name["RPC at the heights of the ground"].over_image
+        assert high is not None
+        assert high.largest < 0.2  # GDAL ends its own iteration at 0.1 px
+
+
+def call(*words: object) -> Result:
+    return CliRunner().invoke(cli, [str(word) for word in words])
+
+
+def test_the_command_warns_and_prints_json(result: termsel.Result, tmp_path: Path) -> None:
+    (tmp_path / "r").mkdir()
+    write_result(result, tmp_path / "r")
+    path = raster(tmp_path / "a.tif", exact(result, 2000.0))
+    done = call("check", path, "--result", tmp_path / "r")
+    assert done.exit_code == 0, done.output
+    assert "is up to 1,000 px (2" in done.output.replace("1e+03", "1,000").replace("\n", " ")
+    said = json.loads(call("check", path, "--result", tmp_path / "r", "--json").output)
+    assert said["programs"][0]["over_image"]["metres"] == pytest.approx(2000.0, abs=1e-3)
+    alone = call("check", path)
+    assert "affine transformation" in alone.output
+    assert "Give --result DIR" in alone.output
+
+
+@pytest.mark.parametrize(("name", "said"), [
+    ("none.tif", "there is no such file"), ("lost.tfw", "none of its name is next to it"),
+    ("text.tif", "")])
+def test_what_cannot_be_checked(name: str, said: str, tmp_path: Path) -> None:
+    if name != "none.tif":
+        (tmp_path / name).write_text("no raster")
+    done = call("check", tmp_path / name)
+    assert done.exit_code == 2, done.output
+    assert said in done.output.replace("\n", " ")
+    assert "Traceback" not in done.output
+
+
+def test_another_image_is_refused(result: termsel.Result, tmp_path: Path) -> None:
+    other = raster(tmp_path / "map.tif", exact(result), size=(410, 500))
+    with pytest.raises(TermselError, match="410 lines and 500 samples, and the image of the"):
+        compared(other, result)
