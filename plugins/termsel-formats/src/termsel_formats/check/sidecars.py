@@ -34,10 +34,10 @@ def raster_of(path: Path, result: Result | None) -> Iterator[Path]:
         yield path
         return
     stem = path.name[:-len(_AUXILIARY)] if auxiliary else str(found and found["stem"])
-    beside = [path.with_name(stem)] if auxiliary else [
+    near = [path.with_name(stem)] if auxiliary else [
         one for one in sorted(path.parent.iterdir())
         if one.stem == stem and one.suffix.lower() in _PICTURES]
-    known = next((one for one in beside if one.is_file()), None)
+    known = next((one for one in near if one.is_file()), None)
     if known is not None:
         yield known
         return
