@@ -341,7 +341,6 @@ def test_solution_is_that_of_lstsq(k: int, redundancy: int, seed: int) -> None:
     found = solve(equations)
     x = np.linalg.lstsq(A / lengths, b, rcond=None)[0] / lengths
     np.testing.assert_allclose(found.coefficients * lengths, x * lengths, rtol=1e-8, atol=1e-10)
-    np.testing.assert_allclose(found.residuals, b - A @ found.coefficients, atol=1e-12)
     assert (found.rank, found.violation, found.redundancy) == (k, 0, redundancy)
     assert found.condition == pytest.approx(np.linalg.cond(A / lengths), rel=1e-6)
     if redundancy == 0:
@@ -371,7 +370,6 @@ def test_masks_take_columns_and_features(k: int, n: int, seed: int) -> None:
     np.testing.assert_allclose(found.deviations[terms], alone.deviations, rtol=1e-9)
     assert (found.n_terms, found.n_equations) == (terms.sum(), rows.sum())
     assert (found.rank, found.violation) == (alone.rank, alone.violation)
-    assert found.residuals.shape == (2 * n,)
 
 
 @given(st.integers(1, 10), st.integers(0, 12), st.integers(1, 4), seeds)
@@ -395,11 +393,12 @@ def test_too_few_equations(k: int, short: int, empty: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     m = max(k - short, 0)
     A = np.concatenate([rng.normal(size=(m, k)), np.zeros((m, empty))], axis=1)
-    found = solve(Equations(A, rng.normal(size=m), np.arange(m)))
+    right = rng.normal(size=m)
+    found = solve(Equations(A, right, np.arange(m)))
     assert found.violation == k + empty - m
     assert np.isfinite(found.coefficients).all()
     np.testing.assert_array_equal(found.coefficients[k:], 0.0)
-    np.testing.assert_allclose(found.residuals, 0.0, atol=1e-6)
+    np.testing.assert_allclose(right - A @ found.coefficients, 0.0, atol=1e-6)
 
 
 def test_dependent_columns_get_the_least_norm_solution() -> None:
@@ -407,9 +406,10 @@ def test_dependent_columns_get_the_least_norm_solution() -> None:
         rng = np.random.default_rng(seed)
         column, b = rng.normal(size=8), rng.normal(size=8)
         factor = rng.normal()
-        found = solve(Equations(np.stack([column, factor * column], axis=1), b, np.arange(8)))
+        A = np.stack([column, factor * column], axis=1)
+        found = solve(Equations(A, b, np.arange(8)))
         fitted = column * (column @ b) / (column @ column)
-        np.testing.assert_allclose(found.residuals, b - fitted, atol=1e-7)
+        np.testing.assert_allclose(A @ found.coefficients, fitted, atol=1e-7)
 
 
 def test_undetermined_terms_have_no_standard_deviation() -> None:

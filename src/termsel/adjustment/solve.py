@@ -20,7 +20,6 @@ class Adjustment:
     """A least-squares solution."""
 
     coefficients: FloatArray  # (k,): all terms; 0 where a term is not selected
-    residuals: FloatArray  # (m,): b - A x of all rows, selected or not
     # (k,): standard deviations of the coefficients; NaN where they are not determined or there is
     # no redundancy, 0 where a term is not selected.
     deviations: FloatArray
@@ -98,8 +97,8 @@ def solve(
             x = linalg.lstsq(scaled, b, cond=TOLERANCE)[0]
             deviations[columns] = np.nan
         coefficients[columns] = x / lengths
-    return Adjustment(coefficients, equations.b - equations.A @ coefficients, deviations,
-                      n_terms, n_equations, rank, condition, sigma0, correlations)
+    return Adjustment(coefficients, deviations, n_terms, n_equations, rank, condition, sigma0,
+                      correlations)
 
 
 def _triangle(scaled: FloatArray, b: FloatArray) -> FloatArray | None:

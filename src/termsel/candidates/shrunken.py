@@ -80,13 +80,11 @@ class Averaging(Estimator):
         coefficients = found.coefficients.T.ravel()
         equations = model.equations(scaled)
         k = len(coefficients)
-        residuals = equations.b - equations.A @ coefficients
-        in_use = residuals[used[equations.feature]]
+        in_use = (equations.b - equations.A @ coefficients)[used[equations.feature]]
         freedom = len(in_use) - found.effective
         sigma0 = float(np.sqrt(in_use @ in_use / freedom)) if freedom > 0.5 else np.nan
-        adjustment = Adjustment(coefficients, residuals, np.full(k, np.nan),
-                                round(found.effective), len(in_use), round(found.effective),
-                                float("nan"), sigma0)
+        adjustment = Adjustment(coefficients, np.full(k, np.nan), round(found.effective),
+                                len(in_use), round(found.effective), np.nan, sigma0)
         errors = found.errors * scaling.image_scale
         held_out = HeldOut.of(errors, mine)
         return Fit(model, scaling, control, np.ones(k, dtype=bool), used, adjustment, self,

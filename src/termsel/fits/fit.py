@@ -214,12 +214,9 @@ class Fit(Glance):
     def with_coefficients(self, coefficients: FloatArray, estimator: Estimator = GIVEN,
                           trace: float = np.nan) -> Fit:
         """Return the fit with coefficients that are not those of least squares."""
-        equations = self.model.equations(self.scaled_control)
-        unknown = np.full(len(coefficients), np.nan)
         return replace(self, estimator=estimator, trace=trace, held_out=None, adjustment=replace(
-            self.adjustment, coefficients=coefficients, deviations=unknown,
-            residuals=equations.b - equations.A @ coefficients, sigma0=np.nan, correlations=None,
-            steps=None, converged=True))
+            self.adjustment, coefficients=coefficients, sigma0=np.nan, correlations=None,
+            deviations=np.full(len(coefficients), np.nan), steps=None, converged=True))
 
     def project(self, ground: ArrayLike) -> FloatArray:
         """Return where ground points are seen.

@@ -93,7 +93,7 @@ def adjust(model: Fittable, features: FeatureSet, terms: BoolArray,
     else:
         x = np.where(terms, start, 0.0)
         equations = _linearised(model, features, x)
-        adjustment = _at(x, equations, solve(equations, terms, used))
+        adjustment = replace(solve(equations, terms, used), coefficients=x)
         if not adjustment.feasible:
             return adjustment
 
@@ -121,7 +121,7 @@ def adjust(model: Fittable, features: FeatureSet, terms: BoolArray,
         if not there.feasible:  # near a pole, where the equations say nothing of what is determined
             break
         x, equations, v, steps = tried, nearer, w, steps + 1
-        adjustment = _at(x, equations, there)
+        adjustment = replace(there, coefficients=x)
     return replace(adjustment, steps=steps, converged=converged)
 
 
@@ -131,12 +131,6 @@ def _linearised(model: Fittable, features: FeatureSet, coefficients: FloatArray)
     if equations is None:
         raise wrong(model, "linearised", "returned nothing; expected Equations, as it has a start")
     return equations
-
-
-def _at(coefficients: FloatArray, equations: Equations, step: Adjustment) -> Adjustment:
-    """Return the adjustment at coefficients, whose next step by the equations is known."""
-    return replace(step, coefficients=coefficients,
-                   residuals=equations.b - equations.A @ coefficients)
 
 
 def first_order(model: Fittable, features: FeatureSet) -> Equations:

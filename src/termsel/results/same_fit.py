@@ -60,13 +60,11 @@ def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, use
     model = model.prepared(scaling, control.crs)
     terms = np.array([name in coefficients for name in model.terms], dtype=bool)
     values = _by_term(model, coefficients, 0.0)
+    correlations = None
     if estimator.least_squares:
         iterated = getattr(estimator, "iterated", True)
         made = LeastSquares(iterated).fit(model, control, scaling, terms, used)
-        residuals, correlations = made.adjustment.residuals, made.adjustment.correlations
-    else:
-        equations = model.equations(scaling.features(control))
-        residuals, correlations = equations.b - equations.A @ values, None
+        correlations = made.adjustment.correlations
     trace, held_out = how.effective, None
     if how.held_out is not None:
         in_use, errors = control.take(used), np.array(how.held_out).reshape(-1, 2)
@@ -82,7 +80,7 @@ def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, use
             trace, held_out = again.trace, again.held_out
     # The figures of the record, whatever the rounding of this machine.
     adjustment = Adjustment(
-        values, residuals,
+        values,
         _by_term(model, deviations, 0.0 if estimator.least_squares else np.nan),
         figures.terms, figures.equations, figures.rank,
         np.inf if figures.condition is None else figures.condition,

@@ -77,14 +77,12 @@ class Correction(Estimator):
         ready, mine = model.prepared(scaling, control.crs), control.take(used)
         believed, unit = belief(ready, mine, scaling, self.kinds)
         coefficients = to_terms(ready, scaling) @ believed.coefficients
-        equations = ready.equations(scaling.features(control))
-        residuals = equations.b - equations.A @ coefficients
         held_out = HeldOut.of(
             _vectors(believed.without_each[0] / unit, scaling.features(mine)), mine)
         unknown = np.full(len(coefficients), np.nan)
         effective = round(believed.effective)
         return Fit(ready, scaling, control, np.ones(len(coefficients), dtype=bool), used,
-                   Adjustment(coefficients, residuals, unknown, effective, len(believed.right),
+                   Adjustment(coefficients, unknown, effective, len(believed.right),
                               effective, float("nan"),
                               float(np.sqrt(believed.noise)) / scaling.image_scale),
                    self, believed.effective, held_out)
