@@ -154,6 +154,15 @@ def test_steps_do_not_go_where_the_model_has_no_image(page: dict[str, Any],
     assert fitted.control_rmse().total < 1.0
 
 
+def test_a_candidate_of_auto_is_judged_about_its_fit(page: dict[str, Any],
+                                                     scene: termsel.FeatureSet) -> None:
+    control = scene.take(np.arange(60) < 25)
+    candidate = termsel.Structure("fish", "a fisheye camera", page["Fisheye"](), termsel.Affine())
+    judged = candidate.judge(termsel.Control.of(control))
+    repeated = termsel.fit(control, page["Fisheye"]).leave_one_out_rmse().total
+    assert np.sqrt(judged.squares.mean()) == pytest.approx(repeated, rel=1e-3)
+
+
 @pytest.mark.parametrize(("method", "value", "said"), [
     ("start", np.zeros(3), r"start\(\) returned an array of shape \(3,\); expected"),
     ("start", np.full(10, np.nan), r"start\(\) returned 10 numbers that are not finite"),

@@ -12,7 +12,7 @@ from termsel.adjustment.parts import independent_parts
 from termsel.criteria import Fits
 from termsel.errors import TermselError
 from termsel.fits.fit import Estimator, Fit, Undetermined
-from termsel.fits.least_squares import LEAST_SQUARES, solutions_without_each
+from termsel.fits.least_squares import LEAST_SQUARES, first_order, solutions_without_each
 from termsel.fits.of_features import control_of
 from termsel.measurements.control import Control
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, no_points
@@ -248,7 +248,7 @@ def left_out_squares(fitted: Fit) -> FloatArray:
     indispensable, and where a denominator falls short.
     """
     model, control = fitted.model, fitted.scaled_control
-    parts = independent_parts(model.equations(control), model.axis)
+    parts = independent_parts(first_order(model, control), model.axis)
     solutions = solutions_without_each(parts, fitted.terms, fitted.used)
     if solutions is None:
         return np.full(len(control), np.inf)
