@@ -16,19 +16,17 @@ from sklearn.preprocessing import PolynomialFeatures
 from sklearn.utils.estimator_checks import estimator_checks_generator
 
 import termsel
-from termsel.sklearn import SensorModelRegressor, TermSelector, spatial_blocks
-
-OTHER_COLUMNS = {
-    "check_n_features_in_after_fitting", "check_positive_only_tag_during_fit",
-    "check_estimators_dtypes", "check_dtype_object", "check_regressors_train",
-    "check_regressor_data_not_an_array", "check_regressor_multioutput",
-    "check_regressors_no_decision_function", "check_regressors_int"}
-"""Checks on data of 4, 5 or 10 columns, or 5 outputs, which no sensor model takes."""
+from termsel.sklearn import (
+    EXPECTED_FAILED_CHECKS,
+    SensorModelRegressor,
+    TermSelector,
+    spatial_blocks,
+)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("estimator", "excused"), [
-    (SensorModelRegressor(degree=1), OTHER_COLUMNS), (TermSelector(), set())],
+    (SensorModelRegressor(degree=1), set(EXPECTED_FAILED_CHECKS)), (TermSelector(), set())],
     ids=["regressor", "selector"])
 @pytest.mark.filterwarnings("ignore")
 def test_checks_of_scikit_learn(estimator: BaseEstimator, excused: set[str]) -> None:
@@ -139,3 +137,78 @@ def test_the_selector_in_a_pipeline() -> None:
     np.testing.assert_array_equal(again[1].support_, line[1].support_)
     with pytest.raises(ValueError, match="unknown solver 'no'"):
         TermSelector(solver="no").fit(X, y)
+
+
+def _columns(seed: int = 3, n: int = 40, k: int = 7) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    X = rng.normal(size=(n, k)) + 5.0
+    return X, X[:, 1] - 0.6 * X[:, 4] + rng.normal(0, 0.5, n)
+
+
+def test_exact_proves_the_selection_that_a_search_finds() -> None:
+    for seed in range(4):
+        X, y = _columns(seed)
+        exact, swap = (TermSelector(solver=solver).fit(X, y) for solver in ("exact", "swap"))
+        best = min((columns for size in range(1, 8) for columns in combinations(range(7), size)),
+                   key=lambda columns: _ebic(X, y, columns))
+        assert tuple(exact.get_support(indices=True)) == best
+        assert exact.search_.objectives[0] == pytest.approx(swap.search_.objectives[0])
+
+
+@pytest.mark.parametrize("solver", ["stepwise", "lasso", "t-test", "nested-regression"])
+def test_regressions_select_columns(solver: str) -> None:
+    pytest.importorskip("termsel_rivals")
+    X, y = _columns()
+    assert set(TermSelector(solver=solver).fit(X, y).get_support(indices=True)) >= {1, 4}
+
+
+def test_weights_count_as_repeated_rows() -> None:
+    X, y = _columns()
+    times = np.random.default_rng(5).integers(0, 4, len(X))
+    weighted = TermSelector().fit(X, y, sample_weight=times)
+    repeated = TermSelector().fit(np.repeat(X, times, axis=0), np.repeat(y, times))
+    np.testing.assert_array_equal(weighted.support_, repeated.support_)
+    assert weighted.search_.objectives[0] == pytest.approx(repeated.search_.objectives[0])
+    ground, image = _scene()
+    times = np.random.default_rng(6).integers(0, 4, len(ground))
+    one, other = (SensorModelRegressor(degree=2).fit(*given) for given in (
+        (ground, image, times),
+        (np.repeat(ground, times, axis=0), np.repeat(image, times, axis=0))))
+    np.testing.assert_allclose(one.predict(ground), other.predict(ground), rtol=1e-8)
+    for wrong, said in ((-times, "has negative values"), (0 * times, "non-zero")):
+        with pytest.raises(ValueError, match=said):
+            TermSelector().fit(ground, image, wrong)
+
+
+def test_options_are_parameters() -> None:
+    X, y = _scene()
+    model = SensorModelRegressor("rfm").set_params(order=1)
+    assert model.get_params()["order"] == 1
+    assert model.fit(X, y).fit_.model.options["order"] == 1
+    assert clone(model).get_params() == model.get_params()
+    search = GridSearchCV(SensorModelRegressor("rfm"), {"order": [1, 2]},
+                          cv=GroupKFold(3)).fit(X, y, groups=spatial_blocks(X))
+    assert search.best_params_["order"] in (1, 2)
+    selector = TermSelector("ga").set_params(population=20, generations=3)
+    assert (selector.options, selector.generations) == ({"population": 20}, 3)
+    selector.fit(*_columns())
+    with pytest.raises(ValueError, match=r"Invalid parameter 'populations'.*population"):
+        TermSelector("ga").set_params(populations=20)
+
+
+def test_classes_and_instances_are_taken_as_names_are() -> None:
+    X, y = _scene()
+    by_name, by_class, by_instance = (
+        SensorModelRegressor(model, options=options).fit(X, y).predict(X) for model, options in (
+            ("rfm", {"order": 1}), (termsel.RationalFunctions, {"order": 1}),
+            (termsel.RationalFunctions(order=1), None)))
+    np.testing.assert_array_equal(by_name, by_class)
+    np.testing.assert_array_equal(by_name, by_instance)
+    X, y = _columns()
+    found = [TermSelector(solver, options=options).fit(X, y).support_ for solver, options in (
+        ("ga", {"population": 20}), (termsel.GeneticAlgorithm, {"population": 20}),
+        (termsel.GeneticAlgorithm(population=20), None))]
+    np.testing.assert_array_equal(found[0], found[1])
+    np.testing.assert_array_equal(found[0], found[2])
+    with pytest.raises(ValueError, match="every column of X is constant"):
+        TermSelector().fit(np.ones((20, 3)), np.arange(20.0))

@@ -4,7 +4,7 @@ Requires ``pip install termsel[sklearn]``.
 """
 
 from termsel.sklearn.blocks import spatial_blocks
-from termsel.sklearn.regressor import SensorModelRegressor
+from termsel.sklearn.regressor import EXPECTED_FAILED_CHECKS, SensorModelRegressor
 from termsel.sklearn.selector import TermSelector
 
-__all__ = ["SensorModelRegressor", "TermSelector", "spatial_blocks"]
+__all__ = ["EXPECTED_FAILED_CHECKS", "SensorModelRegressor", "TermSelector", "spatial_blocks"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
+from sklearn.base import MultiOutputMixin, RegressorMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from termsel.candidates.ridge import RidgeByOrder
@@ -19,7 +19,7 @@ from termsel.fits.least_squares import LEAST_SQUARES
 from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Polynomial2D, Polynomial3D
-from termsel.plugins.registry import registry
+from termsel.sklearn.parts import WithOptions, weights_of
 
 STRATEGIES: dict[str, Estimator] = {
     "least-squares": LEAST_SQUARES, "ridge": RidgeByOrder(), "shrunken": Averaging(),
@@ -27,14 +27,24 @@ STRATEGIES: dict[str, Estimator] = {
     "tukey": Reweighted(biweight=True)}
 """How coefficients are found, by name."""
 
+EXPECTED_FAILED_CHECKS = dict.fromkeys((
+    "check_n_features_in_after_fitting", "check_positive_only_tag_during_fit",
+    "check_estimators_dtypes", "check_dtype_object", "check_regressors_train",
+    "check_regressor_data_not_an_array", "check_regressor_multioutput",
+    "check_regressors_no_decision_function", "check_regressors_int",
+    "check_sample_weight_equivalence_on_dense_data", "check_all_zero_sample_weights_error"),
+    "its data have 4, 5 or 10 columns, or 5 outputs, which no sensor model takes")
+"""Checks of scikit-learn that `SensorModelRegressor` fails, with the reason, as ``check_estimator``
+takes them; `TermSelector` fails none."""
 
-class SensorModelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc]
+
+class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # type: ignore[misc]
     """Predict line and sample from ground coordinates.
 
     Parameters
     ----------
-    model : str
-        Name of a sensor model, such as "rfm"; "polynomial" is that of X, Y and Z where heights
+    model : str, class or SensorModel
+        A sensor model, such as "rfm"; "polynomial" is that of X, Y and Z where heights
         differ, and otherwise that of X and Y.
     degree : int or None
         Option of polynomials; None for the model's own default.
@@ -43,7 +53,8 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # 
         posterior probability; "selected" selects their terms forward; "huber" and "tukey" are
         robust.
     options : dict or None
-        Further options of the model.
+        Further options of the model. ``set_params`` and grids also take each by its name, such as
+        ``set_params(order=2)`` of "rfm".
 
     Attributes
     ----------
@@ -67,20 +78,25 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # 
     True
     """
 
-    def __init__(self, model: str = "polynomial", degree: int | None = None,
+    part = "model"
+
+    def __init__(self, model: Any = "polynomial", degree: int | None = None,
                  strategy: str = "least-squares", options: dict[str, Any] | None = None) -> None:
         self.model = model
         self.degree = degree
         self.strategy = strategy
         self.options = options
 
-    def fit(self, X: Any, y: Any) -> SensorModelRegressor:
+    def fit(self, X: Any, y: Any, sample_weight: Any = None) -> SensorModelRegressor:
         """Fit the model to control points.
 
         Parameters
         ----------
         X : array_like, shape (n, 2) or (n, 3)
         y : array_like, shape (n, 2) or (n,)
+        sample_weight : array_like, shape (n,), optional
+            Weights of the points, 1 / sigma^2 up to a common factor; points with 0 are left out.
+            Points of one place count as one, with their mean and the sum of their weights.
 
         Raises
         ------
@@ -98,15 +114,19 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # 
                              f"{', '.join(STRATEGIES)}")
         self._columns = None if np.ndim(y) == 1 else image.shape[1]
         # One image coordinate stands for both, of which `predict` returns one.
-        points = Points(tuple(f"{i}" for i in range(len(X))),
-                        np.broadcast_to(image, (len(X), 2)), _ground(X))
+        image = np.broadcast_to(image, (len(X), 2))
+        places, image, weights = _merged(X, image, weights_of(sample_weight, X))
+        sigma = None if np.ptp(weights) == 0 else \
+            np.column_stack([np.sqrt(weights.mean() / weights)] * 2)
         try:
+            points = Points(tuple(f"{i}" for i in range(len(places))), image, _ground(places),
+                            sigma)
             high, flat = self._models()
             if self.strategy in ("shrunken", "selected") and (flat.polynomial_degree or 0) < 2:
                 raise ValueError(f"strategy {self.strategy!r} needs a polynomial of at least "
                                  "degree 2")
             self.fit_ = Structure(
-                self.model, f"model {self.model!r}", high, flat,
+                flat.name, f"model {flat.name!r}", high, flat,
                 estimator=STRATEGIES[self.strategy]).fit(FeatureSet(points, crs="local"))
         except TermselError as error:
             raise ValueError(str(error)) from error
@@ -126,12 +146,32 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # 
 
     def _models(self) -> tuple[SensorModel, SensorModel]:
         """Return the model for points with heights that differ, and for others."""
-        options = {**({} if self.degree is None else {"degree": self.degree}),
-                   **(self.options or {})}
-        if self.model == "polynomial":
+        degree = {} if self.degree is None else {"degree": self.degree}
+        if isinstance(self.model, str) and self.model == "polynomial":
+            options = {**degree, **(self.options or {})}
             return Polynomial3D(**options), Polynomial2D(**options)
-        model: SensorModel = registry().get("models", self.model)(**options)
+        model: SensorModel = self._made(**degree)
         return model, model
+
+    def _taken(self) -> Any:
+        polynomial = isinstance(self.model, str) and self.model == "polynomial"
+        return Polynomial3D if polynomial else super()._taken()
+
+
+def _merged(X: FloatArray, image: FloatArray, weights: FloatArray,
+            ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return points without those of weight 0, those of one place as their weighted mean."""
+    use = weights > 0
+    X, image, weights = X[use], image[use], weights[use]
+    _, first, which = np.unique(X, axis=0, return_index=True, return_inverse=True)
+    if len(first) == len(X):
+        return X, image, weights
+    # In the order in which they first occur.
+    order = np.argsort(first)
+    which = np.argsort(order)[which.ravel()]
+    total = np.bincount(which, weights).astype(np.float64)
+    mean = np.column_stack([np.bincount(which, weights * one) / total for one in image.T])
+    return X[first[order]], mean, total
 
 
 def _ground(X: FloatArray) -> FloatArray:

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+from functools import partial
 from math import comb, log
 from typing import Any
 
 import numpy as np
-from sklearn.base import BaseEstimator
 from sklearn.feature_selection import SelectorMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from termsel.enumeration.columns.system import SubsetSystem
 from termsel.errors import TermselError
-from termsel.measurements.features import BoolArray, FloatArray
-from termsel.plugins.registry import registry
-from termsel.problems.base import WORST, Evaluation, Problem, Selection
+from termsel.measurements.features import BoolArray, FloatArray, IntArray
+from termsel.problems.base import WORST, EnumerablePart, Evaluation, Problem, Selection
 from termsel.problems.genome import Genome
 from termsel.problems.segments import Bits
+from termsel.sklearn.parts import WithOptions, weights_of
 from termsel.solvers.search import search
 
 _SMALL = 1e-10
@@ -26,64 +27,86 @@ class ColumnProblem(Problem):
     """Which columns of X (n, k), at most so many, explain y (n, m) by the extended BIC.
 
     n log(RSS / n) + s log n + 2 log C(k, s) for s of k columns (Chen and Chen 2008, Biometrika
-    95(3), equation 1 with gamma 1). A constant is always in the fit and does not count.
+    95(3), equation 1 with gamma 1). A constant, the first gene, is always in the fit and does not
+    count. Weights (n,) are above 0; their sum is the n of the criterion.
     """
 
     objectives = ("ebic",)
 
-    def __init__(self, X: FloatArray, y: FloatArray, most: int) -> None:
-        X, y = X - X.mean(axis=0), y - y.mean(axis=0)
-        # A constant is always in the fit: nothing is left of it once the mean is taken off.
+    def __init__(self, X: FloatArray, y: FloatArray, weights: FloatArray, most: int) -> None:
+        self._n, k, root = weights.sum(), X.shape[1], np.sqrt(weights)[:, None]
+        X, y = (root * (one - np.average(one, axis=0, weights=weights)) for one in (X, y))
+        # A constant is always in the fit: nothing is left of another once the mean is taken off.
         size = np.linalg.norm(X, axis=0)
-        self._constant = size <= _SMALL * np.maximum(np.abs(X).max(initial=0.0), 1.0)
-        X = X / np.where(self._constant, 1.0, size)
+        constant = size <= _SMALL * np.maximum(np.abs(X).max(initial=0.0), np.sqrt(self._n))
+        if constant.all():
+            raise TermselError("every column of X is constant, so that there is none to select")
+        X = X / np.where(constant, 1.0, size)
         self._gram, self._right, self._total = X.T @ X, X.T @ y, float((y**2).sum())
-        self._n = len(X)
-        k = X.shape[1]
-        self._choices = np.array([log(comb(k, size)) for size in range(k + 1)])
-        self.genome = Genome([Bits("columns", tuple(f"{i}" for i in range(k)), 1, most)])
+        self._design, self._target = np.column_stack([root, X]), y
+        self._penalty = np.array([s * log(self._n) + 2.0 * log(comb(k, s)) for s in range(k + 1)])
+        names = tuple(f"{i}" for i in range(k))
+        self.genome = Genome(
+            [Bits("columns", ("constant", *names), 2, min(most, int((~constant).sum())) + 1)],
+            on=["constant"], off=[name for name, off in zip(names, constant, strict=True) if off])
 
     def evaluate(self, genes: BoolArray) -> Evaluation:
         """Return the criterion; columns that depend on others in use violate it."""
-        k = len(self._gram)
+        violation = (genes & self.genome.off).sum(axis=1).astype(np.float64)
+        genes = genes[:, 1:]
         both = genes[:, :, None] & genes[:, None, :]
         # Columns that are not in use are those of the unit matrix, so that all systems have one
         # size.
-        system = np.where(both, self._gram, np.eye(k))
-        violation = (genes & self._constant).sum(axis=1).astype(np.float64)
+        system = np.where(both, self._gram, np.eye(genes.shape[1]))
         violation += np.linalg.eigvalsh(system)[:, 0] < _SMALL
         right = np.where(genes[:, :, None], self._right, 0.0)
         good = violation == 0
         rss = np.full(len(genes), np.inf)
         solved = np.linalg.solve(system[good], right[good])
         rss[good] = self._total - (solved * right[good]).sum(axis=(1, 2))
-        size = genes.sum(axis=1)
+        value = self._criterion(rss, genes.sum(axis=1))
+        return Evaluation(np.where(good, value, WORST)[:, None], violation)
+
+    def _criterion(self, rss: FloatArray, size: IntArray) -> FloatArray:
         # An exact fit has a residual of rounding alone, whose logarithm would choose by chance.
         floor = np.finfo(np.float64).eps * max(self._total, np.finfo(np.float64).tiny)
-        value = (self._n * np.log(np.maximum(rss, floor) / self._n) + size * log(self._n)
-                 + 2.0 * self._choices[size])
-        return Evaluation(np.where(good, value, WORST)[:, None], violation)
+        return np.asarray(
+            self._n * np.log(np.maximum(rss, floor) / self._n) + self._penalty[size])
+
+    def parts(self) -> tuple[EnumerablePart, ...]:
+        """Return the one linear system, its constant forced."""
+        genome = self.genome
+        sizes = np.maximum(np.arange(genome.size + 1) - 1, 0)  # without the constant
+        return (EnumerablePart(
+            np.arange(genome.size),
+            SubsetSystem(self._design, self._target, forced=genome.on, forbidden=genome.off),
+            "rss", partial(self._criterion, size=sizes)),)
+
+    def design(self) -> FloatArray:
+        """Return the constant and the centred columns, times the roots of the weights."""
+        return self._design
 
     def decode(self, genes: BoolArray) -> Selection:
         """Return the numbers of the columns as names of terms."""
-        return Selection(tuple(str(i) for i in np.flatnonzero(genes)), ())
+        return Selection(tuple(str(i) for i in np.flatnonzero(genes[1:])), ())
 
 
-class TermSelector(SelectorMixin, BaseEstimator):  # type: ignore[misc]
+class TermSelector(SelectorMixin, WithOptions):  # type: ignore[misc]
     """Select columns, such as those of `PolynomialFeatures`, by a search over all subsets.
 
     Parameters
     ----------
-    solver : str
-        Name of a solver, such as "ga", "swap" or "pso".
+    solver : str, class or Solver
+        Such as "ga", "swap" or "pso"; "exact", which proves the best of up to 61 columns; or a
+        method of its own criterion, such as "stepwise".
     max_terms : int or None
-        Most columns; by default a third of the rows.
+        Most columns; by default a third of the rows that differ.
     generations : int or None
         Budget of the search; the solver's own by default.
     seed : int
         Seed of the search.
     options : dict or None
-        Options of the solver.
+        Options of the solver. ``set_params`` and grids also take each by its name.
 
     Attributes
     ----------
@@ -102,7 +125,9 @@ class TermSelector(SelectorMixin, BaseEstimator):  # type: ignore[misc]
     [1, 4]
     """
 
-    def __init__(self, solver: str = "swap", max_terms: int | None = None,
+    part = "solver"
+
+    def __init__(self, solver: Any = "swap", max_terms: int | None = None,
                  generations: int | None = None, seed: int = 1,
                  options: dict[str, Any] | None = None) -> None:
         self.solver = solver
@@ -111,31 +136,36 @@ class TermSelector(SelectorMixin, BaseEstimator):  # type: ignore[misc]
         self.seed = seed
         self.options = options
 
-    def fit(self, X: Any, y: Any) -> TermSelector:
+    def fit(self, X: Any, y: Any, sample_weight: Any = None) -> TermSelector:
         """Select columns.
 
         Parameters
         ----------
         X : array_like, shape (n, k)
         y : array_like, shape (n,) or (n, m)
+        sample_weight : array_like, shape (n,), optional
+            Weights of the rows, in the criterion as if each row were there so many times.
 
         Raises
         ------
         ValueError
-            For a parameter that is not known.
+            For a parameter that is not known; if all columns are constant.
         """
         X, y = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64,
                              ensure_min_samples=2)
-        n, k = X.shape
-        most = max(1, n // 3) if self.max_terms is None else self.max_terms
+        y = np.asarray(y, np.float64).reshape(len(X), -1)
+        weights = weights_of(sample_weight, X)
+        use = weights > 0
+        # Rows that are there twice leave no more freedom than one with their weight.
+        distinct = len(np.unique(np.column_stack([X, y])[use], axis=0))
+        most = max(1, distinct // 3) if self.max_terms is None else self.max_terms
         try:
-            problem = ColumnProblem(X, np.asarray(y, np.float64).reshape(n, -1), min(most, k))
-            self.search_ = search(
-                problem, registry().get("solvers", self.solver)(**(self.options or {})),
-                seed=self.seed, generations=self.generations)
+            problem = ColumnProblem(X[use], y[use], weights[use], most)
+            self.search_ = search(problem, self._made(), seed=self.seed,
+                                  generations=self.generations)
         except TermselError as error:
             raise ValueError(str(error)) from error
-        self.support_ = self.search_.genes
+        self.support_ = self.search_.genes[1:]
         return self
 
     def _get_support_mask(self) -> BoolArray:
