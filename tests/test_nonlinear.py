@@ -73,6 +73,7 @@ def test_a_fit_converges_and_the_record_says_so(page: dict[str, Any], scene: ter
     assert 1 < steps < 15
     found = result.record.adjustment
     assert (found.steps, found.converged) == (steps, True)
+    assert any(f"the selection itself took {steps} steps" in note for note in result.notes)
     said = f"the fit converged after {steps} steps"
     assert said in " ".join(result.summary(verbose=True).split())
     result.report(tmp_path / "r.html")

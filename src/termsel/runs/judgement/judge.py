@@ -174,6 +174,10 @@ def notes_on(observations: Observations, criterion: Criterion, found: Search,
     if prior is not None and prior[chosen.terms].any() and chosen.estimator.least_squares:
         yield (f"Pseudo-observations of weight {prior.max()**2:.3g} hold coefficients of "
                "denominators near zero (--set ridge=...); they do not count as redundancy.")
+    if chosen.model.start(chosen.scaled_control.take(chosen.used)) is not None:
+        yield ("The model is not linear in its terms. The search judged each selection by one "
+               "linear solution about the fit of all terms; the selection itself took "
+               f"{counted(chosen.adjustment.steps or 0, 'step')}.")
     if found.interrupted:
         yield "The search was interrupted; this is the best it had found."
     check, independent = chosen.rmse(observations.check), chosen.rmse(observations.independent)
