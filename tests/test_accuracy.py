@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import termsel
 from termsel.adjustment.monomials import graded_exponents, monomials
@@ -87,6 +88,16 @@ def test_interval_without_parameters_is_that_of_normal_errors() -> None:
     low, high = rmse_interval(1.0, 40)
     assert found.low == pytest.approx(low, rel=0.04)
     assert found.high == pytest.approx(high, rel=0.04)
+
+
+def test_an_interval_that_nothing_bounds_ends_where_the_quantile_does() -> None:
+    # The largest factor between prediction and upper end is exp(q^2 / 2).
+    errors = np.random.default_rng(4).standard_normal((3, 2))
+    found = predicted_rmse(errors, 5.9, 1, shared=1e6)
+    quantile = float(stats.t.ppf(0.95, 2.0))
+    assert found.rmse == pytest.approx(np.sqrt((errors**2).sum(axis=1).mean()))
+    assert found.high == pytest.approx(found.rmse * np.exp(quantile**2 / 2))
+    assert found.low == pytest.approx(found.rmse * np.exp(-1.5 * quantile**2))
 
 
 def test_what_places_have_in_common_falls_with_points_and_is_unknown_with_lines() -> None:

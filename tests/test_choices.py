@@ -200,6 +200,11 @@ def test_local_refinement_spends_its_share_and_the_hits_are_counted_with_it() ->
     before = found.evaluations - found.polish.evaluations
     assert before == 200 + 9 * 198
     assert found.polish.evaluations >= POLISH_SHARE * before
+    small = prepare("poly-terms", solver="ga", options={"degree": 3})
+    found = search(small.problem, small.solver, generations=9, polish=True)
+    assert found.polish is not None  # its climbs are short, so that it ends near its share
+    before = found.evaluations - found.polish.evaluations
+    assert POLISH_SHARE * before <= found.polish.evaluations < (POLISH_SHARE + 0.5) * before
     result = termsel.run("poly-terms", evaluations=500)
     assert result.evaluations == 500
     assert result.polish is not None

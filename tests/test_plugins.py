@@ -419,6 +419,16 @@ def test_an_unknown_name_lists_the_known_ones_and_who_may_have_it(install, regis
                                            r"In a clone of termsel: pip install "
                                            r"\./plugins/termsel-hybrids$"):
         Registry([]).get("models", "multiquadric")
+    install("termsel-hybrids", """
+        from termsel import hookimpl
+
+        @hookimpl
+        def termsel_models():
+            return []
+    """)
+    with pytest.raises(TermselError, match="unknown model 'multiquadric'") as found:
+        registry().get("models", "multiquadric")
+    assert "not installed" not in str(found.value)
 
 
 def test_a_plugin_is_asked_once(install, registry):

@@ -71,6 +71,19 @@ def test_the_biweight_minimises_its_own_loss() -> None:
     np.testing.assert_allclose(x, [1.0, -2.0, 0.5, 3.0], atol=0.1)
 
 
+def test_a_row_beyond_the_limit_of_the_biweight_has_no_weight() -> None:
+    equations = system()
+    x, _ = reweighted(equations, biweight=True)
+    scale = scale_at(equations, x)
+    b = equations.b.copy()
+    b[0] = float(equations.A[0] @ x) + 1.5 * TUKEY * scale
+    moved = replace(equations, b=b)
+    x, weights = reweighted(moved, biweight=True)
+    ratio = np.abs(moved.b - moved.A @ x) / scale_at(moved, x)
+    assert TUKEY < ratio[0] < 2 * TUKEY
+    assert weights[0] == 0.0
+
+
 def test_without_outliers_all_three_agree() -> None:
     equations = system()
     plain = np.linalg.lstsq(equations.A, equations.b)[0]
