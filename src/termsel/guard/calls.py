@@ -86,22 +86,25 @@ def _guarded(name: str, function: Callable[..., Any], check: Check | None) -> Ca
             return function(self, *args, **options)
         with blamed(self, name):
             value = function(self, *args, **options)
-        what = check(self, value, *args, **options) if check is not None else None
-        if what is not None:
-            raise wrong(self, name, what)
-        return value
+        return _checked(check, self, name, value, *args, **options)
 
     return call
+
+
+def _checked(check: Check | None, thing: Any, name: str, value: Any, *args: Any,
+             **options: Any) -> Any:
+    """Return what a method returned or yielded; raise a PluginFault where that is wrong."""
+    what = check(thing, value, *args, **options) if check is not None else None
+    if what is not None:
+        raise wrong(thing, name, what)
+    return value
 
 
 def _iterated(name: str, function: Callable[..., Any], check: Check | None) -> Callable[..., Any]:
     """Return the guard of a method that returns an iterator, each step of which is guarded."""
     @wraps(function)
-    def call(self: Any, *args: Any, **options: Any) -> Iterator[Any]:
-        if _plain(self):
-            unguarded_steps: Iterator[Any] = function(self, *args, **options)
-            return unguarded_steps
-        return steps(self, *args, **options)
+    def call(self: Any, *args: Any, **options: Any) -> Any:
+        return (function if _plain(self) else steps)(self, *args, **options)
 
     def steps(self: Any, *args: Any, **options: Any) -> Iterator[Any]:
         with blamed(self, name):
@@ -113,10 +116,7 @@ def _iterated(name: str, function: Callable[..., Any], check: Check | None) -> C
                         value = next(iterator)
                     except StopIteration:
                         return
-                what = check(self, value, *args, **options) if check is not None else None
-                if what is not None:
-                    raise wrong(self, name, what)
-                yield value
+                yield _checked(check, self, name, value, *args, **options)
         finally:
             with blamed(self, name):
                 getattr(iterator, "close", lambda: None)()

@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import Any
 
 from termsel.errors import TermselError, raised
-from termsel.guard.inside import Inside, is_marked
+from termsel.guard.inside import code_of, is_marked
 
 OWN = "termsel"
 
@@ -88,7 +88,7 @@ def blamed(thing: Any, method: str, hint: str = HINT) -> Iterator[None]:
         yield
         return
     try:
-        with Inside(package):
+        with code_of(package):
             yield
     # A plugin may raise anything at all, even leave the program.
     except BaseException as error:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 import threading
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, wait
-from contextvars import ContextVar, Token, copy_context
+from contextlib import contextmanager
+from contextvars import ContextVar, copy_context
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -20,59 +21,49 @@ def inside() -> str | None:
     return _package.get()
 
 
-class Inside:
-    """Runs a block as the code of a package, a top-level module."""
-
-    __slots__ = ("package", "token")
-
-    def __init__(self, package: str) -> None:
-        self.package = package
-
-    def __enter__(self) -> None:
-        self.token = _package.set(self.package)
-
-    def __exit__(self, *error: object) -> None:
-        _package.reset(self.token)
+@contextmanager
+def code_of(package: str) -> Iterator[None]:
+    """Run a block as the code of a package, a top-level module."""
+    token = _package.set(package)
+    try:
+        yield
+    finally:
+        _package.reset(token)
 
 
-class Returned:
-    """Runs a block of termsel's own code that a plugin calls.
-
-    Exceptions that leave the block are marked as termsel's own, not the plugin's.
-    """
-
-    __slots__ = ("token",)
-
-    def __enter__(self) -> None:
-        self.token: Token[str | None] = _package.set(None)
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        called_by_plugin = self.token.old_value not in (None, Token.MISSING)
-        _package.reset(self.token)
-        if error is not None and called_by_plugin:
+@contextmanager
+def own_code() -> Iterator[None]:
+    """Run a block of termsel's own that a plugin calls, and mark what it raises as termsel's."""
+    caller, token = _package.get(), _package.set(None)
+    try:
+        yield
+    except BaseException as error:
+        if caller is not None:
             error.of_termsel = True  # type: ignore[attr-defined]
+        raise
+    finally:
+        _package.reset(token)
 
 
 def is_marked(error: BaseException) -> bool:
-    """Return True for an exception that left a block of `Returned`."""
+    """Return True for an exception of termsel's own code that a plugin called."""
     return getattr(error, "of_termsel", False)
 
 
-class Surroundings:
-    """Puts the working folder and the filters of warnings back after a block."""
-
-    def __enter__(self) -> None:
-        self.folder = _folder()
-        self.filters = list(warnings.filters)
-
-    def __exit__(self, *error: object) -> None:
+@contextmanager
+def surroundings_kept() -> Iterator[None]:
+    """Put the working folder and the filters of warnings back after a block."""
+    folder, filters = _folder(), list(warnings.filters)
+    try:
+        yield
+    finally:
         # Else an import that changes them would send the files of a result elsewhere, or turn
         # warnings of termsel into errors.
-        if self.folder is not None and _folder() != self.folder:
-            os.chdir(self.folder)
-        if warnings.filters != self.filters:
+        if folder is not None and _folder() != folder:
+            os.chdir(folder)
+        if warnings.filters != filters:
             warnings.resetwarnings()  # tells Python that they changed
-            warnings.filters[:] = self.filters  # type: ignore[index]
+            warnings.filters[:] = filters  # type: ignore[index]
 
 
 def _folder() -> str | None:

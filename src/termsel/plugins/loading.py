@@ -19,7 +19,7 @@ import pluggy
 
 from termsel.errors import raised, unknown_name
 from termsel.guard.faults import OWN, distribution_of, remember
-from termsel.guard.inside import Inside, Surroundings, TooSlow, within
+from termsel.guard.inside import TooSlow, code_of, surroundings_kept, within
 from termsel.plugins import builtin, hookspecs
 from termsel.plugins.hookspecs import PROJECT
 from termsel.version import __version__
@@ -92,7 +92,7 @@ def attempt(call: Callable[[], T], package: str = OWN, seconds: float | None = N
 
     limit = LIMIT if seconds is None else seconds
     try:
-        with Surroundings(), Inside(package):
+        with surroundings_kept(), code_of(package):
             return contained() if package == OWN else within(
                 limit, contained, soon=SOON, tell=partial(_tell, package))
     except TooSlow:
