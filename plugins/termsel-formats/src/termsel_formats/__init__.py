@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import lazy_loader  # type: ignore[import-untyped]
@@ -11,6 +12,7 @@ from termsel import hookimpl
 if TYPE_CHECKING:
     import click
 
+    from termsel import Reader
     from termsel_formats.check.comparison import Deviation, compared
     from termsel_formats.check.programs import Taken, taken_by
 
@@ -27,3 +29,13 @@ def termsel_commands(cli: click.Group) -> None:
     from termsel_formats.check.command import check
 
     cli.add_command(check)
+
+
+@hookimpl
+def termsel_readers() -> Iterable[type[Reader]]:
+    """Return the readers of points."""
+    from termsel_formats.points.mapinfo import MapInfoTab
+    from termsel_formats.points.metashape import MetashapeMarkers
+    from termsel_formats.points.ozi import OziMap
+
+    return [MapInfoTab, OziMap, MetashapeMarkers]

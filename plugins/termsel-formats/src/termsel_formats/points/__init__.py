@@ -1,0 +1,1 @@
+"""Control points in files of other programs."""

@@ -1,0 +1,92 @@
+"""Calibration of a map in OziExplorer: a text file that ends in ``.map``.
+
+A row of a point is ``Point01,xy,column,row,in,deg,48,30.5,N,11,20.25,E,grid,zone,x,y,N``; blank
+cells mean that the point is not used. Columns and rows are taken as GDAL takes them, from the outer
+corner of the first pixel. The format has no heights.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from termsel import FeatureSet, Reader, TermselError
+from termsel.formats.base import read_text
+from termsel.formats.readers.table import Table
+
+_TITLE = b"OziExplorer Map Data File"
+_POINT = re.compile(r"\s*Point(\d+)\s*,\s*xy\s*,", re.IGNORECASE)
+_CORNER = 0.5
+_SIGN = {"N": 1, "S": -1, "E": 1, "W": -1}
+
+
+class OziMap(Reader):
+    """Points of a map of OziExplorer, as longitude and latitude, or else as grid coordinates.
+
+    WGS 84 is understood as datum, with UTM for grid coordinates; any other CRS must be stated.
+    """
+
+    name = "ozi-map"
+    summary = "OziExplorer .map: Point01,xy,column,row,in,deg,..."
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True for a file of OziExplorer."""
+        return head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(_TITLE)
+
+    def read(self, path: Path) -> FeatureSet:
+        """Return the points; errors name file, line and column."""
+        text = read_text(path).splitlines()
+        rows: list[tuple[int, str, str, str, str, str]] = []
+        zones, kinds = set(), set()
+        for number, line in enumerate(text, 1):
+            found = _POINT.match(line)
+            cells = [cell.strip() for cell in line.split(",")]
+            if found is None or len(cells) < 17 or not cells[2] or not cells[3]:
+                continue
+            if cells[6] and cells[9]:
+                kinds.add("deg")
+                x, y = (_degrees(path, number, *cells[i:i + 3]) for i in (9, 6))
+            elif cells[14] and cells[15]:
+                kinds.add("grid")
+                zones.add((cells[13], cells[16]))
+                x, y = cells[14:16]
+            else:
+                continue
+            rows.append((number, found[1], x, y, cells[2], cells[3]))
+        if not rows:
+            raise TermselError("this map has no points in use", file=path,
+                               hint="Calibrate it in OziExplorer, or give another file.")
+        if len(kinds) > 1:
+            raise TermselError("some points have degrees and others grid coordinates", file=path,
+                               hint="Give all of them in one way.")
+        lines, *columns = zip(*rows, strict=True)
+        cells_of = dict(zip(("id", "x", "y", "sample", "line"), columns, strict=True))
+        crs = _crs(text[4] if len(text) > 4 else "", kinds, zones)
+        table = Table(path, crs, {name: name for name in cells_of}, cells_of, lines)
+        image = table.stack("line", "sample") - _CORNER
+        ground = np.column_stack([table.stack("x", "y"), np.full(len(image), np.nan)])
+        return FeatureSet(table.points(image, ground, None, ()), crs=crs)
+
+
+def _degrees(path: Path, line: int, degrees: str, minutes: str, side: str) -> str:
+    """Return degrees as a number, in text."""
+    try:
+        return repr(_SIGN[side.upper()] * (float(degrees) + float(minutes or 0) / 60))
+    except (KeyError, ValueError):
+        raise TermselError(f"{degrees!r}, {minutes!r}, {side!r} are no degrees, minutes and side",
+                           file=path, line=line, hint="Write them as in 48, 30.5, N.") from None
+
+
+def _crs(datum: str, kinds: set[str], zones: set[tuple[str, str]]) -> str:
+    """Return the CRS of longitude and latitude or UTM on WGS 84, "" where it is another."""
+    if not datum.upper().replace(" ", "").startswith("WGS84"):
+        return ""
+    if kinds == {"deg"}:
+        return "EPSG:4326"
+    if len(zones) > 1:
+        return ""
+    zone, side = next(iter(zones))
+    known = zone.isdecimal() and 1 <= int(zone) <= 60 and side.upper() in ("N", "S")
+    return f"EPSG:32{6 if side.upper() == 'N' else 7}{int(zone):02d}" if known else ""

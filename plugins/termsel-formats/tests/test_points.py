@@ -1,0 +1,191 @@
+"""Points in files of other programs: against GDAL, and files that are damaged."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+pytest.importorskip("termsel_formats", reason="termsel-formats is not installed: "
+                    "pip install -e plugins/termsel-formats")
+
+import termsel
+from termsel import FeatureSet, Points, Reader, TermselError
+from termsel.testing import Check, checks
+from termsel_formats.points.mapinfo import MapInfoTab
+from termsel_formats.points.metashape import MetashapeMarkers
+from termsel_formats.points.ozi import OziMap
+
+
+def features(ids: tuple[str, ...], image: list[list[float]], ground: list[list[float]], crs: str,
+             ) -> FeatureSet:
+    return FeatureSet(Points(ids, np.array(image), np.array(ground)), crs=crs)
+
+
+TAB = """!table
+!version 300
+!charset WindowsLatin1
+
+Definition Table
+  File "scene.tif"
+  Type "RASTER"
+  (500000.5,5000000) (0,0) Label "Pt 1",
+  (500400,5000000) (40,0) Label "Pt 2",
+  (500000,4999700) (0,30.5) Label "Pt 3",
+  (500600,4999690) (40.25,30.5) Label "Pt 4"
+  CoordSys Earth Projection 8, 104, "m", 3, 0, 0.9996, 500000, 0
+  Units "m"
+"""
+TAB_READ = features(
+    ("Pt 1", "Pt 2", "Pt 3", "Pt 4"), [[-0.5, -0.5], [-0.5, 39.5], [30, -0.5], [30, 39.75]],
+    [[500000.5, 5000000, np.nan], [500400, 5000000, np.nan], [500000, 4999700, np.nan],
+     [500600, 4999690, np.nan]], "EPSG:32631")
+OZI = """OziExplorer Map Data File Version 2.2
+scene
+scene.tif
+1 ,Map Code,
+WGS 84,WGS 84,   0.0000,   0.0000,WGS 84
+Reserved 1
+Reserved 2
+Magnetic Variation,,,E
+Map Projection,Latitude/Longitude,PolyCal,No,AutoCalOnly,No,BSBUseWPX,No
+Point01,xy,    0,    0,in, deg,  48,  30.5,N,  11,  15,E, grid,   ,           ,           ,N
+Point02,xy,   40,    0,in, deg,  48,  30.5,N,  11,  45,E, grid,   ,           ,           ,N
+Point03,xy,    0,   30,in, deg,  48,     0,N,  11,  15,E, grid,   ,           ,           ,N
+Point04,xy,   40,   30,in, deg,  48,     1,N,  11,  45,E, grid,   ,           ,           ,N
+Point05,xy,     ,     ,in, deg,    ,        ,N,    ,        ,W, grid,   ,           ,           ,N
+Projection Setup,,,,,,,,,,
+Map Feature = MF ; Map Comment = MC
+MMPNUM,0
+"""
+OZI_READ = features(
+    ("01", "02", "03", "04"), [[-0.5, -0.5], [-0.5, 39.5], [29.5, -0.5], [29.5, 39.5]],
+    [[11.25, 48 + 30.5 / 60, np.nan], [11.75, 48 + 30.5 / 60, np.nan], [11.25, 48, np.nan],
+     [11.75, 48 + 1 / 60, np.nan]], "EPSG:4326")
+MARKERS = """<?xml version="1.0" encoding="UTF-8"?>
+<document version="1.2.0"><chunk label="Chunk 1" enabled="true">
+<cameras><camera id="0" label="IMG_1.JPG"/><camera id="1" label="IMG_2.JPG"/></cameras>
+<markers>
+ <marker id="0" label="point 1"><reference x="11.5" y="48.25" z="520.5" enabled="true"/></marker>
+ <marker id="1" label="point 2"><reference x="11.6" y="48.5" z="530" enabled="true"/></marker>
+ <marker id="2" label="point 3"/>
+</markers>
+<frames><frame id="0"><markers>
+ <marker marker_id="0"><location camera_id="0" pinned="true" x="100.5" y="20"/>
+  <location camera_id="1" pinned="true" x="8" y="9"/></marker>
+ <marker marker_id="1"><location camera_id="0" pinned="true" x="3000" y="40.25"/></marker>
+ <marker marker_id="2"><location camera_id="0" pinned="true" x="30" y="40"/></marker>
+</markers></frame></frames>
+<reference>GEOGCS["WGS 84",DATUM["World Geodetic System 1984",
+SPHEROID["WGS 84",6378137,298.257223563]],
+PRIMEM["Greenwich",0],UNIT["degree",0.01745329251994328],AUTHORITY["EPSG","4326"]]</reference>
+</chunk></document>
+"""
+MARKERS_READ = features(("point 1", "point 2"), [[19.5, 100], [39.75, 2999.5]],
+                        [[11.5, 48.25, 520.5], [11.6, 48.5, 530]], "EPSG:4326")
+FILES: dict[str, tuple[Reader, str, FeatureSet, str]] = {
+    "mapinfo-tab": (MapInfoTab(), TAB, TAB_READ, "scene.tab"),
+    "ozi-map": (OziMap(), OZI, OZI_READ, "scene.map"),
+    "metashape-markers": (MetashapeMarkers(image_name="IMG_1.JPG"), MARKERS, MARKERS_READ,
+                          "markers.xml")}
+
+
+@pytest.mark.parametrize("check", [
+    pytest.param(check, id=f"{name}-{check.name}") for name, (reader, text, read, file)
+    in FILES.items() for check in checks(reader, content=text.encode(), expected=read,
+                                         filename=file)])
+def test_conforms(check: Check) -> None:
+    check.run()
+
+
+@pytest.mark.parametrize("name", ["mapinfo-tab", "ozi-map"])
+def test_gdal_reads_the_same_points(name: str, tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    if shutil.which("gdalinfo") is None:
+        pytest.skip("gdalinfo is not installed")
+    with pytest.warns(rasterio.errors.NotGeoreferencedWarning), rasterio.open(
+            tmp_path / "scene.tif", "w", driver="GTiff", width=41, height=32, count=1,
+            dtype="uint8"):
+        pass
+    _, text, read, file = FILES[name]
+    (tmp_path / file).write_text(text)
+    opened = tmp_path / (file if name == "ozi-map" else "scene.tif")
+    said = json.loads(subprocess.run(["gdalinfo", "-json", str(opened)], capture_output=True,
+                                     check=True, text=True).stdout)
+    gcps = said["gcps"]["gcpList"]
+    np.testing.assert_allclose([[one["line"] - 0.5, one["pixel"] - 0.5] for one in gcps],
+                               read.points.image)
+    np.testing.assert_allclose([[one["x"], one["y"]] for one in gcps], read.points.ground[:, :2])
+
+
+def test_grid_coordinates_of_ozi(tmp_path: Path) -> None:
+    text = OZI.replace("  48,  30.5,N,  11,  15,E, grid,   ,           ,           ,N",
+                       "    ,      ,N,    ,    ,E, grid, 32, 500000, 5300000,N")
+    path = tmp_path / "a.map"
+    path.write_text("\n".join(line for line in text.splitlines()
+                              if "Point0" not in line or "500000" in line) + "\n")
+    read = termsel.read(path)
+    assert read.crs == "EPSG:32632"
+    assert read.points.ground[0, :2].tolist() == [500000, 5300000]
+    path.write_text(text)
+    with pytest.raises(TermselError, match="some points have degrees and others grid"):
+        termsel.read(path)
+
+
+@pytest.mark.parametrize(("old", "new", "crs"), [
+    ("Projection 8, 104,", "Projection 8, 28,", ""), ("0.9996", "1", ""),
+    (", 3, 0,", ", 9, 0,", "EPSG:32632"), (", 500000, 0\n", ", 500000, 10000000\n", "EPSG:32731"),
+    ('Projection 8, 104, "m", 3, 0, 0.9996, 500000, 0', "Projection 1, 104", "EPSG:4326")])
+def test_systems_of_mapinfo(old: str, new: str, crs: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.tab"
+    text = TAB.replace(old, new)
+    if crs == "EPSG:4326":
+        text = text.replace("(5", "(").replace("(00", "(10").replace(",49", ",4").replace(
+            ",50", ",4")
+    path.write_text(text)
+    assert MapInfoTab().read(path).crs == crs
+
+
+@pytest.mark.parametrize(("name", "old", "new", "said", "line"), [
+    ("mapinfo-tab", "(40,0)", "(forty,0)", "not a number", 9),
+    ("mapinfo-tab", "(", "[", "no points of registration", None),
+    ("ozi-map", "48,  30.5,N", "48,  half,N", "no degrees, minutes and side", 10),
+    ("ozi-map", "Point", "Ponit", "no points in use", None),
+    ("metashape-markers", "</document>", "", "this is not XML", None),
+    ("metashape-markers", 'x="11.5"', 'x="here"', "a marker cannot be read", None),
+    ("metashape-markers", "<document", "<!DOCTYPE a><document", "document type", None)])
+def test_damage_is_named(name: str, old: str, new: str, said: str, line: int | None,
+                         tmp_path: Path) -> None:
+    reader, text, _, file = FILES[name]
+    (tmp_path / file).write_text(text.replace(old, new))
+    with pytest.raises(TermselError, match=said) as caught:
+        reader.read(tmp_path / file)
+    assert caught.value.line == line
+
+
+def test_several_cameras_need_a_choice(tmp_path: Path) -> None:
+    (tmp_path / "m.xml").write_text(MARKERS)
+    with pytest.raises(TermselError, match=r"images IMG_1\.JPG, IMG_2\.JPG. Choose one"):
+        termsel.read(tmp_path / "m.xml")
+    assert termsel.read(tmp_path / "m.xml", image_name="IMG_2.JPG").points.ids == ("point 1",)
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(st.sampled_from(sorted(FILES)), st.data())
+def test_any_damage_is_read_or_refused(tmp_path_factory: pytest.TempPathFactory, name: str,
+                                       data: st.DataObject) -> None:
+    reader, text, _, file = FILES[name]
+    start = data.draw(st.integers(0, len(text)))
+    stop = data.draw(st.integers(start, min(len(text), start + 40)))
+    new = data.draw(st.text('ab,;\t"#\r\n 0123456789.-e()<>/=nN\x1cé', max_size=12))
+    path = tmp_path_factory.mktemp("any") / file
+    path.write_text(text[:start] + new + text[stop:], encoding="utf-8")
+    with suppress(TermselError):
+        reader.read(path)
