@@ -19,9 +19,9 @@ import shapely
 from pyogrio.raw import write
 
 import termsel
-from termsel import FeatureSet, Lines, TermselError
+from termsel import FeatureSet, Lines, TermselError, write_points_csv
 from termsel.testing import checks
-from termsel_match.chain import georeference, model_for, reasons
+from termsel_match.chain import georeference, judge, model_for
 from termsel_match.commands import NOT_GOOD_ENOUGH, auto_georeference
 from termsel_match.criteria import Agreement
 from termsel_match.selection import AGREEING, select_points, with_lines
@@ -147,13 +147,16 @@ def test_lines_that_contradict_the_points_are_refused(place: Any) -> None:
 
 
 @pytest.mark.parametrize(("wrong", "made"), [(0.2, True), (0.7, False)])
-def test_a_map_needs_half_of_all_independent_candidates(place: Any, wrong: float,
+def test_a_map_needs_half_of_all_independent_candidates(place: Any, tmp_path: Path, wrong: float,
                                                         made: bool) -> None:
     selected = select_points(candidates(place, wrong, 2 * np.pi), "rpc-drift",
                              {"rpc": str(place / "image.RPB")})
     assert selected.rmse < 1  # of those that agree: it does not tell
     assert (selected.median <= 2) == made
-    assert (not reasons(selected, 2.0)) == made
+    table = tmp_path / "candidates.csv"
+    write_points_csv(selected.points, table, "EPSG:32633")
+    done = judge(place / "image.tif", None, dem=place / "dem.tif", points=table)
+    assert (not done.reasons) == made
 
 
 def test_the_rpc_of_a_result_is_refined_again(place: Any, tmp_path: Path) -> None:

@@ -51,6 +51,21 @@ class MapGrid:
         return _unit(self.crs)
 
 
+def within(grid: MapGrid, bounds: tuple[float, float, float, float], crs: str) -> MapGrid:
+    """Return the part of a grid within least and largest x and y in a CRS, at whole pixels."""
+    from rasterio.warp import transform_bounds
+
+    west, south, east, north = transform_bounds(horizontal(crs), grid.crs, *bounds)
+    (left, top), (right, bottom) = ~grid.transform @ (west, north), ~grid.transform @ (east, south)
+    first = max(int(np.floor(left)), 0), max(int(np.floor(top)), 0)
+    last = min(int(np.ceil(right)), grid.samples), min(int(np.ceil(bottom)), grid.lines)
+    if last[0] <= first[0] or last[1] <= first[1]:
+        raise TermselError("the image shows nothing within the bounds of the map",
+                           hint="Give other bounds.")
+    return MapGrid(grid.crs, last[1] - first[1], last[0] - first[0],
+                   grid.transform @ type(grid.transform).translation(*first))
+
+
 def map_crs(result: Result, crs: str | None) -> str:
     """Return the CRS of a map: the one given, that of control in metres, or the zone of UTM.
 

@@ -20,7 +20,7 @@ from termsel.formats.vrt import Picture, picture_for, vrt_text
 from termsel.formats.writers.grids import GeolocationVrt
 from termsel.io.accuracy_tags import accuracy_tags
 from termsel.io.export import as_exported
-from termsel.io.map_grid import MapGrid, grid_of_image, map_crs
+from termsel.io.map_grid import MapGrid, grid_of_image, map_crs, within
 from termsel.io.replacing import require_replaceable
 from termsel.measurements.coordinates.crs import UTM, horizontal, short
 from termsel.models.rpc_fit import GOOD, RpcFit, rpc_of
@@ -46,6 +46,7 @@ def rectify(
     resolution: float | None = None,
     resampling: str = "bilinear",
     nodata: float | None = None,
+    bounds: tuple[float, float, float, float] | None = None,
     overwrite: bool = False,
     final: bool | None = None,
     progress: Callable[[float], None] | None = None,
@@ -77,6 +78,9 @@ def rectify(
     nodata : float, optional
         Where the image shows nothing; that of the image by default, else 0, or NaN for numbers
         with a fraction.
+    bounds : tuple of float, optional
+        Least x and y and largest x and y of the map, in the CRS of the control, where only a part
+        of the image is wanted.
     overwrite : bool
         Whether a file that is there may be replaced.
     final : bool, optional
@@ -112,6 +116,8 @@ def rectify(
         if "RPC_DEM" in options:
             options["RPC_DEM"] = str(stack.enter_context(utf8_name(options["RPC_DEM"])))
         grid, share = grid_of_image(result, target, resolution, dem=dem, height=level)
+        if bounds is not None:
+            grid = within(grid, bounds, result.features.crs)
         with open_raster(source) as raster:
             empty = _nodata(raster) if nodata is None else _held(nodata, raster.dtypes[0])
             zone = "the zone of UTM, " if UTM.fullmatch(target) else ""

@@ -4,126 +4,113 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from termsel import (
-    FeatureSet,
-    TermselError,
-    read_result,
-    read_rpc,
-    rectify,
-    write_points_csv,
-)
+import numpy as np
+
+from termsel import TermselError, open_dem, read_result, read_rpc, rectify, write_points_csv
 from termsel.files.atomic import write_text
+from termsel_match.given import read_candidates
 from termsel_match.points import Candidates, match_points
-from termsel_match.rounds import Matched, iterate_lines, rms_distance
-from termsel_match.selection import AGREEING, Selected, select_points, with_lines
+from termsel_match.rasters import grid, open_picture
+from termsel_match.rounds import iterate_lines
+from termsel_match.selection import Selected, select_points, with_lines
 from termsel_match.starts import Start
 from termsel_match.vectors import read_vectors
+from termsel_match.verdict import Evidence, Georeferenced, evidence_of, reasons, remarks
+from termsel_match.warps import COVERS, open_reference
 
 CANDIDATES, REPORT, RESULT = "candidates.csv", "report.txt", "result"
 
 _SEARCH = 12.0  # px for lines, from the model of the points
-_LEAST_INDEPENDENT = 5  # candidates that agree; of fewer the RMSE says little
-_LEAST_COVERED = 0.4  # part of the image
-
-
-@dataclass(frozen=True, eq=False)
-class Georeferenced:
-    """What came of an image.
-
-    Parameters
-    ----------
-    candidates : Candidates
-    selected : Selected
-    accept : float
-        Largest accepted RMSE [px].
-    reasons : tuple of str
-        Why the result is not good enough; empty where it is.
-    lines : Matched, optional
-        The lines that are control too.
-    unused : str
-        Why vectors that were given are not used.
-    """
-
-    candidates: Candidates
-    selected: Selected
-    accept: float
-    reasons: tuple[str, ...]
-    lines: Matched | None = None
-    unused: str = ""
-
-    def text(self) -> str:
-        """Return the report."""
-        chosen, points = self.selected, self.candidates.points
-        agree = chosen.agrees
-        lines = [
-            f"Start: {self.candidates.start}",
-            f"Candidates: {len(points)} in {self.candidates.cells.get('found', 0)} of "
-            f"{sum(self.candidates.cells.values())} cells of the image",
-            f"Agreeing within {chosen.limit:.2f} px: {int((agree & ~chosen.independent).sum())} of "
-            f"{int((~chosen.independent).sum())} candidates for control and check",
-            f"Model: {chosen.result.model}, fitted to the "
-            f"{chosen.result.features.points.roles.count('control')} for control",
-            f"Covered by them: {100 * chosen.covered:.0f} % of the image",
-            f"Independent candidates: {int((agree & chosen.independent).sum())} of "
-            f"{int(chosen.independent.sum())} agree, with an RMSE of {chosen.rmse:.2f} px",
-            f"Median error of all of them, right or wrong: {chosen.median:.2f} px; accepted: "
-            f"{self.accept:g} px",
-            AGREEING]
-        if self.lines is not None:
-            last = self.lines.rounds[-1]
-            lines.append(f"Lines: {last.agreeing} of {last.pieces} straight pieces of vectors "
-                         f"agree, with an RMS distance of {_lines_away(chosen):.2f} px")
-        if self.unused:
-            lines.append(f"Lines are not used, the map is by points alone: {self.unused}")
-        if self.reasons:
-            lines += ["Not good enough:", *(f"  {reason}" for reason in self.reasons)]
-        return "\n".join(lines) + "\n"
 
 
 def georeference(
     image: Path | str,
-    reference: Path | str,
+    reference: Path | str | None,
     output: Path | str,
     *,
     dem: Path | str,
-    start: Path | str | None = None,
-    vectors: Path | str | None = None,
-    accept: float = 2.0,
     folder: Path | str | None = None,
-    seed: int = 1,
     overwrite: bool = False,
-    progress: Callable[[float], None] | None = None,
-    **matching: Any,
+    **judging: Any,
 ) -> Georeferenced:
     """Make a map of an image, if the result is good enough.
 
+    Parameters
+    ----------
+    image, reference, dem
+        As for `judge`.
+    output : path-like
+        The map, a cloud-optimised GeoTIFF. It is written only if the result is good enough.
+    folder : path-like, optional
+        For candidates, result and report.
+    overwrite : bool
+        Whether the map may replace a file.
+    **judging
+        Further arguments of `judge`.
+
+    Returns
+    -------
+    Georeferenced
+
+    Raises
+    ------
+    TermselError
+        As `judge`.
+    """
+    done = judge(image, reference, dem=dem, folder=folder, **judging)
+    if folder is not None:
+        write_text(Path(folder) / REPORT, done.text())
+    if not done.reasons:
+        rectify(done.selected.result, image, output, dem=dem, bounds=done.bounds,
+                overwrite=overwrite)
+    return done
+
+
+def judge(
+    image: Path | str,
+    reference: Path | str | None,
+    *,
+    dem: Path | str,
+    start: Path | str | None = None,
+    points: Path | str | None = None,
+    vectors: Path | str | None = None,
+    accept: float = 2.0,
+    extent: str = "image",
+    folder: Path | str | None = None,
+    seed: int = 1,
+    progress: Callable[[float], None] | None = None,
+    **matching: Any,
+) -> Georeferenced:
+    """Return the model of an image, by candidates that agree, and whether it is good enough.
+
     An RPC is refined by a shift and a drift (`rpc-drift`), also that of a result. Without one, the
     model is an affine transformation of the ground coordinates. Where the vectors cannot be used,
-    the map is by points alone.
+    the model is by points alone.
 
     Parameters
     ----------
     image, reference, dem, start
-        As for `match_points`.
+        As for `match_points`. With `points`, the reference may be None; it then says nothing of
+        where candidates could be.
+    points : path-like, optional
+        Candidates that are matched already, in any format that `termsel.read` knows.
     vectors : path-like, optional
         Lines of a map, such as roads. The bands of the image that agree with them are control
         together with the points.
-    output : path-like
-        The map, a cloud-optimised GeoTIFF. It is written only if the result is good enough.
     accept : float
-        Largest accepted median error of all independent candidates, right or wrong, and RMSE of
-        those that agree [px].
+        Largest accepted error [px]: the median of all independent candidates, right or wrong, the
+        RMSE of those that agree, and the predicted standard deviation where the map is. No
+        candidate agrees that is further off.
+    extent : str
+        What is mapped: "image", or "reference" for only what the reference shows.
     folder : path-like, optional
-        For candidates, result and report.
+        For candidates and result.
     seed : int
         Of the selection.
-    overwrite : bool
-        Whether the map may replace a file.
     progress : callable, optional
         Called with the fraction of the matching that is done.
     **matching
@@ -136,14 +123,19 @@ def georeference(
     Raises
     ------
     TermselError
-        As `match_points`; or if too few candidates agree.
+        As `match_points`; if too few candidates agree; or if there is neither a reference nor
+        candidates.
 
     Notes
     -----
     P.K. Konugurthi et al., PE&RS 82(5), 2016, 377-388: matching, selection by a GA, and the
     decision by the error that is accepted. That at least half of the independent candidates must
-    have it, and the limit of the part of the image that they cover, are termsel's.
+    have it, and all that `evidence_of` looks at, are termsel's.
     """
+    if reference is None and (points is None or extent == "reference"):
+        raise TermselError("the reference is not given",
+                           hint="Give --reference ORTHO; only --points FILE with --extent image "
+                                "does without.")
     if vectors is not None:
         read_vectors(Path(vectors))  # what is wrong with them is said before the matching
     model, options = model_for(start, Path(image))
@@ -151,13 +143,18 @@ def georeference(
         raise TermselError("an image with an RPC requires the package termsel-rpc, which is not "
                            "installed", file=image,
                            hint="In a clone of termsel: pip install ./plugins/termsel-rpc.")
-    candidates = match_points(image, reference, dem=dem, start=start, progress=progress, **matching)
-    features = FeatureSet(candidates.points, crs=candidates.crs, image_size=candidates.image_size)
+    if points is not None:
+        candidates = read_candidates(points, image, reference, dem=dem, start=start)
+    else:
+        assert reference is not None
+        candidates = match_points(image, reference, dem=dem, start=start, progress=progress,
+                                  **matching)
     if folder is not None:
         Path(folder).mkdir(parents=True, exist_ok=True)
         write_points_csv(candidates.points, Path(folder) / CANDIDATES, candidates.crs)
     result_folder = None if folder is None else Path(folder) / RESULT
-    selected = select_points(features, model, options, seed=seed, out=result_folder)
+    selected = select_points(candidates.features, model, options, accept=accept, seed=seed,
+                             out=result_folder)
     lines, unused = None, ""
     if vectors is not None:
         at = Start("the model of the points", candidates.crs, 0.0, selected.result.project,
@@ -169,12 +166,11 @@ def georeference(
                                   out=result_folder)
         except TermselError as error:  # the points suffice
             lines, unused = None, error.what
-    done = Georeferenced(candidates, selected, accept, reasons(selected, accept), lines, unused)
-    if folder is not None:
-        write_text(Path(folder) / REPORT, done.text())
-    if not done.reasons:
-        rectify(selected.result, image, output, dem=dem, overwrite=overwrite)
-    return done
+    evidence, bounds = _evidence(image, reference, candidates, selected, dem=dem, extent=extent,
+                                 seed=seed)
+    return Georeferenced(
+        candidates, selected, evidence, accept, reasons(selected, evidence, accept),
+        remarks(candidates, selected, evidence, accept), lines, unused, bounds)
 
 
 def model_for(start: Path | str | None, image: Path) -> tuple[str, dict[str, Any]]:
@@ -190,26 +186,21 @@ def model_for(start: Path | str | None, image: Path) -> tuple[str, dict[str, Any
     return "affine", {}
 
 
-def _lines_away(selected: Selected) -> float:
-    """Return the RMS distance of the lines from the model of points and lines [px]."""
-    return rms_distance(selected.result.fit, selected.result.features.lines)
-
-
-def reasons(selected: Selected, accept: float) -> tuple[str, ...]:
-    """Return why a result is not good enough."""
-    refusals = []
-    there, agree = int(selected.independent.sum()), int(
-        (selected.agrees & selected.independent).sum())
-    if agree < _LEAST_INDEPENDENT:
-        refusals.append(f"Only {agree} of {there} independent candidates agree with the model; at "
-                        f"least {_LEAST_INDEPENDENT} must.")
-    if selected.median > accept:
-        refusals.append("Half of the independent candidates are more than "
-                        f"{selected.median:.2f} px from the model; accepted are {accept:g} px.")
-    if selected.rmse > accept:
-        refusals.append(f"The RMSE of those that agree is {selected.rmse:.2f} px; accepted are "
-                        f"{accept:g} px.")
-    if selected.covered < _LEAST_COVERED:
-        refusals.append(f"The candidates that agree cover {100 * selected.covered:.0f} % of the "
-                        f"image; at least {100 * _LEAST_COVERED:.0f} % must be.")
-    return tuple(refusals)
+def _evidence(image: Path | str, reference: Path | str | None, candidates: Candidates,
+              selected: Selected, *, dem: Path | str, extent: str, seed: int,
+              ) -> tuple[Evidence, tuple[float, float, float, float] | None]:
+    """Return what the candidates say, and the bounds of the map in their CRS, if any."""
+    result, bounds = selected.result, None
+    whole = np.ones((COVERS, COVERS), dtype=bool)
+    with open_picture(image) as picture, open_dem(Path(dem), candidates.crs) as heights:
+        if reference is None:
+            shown = picture.known_at(grid(picture.size, whole.shape)).reshape(whole.shape)
+        else:
+            model = Start("the model", candidates.crs, 0.0, result.project, result.locate)
+            with open_reference(reference, model, dem, picture.size) as other:
+                shown = other.shown(picture)
+                if extent == "reference":
+                    bounds = other.bounds(candidates.crs)
+        evidence = evidence_of(candidates, selected, heights, shown,
+                               whole if bounds is None else shown, seed)
+    return evidence, bounds

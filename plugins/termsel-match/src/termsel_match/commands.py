@@ -14,6 +14,7 @@ from typing import Any
 import click
 
 from termsel import TermselError, require_replaceable
+from termsel.errors import counted
 
 _FILE = click.Path(path_type=Path)
 NOT_GOOD_ENOUGH = 3
@@ -60,13 +61,13 @@ def match_points(image: Path, reference: Path, output: Path, overwrite: bool, qu
                  **options: Any) -> None:
     """Find candidates of control points: places of an image and a map that look alike.
 
-    Some candidates are wrong; `termsel run` selects those that agree.
+    Some candidates are wrong; `auto-georeference` selects those that agree.
 
     \b
     Examples:
       termsel match-points scene.tif --reference ortho.tif --dem dem.tif
-      termsel run --problem rpc-gcps --set rpc=scene.RPB --criterion agreement \\
-          --points candidates.csv --out result
+      termsel auto-georeference scene.tif --points candidates.csv --reference ortho.tif \\
+          --dem dem.tif -o map.tif --out result
     """
     from termsel import write_points_csv
     from termsel_match.points import match_points as match
@@ -82,7 +83,8 @@ def match_points(image: Path, reference: Path, output: Path, overwrite: bool, qu
     click.echo(f"{len(candidates.points)} candidates in {candidates.cells.get('found', 0)} of "
                f"{cells} cells of the image, CRS {crs}")
     click.echo(f"Written: {output}", err=True)
-    click.echo(f"Next: {next_run(options['start'], image, points=output)}", err=True)
+    click.echo(f"Next: {next_map(image, reference, output, options['dem'], options['start'])}",
+               err=True)
 
 
 @click.command("match-lines")
@@ -140,20 +142,28 @@ def match_lines(image: Path, vectors: Path, iterate: bool, folder: Path | None, 
     click.echo(text, nl=False)
     click.echo(f"Written: {output}" + (f", {folder}" if folder is not None else ""), err=True)
     if not iterate:
-        click.echo(f"Next: {next_run(options['start'], image, lines=output)}", err=True)
+        click.echo(f"Next: {next_run(options['start'], image, output)}", err=True)
 
 
 @click.command("auto-georeference")
 @click.argument("image", metavar="IMAGE", type=_FILE)
-@click.option("--reference", metavar="FILE", required=True, type=_FILE,
+@click.option("--reference", metavar="FILE", type=_FILE,
               help="Georeferenced image of the place, such as an orthophoto.")
+@click.option("--points", metavar="FILE", type=_FILE,
+              help="Candidates that are matched already, by match-points or another program.")
 @click.option("--vectors", metavar="FILE", type=_FILE,
               help="Lines of a map, such as roads, to use together with the points.")
 @reference_options
 @click.option("--output", "-o", metavar="FILE", required=True, type=_FILE,
               help="The map to write, a cloud-optimised GeoTIFF.")
 @click.option("--accept", metavar="PX", default=2.0, show_default=True,
-              type=click.FloatRange(0, 1000), help="Largest RMSE with which a map is made.")
+              type=click.FloatRange(0, 1000),
+              help="Largest error with which a map is made: the median of all independent "
+                   "candidates, the RMSE of those that agree, and the predicted standard "
+                   "deviation.")
+@click.option("--extent", type=click.Choice(["image", "reference"]), default="image",
+              show_default=True, help="What is mapped: all of the image, or what the reference "
+                                      "shows.")
 @click.option("--out", "folder", metavar="DIR", type=_FILE,
               help="New folder for candidates, result and report.")
 @click.option("--seed", default=1, show_default=True, type=click.IntRange(0),
@@ -171,6 +181,8 @@ def auto_georeference(context: click.Context, /, image: Path, output: Path, fold
     Examples:
       termsel auto-georeference scene.tif --reference ortho.tif --dem dem.tif -o map.tif
       termsel auto-georeference scene.tif --reference ortho.tif --dem dem.tif -o map.tif --accept 1
+      termsel auto-georeference scene.tif --points candidates.csv --reference ortho.tif \\
+          --dem dem.tif -o map.tif --out result
     """
     from termsel_match.chain import georeference
 
@@ -186,7 +198,8 @@ def auto_georeference(context: click.Context, /, image: Path, output: Path, fold
     if done.reasons:
         click.echo("No map was written.", err=True)
         context.exit(NOT_GOOD_ENOUGH)
-    click.echo(f"Written: {output}", err=True)
+    looked = f"; look at {counted(len(done.remarks), 'remark')} above" if done.remarks else ""
+    click.echo(f"Written: {output}{looked}", err=True)
 
 
 @click.command("match-example")
@@ -216,9 +229,18 @@ def match_example(folder: Path, size: int, seed: int, off: float) -> None:
     click.echo(f"Written: {', '.join(str(folder / name) for name in NAMES)}", err=True)
 
 
-def next_run(start: str | None, image: Path, *, points: Path | None = None,
-             lines: Path | None = None) -> str:
-    """Return the command that selects among candidates of which most may be wrong."""
+def next_map(image: Path, reference: Path, points: Path, dem: Path | None,
+             start: str | None) -> str:
+    """Return the command that makes a map by candidates."""
+    words = ["termsel auto-georeference", quote(str(image)), "--points", quote(str(points)),
+             "--reference", quote(str(reference)),
+             "--dem", "DEM" if dem is None else quote(str(dem))]
+    words += [] if start is None else ["--start", quote(start)]
+    return " ".join([*words, "-o map.tif --out result"])
+
+
+def next_run(start: str | None, image: Path, lines: Path) -> str:
+    """Return the command that selects among candidate lines, of which most may be wrong."""
     from termsel_match.chain import model_for
 
     model, options = model_for(start, image)
@@ -226,12 +248,8 @@ def next_run(start: str | None, image: Path, *, points: Path | None = None,
     if model == "rpc-drift":
         of_result = start is not None and Path(start).is_dir()
         rpc = f" --set rpc={'RPC_FILE' if of_result else quote(options['rpc'])}"
-    if lines is not None:
-        problem = f"matched-lines --model {model}{rpc} --lines {quote(str(lines))}"
-    else:
-        named = f"rpc-gcps{rpc}" if rpc else "owdis-points --model affine"
-        problem = f"{named} --criterion agreement --points {quote(str(points))}"
-    return f"termsel run --problem {problem} --out result"
+    return (f"termsel run --problem matched-lines --model {model}{rpc} --lines {quote(str(lines))} "
+            "--out result")
 
 
 def refuse_output(output: Path, overwrite: bool, *reads: object) -> None:

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from termsel import Points, TermselError
+from termsel import FeatureSet, Points, TermselError
 from termsel_match.features import Pairs, alike, described, refined
 from termsel_match.overview import start_by_overview
 from termsel_match.rasters import GreyRaster, open_picture
-from termsel_match.starts import start_of
+from termsel_match.starts import Start, start_of
 from termsel_match.warps import Reference, open_reference
 
 log = logging.getLogger("termsel.match")
@@ -49,6 +49,8 @@ class Candidates:
         How many cells of the image have candidates ("found"), or why they have none.
     start : str
         What was started from, in words.
+    rough : Start, optional
+        What was started from.
     """
 
     points: Points
@@ -56,6 +58,12 @@ class Candidates:
     image_size: tuple[int, int]
     cells: dict[str, int]
     start: str
+    rough: Start | None = None
+
+    @property
+    def features(self) -> FeatureSet:
+        """The candidates as features of the image."""
+        return FeatureSet(self.points, crs=self.crs, image_size=self.image_size)
 
 
 def match_points(
@@ -125,7 +133,7 @@ def match_points(
                            "needed", file=image, hint=_why(cells, search, dem))
     if dem is None:
         log.info("Note: the heights are unknown. Give --dem FILE for RPCs and 3D models.")
-    return Candidates(points, other.crs, size, cells, known.what)
+    return Candidates(points, other.crs, size, cells, known.what, known)
 
 
 def _in_cells(picture: GreyRaster, reference: Reference, search: float, count: int,

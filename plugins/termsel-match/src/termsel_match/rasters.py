@@ -21,6 +21,7 @@ Mask = NDArray[np.bool_]
 log = logging.getLogger("termsel.match")
 
 _DARK, _BRIGHT = 1.0, 99.0  # percentiles that become 0 and 255
+_LOOK = 200  # px along either side of a raster that is reduced to see where it has data
 _FEW = 16  # distinct pixels; fewer have no texture
 _BANDS = 16  # of which the mean is taken: more take their time, and change it little
 
@@ -86,6 +87,27 @@ class GreyRaster:
             there = ~np.ma.getmaskarray(values) & np.isfinite(values.data)
         pixels[inside], known[inside] = np.where(there, values.data, 0), there
         return pixels, known
+
+    def known_at(self, places: FloatArray) -> Mask:
+        """Return where there are data near places, (n, 2), looked up in a reduced raster."""
+        inside = np.all((places >= 0) & (places <= np.array(self.size) - 1), axis=1)
+        if not inside.any():
+            return np.asarray(inside)
+        low, high = np.floor(places[inside].min(axis=0)), np.ceil(places[inside].max(axis=0)) + 1
+        step = int(max(1, (high - low).max() // _LOOK))
+        (top, left), (lines, samples) = low.astype(int).tolist(), (
+            np.ceil((high - low) / step).astype(int) * step).tolist()
+        known = self.read(top, left, lines, samples, step)[1]
+        # Its last row or column may be of a part of a step, which is not read.
+        at = np.minimum((places[inside] - low) // step, np.array(known.shape) - 2).astype(int)
+        inside[inside] = known[tuple(np.maximum(at, 0).T)]
+        return np.asarray(inside)
+
+
+def grid(size: tuple[int, int], shape: tuple[int, ...]) -> FloatArray:
+    """Return places spread evenly over an image, row by row, shape (n, 2) [px]."""
+    steps = (np.linspace(0, extent - 1, count) for extent, count in zip(size, shape, strict=True))
+    return np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
 @contextmanager

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import shapely
 
 import termsel
 from termsel import FeatureSet, Fit, Points, Result, TermselError
@@ -19,10 +19,12 @@ from termsel_match.starts import turned
 TOLERANCE = 2.0  # px at which a candidate counts half in the search
 _INDEPENDENT, _CHECK = 0.25, 0.25  # parts of the candidates
 _LEAST_CHECK = 2
-_NEAR = 2 * TOLERANCE  # px within which the spread of those that agree is estimated
+NEAR = 2 * TOLERANCE
+"""Px within which the spread of those that agree is estimated."""
 _SIGMAS = 3.5
 _LEAST_LIMIT = 0.5  # px
 _ROUNDS = 20
+_RESAMPLES = 24  # of the control
 _WORSE = 1.1  # times the check RMSE of the points: more is not by chance
 AGREEING = ("Independent RMSE, NSSDA and ASPRS figures are of the independent candidates that "
             "agree with the model, without the others. They may be too small.")
@@ -44,8 +46,6 @@ class Selected:
         Which candidates took no part in the choice or the fit.
     limit : float
         Largest distance of those that agree [px].
-    covered : float
-        Part of the image in the hull of the control that agrees.
     points : Points
         All candidates.
     """
@@ -54,7 +54,6 @@ class Selected:
     agrees: Mask
     independent: Mask
     limit: float
-    covered: float
     points: Points
 
     @property
@@ -65,7 +64,12 @@ class Selected:
     @property
     def median(self) -> float:
         """Median error [px] of all independent candidates, right or wrong."""
-        return float(np.median(_errors(self.result.fit, self.points)[self.independent]))
+        return float(np.median(self._of_independent()))
+
+    @property
+    def ce90(self) -> float:
+        """Error [px] that nine in ten of all independent candidates do not exceed."""
+        return float(np.quantile(self._of_independent(), 0.9, method="higher"))
 
     @property
     def rmse(self) -> float:
@@ -73,14 +77,38 @@ class Selected:
         rmse = self.result.rmse["independent"]
         return float("inf") if rmse is None else rmse.total
 
+    def sigma(self, ground: FloatArray, seed: int) -> FloatArray:
+        """Return the standard deviation of the model at ground places, (n,) [px].
 
-def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], *, seed: int = 1,
-                  out: Path | str | None = None) -> Selected:
+        Of fits to resampled control (Efron 1979, Annals of Statistics 7, 1-26): it grows where few
+        candidates hold the model. Infinite where these do not determine it.
+        """
+        features, rng = self.result.features, np.random.default_rng([seed, 3])
+        control = np.flatnonzero(features.points.roles == np.array("control", dtype=object))
+        seen = []
+        for _ in range(_RESAMPLES):
+            some = np.unique(rng.choice(control, len(control)))
+            used = features.with_(points=replace(features.points.take(some), roles=()))
+            with suppress(TermselError):  # too few of them, or in one place
+                seen.append(termsel.fit(used, self.result.model, **self.result.options["model"]
+                                        ).project(ground))
+        if len(seen) < _RESAMPLES / 2:
+            return np.full(len(ground), np.inf)
+        return np.asarray(np.linalg.norm(np.std(seen, axis=0, ddof=1), axis=1))
+
+    def _of_independent(self) -> FloatArray:
+        return _errors(self.result.fit, self.points)[self.independent]
+
+
+def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], *,
+                  accept: float = TOLERANCE, seed: int = 1, out: Path | str | None = None,
+                  ) -> Selected:
     """Return the model with which most candidates agree.
 
-    A quarter of the candidates is set aside as independent. A steady-state GA selects m of the
-    others so that the model agrees with as many as possible (problem `rpc-gcps`, criterion
-    `agreement`). The model is then fitted to all of them that agree, until they stay the same.
+    A quarter of the candidates is set aside as independent, unless some are so already. A
+    steady-state GA selects m of the others so that the model agrees with as many as possible
+    (problem `rpc-gcps`, criterion `agreement`). The model is then fitted to all of them that agree,
+    until they stay the same.
 
     Parameters
     ----------
@@ -89,6 +117,9 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
     model : str
     options : mapping
         Options of the model.
+    accept : float
+        Error that is accepted [px]. No candidate agrees that is further off, unless matching is
+        less exact.
     seed : int
         Draws the roles, and drives the search.
     out : path-like, optional
@@ -100,7 +131,7 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
         If too few agree to determine the model.
     """
     points = features.points
-    roles = _roles(len(points), seed)
+    roles = _roles(points, seed)
     independent = roles == "independent"
     with_roles = features.with_(points=replace(points, roles=tuple(roles)))
 
@@ -113,10 +144,12 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
         "rpc-gcps", with_roles, model, {
             **options, "half_at": TOLERANCE, "max_uncovered": 0.9, "min_features": max(6, least),
             "max_features": max(6, least)}, seed=seed, criterion="agreement"))
+    # A spread that a fault of the reference has made is not the spread of matching.
+    most = accept if points.sigma is None else max(accept, _SIGMAS * float(np.median(points.sigma)))
     agrees, limit, errors = np.zeros(0, dtype=bool), 0.0, _errors(fitted(picked), points)
     for _ in range(_ROUNDS):
         before = agrees
-        agrees, limit = _agreeing(errors, ~independent)
+        agrees, limit = _agreeing(errors, ~independent, most)
         _require(agrees, roles, least)
         if np.array_equal(agrees, before):
             break
@@ -126,8 +159,7 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
     kept = with_roles.with_(points=with_roles.points.take(agrees))
     result = _told(termsel.run("owdis-points", features=kept, model=model, solver="all-terms",
                                options=dict(options), seed=seed, out=out), out)
-    return Selected(result, agrees, independent, limit,
-                    _covered(points.take(agrees & ~independent), features.image_size), points)
+    return Selected(result, agrees, independent, limit, points)
 
 
 def searched(problem: str, features: FeatureSet, model: str, options: Mapping[str, Any], *,
@@ -199,11 +231,15 @@ def _told(result: Result, out: Path | str | None) -> Result:
     return noted
 
 
-def _roles(count: int, seed: int) -> Any:
-    order = np.random.default_rng([seed, 1]).permutation(count)
-    roles = np.full(count, "control", dtype=object)
-    set_aside, check = round(_INDEPENDENT * count), round(_CHECK * count)
-    roles[order[:set_aside]], roles[order[set_aside:set_aside + check]] = "independent", "check"
+def _roles(points: Points, seed: int) -> Any:
+    """Return roles drawn by a seed; points that are independent already are the only ones."""
+    roles = np.array(points.roles, dtype=object)
+    free = np.flatnonzero(roles != "independent")
+    order = free[np.random.default_rng([seed, 1]).permutation(len(free))]
+    set_aside = round(_INDEPENDENT * len(free)) if len(free) == len(roles) else 0
+    check = set_aside + round(_CHECK * len(free))
+    roles[order[:set_aside]], roles[order[set_aside:check]] = "independent", "check"
+    roles[order[check:]] = "control"
     return roles
 
 
@@ -216,15 +252,10 @@ def _rms(fitted: Fit, points: Points) -> float:
     return float(np.sqrt((_errors(fitted, points) ** 2).mean()))
 
 
-def _agreeing(errors: FloatArray, used: Mask) -> tuple[Mask, float]:
+def _agreeing(errors: FloatArray, used: Mask, most: float) -> tuple[Mask, float]:
     """Return which of the candidates in use agree, and the limit, by the spread of near ones."""
-    near = errors[used & (errors < _NEAR)]
+    near = errors[used & (errors < NEAR)]
     sigma = float(np.median(near)) / _MEDIAN if len(near) else 0.0
-    limit = max(_SIGMAS * sigma, _LEAST_LIMIT)
+    limit = max(min(_SIGMAS * sigma, most), _LEAST_LIMIT)
     return np.asarray(used & (errors <= limit)), limit
 
-
-def _covered(points: Points, size: tuple[int, int] | None) -> float:
-    assert size is not None  # candidates come from an image
-    hull = shapely.convex_hull(shapely.MultiPoint(points.image))
-    return float(hull.area / (size[0] * size[1]))

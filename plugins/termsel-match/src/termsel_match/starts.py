@@ -32,6 +32,10 @@ class Start:
         Line and sample (n, 2) of ground places (n, 3).
     locate : callable
         Ground places (n, 3) of image places (n, 2) and heights, or what gives them.
+    heights : tuple of float, optional
+        Least and largest height that an RPC is made for [m].
+    bias : float, optional
+        Root mean square of its bias [m], where its vendor states it.
     """
 
     what: str
@@ -39,6 +43,8 @@ class Start:
     height: float
     project: Callable[[FloatArray], FloatArray]
     locate: Callable[[FloatArray, Heights], FloatArray]
+    heights: tuple[float, float] | None = None
+    bias: float | None = None
 
 
 def turned(plane: FloatArray, crs: str, to: str) -> FloatArray:
@@ -105,8 +111,9 @@ def start_of(named: str | Path | None, image: Path) -> Start | None:
 
 def _of_rpc(path: Path) -> Start:
     rpc = read_rpc(path)
-    return Start(f"the RPC of {path.name}", "EPSG:4979", rpc.ground_offset[2], rpc.project,
-                 rpc.locate)
+    middle, half = rpc.ground_offset[2], abs(rpc.ground_scale[2])
+    return Start(f"the RPC of {path.name}", "EPSG:4979", middle, rpc.project, rpc.locate,
+                 (middle - half, middle + half), rpc.error_bias)
 
 
 def start_by_points(features: FeatureSet, what: str) -> Start:

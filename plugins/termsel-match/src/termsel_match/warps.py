@@ -13,11 +13,12 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from termsel import TermselError, open_dem
-from termsel_match.rasters import FloatArray, Grey, GreyRaster, Mask, open_picture
+from termsel_match.rasters import FloatArray, Grey, GreyRaster, Mask, grid, open_picture
 from termsel_match.starts import Heights, Start
 
 _MESH = 24  # px between places that are computed; those between are interpolated
-_COVERS = 33  # places along either side of an image by which its overlap is judged
+COVERS = 33
+"""Places along either side of an image by which its overlap is judged."""
 _SAME = 1.5  # ratio of pixel sizes up to which none is reduced
 
 
@@ -122,6 +123,27 @@ class Reference:
         return Patch(cv2.remap(pixels, where[1], where[0], cv2.INTER_CUBIC),
                      np.asarray(there & (seen_known > 0.999)), mesh)
 
+    def shown(self, picture: GreyRaster) -> Mask:
+        """Return where an image and the reference have data, shape (33, 33).
+
+        Parameters
+        ----------
+        picture : GreyRaster
+            The image; the places are spread evenly over it.
+        """
+        image = grid(picture.size, (COVERS, COVERS))
+        both = np.ones(len(image), dtype=bool)
+        for raster, places in ((picture, image), (self.picture, self.seen(image))):
+            both &= raster.known_at(places)
+        return both.reshape(COVERS, COVERS)
+
+    def bounds(self, crs: str) -> tuple[float, float, float, float]:
+        """Return least x and y and largest x and y of the reference in a CRS."""
+        from rasterio.warp import transform_bounds
+
+        west, south, east, north = transform_bounds(self.crs, crs, *self.picture.raster.bounds)
+        return west, south, east, north
+
     def reduction(self, size: tuple[int, int]) -> int:
         """Return how many pixels of the image, along a side, are one of the reference.
 
@@ -211,9 +233,7 @@ def crs_of(picture: GreyRaster) -> str:
 
 def _require_overlap(reference: Reference, size: tuple[int, int],
                      dem: Path | str | None) -> None:
-    steps = (np.linspace(0, extent - 1, _COVERS) for extent in size)
-    image = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 2)
-    seen = reference.seen(image)
+    seen = reference.seen(grid(size, (COVERS, COVERS)))
     known = np.isfinite(seen).all(axis=1)
     if not known.any():
         what = f"{dem} does not cover what the image shows by {reference.start.what}"

@@ -1,0 +1,82 @@
+"""Candidates that were matched already, by `match-points` or by another program."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from termsel import Points, TermselError, open_raster, read
+from termsel_match.points import LEAST, Candidates
+from termsel_match.rasters import open_picture
+from termsel_match.readers import AspMatches, MatchesCsv
+from termsel_match.starts import start_of
+from termsel_match.warps import crs_of
+
+_HEAD = 4096  # bytes by which readers recognise a file
+
+
+def read_candidates(path: Path | str, image: Path | str, reference: Path | str | None, *,
+                    dem: Path | str, start: Path | str | None = None) -> Candidates:
+    """Return the points of a file as candidates.
+
+    Points with the role off are left out. Those with the role independent stay so; other roles
+    are drawn by the selection.
+
+    Parameters
+    ----------
+    path : path-like
+        In any format that `termsel.read` knows, such as the table of `match-points`, AROSICS or
+        ASP.
+    image, dem, start
+        As for `match_points`.
+    reference : path-like, optional
+        Of matches that are pixels of two images, and whose CRS holds where the file states none.
+
+    Raises
+    ------
+    TermselError
+        If a file cannot be read, or has fewer than 8 points.
+    """
+    path = Path(path)
+    options, crs = {}, None
+    if reference is not None:
+        if _in_pixels(path):
+            options["reference"] = str(reference)
+        with open_picture(reference) as picture:
+            crs = crs_of(picture)
+    try:
+        features = read(path, dem=dem, **options)
+    except TermselError as error:
+        if crs is None or error.what != "the CRS of the ground coordinates is unknown":
+            raise
+        features = read(path, dem=dem, crs=crs, **options)
+    points = features.points
+    points = points.take(np.isfinite(points.ground).all(axis=1)
+                         & np.array([role != "off" for role in points.roles], dtype=bool))
+    if len(points) < LEAST:
+        raise TermselError(f"not enough candidates: {len(points)} of them have a place and a "
+                           f"height, at least {LEAST} needed", file=path,
+                           hint="Give a table with more points, and a --dem that covers them.")
+    with open_raster(Path(image)) as raster:
+        size = int(raster.height), int(raster.width)
+    rough = start_of(start, Path(image))
+    return Candidates(_named(points), features.crs, size, {},
+                      "none" if rough is None else rough.what, rough)
+
+
+def _in_pixels(path: Path) -> bool:
+    """Return whether a file has pixels of two images, which only a reference turns into ground."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+    except OSError:  # which `read` says
+        return False
+    return any(reader().sniff(path, head) for reader in (AspMatches, MatchesCsv))
+
+
+def _named(points: Points) -> Points:
+    """Return points of which those for control and check are candidates like any other."""
+    return replace(points, roles=tuple(role if role == "independent" else ""
+                                       for role in points.roles))

@@ -1,0 +1,200 @@
+"""No false success and no false refusal: what is said of good and of bad references."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("termsel_match", reason="termsel-match is not installed: "
+                    "pip install -e plugins/termsel-match")
+
+import rasterio
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from benchmarks.verdicts import BAD, PASSED, REFUSED, verdict
+from termsel import FeatureSet, Points, TermselError, read, write_points_csv
+from termsel_match.chain import georeference, judge
+from termsel_match.evidence import other_place, structure, unsupported
+from termsel_match.selection import select_points
+
+SIZE = (1000, 1000)
+
+
+@pytest.mark.parametrize(("seed", "kind"), list(enumerate(BAD, 31)))
+def test_a_bad_reference_does_not_pass_without_a_remark(tmp_path: Path, seed: int,
+                                                        kind: str) -> None:
+    assert verdict(kind, seed, 300, tmp_path).end != PASSED
+
+
+def test_a_good_reference_is_not_refused(tmp_path: Path) -> None:
+    case = verdict("good", 41, 400, tmp_path)
+    assert case.end != REFUSED
+    assert case.true < 0.5
+
+
+def measured(place: Any, seam: float = 0.0, noise: float = 0.2) -> FeatureSet:
+    """Return exact places, those of the lower two fifths moved as by a seam."""
+    points, rng = place.world.independent(), np.random.default_rng(2)
+    image = points.image + rng.normal(0, noise, points.image.shape)
+    image[points.image[:, 0] > 300] += seam * np.array([0.77, 0.64])
+    return FeatureSet(replace(points, image=image, roles=()), crs="EPSG:32633",
+                      image_size=(500, 500))
+
+
+def test_the_limit_does_not_grow_with_a_fault_of_the_reference(place: Any) -> None:
+    limits = [select_points(measured(place, 5.0), "rpc-drift",
+                            {"rpc": str(place / "image.RPB")}, accept=accept).limit
+              for accept in (2.0, 1.5)]
+    assert limits == [2.0, 1.5]
+
+
+@pytest.mark.parametrize("seam", [2.0, 7.8])
+def test_a_seam_is_seen_and_named(place: Any, tmp_path: Path, seam: float) -> None:
+    table = tmp_path / "candidates.csv"
+    write_points_csv(measured(place, seam).points, table, "EPSG:32633")
+    done = judge(place / "image.tif", place / "ortho.tif", dem=place / "dem.tif", points=table)
+    said = " ".join((*done.remarks, *done.reasons))
+    assert "Residuals of neighbours are alike" in said or "agree on another place" in said
+    assert "Look at this:" in done.text()
+
+
+def test_large_corrections_and_strange_heights_are_remarked(place: Any, tmp_path: Path) -> None:
+    for above, said in ((0.0, False), (300.0, True)):
+        features = measured(place)
+        ground = features.points.ground + np.array([0, 0, above])
+        table = tmp_path / f"{above}.csv"
+        write_points_csv(replace(features.points, ground=ground), table, "EPSG:32633")
+        done = judge(place / "image.tif", None, dem=place / "dem.tif", points=table)
+        text = done.text()
+        assert ("The correction of" in text) == said
+        assert ("the RPC is made for" in text) == said
+        assert done.evidence.correction is not None
+        moved = np.linalg.norm(done.evidence.correction, axis=1)
+        assert f"Correction to the start: {np.median(moved):.1f} px" in text
+
+
+def test_a_reference_of_a_part_is_no_reason_to_refuse(place: Any, altered: Callable[..., Path],
+                                                      tmp_path: Path) -> None:
+    def quarter(pixels: Any) -> Any:
+        pixels[:, pixels.shape[1] * 11 // 20:] = pixels[:, :, pixels.shape[2] * 11 // 20:] = 0
+        return pixels
+
+    ortho = altered("ortho.tif", quarter, nodata=0)
+    maps = []
+    for extent in ("image", "reference"):
+        maps.append(tmp_path / f"{extent}.tif")
+        done = georeference(place / "image.tif", ortho, maps[-1], dem=place / "dem.tif",
+                            extent=extent, count=150)
+        assert not done.reasons
+        assert done.evidence.covered > 0.4  # of a third of the image
+        exact = place.world.independent()
+        away = done.selected.result.project(exact.ground) - exact.image
+        assert np.sqrt((away**2).sum(axis=1).mean()) < 1
+    with rasterio.open(maps[0]) as whole, rasterio.open(maps[1]) as part, \
+            rasterio.open(place / "ortho.tif") as reference:
+        assert part.bounds.left >= reference.bounds.left
+        assert part.bounds.right <= reference.bounds.right
+        assert whole.shape >= part.shape
+
+
+def test_the_recommended_run_is_the_run_of_the_chain(place: Any, says: Any,
+                                                     tmp_path: Path) -> None:
+    common = ("--reference", place / "ortho.tif", "--dem", place / "dem.tif")
+    table = tmp_path / "candidates.csv"
+    code, text = says("match-points", place / "image.tif", *common, "--count", 80, "-o", table)
+    assert code == 0
+    words = text.split("Next: termsel ")[1].split()
+    assert words[:4] == ["auto-georeference", str(place / "image.tif"), "--points", str(table)]
+    assert words[-4:] == ["-o", "map.tif", "--out", "result"]
+    reports = []
+    for name, extra in (("one", ("--points", table)), ("two", ("--count", 80))):
+        code, text = says("auto-georeference", place / "image.tif", *common, *extra, "-o",
+                          tmp_path / f"{name}.tif", "--out", tmp_path / name)
+        assert code == 0
+        report = (tmp_path / name / "report.txt").read_text().splitlines()
+        reports.append([line for line in report if not line.startswith("Candidates:")])
+    assert reports[0] == reports[1]
+    with rasterio.open(tmp_path / "one.tif") as one, rasterio.open(tmp_path / "two.tif") as two:
+        assert one.transform == two.transform
+        assert (one.read() == two.read()).all()
+
+
+def test_independent_points_of_a_table_stay_so(place: Any, tmp_path: Path) -> None:
+    points, table = measured(place).points, tmp_path / "points.csv"
+    roles = tuple("independent" if i < 40 else "off" if i < 50 else "control" for i in range(200))
+    write_points_csv(replace(points, roles=roles), table, "EPSG:32633")
+    done = judge(place / "image.tif", None, dem=place / "dem.tif", points=table)
+    chosen = done.selected
+    assert {name for name, one in zip(chosen.points.ids, chosen.independent, strict=True)
+            if one} == set(points.ids[:40])
+    assert len(chosen.points) == 190
+
+
+def test_what_is_missing_is_said(place: Any, tmp_path: Path, says: Any) -> None:
+    words = ("auto-georeference", place / "image.tif", "--dem", place / "dem.tif", "-o",
+             tmp_path / "map.tif")
+    assert "the reference is not given" in says(*words)[1]
+    few = tmp_path / "few.csv"
+    write_points_csv(measured(place).points.take(range(5)), few, "EPSG:32633")
+    assert "not enough candidates: 5" in says(*words, "--points", few)[1]
+    assert "the reference is not given" in says(*words, "--points", few, "--extent",
+                                                "reference")[1]
+    assert read(few).points.ids[0] == "T001"
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10**6), st.floats(0.0, 0.3))
+def test_structure_is_seen_where_there_is_some(seed: int, noise: float) -> None:
+    rng = np.random.default_rng(seed)
+    image = rng.uniform(0, 1000, (80, 2))
+    step = np.where(image[:, :1] > 500, 1.0, -1.0) * [0.6, 0.8]
+    found = structure(image, step + rng.normal(0, noise, (80, 2)), 2.0, SIZE, rng)
+    assert found is not None
+    assert found.level <= 0.01
+    assert 0.6 < found.size < 1.2
+
+
+def test_structure_of_noise_is_rarely_seen() -> None:
+    rng, seen = np.random.default_rng(5), 0
+    for _ in range(100):
+        found = structure(rng.uniform(0, 1000, (60, 2)), rng.normal(0, 1, (60, 2)), 3.5, SIZE, rng)
+        assert found is not None
+        seen += found.level <= 0.01
+    assert seen <= 4
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10**6))
+def test_another_place_is_told_from_chance(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    image, wrong = rng.uniform(0, 1000, (40, 2)), rng.uniform(-70, 70, (40, 2))
+    alike = np.array([40.0, -12.0]) + rng.normal(0, 0.3, (12, 2))
+    found = other_place(image, np.concatenate([wrong[:28], alike]), 2.0, SIZE)
+    assert found is not None
+    assert found.count >= 12
+    assert np.allclose(found.away, [40, -12], atol=0.6)
+    assert other_place(image[:3], alike[:3], 2.0, SIZE) is None
+
+
+def test_parts_without_candidates_are_named() -> None:
+    rng, shown = np.random.default_rng(1), np.ones((33, 33), dtype=bool)
+    image = rng.uniform(0, 1000, (100, 2))
+    assert unsupported(image, shown, SIZE)[0] < 0.05
+    share, where = unsupported(image[image[:, 0] < 500], shown, SIZE)
+    assert 0.25 < share < 0.5
+    assert where == "the lower part"
+    shown[17:] = False  # the reference ends there, so none is expected
+    assert unsupported(image[image[:, 0] < 500], shown, SIZE)[0] < 0.1
+
+
+def test_a_file_that_is_no_table_is_refused(place: Any, tmp_path: Path) -> None:
+    with pytest.raises(TermselError):
+        judge(place / "image.tif", place / "ortho.tif", dem=place / "dem.tif",
+              points=tmp_path / "none.csv")
+    assert isinstance(measured(place).points, Points)
