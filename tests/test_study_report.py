@@ -86,10 +86,13 @@ def test_a_picture_is_not_of_a_study_and_a_damaged_plan_is_named(
     assert done.exit_code == 2
     assert f"{folder / 'plan.json'}, line 1: this is not JSON" in done.stderr
     plan = json.loads((images / "plan.json").read_text())
-    (folder / "plan.json").write_text(json.dumps({**plan, "workers": float("inf")}))
-    done = call("report", folder)
-    assert done.exit_code == 2
-    assert f"{folder / 'plan.json'}: this is not the plan of a study" in done.stderr
+    labels = next(iter(plan["cells"].values()))
+    for change in ({"workers": float("inf")}, {"cells": {"a": {**labels, "data": []}}},
+                   {"cells": {"a": {**labels, "model": None}}}, {"cells": [1]}):
+        (folder / "plan.json").write_text(json.dumps({**plan, **change}))
+        done = call("report", folder)
+        assert done.exit_code == 2
+        assert f"{folder / 'plan.json'}: this is not the plan of a study" in done.stderr
 
 
 def test_a_folder_with_neither_result_nor_study_is_named(call: Call, tmp_path: Path) -> None:

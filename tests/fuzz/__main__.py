@@ -12,7 +12,7 @@ from pathlib import Path
 
 from tests.fuzz.cases import SECONDS, Outcome, prepare, run_case, unseen
 
-_CHUNK = 500  # cases of a process, which a crash of a library would end
+_CHUNK = 2500  # cases of a process, which a crash of a library would end
 _START = 120.0  # s to import and to make the files
 
 

@@ -14,6 +14,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from random import Random
 from tempfile import TemporaryDirectory
@@ -25,11 +26,15 @@ from termsel.errors import TermselError, printable
 from termsel.formats.heights import with_heights
 from termsel.measurements.features import FeatureSet
 from termsel.plugins.registry import registry
+from termsel.report import pictures
+from termsel.report.pictures import picture
 from termsel.results.checksums import SEALS, of_record
 from termsel.runs.task.request import DATA_OPTIONS
 from termsel.simulate import read_geometry
+from tests.fuzz import seeds as formats
+from tests.fuzz import surfaces
 from tests.fuzz.mutate import NUMBERS, TEXTS, mutated
-from tests.fuzz.seeds import Seed, seeds
+from tests.fuzz.seeds import Seed
 
 SECONDS = 10.0
 """Time of the processor that a case may take; others on the machine do not count."""
@@ -39,6 +44,14 @@ MEMORY = 2 << 30
 
 _FAST = ("--strategy", "as-asked", "--solver", "all-terms", "--criterion", "press", "--set",
          "degree=1")
+
+
+@cache
+def seeds() -> tuple[Seed, ...]:
+    """Return all valid files."""
+    of_formats = formats.seeds()
+    points = next(seed.content for seed in of_formats if seed.name == "points.csv")
+    return (*of_formats, *surfaces.surfaces(points))
 
 
 class TooSlow(BaseException):
@@ -77,6 +90,8 @@ def run_case(seed: int) -> Outcome:
         Tells the file, its mutations and its use; the same seed gives the same case.
     """
     random = Random(seed)
+    if pictures._helper()._child is None:  # begun outside of the limits, which V8 cannot keep
+        picture(_chart(), ".svg")
     start = time.process_time()
     with TemporaryDirectory() as name, warnings.catch_warnings(), _silent(), _limited():
         warnings.simplefilter("error", RuntimeWarning)
@@ -97,6 +112,12 @@ def run_case(seed: int) -> Outcome:
         if left:
             fault = fault or f"left behind: {', '.join(left)}"
     return Outcome(seed, label, code, fault, time.process_time() - start)
+
+
+def _chart() -> Any:
+    import altair
+
+    return altair.Chart(altair.Data(values=[])).mark_point()
 
 
 def _laid(seed: Seed, folder: Path, random: Random) -> Path:
@@ -331,7 +352,7 @@ USES: dict[str, Callable[[Path, Random], int]] = {
     "lines": lambda path, random: _read("lines", path, random),
     "areas": lambda path, random: _read("areas", path, random),
     "vector": _vector, "joined": _joined, "dem": _dem, "rpc": _rpc, "geometry": _geometry,
-    "result": _result, "project": _project, "image": _image, "surface": _surface}
+    "result": _result, "project": _project, "image": _image, "surface": _surface, **surfaces.USES}
 """What is done with a file, by the kind of its seed."""
 
 

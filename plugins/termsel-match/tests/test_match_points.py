@@ -96,7 +96,7 @@ def test_what_takes_long_is_said_before(
     assert (place.errors(found.points, found.crs) < 1).mean() > 0.8
     assert "the mean of 16 of the 40 bands" in caplog.text
     assert f"px of {many} are read to find the image" in caplog.text
-    assert "With --start" in caplog.text
+    assert "A --start saves it" in caplog.text
 
 
 def test_three_corners_are_a_start(place: Any, tmp_path: Path) -> None:

@@ -280,6 +280,11 @@ def _points_of(distribution: Distribution) -> tuple[list[EntryPoint], str]:
         return [], f"its entry_points.txt cannot be read: {reason}"
     if points and attempt(lambda: (canonical(distribution.name), distribution.version))[1]:
         return [], "its METADATA is missing or cannot be read; install it again"
+    first = {point.name: point for point in reversed(points)}
+    if len(first) < len(points):
+        twice = next(point.name for point in points if first[point.name] is not point)
+        return list(first.values()), (f"its entry_points.txt names {twice!r} twice; only the first "
+                                      "is used")
     return points, ""
 
 

@@ -74,8 +74,8 @@ def _say_if_long(picture: GreyRaster) -> None:
     pixels = picture.size[0] * picture.size[1] * len(picture.bands)
     if pixels > _LONG and not picture.raster.overviews(picture.bands[0]):
         log.info("Note: all %d x %d px of %s are read to find the image in the reference, which "
-                 "may take minutes: it has no overviews (gdaladdo makes them). With --start none "
-                 "is.", *picture.size, picture.path)
+                 "may take minutes: it has no overviews (gdaladdo makes them). A --start "
+                 "saves it.", *picture.size, picture.path)
 
 
 def _step(size: tuple[int, int]) -> int:

@@ -13,9 +13,11 @@ import shapely
 from numpy.typing import NDArray
 
 from termsel import TermselError, open_dem
+from termsel.formats.readers.vector import open_layer
 from termsel_match.rasters import FloatArray
 from termsel_match.starts import Start
 
+_KINDS = ("LineString", "MultiLineString", "Polygon", "MultiPolygon")
 _STRAIGHT = 0.5  # px by which a vector may bend within a piece
 SHORTEST, _LONGEST = 40.0, 150.0  # px of a piece
 _STEP = 16.0  # px between vertices that are projected
@@ -142,21 +144,13 @@ def read_vectors(path: Path) -> tuple[list[FloatArray], str]:
     TermselError
         If the file cannot be read, or has no CRS or no lines.
     """
-    from pyogrio.errors import DataLayerError, DataSourceError
-    from pyogrio.raw import read
-
-    if not path.exists():
-        raise TermselError("this file does not exist", file=path,
-                           hint="Check the name and the folder.")
-    try:
-        meta, _, geometry, _ = read(path, columns=[])
-    except (DataSourceError, DataLayerError) as error:
-        raise TermselError(f"GDAL cannot read these vectors: {error}", file=path,
-                           hint="Give lines as GeoPackage, GeoJSON or Shapefile.") from error
+    meta, shapes, _ = open_layer(path, None, _KINDS, columns=[])
+    if shapes is None:
+        raise TermselError("the layer has no geometry", file=path, hint="Give a layer of lines.")
     if meta["crs"] is None:
         raise TermselError("the vectors have no CRS", file=path,
                            hint="Assign the CRS in a GIS and save them again.")
-    shapes = shapely.force_2d(shapely.from_wkb(geometry))
+    shapes = shapely.force_2d(shapes)
     areal = shapely.get_dimensions(shapes) == 2
     shapes = np.where(areal, shapely.boundary(shapes), shapes)
     parts = shapely.get_parts(shapely.line_merge(shapes[~shapely.is_empty(shapes)]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ import numpy as np
 from termsel.errors import GIS, TermselError, requires
 from termsel.files.names import is_there, utf8_name
 from termsel.files.remote import local_alone
-from termsel.formats.base import read_head
+from termsel.formats.base import read_head, read_text
 from termsel.formats.readers.geojson import Feature
 from termsel.formats.readers.tables import COLUMNS
 
@@ -56,15 +56,19 @@ def _configured(options: Mapping[str, str]) -> Iterator[None]:
         set_gdal_config_options(before)
 
 
-def read_layer(path: Path, layer: str | None, kinds: Mapping[str, int],
-               ) -> tuple[list[Feature], str]:
-    """Return the features of a layer, by default of the first that has such kinds, and its CRS."""
-    read_head(path, "Expected a GeoPackage, Shapefile or FlatGeobuf.")
+def open_layer(path: Path, layer: str | None, kinds: Container[str],
+               columns: list[str] | None = None) -> tuple[dict[str, Any], Any, list[Any]]:
+    """Return what is known of a layer, its shapes (None without) and its columns, by default all.
+
+    The layer is by default the first that has such kinds, or that GDAL takes for the first.
+    """
+    if read_head(path, "Expected a GeoPackage, Shapefile or FlatGeobuf.").lstrip()[:1] == b"{":
+        read_text(path)  # lest GDAL quotes what is no text
     with requires("this requires", "pyogrio and shapely", GIS, path):
         from pyogrio import list_layers
         from pyogrio.errors import DataLayerError, DataSourceError
         from pyogrio.raw import read
-        from shapely import GEOSException, from_wkb, get_coordinates, get_parts
+        from shapely import GEOSException, from_wkb
     try:
         with (local_alone(path) as options, _configured(options), catch_warnings(),
               utf8_name(path) as name):
@@ -75,12 +79,20 @@ def read_layer(path: Path, layer: str | None, kinds: Mapping[str, int],
             if layer is None:
                 layer = next((key for key, kind in layers.items() if kind in kinds),
                              next((key for key, kind in layers.items() if kind == "Unknown"), None))
-            meta, _, geometries, columns = read(name, layer=layer)
-        shapes = None if geometries is None else from_wkb(geometries)
+            meta, _, geometries, values = read(name, layer=layer, columns=columns)
+        return meta, None if geometries is None else from_wkb(geometries), values
     except (DataSourceError, DataLayerError, GEOSException, ValueError) as error:
         raise TermselError(f"GDAL cannot read this file: {error}", file=path,
                            hint="Is it complete? A Shapefile needs its .shx and .dbf next to it."
                            ) from error
+
+
+def read_layer(path: Path, layer: str | None, kinds: Mapping[str, int],
+               ) -> tuple[list[Feature], str]:
+    """Return the features of a layer, by default of the first that has such kinds, and its CRS."""
+    meta, shapes, columns = open_layer(path, layer, kinds)
+    from shapely import get_coordinates, get_parts
+
     names = list(meta["fields"])
     if shapes is None:
         raise TermselError("the layer has no geometry", file=path,

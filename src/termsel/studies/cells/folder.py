@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from msgspec import ValidationError, convert
+
 from termsel.errors import TermselError
 from termsel.files.atomic import write_text
 from termsel.files.lock import holder
@@ -39,10 +41,10 @@ def _read_plan(folder: Path) -> tuple[Spec, int, dict[str, dict[str, Any]]]:
     except TermselError as error:
         raise located(error, file) from error
     try:
-        cells = {key: {name: labels[name] for name in LABELS}
-                 for key, labels in table["cells"].items()}
+        read = convert(table["cells"], dict[str, dict[str, str | int]])
+        cells = {key: {name: labels[name] for name in LABELS} for key, labels in read.items()}
         return spec_of(table["study"]), int(table["workers"]), cells
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError,
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, ValidationError,
             TermselError) as error:
         raise TermselError("this is not the plan of a study", file=file, hint=repeat) from error
 
