@@ -97,6 +97,7 @@ def run(arguments, feedback, program=None):
     while process.poll() is None or any(reader.is_alive() for reader in readers):
         if feedback.isCanceled():
             _end(process)
+            _remove_left(process.pid, command)
             raise QgsProcessingException("Cancelled; nothing was written.")
         _show(messages, feedback, said)
         time.sleep(0.05)
@@ -134,13 +135,20 @@ def _show(messages, feedback, said):
                 feedback.pushInfo(line)
 
 
+def _remove_left(number, command):
+    """Remove the folders in which a process that was killed had begun to write."""
+    for folder in {Path(word).absolute().parent for word in command[1:]}:
+        for left in folder.glob(f".termsel-*-{number}-*"):
+            shutil.rmtree(left, ignore_errors=True)
+
+
 def _end(process):
     """End a process and those that it began."""
     if _WINDOWS:
         subprocess.run(["taskkill", "/F", "/T", "/PID", str(process.pid)], check=False,
                        capture_output=True)
         return
-    os.killpg(process.pid, signal.SIGTERM)
+    os.killpg(process.pid, signal.SIGINT)  # as Ctrl-C: termsel then removes what it has begun
     try:
         process.wait(_GRACE)
     except subprocess.TimeoutExpired:

@@ -7,6 +7,7 @@ from pathlib import Path
 from qgis.core import QgsProject, QgsVectorLayer
 from qgis.PyQt.QtCore import Qt
 from qgis.PyQt.QtWidgets import (
+    QComboBox,
     QDockWidget,
     QFileDialog,
     QHBoxLayout,
@@ -18,12 +19,10 @@ from qgis.PyQt.QtWidgets import (
     QWidget,
 )
 
+from .algorithms.georeference import model_named
 from .layers import blunder_style
 
-CHECKED = getattr(Qt, "CheckState", Qt).Checked
-UNCHECKED = getattr(Qt, "CheckState", Qt).Unchecked
-DESCENDING = getattr(Qt, "SortOrder", Qt).DescendingOrder
-_FLAGS = getattr(Qt, "ItemFlag", Qt)
+CHECKED, UNCHECKED = Qt.CheckState.Checked, Qt.CheckState.Unchecked
 _COLUMNS = ("leave out", "id", "role", "line [px]", "sample [px]", "distance [px]")
 
 
@@ -37,6 +36,9 @@ class ResultDock(QDockWidget):
         self.setObjectName("termselResult")
         self.accuracy = QLabel("Open the folder of a result.")
         self.accuracy.setWordWrap(True)
+        self.candidates = QComboBox()
+        self.candidates.setToolTip("Candidates of auto, and the RMSE that is predicted for each. "
+                                   "Run again takes the one shown.")
         self.table = QTableWidget(0, len(_COLUMNS))
         self.table.setHorizontalHeaderLabels(_COLUMNS)
         self.table.setSortingEnabled(True)
@@ -50,6 +52,7 @@ class ResultDock(QDockWidget):
             self.buttons[name] = button
         inside, rows = QWidget(), QVBoxLayout()
         rows.addWidget(self.accuracy)
+        rows.addWidget(self.candidates)
         rows.addWidget(self.table)
         rows.addLayout(buttons)
         inside.setLayout(rows)
@@ -75,6 +78,7 @@ class ResultDock(QDockWidget):
             self._enable()
             return
         self.accuracy.setText(accuracy_text(record))
+        self._offer(record)
         self._fill(rows)
         self._enable()
         file = self.folder / "result_residuals.gpkg"
@@ -85,6 +89,21 @@ class ResultDock(QDockWidget):
                     blunder_style(shown)
                 QgsProject.instance().addMapLayer(shown)
 
+    def _offer(self, record):
+        """Offer the candidates; those that only auto can fit are shown and cannot be taken."""
+        strategy = record.get("strategy")
+        strategy = strategy if isinstance(strategy, dict) else {}
+        self.candidates.clear()
+        chosen = strategy.get("chosen")
+        self.candidates.addItem(f"chosen by auto: {chosen}" if chosen else "the choice of auto", "")
+        for one in strategy.get("candidates", []):
+            predicted = one.get("predicted")
+            text = "" if predicted is None else f", predicted {predicted:.3g} px"
+            model = model_named(one["name"], one["model"])
+            self.candidates.addItem(one["name"] + text, model)
+            if not model:
+                self.candidates.model().item(self.candidates.count() - 1).setEnabled(False)
+
     def _fill(self, rows):
         """Fill the table, the largest residuals first."""
         self.table.setSortingEnabled(False)
@@ -92,7 +111,7 @@ class ResultDock(QDockWidget):
         rows.sort(key=lambda row: -float(row["distance"] or 0))
         for at, row in enumerate(rows):
             box = QTableWidgetItem()
-            box.setFlags(_FLAGS.ItemIsUserCheckable | _FLAGS.ItemIsEnabled)
+            box.setFlags(Qt.ItemFlag.ItemIsUserCheckable | Qt.ItemFlag.ItemIsEnabled)
             box.setCheckState(CHECKED if row["used"] == "no" and row["role"] != "independent"
                               else UNCHECKED)
             self.table.setItem(at, 0, box)
@@ -105,7 +124,7 @@ class ResultDock(QDockWidget):
                     item.setData(0, text)
                 self.table.setItem(at, column, item)
         self.table.resizeColumnsToContents()
-        self.table.horizontalHeader().setSortIndicator(5, DESCENDING)
+        self.table.horizontalHeader().setSortIndicator(5, Qt.SortOrder.DescendingOrder)
         self.table.setSortingEnabled(True)
 
     def left_out(self):
@@ -118,7 +137,8 @@ class ResultDock(QDockWidget):
         from processing import execAlgorithmDialog
 
         outputs = execAlgorithmDialog("termsel:georeference", {
-            "FILE": str(self.folder / "points.csv"), "OFF": ",".join(self.left_out())})
+            "FILE": str(self.folder / "points.csv"), "OFF": ",".join(self.left_out()),
+            "MODEL": self.candidates.currentData() or ""})
         if outputs:
             self.show_result(outputs["OUTPUT"])
 

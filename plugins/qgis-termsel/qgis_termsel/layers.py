@@ -3,20 +3,25 @@
 import csv
 
 from qgis.core import (
+    QgsColorRampShader,
     QgsCoordinateReferenceSystem,
     QgsCoordinateTransformContext,
     QgsFeature,
     QgsGeometry,
+    QgsGradientColorRamp,
     QgsMarkerSymbol,
     QgsPointXY,
     QgsProcessingException,
     QgsProcessingLayerPostProcessorInterface,
     QgsProcessingUtils,
+    QgsRasterShader,
+    QgsSingleBandPseudoColorRenderer,
     QgsSingleSymbolRenderer,
     QgsVectorFileWriter,
     QgsVectorLayer,
     QgsWkbTypes,
 )
+from qgis.PyQt.QtGui import QColor
 
 KNOWN = {
     "id": ("id", "name", "gcp", "point", "fid"),
@@ -109,6 +114,29 @@ class BlundersInRed(QgsProcessingLayerPostProcessorInterface):
         layer.triggerRepaint()
 
 
+class InShades(BlundersInRed):
+    """Shows an uncertainty in shades, the darker the larger."""
+
+    def postProcessLayer(self, layer, context, feedback):
+        """Take the look."""
+        shade(layer)
+        layer.triggerRepaint()
+
+
+def shade(layer):
+    """Show the uncertainty to the north, band 4, from white to red."""
+    known = layer.dataProvider().bandStatistics(4)
+    ramp = QgsColorRampShader(known.minimumValue, known.maximumValue,
+                              QgsGradientColorRamp(QColor("#fff5f0"), QColor("#a50f15")))
+    ramp.classifyColorRamp(5, 4, layer.extent(), layer.dataProvider())
+    shader = QgsRasterShader(known.minimumValue, known.maximumValue)
+    shader.setRasterShaderFunction(ramp)
+    renderer = QgsSingleBandPseudoColorRenderer(layer.dataProvider(), 4, shader)
+    renderer.setClassificationMin(known.minimumValue)
+    renderer.setClassificationMax(known.maximumValue)
+    layer.setRenderer(renderer)
+
+
 def blunder_style(layer):
     """Show blunders as large red circles."""
     symbol = QgsMarkerSymbol.createSimple({"color": "#c22f2f", "size": "4",
@@ -136,6 +164,7 @@ def add_blunders(folder, record, target):
     layer.dataProvider().addFeatures(features)
     options = QgsVectorFileWriter.SaveVectorOptions()
     options.layerName = "blunders"
-    options.actionOnExistingFile = QgsVectorFileWriter.CreateOrOverwriteLayer
+    options.actionOnExistingFile = (
+        QgsVectorFileWriter.ActionOnExistingFile.CreateOrOverwriteLayer)
     QgsVectorFileWriter.writeAsVectorFormatV3(layer, str(target), QgsCoordinateTransformContext(),
                                               options)

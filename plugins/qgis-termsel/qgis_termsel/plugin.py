@@ -29,8 +29,7 @@ class TermselPlugin:
         from .provider import ICON
 
         self.dock = ResultDock(self.iface)
-        area = getattr(Qt, "DockWidgetArea", Qt).RightDockWidgetArea
-        self.iface.addDockWidget(area, self.dock)
+        self.iface.addDockWidget(Qt.DockWidgetArea.RightDockWidgetArea, self.dock)
         self.dock.hide()
         self.action = self.dock.toggleViewAction()
         self.action.setText("termsel result")

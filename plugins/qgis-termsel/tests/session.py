@@ -21,9 +21,10 @@ from qgis.core import (
     QgsProcessingFeatureSourceDefinition,
     QgsProcessingFeedback,
     QgsProject,
+    QgsRasterLayer,
     QgsVectorLayer,
 )
-from qgis.PyQt.QtCore import QSize
+from qgis.PyQt.QtCore import QSize, Qt
 from qgis.PyQt.QtGui import QColor
 
 application = QgsApplication([], True)
@@ -34,7 +35,7 @@ import processing  # noqa: E402
 from processing.core.Processing import Processing  # noqa: E402
 from qgis_termsel import child  # noqa: E402
 from qgis_termsel.dock import CHECKED, ResultDock  # noqa: E402
-from qgis_termsel.layers import blunder_style  # noqa: E402
+from qgis_termsel.layers import blunder_style, shade  # noqa: E402
 from qgis_termsel.provider import TermselProvider  # noqa: E402
 
 Processing.initialize()
@@ -129,6 +130,50 @@ told["places"] = run("nextplaces", RESULT=str(folder / "of layer ü"), NUMBER=3,
 told["export"] = run("export", RESULT=str(folder / "of layer ü"), FORMAT=0,
                      OUTPUT=str(folder / "scene_RPC.TXT"))
 
+told["report"] = run("report", RESULT=str(folder / "of layer ü"), OUTPUT=str(folder / "p ü.html"))
+told["sigma"] = run("sigma", RESULT=str(folder / "of layer ü"), DEM=str(folder / "dem.tif"),
+                    IMAGE=str(folder / "scene.tif"), OUTPUT=str(folder / "sigma ü.tif"))
+told["match"] = run("match", IMAGE=str(folder / "scene.tif"), REFERENCE=str(folder / "ortho.tif"),
+                    DEM=str(folder / "dem.tif"), START=str(folder / "vendor.RPB"),
+                    OUTPUT=str(folder / "candidates ü.csv"))
+told["lines"] = run("selectlines", LINES=str(folder / "lines.csv"),
+                    FILE=str(folder / "points.csv"), OUTPUT=str(folder / "of lines"))
+told["block"] = run("block", BLOCK=str(folder / "block" / "block.toml"),
+                    OUTPUT=str(folder / "block out"))
+told["model"] = run("georeference", FILE=str(folder / "gcps.csv"), MODEL="poly3d 2",
+                    OUTPUT=str(folder / "quadratic"))
+
+# A child that takes no notice of the request to end, and one that is stopped as it writes.
+stubborn = folder / "stubborn.py"
+stubborn.write_text("import os, signal, time\nos.mkdir(f'{os.path.dirname(__file__)}/.termsel-0-"
+                    "{os.getpid()}-0')\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
+                    "time.sleep(60)\n")
+begin = time.monotonic()
+try:
+    child.run([stubborn], Told(cancel_after=0.5), sys.executable)
+except QgsProcessingException as error:
+    told["stubborn"] = {"error": str(error), "seconds": time.monotonic() - begin - 0.5}
+(folder / "maps").mkdir()
+
+
+class WhileWriting(Told):
+    """Cancels as soon as the map has begun."""
+
+    def isCanceled(self):
+        return any((folder / "maps").iterdir())
+
+
+told["stopped"] = run("rectify", WhileWriting(), RESULT=str(folder / "of layer ü"), RES=0.5,
+                      IMAGE=str(folder / "scene.tif"), HEIGHT=1800.0,
+                      OUTPUT=str(folder / "maps" / "m.tif"))
+told["left"] = [path.name for path in folder.glob(".termsel*")]
+told["left in maps"] = [path.name for path in (folder / "maps").iterdir()]
+
+shades = QgsRasterLayer(told["sigma"].get("OUTPUT", ""), "sigma")
+if shades.isValid():
+    shade(shades)
+    told["shades"] = [shades.renderer().band(), shades.renderer().classificationMax()]
+
 dock = ResultDock(None)
 dock.show_result(folder / "of layer ü")
 told["dock"] = {"accuracy": dock.accuracy.text(), "rows": dock.table.rowCount(),
@@ -137,6 +182,14 @@ dock.table.item(0, 0).setCheckState(CHECKED)
 told["dock"]["left out"] = dock.left_out()
 dock.resize(460, 420)
 dock.grab().save(str(folder / "dock.png"))
+told["dock"]["candidates"] = [
+    [dock.candidates.itemText(i), dock.candidates.itemData(i),
+     dock.candidates.model().item(i).isEnabled()] for i in range(dock.candidates.count())]
+dock.candidates.setCurrentIndex(dock.candidates.findText("quadratic", Qt.MatchFlag.MatchStartsWith))
+asked = []
+processing.execAlgorithmDialog = lambda name, parameters: asked.append([name, parameters])
+dock.rerun()
+told["dock"]["asked"] = asked
 dock.show_result(folder)
 told["dock"]["none"] = dock.accuracy.text()
 

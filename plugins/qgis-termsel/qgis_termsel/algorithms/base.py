@@ -13,7 +13,7 @@ from qgis.PyQt.QtGui import QIcon
 
 from ..provider import ICON
 
-FOLDER = QgsProcessingParameterFile.Folder
+FOLDER = QgsProcessingParameterFile.Behavior.Folder
 
 
 class Algorithm(QgsProcessingAlgorithm):

@@ -26,6 +26,14 @@ from ..layers import BlundersInRed, add_blunders, crs_text, points_csv
 from .base import Algorithm, in_place, layer_file, scratch
 
 _RESIDUALS = "result_residuals.gpkg"
+_DEGREES = {"linear": 1, "quadratic": 2, "cubic": 3}
+
+
+def model_named(candidate, model):
+    """Return what the parameter MODEL says for a candidate of auto; "" if only auto can fit it."""
+    if model in ("poly2d", "poly3d"):
+        return f"{model} {_DEGREES[candidate]}" if candidate in _DEGREES else ""
+    return "" if candidate.startswith(("shrunken", "selected")) else model
 
 
 class Georeference(Algorithm):
@@ -45,7 +53,7 @@ class Georeference(Algorithm):
         """Declare parameters and outputs."""
         add = self.addParameter
         add(QgsProcessingParameterFeatureSource(
-            "POINTS", "Layer of points", [QgsProcessing.TypeVectorPoint], optional=True))
+            "POINTS", "Layer of points", [QgsProcessing.SourceType.TypeVectorPoint], optional=True))
         for name, label in (("LINE", "Field of line (row)"), ("SAMPLE", "Field of sample (column)"),
                             ("HEIGHT", "Field of height"), ("ID", "Field of names"),
                             ("ROLE", "Field of roles")):
@@ -58,6 +66,9 @@ class Georeference(Algorithm):
         add(QgsProcessingParameterFile("LINES", "File of control lines", optional=True))
         add(QgsProcessingParameterString("OFF", "Points to leave out, such as P07,P12",
                                          optional=True))
+        add(QgsProcessingParameterString(
+            "MODEL", "Model instead of the choice of auto, such as affine, tps or poly3d 2",
+            optional=True))
         self._outputs()
 
     def _outputs(self):
@@ -102,7 +113,13 @@ class Georeference(Algorithm):
             if file:
                 arguments += [option, file]
         off = self.parameterAsString(parameters, "OFF", context)
-        return arguments + (["--off", off] if off else [])
+        arguments += ["--off", off] if off else []
+        model, _, degree = self.parameterAsString(parameters, "MODEL", context).partition(" ")
+        if model:
+            arguments += ["--strategy", "as-asked", "--problem", "poly-terms", "--solver",
+                          "all-terms", "--model", model]
+            arguments += ["--set", f"degree={degree}"] if degree else []
+        return arguments
 
     def _run(self, arguments, parameters, context, feedback):
         """Run the search, put its folder in place, and return the outputs."""

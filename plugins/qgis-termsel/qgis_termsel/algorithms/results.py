@@ -7,8 +7,6 @@ from pathlib import Path
 from qgis.core import (
     QgsCoordinateReferenceSystem,
     QgsFeature,
-    QgsField,
-    QgsFields,
     QgsGeometry,
     QgsPointXY,
     QgsProcessing,
@@ -21,12 +19,12 @@ from qgis.core import (
     QgsProcessingParameterNumber,
     QgsProcessingParameterRasterDestination,
     QgsProcessingParameterRasterLayer,
+    QgsVectorLayer,
     QgsWkbTypes,
 )
-from qgis.PyQt.QtCore import QVariant
 
 from ..child import run
-from ..layers import crs_text
+from ..layers import InShades, crs_text
 from .base import Algorithm, layer_file, result_parameter, scratch
 
 _FORMATS = ("rpc-txt", "rpb", "rpc-vrt", "gcp-vrt", "gcp-grid-vrt", "geolocation-vrt",
@@ -49,10 +47,10 @@ class Rectify(Algorithm):
         add(QgsProcessingParameterRasterLayer("IMAGE", "Image"))
         add(QgsProcessingParameterRasterLayer("DEM", "Raster of heights", optional=True))
         add(QgsProcessingParameterNumber("HEIGHT", "Or one height of the ground [m]",
-                                         QgsProcessingParameterNumber.Double, optional=True))
+                                         QgsProcessingParameterNumber.Type.Double, optional=True))
         add(QgsProcessingParameterCrs("CRS", "CRS of the map", optional=True))
         add(QgsProcessingParameterNumber("RES", "Pixel size in units of the CRS",
-                                         QgsProcessingParameterNumber.Double, optional=True,
+                                         QgsProcessingParameterNumber.Type.Double, optional=True,
                                          minValue=0))
         add(QgsProcessingParameterRasterDestination("OUTPUT", "Map"))
 
@@ -72,6 +70,48 @@ class Rectify(Algorithm):
             arguments += ["--res", self.parameterAsDouble(parameters, "RES", context)]
         output = self.parameterAsOutputLayer(parameters, "OUTPUT", context)
         run([*arguments, "-o", output, "--overwrite", "--progress", "json"], feedback)
+        return {"OUTPUT": output}
+
+
+class Uncertainty(Algorithm):
+    """Write the uncertainty of a model as a raster."""
+
+    NAME, TITLE, GROUP = "sigma", "Uncertainty raster", "Results"
+    HELP = ("Writes standard deviations of a model all over the image or a map: of line and sample "
+            "[px], of east and north [m], and 1 outside the control. It shows the one to the "
+            "north. It needs the package termsel-standards.")
+
+    def initAlgorithm(self, config=None):
+        """Declare parameters and outputs."""
+        add = self.addParameter
+        add(result_parameter())
+        add(QgsProcessingParameterRasterLayer("IMAGE", "Image, if its size is not known",
+                                              optional=True))
+        add(QgsProcessingParameterRasterLayer("MAP", "Map whose extent and CRS it has",
+                                              optional=True))
+        add(QgsProcessingParameterRasterLayer("DEM", "Raster of heights", optional=True))
+        add(QgsProcessingParameterNumber("HEIGHT", "Or one height of the ground [m]",
+                                         QgsProcessingParameterNumber.Type.Double, optional=True))
+        add(QgsProcessingParameterNumber("RES", "Pixel size in units of the CRS",
+                                         QgsProcessingParameterNumber.Type.Double, optional=True,
+                                         minValue=0))
+        add(QgsProcessingParameterRasterDestination("OUTPUT", "Uncertainty"))
+
+    def processAlgorithm(self, parameters, context, feedback):
+        """Run the command."""
+        arguments = ["sigma", self.parameterAsString(parameters, "RESULT", context)]
+        for name, what in (("IMAGE", "image"), ("MAP", "map"), ("DEM", "raster of heights")):
+            layer = self.parameterAsRasterLayer(parameters, name, context)
+            if layer is not None:
+                arguments += [f"--{name.lower()}", layer_file(layer, what)]
+        if parameters.get("HEIGHT") is not None:
+            arguments += ["--height", self.parameterAsDouble(parameters, "HEIGHT", context)]
+        if parameters.get("RES"):
+            arguments += ["--res", self.parameterAsDouble(parameters, "RES", context)]
+        output = self.parameterAsOutputLayer(parameters, "OUTPUT", context)
+        run([*arguments, "-o", output, "--overwrite", "--progress", "json"], feedback)
+        if context.willLoadLayerOnCompletion(output):
+            context.layerToLoadOnCompletionDetails(output).setPostProcessor(InShades())
         return {"OUTPUT": output}
 
 
@@ -147,7 +187,7 @@ class NextPlaces(Algorithm):
         self.addParameter(QgsProcessingParameterNumber("NUMBER", "Number of places",
                                                        defaultValue=5, minValue=1))
         self.addParameter(QgsProcessingParameterFeatureSink(
-            "OUTPUT", "Places", QgsProcessing.TypeVectorPoint))
+            "OUTPUT", "Places", QgsProcessing.SourceType.TypeVectorPoint))
 
     def processAlgorithm(self, parameters, context, feedback):
         """Run the command and return its table as a layer."""
@@ -158,11 +198,10 @@ class NextPlaces(Algorithm):
         with open(table, newline="", encoding="utf-8") as opened:
             rows = list(csv.DictReader(line for line in opened if not line.startswith("#")))
         names = [name for name in (rows[0] if rows else {}) if name not in ("x", "y")]
-        fields = QgsFields()
-        for name in names:
-            fields.append(QgsField(name, QVariant.String if name == "id" else QVariant.Double))
+        kinds = "&".join(f"field={name}:{'string' if name == 'id' else 'double'}" for name in names)
+        fields = QgsVectorLayer(f"Point?{kinds}", "places", "memory").fields()
         sink, target = self.parameterAsSink(parameters, "OUTPUT", context, fields,
-                                            QgsWkbTypes.Point, _crs_of(folder))
+                                            QgsWkbTypes.Type.Point, _crs_of(folder))
         for row in rows:
             feature = QgsFeature(fields)
             feature.setGeometry(QgsGeometry.fromPointXY(QgsPointXY(float(row["x"]),

@@ -26,6 +26,8 @@ class MatchReference(Algorithm):
         add(QgsProcessingParameterRasterLayer("IMAGE", "Image"))
         add(QgsProcessingParameterRasterLayer("REFERENCE", "Georeferenced image of the place"))
         add(QgsProcessingParameterRasterLayer("DEM", "Raster of heights", optional=True))
+        add(QgsProcessingParameterFile("START", "Rough geometry: a file with an RPC or of three "
+                                       "points, if the image has none", optional=True))
         add(QgsProcessingParameterFileDestination("OUTPUT", "Candidates", "CSV files (*.csv)"))
 
     def processAlgorithm(self, parameters, context, feedback):
@@ -38,6 +40,8 @@ class MatchReference(Algorithm):
             if layer is not None:
                 arguments += [*([] if name == "IMAGE" else [f"--{name.lower()}"]),
                               layer_file(layer, what)]
+        start = self.parameterAsFile(parameters, "START", context)
+        arguments += ["--start", start] if start else []
         run([*arguments, "-o", output, "--overwrite"], feedback)
         return {"OUTPUT": output}
 
