@@ -88,7 +88,8 @@ def study() -> Study:
                               "criterion": "check-rmse", "solver": solver, "seed": seed}
                 best = 1 + 0.1 * i + (0.02, 0.2, 0.5)[s] * seed
                 records[key] = CellRecord(
-                    key, "done", "", {"fitness": best, "evaluations": 200, "optimum": None,
+                    key, "done", "", {"fitness": best, "objective": "check-rmse",
+                                      "evaluations": 200, "optimum": None,
                                       "independent": best, "cpu_seconds": 0.5},
                     [[10, 3 * best, 0.01], [40 * (s + 1), best, 0.1 * (s + 1)]], [])
     return Study(spec_of({"problems": ["poly-terms"], "solvers": ["ga", "ica", "pso"],
