@@ -14,7 +14,8 @@ from termsel.formats.base import parse_json
 from termsel.formats.heights import open_dem
 from termsel.formats.readers.qgis_points import QgisPoints
 from termsel.models.rpc import Rpc
-from termsel.simulate import read_geometry
+from termsel.simulate import read_geometry, scene_truth
+from termsel.simulate.geometry_files import geometry_text
 
 DEM = """<VRTDataset rasterXSize="60" rasterYSize="60"><SRS>{crs}</SRS><GeoTransform>{transform}
 </GeoTransform><VRTRasterBand dataType="Float32" band="1"/></VRTDataset>"""
@@ -97,6 +98,10 @@ def test_json(text: str, message: str, tmp_path: Path, call) -> None:
     (tmp_path / "result.json").write_text(text)
     with pytest.raises(TermselError, match=message):
         termsel.read_result(tmp_path)
+    whole = geometry_text(scene_truth("spot-isfahan").sensor)
+    path.write_text(whole.replace('"roll": {', '"roll": {"\\ud800": 1,'))
+    with pytest.raises(TermselError, match="a field of the geometry is invalid"):
+        read_geometry(path)
     path.write_text('{"features": 1, "type": "FeatureCollection", "Point": ' + text[6:])
     with pytest.raises(TermselError):
         termsel.read(path, format="geojson-points")

@@ -6,6 +6,7 @@ import csv
 import itertools
 import json
 import logging
+import re
 import shutil
 import time
 from collections.abc import Callable
@@ -321,12 +322,15 @@ def test_a_folder_with_files_of_other_things_is_refused(call: Call, tmp_path: Pa
     assert own.read_bytes() == before
 
 
-@pytest.mark.parametrize("content", ["{}", "[]", '{"study": {"seed": 1}, "cells": {}}'])
+@pytest.mark.parametrize("content", [
+    "{}", "[]", '{"study": {"seed": 1}, "cells": {}}',
+    *(f'{{"study": {{"title": {"[" * n}{"]" * n}}}, "cells": {{}}, "workers": 1}}'
+      for n in (300, 950))])
 def test_the_plan_of_something_else_is_told(content: str, call: Call, tmp_path: Path) -> None:
     (tmp_path / "plan.json").write_text(content)
     done = call("compare", "--status", tmp_path)
     assert done.exit_code == 2
-    assert "this is not the plan of a study" in done.stderr
+    assert re.search("this is not the plan of a study|nested too deeply", done.stderr)
 
 
 def test_a_study_is_read_again_from_its_folder_alone(tmp_path: Path) -> None:

@@ -115,7 +115,8 @@ def test_a_forged_or_flipped_line_costs_itself_alone(forged: str, tmp_path: Path
 
 @pytest.mark.parametrize("forged", [
     {"figures": {"fitness": "good"}}, {"figures": {"notes": [1]}}, {"figures": {"mine": 1.0}},
-    {"figures": {"seconds": None}}, {"trace": [[1.0]]}, {"front": [[]]}, {"state": "best"}])
+    {"figures": {"seconds": None}}, {"trace": [[1.0]]}, {"front": [[]]}, {"state": "best"},
+    {"front": [[1.0, 2.0], [1.0, 2.0, 3.0]]}, {"\ud800": 1}, {"figures": {"\ud800": 1}}])
 def test_a_record_that_no_run_writes_is_refused(forged: dict[str, Any], tmp_path: Path) -> None:
     asked: dict[str, Any] = {"problems": ["poly-terms"], "solvers": ["random"], "out": tmp_path,
                              **FEW}

@@ -51,7 +51,7 @@ def geometry_from(text: str) -> Pushbroom:
             raise TermselError("this field of the geometry is missing", column=name, hint=_EXPECTED)
     try:
         return Pushbroom(**{name: convert(content[name], kind) for name, kind in _TYPES.items()})
-    except (ValidationError, OverflowError) as error:
+    except (ValidationError, OverflowError, UnicodeEncodeError) as error:
         raise TermselError(f"a field of the geometry is invalid: {error}",
                            hint=_EXPECTED) from error
 

@@ -44,8 +44,8 @@ def _read_plan(folder: Path) -> tuple[Spec, int, dict[str, dict[str, Any]]]:
         read = convert(table["cells"], dict[str, dict[str, str | int]])
         cells = {key: {name: labels[name] for name in LABELS} for key, labels in read.items()}
         return spec_of(table["study"]), int(table["workers"]), cells
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, ValidationError,
-            TermselError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError,
+            ValidationError, TermselError) as error:
         raise TermselError("this is not the plan of a study", file=file, hint=repeat) from error
 
 

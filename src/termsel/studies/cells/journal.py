@@ -77,6 +77,11 @@ class CellRecord(RecordPart, frozen=True):
     front: list[Annotated[list[float], Meta(min_length=2)]]
     """Objectives of each member of its front."""
 
+    def __post_init__(self) -> None:
+        """Refuse a front whose members have different objectives."""
+        if len(set(map(len, self.front))) > 1:
+            raise ValueError("front: its members have different numbers of objectives")
+
 
 @dataclass
 class Journal:
@@ -176,7 +181,7 @@ def read_journal(folder: Path) -> Journal:
             try:
                 cell = convert(record, CellRecord)
                 convert(cell.figures, Figures)
-            except ValidationError:
+            except (ValidationError, UnicodeEncodeError):  # half a character, \ud800
                 damaged.append(number)
             else:
                 journal.records[cell.cell] = cell
