@@ -13,6 +13,8 @@ from sphinx.application import Sphinx
 import termsel
 
 sys.path.insert(0, str(Path(__file__).parent))
+# The reference has the estimators of a package whether or not it is installed.
+sys.path.append(str(Path(__file__).parents[1] / "plugins" / "termsel-sklearn" / "src"))
 
 project = "termsel"
 author = "The termsel developers"

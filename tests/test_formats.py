@@ -21,8 +21,6 @@ from hypothesis import strategies as st
 import termsel
 from termsel.errors import TermselError
 from termsel.fits.residuals import Residual, Residuals
-from termsel.formats.readers.asp_gcp import AspGcp
-from termsel.formats.readers.envi_points import EnviPoints
 from termsel.formats.readers.gdal_gcps import GdalGcps
 from termsel.formats.readers.geojson_points import GeoJsonPoints
 from termsel.formats.readers.ground_lines import GeoJsonLines
@@ -31,6 +29,8 @@ from termsel.io.read import read_file
 from termsel.measurements.features import FeatureSet, Lines, Points
 from termsel.plugins.registry import registry
 from termsel.testing import Check, check, checks
+from termsel_formats.points.asp import AspGcp
+from termsel_formats.points.envi import EnviPoints
 
 UTM = ('PROJCRS["WGS 84 / UTM zone 31N",BASEGEOGCRS["WGS 84",DATUM["World Geodetic System 1984",'
        'ELLIPSOID["WGS 84",6378137,298.257223563,LENGTHUNIT["metre",1]]],PRIMEM["Greenwich",0,'

@@ -9,7 +9,7 @@ import pytest
 
 import termsel
 from termsel.errors import TermselError
-from termsel.formats.readers.envi_points import EnviPoints
+from termsel_formats.points.envi import EnviPoints
 
 LIMIT = 10.0
 """Seconds of the processor, which other processes do not lengthen. Each file here takes a few

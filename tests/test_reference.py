@@ -14,7 +14,7 @@ import pytest
 import termsel
 
 ROOT = Path(__file__).parents[1]
-MODULES = ("termsel", "termsel.simulate", "termsel.testing", "termsel.sklearn")
+MODULES = ("termsel", "termsel.simulate", "termsel.testing", "termsel_sklearn")
 FOREIGN = ("sklearn", "builtins", "enum")
 
 

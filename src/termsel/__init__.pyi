@@ -7,9 +7,11 @@ from .adjustment import row_weights as row_weights
 from .candidates.base import Candidate as Candidate
 from .candidates.base import Judged as Judged
 from .candidates.base import Suspects as Suspects
+from .candidates.estimators import estimator as estimator
 from .candidates.structures import Structure as Structure
 from .criteria import Criterion as Criterion
 from .criteria import Fits as Fits
+from .enumeration.columns.system import SubsetSystem as SubsetSystem
 from .errors import TermselError as TermselError
 from .files.rasters import open_raster as open_raster
 from .files.remote import allow_remote as allow_remote
@@ -56,7 +58,9 @@ from .models.rpc import Rpc as Rpc
 from .models.rpc_fit import rpc_of as rpc_of
 from .options import Option as Option
 from .plugins.hookspecs import hookimpl as hookimpl
+from .plugins.session import get as get
 from .plugins.session import register as register
+from .problems.base import EnumerablePart as EnumerablePart
 from .problems.base import Evaluation as Evaluation
 from .problems.base import Inputs as Inputs
 from .problems.base import Problem as Problem

@@ -9,10 +9,10 @@ from __future__ import annotations
 ROOMS = {
     "__main__": "entry of the command line",
     "cli": "commands, one module each",
-    "sklearn": "estimators for scikit-learn",
+    "sklearn": "the deprecated name of the package termsel-sklearn",
     "testing": "conformance suites for every kind of thing that plugins provide",
     "studies": "many runs: cells, journal, executors, statistics, tables",
-    "runs": "one run: task, search, choice, assessment, judgement; stability over many",
+    "runs": "one run: task, search, choice, assessment, judgement",
     "io": "verbs on files: read, export, project, rectify, the folder of a result",
     "plugins": "hooks, kinds of things, loading, registry, what is built in",
     "simulate": "scenes with known truth",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 from termsel.candidates.local import Interpolated
@@ -18,15 +17,32 @@ ESTIMATORS: dict[str, type[Estimator]] = {one.name: one for one in (
     LeastSquares, RidgeByOrder, ForwardSelection, Averaging, Interpolated, Reweighted, Given)}
 
 
-def estimator_named(name: str, options: Mapping[str, Any]) -> Estimator:
-    """Return the estimator of a name, made with options as `Estimator.options` gives them.
+def estimator(name: str, /, **options: Any) -> Estimator:
+    """Return a built-in estimator.
 
-    Refuses a name that none has, and options that it does not take.
+    Parameters
+    ----------
+    name : str
+        As records have it: least-squares, ridge-by-order, forward-selection, averaging,
+        interpolated, reweighted or given.
+    **options
+        As `Estimator.options` gives them.
+
+    Raises
+    ------
+    TermselError
+        For a name that none has, or options that it does not take.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> termsel.estimator("reweighted", biweight=True).options
+    {'biweight': True}
     """
     if name not in ESTIMATORS:
         raise unknown_name("estimator", name, ESTIMATORS)
     try:
         return ESTIMATORS[name](**options)
     except TypeError as error:
-        raise TermselError(f"the estimator {name} cannot be made with the options {dict(options)}",
+        raise TermselError(f"the estimator {name} cannot be made with the options {options}",
                            hint="Run the search again.") from error

@@ -108,9 +108,7 @@ def termsel_datasets() -> Iterable[DatasetSpec]:
 def termsel_readers() -> Iterable[type[Reader]]:
     """Return the built-in readers."""
     from termsel.formats.readers.areas_table import AreasCsv
-    from termsel.formats.readers.asp_gcp import AspGcp
     from termsel.formats.readers.csv_tables import LinesCsv, PointsCsv
-    from termsel.formats.readers.envi_points import EnviPoints
     from termsel.formats.readers.gdal_gcps import GdalGcps
     from termsel.formats.readers.geojson_points import GeoJsonPoints, VectorPoints
     from termsel.formats.readers.ground_lines import GeoJsonLines, VectorLines
@@ -118,7 +116,7 @@ def termsel_readers() -> Iterable[type[Reader]]:
 
     # A table of corners has all columns of points, so it is asked for first.
     return [AreasCsv, PointsCsv, LinesCsv, QgisPoints, GeoJsonPoints, GeoJsonLines,
-            VectorPoints, VectorLines, GdalGcps, EnviPoints, AspGcp]
+            VectorPoints, VectorLines, GdalGcps]
 
 
 @hookimpl

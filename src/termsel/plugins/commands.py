@@ -8,8 +8,6 @@ COMMANDS = {
     "run": ("termsel.cli.run:run", "Search for the terms or control features that serve best."),
     "compare": ("termsel.cli.compare:compare",
                 "Compare problems, models and solvers over many seeds, or run many images."),
-    "stability": ("termsel.cli.stability:stability",
-                  "Show how often each term is selected as control and check points change."),
     "export": ("termsel.cli.export:export",
                "Write a result for GDAL, QGIS, OTB, Orthority and others."),
     "report": ("termsel.cli.report:report",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from termsel.plugins.registry import registry
 
@@ -44,3 +44,32 @@ def register(thing: T) -> T:
     """
     registered: T = registry().register(thing)
     return registered
+
+
+def get(kind: str, name: Any) -> Any:
+    """Return what a name stands for, whoever provides it.
+
+    Parameters
+    ----------
+    kind : str
+        Such as "models", "solvers" or "problems", as for ``termsel list``.
+    name : str, type or object
+        A name, perhaps as ``distribution:name``; or a thing of that kind, which is returned.
+
+    Returns
+    -------
+    type or object
+        The class of a model, criterion, solver, reader or writer; or a description.
+
+    Raises
+    ------
+    TermselError
+        If nothing has the name, or it is no thing of that kind.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> termsel.get("models", "poly2d") is termsel.Polynomial2D
+    True
+    """
+    return registry().taken(kind, name)

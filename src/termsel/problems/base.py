@@ -78,10 +78,20 @@ class Selection:
 class EnumerablePart:
     """Genes whose part of the objective depends on no others, and can be enumerated.
 
-    Genes (k,) are the numbers of those that switch the system's columns. The score is as for
-    `termsel.enumeration.subsets.search`; `cost` turns the best score of every size (k + 1,) into
-    what adds up over the parts. Folds are the control rows of each, for the score "kfold"; `pixels`
-    are px per unit of the system's target.
+    Parameters
+    ----------
+    genes : ndarray of int, shape (k,)
+        Numbers of the genes that switch the system's columns.
+    system : SubsetSystem
+    score : {"check", "rss", "press", "kfold"}
+        What a subset is judged by: squared errors at check rows, or of the control rows, as they
+        are, each left out, or fold by fold.
+    cost : callable
+        Turns the best score of every size, shape (k + 1,), into what adds up over the parts.
+    folds : tuple of ndarray of int
+        Control rows of each fold, for the score "kfold".
+    pixels : float
+        px per unit of the system's target.
     """
 
     genes: IntArray

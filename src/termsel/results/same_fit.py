@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from termsel.adjustment.solve import Adjustment
-from termsel.candidates.estimators import estimator_named
+from termsel.candidates import estimators
 from termsel.errors import TermselError
 from termsel.fits.figures import finite_or_none, number
 from termsel.fits.fit import Estimator, Fit, HeldOut
@@ -56,7 +56,7 @@ def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, use
     use.
     """
     estimator = own if own is not None and own.name == how.estimator \
-        else estimator_named(how.estimator, how.options)
+        else estimators.estimator(how.estimator, **how.options)
     model = model.prepared(scaling, control.crs)
     terms = np.array([name in coefficients for name in model.terms], dtype=bool)
     values = _by_term(model, coefficients, 0.0)

@@ -34,8 +34,10 @@ def termsel_commands(cli: click.Group) -> None:
 @hookimpl
 def termsel_readers() -> Iterable[type[Reader]]:
     """Return the readers of points."""
+    from termsel_formats.points.asp import AspGcp
+    from termsel_formats.points.envi import EnviPoints
     from termsel_formats.points.mapinfo import MapInfoTab
     from termsel_formats.points.metashape import MetashapeMarkers
     from termsel_formats.points.ozi import OziMap
 
-    return [MapInfoTab, OziMap, MetashapeMarkers]
+    return [EnviPoints, AspGcp, MapInfoTab, OziMap, MetashapeMarkers]

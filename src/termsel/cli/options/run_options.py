@@ -1,4 +1,4 @@
-"""What a user asks a run for: the options that `run` and `stability` share."""
+"""What a user asks a run for: options that `run` shares with commands of plugins."""
 
 from __future__ import annotations
 

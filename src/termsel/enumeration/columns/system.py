@@ -26,23 +26,48 @@ class SubsetSystem:
 
     The error is (target - design x) / (1 + denominator x), or its numerator without a denominator.
     A quotient n a / (1 + d b) = l that was multiplied out has the rows design = [n, -l d], target =
-    l, denominator = [0, d]. Raises TermselError for more than 62 columns, ValueError for arrays
-    whose shapes do not fit or whose values are not finite.
+    l, denominator = [0, d].
+
+    Parameters
+    ----------
+    design : ndarray, shape (m, k)
+        Rows of control; k is at most 62.
+    target : ndarray, shape (m, r)
+        One column, or two (line and sample) that share the selection.
+    check_design, check_target : ndarray, shapes (c, k) and (c, r), optional
+        The same at check points.
+    denominator, check_denominator : ndarray, shapes (m, k) and (c, k), optional
+        Linear forms of the denominator, for r = 1.
+    guard_denominator : ndarray, shape (g, k), optional
+        At further ground points; tested only if a subset would become the best of its size.
+    margin : float
+        A subset with a denominator below this is infeasible.
+    forced, forbidden : ndarray of bool, shape (k,), optional
+        Columns in every subset, and in none.
+    some_of : ndarray of bool, shape (k,), optional
+        A best subset has at least one of these columns.
+    parents : ndarray of bool, shape (k, k), optional
+        A best subset has column i only if it has all columns j with ``parents[i, j]``.
+
+    Raises
+    ------
+    TermselError
+        For more than 62 columns.
+    ValueError
+        For arrays whose shapes do not fit or whose values are not finite.
     """
 
-    design: FloatArray  # (m, k): rows of control, k <= 62
-    target: FloatArray  # (m, r): one, or two (line and sample) that share the selection
-    check_design: FloatArray | None = None  # (c, k): the same linear form at check points
-    check_target: FloatArray | None = None  # (c, r)
-    denominator: FloatArray | None = None  # (m, k): linear form at control points, for r = 1
-    check_denominator: FloatArray | None = None  # (c, k)
-    # (g, k): at further ground points; tested only if a subset would become the best of its size.
+    design: FloatArray
+    target: FloatArray
+    check_design: FloatArray | None = None
+    check_target: FloatArray | None = None
+    denominator: FloatArray | None = None
+    check_denominator: FloatArray | None = None
     guard_denominator: FloatArray | None = None
-    margin: float = 0.1  # a subset with a denominator below this is infeasible
-    forced: BoolArray | None = None  # (k,): columns in every subset
-    forbidden: BoolArray | None = None  # (k,): columns in none
-    some_of: BoolArray | None = None  # (k,): a best subset has at least one of these columns
-    # (k, k): a best subset has column i only if it has all columns j with parents[i, j].
+    margin: float = 0.1
+    forced: BoolArray | None = None
+    forbidden: BoolArray | None = None
+    some_of: BoolArray | None = None
     parents: BoolArray | None = None
 
     def __post_init__(self) -> None:

@@ -8,23 +8,25 @@ import numpy as np
 from sklearn.base import MultiOutputMixin, RegressorMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from termsel.candidates.ridge import RidgeByOrder
-from termsel.candidates.robust import Reweighted
-from termsel.candidates.selected import ForwardSelection
-from termsel.candidates.shrunken import Averaging
-from termsel.candidates.structures import Structure
-from termsel.errors import TermselError
-from termsel.fits.fit import Estimator
-from termsel.fits.least_squares import LEAST_SQUARES
-from termsel.measurements.features import FeatureSet, FloatArray, Points
-from termsel.models.base import SensorModel
-from termsel.models.polynomial import Polynomial2D, Polynomial3D
-from termsel.sklearn.parts import WithOptions, weights_of
+from termsel import (
+    Estimator,
+    FeatureSet,
+    Points,
+    Polynomial2D,
+    Polynomial3D,
+    SensorModel,
+    Structure,
+    TermselError,
+    estimator,
+)
+from termsel_sklearn.arrays import FloatArray
+from termsel_sklearn.parts import WithOptions, weights_of
 
 STRATEGIES: dict[str, Estimator] = {
-    "least-squares": LEAST_SQUARES, "ridge": RidgeByOrder(), "shrunken": Averaging(),
-    "selected": ForwardSelection(), "huber": Reweighted(biweight=False),
-    "tukey": Reweighted(biweight=True)}
+    "least-squares": estimator("least-squares"), "ridge": estimator("ridge-by-order"),
+    "shrunken": estimator("averaging"), "selected": estimator("forward-selection"),
+    "huber": estimator("reweighted", biweight=False),
+    "tukey": estimator("reweighted", biweight=True)}
 """How coefficients are found, by name."""
 
 EXPECTED_FAILED_CHECKS = dict.fromkeys((
@@ -71,7 +73,7 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
     Examples
     --------
     >>> import termsel
-    >>> from termsel.sklearn import SensorModelRegressor
+    >>> from termsel_sklearn import SensorModelRegressor
     >>> points = termsel.simulate_scene("ikonos-hamedan").points
     >>> model = SensorModelRegressor(degree=1).fit(points.ground, points.image)
     >>> model.predict(points.ground).shape == points.image.shape

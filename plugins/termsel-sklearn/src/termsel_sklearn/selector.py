@@ -10,14 +10,22 @@ import numpy as np
 from sklearn.feature_selection import SelectorMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from termsel.enumeration.columns.system import SubsetSystem
-from termsel.errors import TermselError
-from termsel.measurements.features import BoolArray, FloatArray, IntArray
-from termsel.problems.base import WORST, EnumerablePart, Evaluation, Problem, Selection
-from termsel.problems.genome import Genome
-from termsel.problems.segments import Bits
-from termsel.sklearn.parts import WithOptions, weights_of
-from termsel.solvers.search import search
+from termsel import (
+    Bits,
+    EnumerablePart,
+    Evaluation,
+    Genome,
+    Problem,
+    Selection,
+    SubsetSystem,
+    TermselError,
+    search,
+)
+from termsel_sklearn.arrays import BoolArray, FloatArray, IntArray
+from termsel_sklearn.parts import WithOptions, weights_of
+
+_WORST = 1e9
+"""Criterion of columns that depend on each other; finite, as every objective is."""
 
 _SMALL = 1e-10
 """Smallest share of a column that the others in use must leave."""
@@ -65,7 +73,7 @@ class ColumnProblem(Problem):
         solved = np.linalg.solve(system[good], right[good])
         rss[good] = self._total - (solved * right[good]).sum(axis=(1, 2))
         value = self._criterion(rss, genes.sum(axis=1))
-        return Evaluation(np.where(good, value, WORST)[:, None], violation)
+        return Evaluation(np.where(good, value, _WORST)[:, None], violation)
 
     def _criterion(self, rss: FloatArray, size: IntArray) -> FloatArray:
         # An exact fit has a residual of rounding alone, whose logarithm would choose by chance.
@@ -118,7 +126,7 @@ class TermSelector(SelectorMixin, WithOptions):  # type: ignore[misc]
     Examples
     --------
     >>> import numpy as np
-    >>> from termsel.sklearn import TermSelector
+    >>> from termsel_sklearn import TermSelector
     >>> X = np.random.default_rng(1).normal(size=(60, 8))
     >>> y = 2.0 * X[:, 1] - X[:, 4]
     >>> TermSelector().fit(X, y).get_support(indices=True).tolist()

@@ -1,5 +1,6 @@
 """Frequencies of terms over points assigned again."""
 
+# mypy: disable-error-code="arg-type,union-attr"
 from __future__ import annotations
 
 import json
@@ -18,11 +19,11 @@ from termsel.cli.main import cli
 from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
 from termsel.measurements.features import FeatureSet, Lines, Points
 from termsel.models.polynomial import Polynomial3D
-from termsel.runs import stability as module
-from termsel.runs.stability import stability
 from termsel.runs.task.request import Setup
 from termsel.runs.task.task import prepared
 from termsel.solvers.search import search
+from termsel_stability import frequencies as module
+from termsel_stability import stability
 
 QUICK = {"model": "poly3d", "solver": "exact", "criterion": "press", "repeats": 4,
          "options": {"degree": 2}}
@@ -73,7 +74,7 @@ def test_independent_points_take_no_part() -> None:
     ("owdis-points", {}, "selects features"), ("owdis-lines-terms", {}, "selects features"),
     ("poly-degree", {}, "selects other values than terms"),
     ("poly-terms", {"repeats": 1}, "say nothing"), ("poly-terms", {"threshold": 0}, "say nothing")])
-def test_what_it_is_not_for(problem: str, more: dict, message: str) -> None:
+def test_what_it_is_not_for(problem: str, more: dict[str, Any], message: str) -> None:
     with pytest.raises(termsel.TermselError, match=message):
         stability(problem, evaluations=50, **more)
 

@@ -11,10 +11,9 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from termsel.errors import TermselError
-from termsel.formats.base import IMAGE_NAME, Reader, image_of, read_text
+from termsel import FeatureSet, Reader, TermselError
+from termsel.formats.base import IMAGE_NAME, image_of, read_text
 from termsel.formats.readers.table import Table, is_number
-from termsel.measurements.features import FeatureSet
 
 _GROUND = ("id", "lat", "lon", "height", "sigma_x", "sigma_y", "sigma_z")
 _IMAGE = ("image", "column", "row", "sigma_column", "sigma_row")

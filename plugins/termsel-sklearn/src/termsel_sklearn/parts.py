@@ -8,10 +8,9 @@ import numpy as np
 from sklearn.base import BaseEstimator
 from sklearn.utils.validation import _check_sample_weight
 
-from termsel.errors import TermselError
-from termsel.measurements.features import FloatArray
-from termsel.plugins.registry import registry
-from termsel.runs.task.given import with_options
+import termsel
+from termsel import TermselError
+from termsel_sklearn.arrays import FloatArray
 
 
 class WithOptions(BaseEstimator):  # type: ignore[misc]
@@ -60,11 +59,18 @@ class WithOptions(BaseEstimator):  # type: ignore[misc]
 
     def _taken(self) -> Any:
         """Return the class or instance that is given, perhaps by name."""
-        return registry().taken(f"{self.part}s", getattr(self, self.part))
+        return termsel.get(f"{self.part}s", getattr(self, self.part))
 
     def _made(self, **further: Any) -> Any:
         """Return the part with its options."""
-        return with_options(self.part, self._taken(), {**further, **(self.options or {})})
+        part, options = self._taken(), {**further, **(self.options or {})}
+        if isinstance(part, type):
+            return part(**options)
+        if options:
+            raise TermselError(f"option {next(iter(options))!r} is for the {self.part} "
+                               f"{part.name!r}, which has its options already",
+                               hint=f"Give them with the name or the class of the {self.part}.")
+        return part
 
 
 def weights_of(sample_weight: Any, X: FloatArray) -> FloatArray:

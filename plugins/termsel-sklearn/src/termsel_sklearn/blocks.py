@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.measurements.features import FloatArray, IntArray
+from termsel_sklearn.arrays import FloatArray, IntArray
 
 
 def spatial_blocks(X: Any, across: int = 3) -> IntArray:

@@ -19,7 +19,7 @@ from termsel.interrupts import INTERRUPTED
 
 if TYPE_CHECKING:
     from termsel.measurements.features import FeatureSet
-    from termsel.runs.stability import Stability
+    from termsel_stability.frequencies import Stability
 
 _SOLVER, _CRITERION = "all-terms", "press"
 """What fits given terms to control and check points together."""
@@ -51,8 +51,8 @@ def stability(repeats: int, threshold: float, **given: Any) -> None:
     from termsel.files.atomic import write_text
     from termsel.io.replacing import require_replaceable
     from termsel.io.result_folder import claimed
-    from termsel.runs import stability as module
     from termsel.runs.run import problem_for
+    from termsel_stability import frequencies as module
 
     exported, page = asked.exported(), asked.page()
     if asked.out is not None:

@@ -13,11 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from termsel.errors import TermselError
-from termsel.formats.base import Reader, image_of, read_text
+from termsel import FeatureSet, Option, Reader, TermselError
+from termsel.formats.base import image_of, read_text
 from termsel.formats.readers.table import Table
-from termsel.measurements.features import FeatureSet
-from termsel.options import COUNT, Option
 
 _COLUMNS = {
     4: ("x", "y", "sample", "line"),
@@ -47,7 +45,7 @@ class EnviPoints(Reader):
     summary = "ENVI .pts: comments that begin with ; ENVI, then map and image coordinates"
     declared_options = (
         Option("image_number", None, "Number of the image, for files with several images.", int, 0,
-               COUNT),
+               1_000_000),
     )
 
     def sniff(self, path: Path, head: bytes) -> bool:
