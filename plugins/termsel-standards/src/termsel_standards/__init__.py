@@ -46,7 +46,8 @@ def termsel_commands(cli: click.Group) -> None:
 
 @hookimpl
 def termsel_writers() -> Iterable[type[Writer]]:
-    """Return the writer."""
+    """Return the writers."""
+    from termsel_standards.quality.writers import FgdcXml, Iso19157Json, Iso19157Xml
     from termsel_standards.stac import StacItem
 
-    return [StacItem]
+    return [StacItem, Iso19157Xml, Iso19157Json, FgdcXml]

@@ -8,19 +8,16 @@ from datetime import UTC, datetime
 from pathlib import Path, PurePath
 from typing import Any, ClassVar
 
-import numpy as np
-
 from termsel import Option, Result, TermselError, Writer
 from termsel.files.atomic import write_text
-from termsel.measurements.coordinates.crs import LOCAL, horizontal, to_wgs84
-from termsel.measurements.features import FloatArray
+from termsel.measurements.coordinates.crs import LOCAL, horizontal
+from termsel_standards.outline import outline_of
 
 VERSION = "1.1.0"
 """Of STAC."""
 EXTENSIONS = ("https://stac-extensions.github.io/projection/v2.0.0/schema.json",
               "https://stac-extensions.github.io/processing/v1.2.0/schema.json",
               "https://stac-extensions.github.io/accuracy/v1.0.0-beta.1/schema.json")
-_SIDE = 9  # places along either side of the image, for its outline
 _AUTHORITY = re.compile(r"[A-Z]+:\w+")
 
 
@@ -52,7 +49,7 @@ class StacItem(Writer):
             raise TermselError("a STAC item requires a CRS of the Earth",
                                hint="State the CRS of the ground coordinates when you run termsel.")
         made = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-        outline = _outline(result)
+        outline = outline_of(result)
         box = [*outline.min(axis=0).tolist(), *outline.max(axis=0).tolist()]
         code = horizontal(result.features.crs)
         properties: dict[str, Any] = {
@@ -85,30 +82,3 @@ def _time(date: str) -> str:
                            hint="Give it as 2024-05-31T10:20:30Z.") from None
     when = when if when.tzinfo else when.replace(tzinfo=UTC)
     return when.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-
-
-def _outline(result: Result) -> FloatArray:
-    """Return longitude and latitude of the image's outline, closed, counter-clockwise (n, 2).
-
-    At the middle height of the control; without a size of the image of the rectangle around them.
-    """
-    features, fitted = result.features, result.exported
-    seen = features.image_vertices()
-    low, high = seen.min(axis=0), seen.max(axis=0)
-    if features.image_size is not None:
-        low, high = np.zeros(2), np.array(features.image_size) - 1.0
-    share = np.linspace(0.0, 1.0, _SIDE)[:-1]
-    zero, one = np.zeros(_SIDE - 1), np.ones(_SIDE - 1)
-    around = np.concatenate([np.column_stack(pair) for pair in (
-        (zero, share), (share, one), (one, 1 - share), (1 - share, zero))])
-    height = float(fitted.ground_box()[0][2])
-    ground = fitted.locate(low + around * (high - low), np.full(len(around), height))
-    places = to_wgs84(features.crs)(ground)[:, :2]
-    if not np.isfinite(places).all():
-        known = to_wgs84(features.crs)(np.nan_to_num(result.residuals.ground))[:, :2]
-        least, most = known.min(axis=0), known.max(axis=0)
-        places = np.array([least, [most[0], least[1]], most, [least[0], most[1]]])
-    x, y = places.T
-    if x @ np.roll(y, -1) - y @ np.roll(x, -1) < 0:
-        places = places[::-1]
-    return np.asarray(np.round(np.concatenate([places, places[:1]]), 9))

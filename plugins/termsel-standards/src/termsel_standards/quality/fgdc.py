@@ -1,0 +1,76 @@
+"""The report as metadata of the FGDC.
+
+References
+----------
+FGDC-STD-001-1998, Content Standard for Digital Geospatial Metadata. What it requires and a
+georeference does not tell is "Unknown", as the standard allows.
+"""
+
+from __future__ import annotations
+
+from termsel_standards.quality.elements import Element, Writing
+from termsel_standards.quality.report import Quality, Source, decimal
+
+STANDARD = ("FGDC Content Standard for Digital Geospatial Metadata", "FGDC-STD-001-1998")
+_UNKNOWN, _NONE = "Unknown", "None"
+
+_x = Writing()
+
+
+def fgdc_xml(report: Quality) -> str:
+    """Return the report as an XML document whose root is `metadata`."""
+    date = report.made[:10].replace("-", "")
+    west, east, south, north = map(decimal, report.bounds)
+    return _x.text(_x(
+        "metadata",
+        _x("idinfo",
+           _x("citation", _citation(report.title, report.organisation, date)),
+           _x("descript", _x("abstract", f"Georeference of {report.title}"),
+              _x("purpose", _UNKNOWN)),
+           _x("timeperd", _when(_UNKNOWN), _x("current", _UNKNOWN)),
+           _x("status", _x("progress", "Complete"), _x("update", "None planned")),
+           _x("spdom", _x("bounding", _x("westbc", west), _x("eastbc", east),
+                          _x("northbc", north), _x("southbc", south))),
+           _x("keywords", _x("theme", _x("themekt", _NONE), _x("themekey", "imagery"))),
+           _x("accconst", _UNKNOWN), _x("useconst", _UNKNOWN)),
+        _x("dataqual",
+           _x("logic", "Not applicable to an image"), _x("complete", "Not applicable to an image"),
+           _x("posacc", _x(
+               "horizpa", _x("horizpar", ". ".join((report.method, *report.statements)) + "."),
+               *(_x("qhorizpa", _x("horizpav", decimal(one.value)),
+                    _x("horizpae", f"{one.name} [m]: {one.description}"))
+                 for one in report.measures if one.unit == "m"))),
+           _x("lineage", *(_source(one, f"source {i}") for i, one in enumerate(report.sources, 1)),
+              _x("procstep", _x("procdesc", _process(report)),
+                 *(_x("srcused", f"source {i}") for i, _ in enumerate(report.sources, 1)),
+                 _x("procdate", date)))),
+        _x("metainfo", _x("metd", date), _x("metc", _contact(report.organisation)),
+           _x("metstdn", STANDARD[0]), _x("metstdv", STANDARD[1]))))
+
+
+def _process(report: Quality) -> str:
+    software = ", ".join(f"{name} {version}" for name, version in report.software.items())
+    settings = "; ".join(f"{name}: {value}" for name, value in report.parameters.items())
+    return f"{report.lineage} Software: {software}. Settings: {settings}."
+
+
+def _source(one: Source, short: str) -> Element:
+    return _x("srcinfo", _x("srccite", _citation(one.name, "", _UNKNOWN)),
+              _x("typesrc", "digital file"), _x("srctime", _when(_UNKNOWN),
+                                                _x("srccurr", _UNKNOWN)),
+              _x("srccitea", short), _x("srccontr", f"{one.description}; sha256 {one.sha256}"))
+
+
+def _citation(title: str, origin: str, date: str) -> Element:
+    return _x("citeinfo", _x("origin", origin or _UNKNOWN), _x("pubdate", date), _x("title", title))
+
+
+def _when(date: str) -> Element:
+    return _x("timeinfo", _x("sngdate", _x("caldate", date)))
+
+
+def _contact(organisation: str) -> Element:
+    return _x("cntinfo", _x("cntorgp", _x("cntorg", organisation or _UNKNOWN)),
+              _x("cntaddr", _x("addrtype", _UNKNOWN), _x("city", _UNKNOWN), _x("state", _UNKNOWN),
+                 _x("postal", _UNKNOWN)),
+              _x("cntvoice", _UNKNOWN))

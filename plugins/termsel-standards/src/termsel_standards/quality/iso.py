@@ -1,0 +1,164 @@
+"""The report as metadata by ISO 19115-1 with data quality by ISO 19157.
+
+References
+----------
+ISO/TS 19115-3:2016 and ISO/TS 19157-2:2016, XML schemas of ISO 19115-1 and ISO 19157, at
+https://standards.iso.org/iso/19115/-3 and https://standards.iso.org/iso/19157/-2.
+"""
+
+from __future__ import annotations
+
+from termsel_standards.quality.elements import Element, Writing
+from termsel_standards.quality.report import Measure, Quality, Source, decimal
+
+_ISO = "http://standards.iso.org/iso"
+_LISTS = f"{_ISO}/19115/resources/Codelists/cat/codelists.xml"
+_NAMESPACES = {
+    **{name: f"{_ISO}/19115/-3/{name}/{version}" for name, version in (
+        ("mdb", "2.0"), ("mrl", "2.0"), ("cit", "2.0"), ("mcc", "1.0"), ("mri", "1.0"),
+        ("mrs", "1.0"), ("gex", "1.0"), ("gco", "1.0"))},
+    "mdq": f"{_ISO}/19157/-2/mdq/1.0", "gml": "http://www.opengis.net/gml/3.2",
+    "xlink": "http://www.w3.org/1999/xlink"}
+_METRE = "http://www.opengis.net/def/uom/EPSG/0/9001"
+
+_x = Writing(_NAMESPACES)
+
+
+def iso_xml(report: Quality) -> str:
+    """Return the report as an XML document whose root is mdb:MD_Metadata."""
+    return _x.text(_x(
+        "mdb:MD_Metadata",
+        _x("mdb:contact", _responsible(report.organisation, "pointOfContact")),
+        _x("mdb:dateInfo", _date(report.made)),
+        _x("mdb:metadataStandard", _citation("ISO 19115-1:2014")),
+        _x("mdb:referenceSystemInfo", _x("mrs:MD_ReferenceSystem", _x(
+            "mrs:referenceSystemIdentifier", _identifier(report.crs)))),
+        _x("mdb:identificationInfo", _x(
+            "mri:MD_DataIdentification", _x("mri:citation", _citation(report.title)),
+            _string("mri:abstract", f"Georeference of {report.title}"),
+            _x("mri:spatialRepresentationType", _code(
+                "mcc:MD_SpatialRepresentationTypeCode", "grid")),
+            _x("mri:extent", _extent(report)))),
+        _x("mdb:dataQualityInfo", _x(
+            "mdq:DQ_DataQuality", _x("mdq:scope", _scope(report)),
+            *(_x("mdq:report", element) for element in _elements(report)))),
+        _x("mdb:resourceLineage", _lineage(report))))
+
+
+def _elements(report: Quality) -> list[Element]:
+    """Return an element of data quality for each figure, and one with what can be stated."""
+    some = [_x("mdq:DQ_AbsoluteExternalPositionalAccuracy" if one.unit == "m"
+               else "mdq:DQ_GriddedDataPositionalAccuracy", _measure(one), _evaluation(report),
+               _x("mdq:result", _x(
+                   "mdq:DQ_QuantitativeResult", _time("mdq:dateTime", report.made),
+                   _x("mdq:resultScope", _scope(report)),
+                   _x("mdq:value", _x("gco:Record", decimal(one.value))), _unit(one.unit))))
+            for one in report.measures]
+    if report.statements:
+        some.append(_x("mdq:DQ_AbsoluteExternalPositionalAccuracy", *(
+            _x("mdq:result", _x("mdq:DQ_DescriptiveResult", _time("mdq:dateTime", report.made),
+                                _string("mdq:statement", words)))
+            for words in report.statements)))
+    return some
+
+
+def _measure(one: Measure) -> Element:
+    known = _x("mdq:measureIdentification", _identifier(one.identifier, "ISO 19157:2013")) \
+        if one.identifier else None
+    return _x("mdq:measure", _x("mdq:DQ_MeasureReference", known,
+                                _string("mdq:nameOfMeasure", one.name),
+                                _string("mdq:measureDescription", one.description)))
+
+
+def _evaluation(report: Quality) -> Element:
+    return _x("mdq:evaluationMethod", _x(
+        "mdq:DQ_SampleBasedInspection", _time("mdq:dateTime", report.made),
+        _string("mdq:evaluationMethodDescription", report.method),
+        _x("mdq:evaluationMethodType", _code("mdq:DQ_EvaluationMethodTypeCode", "directExternal")),
+        _string("mdq:samplingScheme", f"{report.check_points} independent points, chosen before "
+                "the model was fitted"),
+        _string("mdq:lotDescription", report.title),
+        _string("mdq:samplingRatio", f"{report.check_points} points of the image")))
+
+
+def _lineage(report: Quality) -> Element:
+    software = [_x("mrl:documentation", _citation(name, edition))
+                for name, edition in report.software.items() if name != "termsel"]
+    return _x("mrl:LI_Lineage", _string("mrl:statement", report.lineage),
+              _x("mrl:scope", _scope(report)),
+              _x("mrl:processStep", _x(
+                  "mrl:LE_ProcessStep", _string("mrl:description", report.lineage),
+                  *(_x("mrl:source", _source(one)) for one in report.sources),
+                  _x("mrl:processingInformation", _x(
+                      "mrl:LE_Processing",
+                      _x("mrl:identifier", _identifier("termsel", version=report.software.get(
+                          "termsel", ""))),
+                      _x("mrl:softwareReference", _citation(
+                          "termsel", report.software.get("termsel", ""))),
+                      *software,
+                      _string("mrl:runTimeParameters", "; ".join(
+                          f"{name}: {value}" for name, value in report.parameters.items())))))))
+
+
+def _source(one: Source) -> Element:
+    return _x("mrl:LI_Source", _string("mrl:description", one.description),
+              _x("mrl:sourceCitation", _x(
+                  "cit:CI_Citation", _string("cit:title", one.name),
+                  _x("cit:identifier", _identifier(one.sha256, "sha256")))))
+
+
+def _scope(report: Quality) -> Element:
+    return _x("mcc:MD_Scope", _x("mcc:level", _code("mcc:MD_ScopeCode", "dataset")),
+              _x("mcc:extent", _extent(report)))
+
+
+def _extent(report: Quality) -> Element:
+    sides = ("westBoundLongitude", "eastBoundLongitude", "southBoundLatitude", "northBoundLatitude")
+    return _x("gex:EX_Extent", _x("gex:geographicElement", _x(
+        "gex:EX_GeographicBoundingBox", *(
+            _x(f"gex:{side}", _x("gco:Decimal", decimal(value)))
+            for side, value in zip(sides, report.bounds, strict=True)))))
+
+
+def _responsible(name: str, role: str) -> Element:
+    party = _string("cit:name", name) if name else \
+        _x("cit:name", attributes={"gco:nilReason": "unknown"})
+    return _x("cit:CI_Responsibility", _x("cit:role", _code("cit:CI_RoleCode", role)),
+              _x("cit:party", _x("cit:CI_Organisation", party)))
+
+
+def _citation(title: str, edition: str = "") -> Element:
+    return _x("cit:CI_Citation", _string("cit:title", title),
+              _string("cit:edition", edition) if edition else None)
+
+
+def _identifier(code: str, space: str = "", version: str = "") -> Element:
+    return _x("mcc:MD_Identifier", _string("mcc:code", code),
+              _string("mcc:codeSpace", space) if space else None,
+              _string("mcc:version", version) if version else None)
+
+
+def _date(when: str) -> Element:
+    return _x("cit:CI_Date", _time("cit:date", when),
+              _x("cit:dateType", _code("cit:CI_DateTypeCode", "creation")))
+
+
+def _time(name: str, when: str) -> Element:
+    return _x(name, _x("gco:DateTime", when))
+
+
+def _string(name: str, text: str) -> Element:
+    return _x(name, _x("gco:CharacterString", text))
+
+
+def _code(name: str, value: str) -> Element:
+    return _x(name, value, attributes={
+        "codeList": f"{_LISTS}#{name.partition(':')[2]}", "codeListValue": value})
+
+
+def _unit(unit: str) -> Element:
+    if unit == "m":
+        return _x("mdq:valueUnit", attributes={"xlink:href": _METRE})
+    return _x("mdq:valueUnit", _x(
+        "gml:UnitDefinition", _x("gml:identifier", unit, attributes={"codeSpace": "termsel"}),
+        _x("gml:name", "pixel"), attributes={"gml:id": unit}))

@@ -1,0 +1,217 @@
+"""What a report on the quality of a georeference states, whatever its encoding.
+
+References
+----------
+ISO 19157:2013, Geographic information, data quality; the measures are those of its annex D.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from termsel import Option, Result, TermselError
+from termsel.measurements.coordinates.crs import LOCAL, horizontal
+from termsel.record.base import plain
+from termsel_standards.outline import outline_of
+
+RMSEP = "47"
+"""Identifier of the root mean square error of planimetry among the measures of ISO 19157."""
+
+_CHUNK = 1 << 20  # bytes of a file that are read at once
+
+OPTIONS = (
+    Option("title", "", "Title of the image; by default the name of the file of points."),
+    Option("organisation", "", "Who answers for the data; by default not stated."),
+    Option("image", None, "The image; its checksum is stated with the files."))
+"""Options of every format of the report."""
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A figure of the accuracy.
+
+    Parameters
+    ----------
+    name, description : str
+    value : float
+    unit : str
+        "m" on the ground, "px" in the image.
+    identifier : str
+        Among the measures of ISO 19157, annex D; "" for one that is not among them.
+    """
+
+    name: str
+    description: str
+    value: float
+    unit: str
+    identifier: str = ""
+
+
+@dataclass(frozen=True)
+class Source:
+    """What the georeference was made from.
+
+    Parameters
+    ----------
+    name, description : str
+    sha256 : str
+    """
+
+    name: str
+    description: str
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Content of a report on the quality of a georeference.
+
+    Parameters
+    ----------
+    title, organisation : str
+    made : str
+        When the report was made, such as 2024-05-31T10:20:30Z.
+    crs : str
+        Of the ground coordinates.
+    bounds : tuple of float
+        Of the image on the ground: longitudes of the west and east, latitudes of the south and
+        north [degrees].
+    measures : tuple of Measure
+        Accuracy on independent points; none where there are none.
+    statements : tuple of str
+        What standards let one say, or why they do not; why there are no measures.
+    check_points, control_features : int
+    method, lineage : str
+    sources : tuple of Source
+    software : dict
+        Names and versions.
+    parameters : dict
+        Settings of the run.
+    """
+
+    title: str
+    organisation: str
+    made: str
+    crs: str
+    bounds: tuple[float, float, float, float]
+    measures: tuple[Measure, ...]
+    statements: tuple[str, ...]
+    check_points: int
+    control_features: int
+    method: str
+    lineage: str
+    sources: tuple[Source, ...]
+    software: dict[str, str]
+    parameters: dict[str, str]
+
+
+def requires_earth(result: Result) -> None:
+    """Raise TermselError unless the ground coordinates have a CRS of the Earth."""
+    if result.features.crs == LOCAL:
+        raise TermselError("a quality report requires a CRS of the Earth",
+                           hint="State the CRS of the ground coordinates when you run termsel.")
+
+
+def quality_of(result: Result, title: str = "", organisation: str = "",
+               image: Path | str | None = None) -> Quality:
+    """Return the content of the report on a result.
+
+    Parameters
+    ----------
+    result : Result
+        Its accuracy is that of the run: an exported fit may have used the independent points.
+    title, organisation : str
+    image : path-like, optional
+        Its checksum is stated.
+
+    Raises
+    ------
+    TermselError
+        If the ground coordinates have no CRS of the Earth, or the image cannot be read.
+    """
+    requires_earth(result)
+    outline = outline_of(result)
+    (west, south), (east, north) = outline.min(axis=0).tolist(), outline.max(axis=0).tolist()
+    counts, terms = result.data.counts, result.selection
+    settings = {"problem": result.problem, "model": result.model, "solver": result.solver,
+                "criterion": result.criterion, "seed": str(result.seed),
+                "terms": " ".join(terms.terms),
+                **{f"options of the {name}": json.dumps(plain(value), sort_keys=True)
+                   for name, value in result.options.items() if value}}
+    sources = [Source(result.data.source,
+                      "measurements of control; the checksum is that of ids, coordinates, roles, "
+                      "standard deviations and CRS as read", result.data.sha256)]
+    if image is not None:
+        sources.append(Source(Path(image).name, "the image", file_sha256(Path(image))))
+    return Quality(
+        title or Path(result.data.source).stem or "scene", organisation,
+        datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"), horizontal(result.features.crs),
+        (west, east, south, north), _measures(result), _statements(result),
+        result.accuracy.image.n if result.accuracy else 0, counts.control,
+        "Positions that the model computes for independent points are compared with their surveyed "
+        "positions, at the surveyed heights. No choice has used these points.",
+        f"Georeferenced by termsel: the model {result.model} with {len(terms.terms)} terms, "
+        f"selected by {result.solver}, was fitted to {counts.control} control features.",
+        tuple(sources), {**result.versions, **{
+            name: version for kind in result.plugins.values() for name, version in kind.items()}},
+        settings)
+
+
+def _measures(result: Result) -> tuple[Measure, ...]:
+    if result.accuracy is None:
+        return ()
+    image, ground = result.accuracy.image, result.accuracy.ground
+    some = []
+    if ground is not None:
+        some = [
+            Measure("root mean square error of planimetry", "root of the mean of the squares of "
+                    "the distances from the surveyed positions", ground.total, "m", RMSEP),
+            Measure("root mean square error in x", "of the errors to the east", ground.x, "m"),
+            Measure("root mean square error in y", "of the errors to the north", ground.y, "m"),
+            Measure("CE90", "distance that 90 % of the check points do not exceed", ground.ce90,
+                    "m"),
+            Measure("maximum error", "the largest distance", ground.maximum, "m")]
+    if result.accuracy.nssda.value is not None:
+        some.append(Measure("NSSDA horizontal accuracy", "at 95 % confidence, by "
+                            "FGDC-STD-007.3-1998", result.accuracy.nssda.value, "m"))
+    return (*some, Measure("root mean square error in the image", "root of the mean of the "
+                           "squares of the distances from the measured positions", image.total,
+                           "px"))
+
+
+def _statements(result: Result) -> tuple[str, ...]:
+    known = result.accuracy
+    if known is None:
+        return ("The accuracy is not known, as the result has no independent points",)
+    some = [f"{name}: not stated: {figure.reason}" for name, figure in (
+        ("ASPRS", known.asprs), ("NSSDA", known.nssda)) if figure.value is None]
+    if known.nssda.value is not None:
+        some.append(f"Tested {known.nssda.value:.3g} meters horizontal accuracy at 95% confidence "
+                    "level")
+    if known.ground is None:
+        some.append("The errors on the ground are not known in metres")
+    return tuple(some)
+
+
+def file_sha256(path: Path) -> str:
+    """Return the checksum of a file."""
+    digest = hashlib.sha256()
+    try:
+        with path.open("rb") as file:
+            while block := file.read(_CHUNK):
+                digest.update(block)
+    except OSError as error:
+        raise TermselError(f"cannot read this file: {error.strerror or error}",
+                           file=path) from error
+    return digest.hexdigest()
+
+
+def decimal(value: float) -> str:
+    """Return a number without an exponent, to nine significant digits."""
+    return np.format_float_positional(value, 9, fractional=False, trim="0")
