@@ -25,6 +25,7 @@ from termsel.measurements.coordinates.crs import (
     to_wgs84,
     transformation,
 )
+from termsel.measurements.coordinates.utm import metric_crs
 from termsel.measurements.features import FeatureSet, Lines, Points
 from termsel.measurements.scaling import Scaling, scaling_of
 from termsel.models.polynomial import Affine, Polynomial3D
@@ -85,6 +86,14 @@ def test_geocentric_by_hand() -> None:
 def test_the_utm_zone_is_that_of_the_features(lon: float, lat: float, crs: str) -> None:
     points = Points(("a", "b"), [[0, 0], [1, 1]], [[lon - .01, lat, 5], [lon + .01, lat, 5]])
     assert fit_crs_of("projected", FeatureSet(points, crs="EPSG:4979")) == crs
+
+
+@pytest.mark.parametrize(("lon", "lat"), [(-180, 1), (6, 50), (0, 0), (5, 60), (12, -0.1),
+                                          (179.99, -80), (-90, 84)])
+def test_utm_zones_are_those_of_proj_on_borders_too(lon: float, lat: float) -> None:
+    zones = pyproj.database.query_utm_crs_info(
+        "WGS 84", pyproj.aoi.AreaOfInterest(lon, lat, lon, lat))
+    assert metric_crs("EPSG:4979", lon, lat) == f"EPSG:{zones[0].code}"
 
 
 def test_no_utm_zone_at_the_pole() -> None:

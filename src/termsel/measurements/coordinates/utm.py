@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from math import ceil
 
 import numpy as np
 
-from termsel.errors import GIS, TermselError, requires
+from termsel.errors import TermselError
 from termsel.measurements.coordinates.crs import (
     EARTH,
     body_of,
@@ -27,16 +28,12 @@ def metric_crs(crs: str, lon: float, lat: float) -> str:
     lon = (lon + 180) % 360 - 180
     if body_of(crs) != EARTH:
         return _transverse_mercator(crs, round(lon), round(lat))
-    with requires("the UTM zone of the control requires", "pyproj", GIS):
-        from pyproj.aoi import AreaOfInterest
-        from pyproj.database import query_utm_crs_info
-
-    zones = query_utm_crs_info("WGS 84", AreaOfInterest(lon, lat, lon, lat))
-    if not zones:
+    if not -80 <= lat <= 84:
         raise TermselError(f"no UTM zone holds longitude {lon:.6g}, latitude {lat:.6g}",
                            hint="UTM goes from 80 S to 84 N: name a projected CRS, --fit-crs "
                                 "EPSG:n, such as EPSG:3031 or EPSG:3413.")
-    return f"EPSG:{zones[0].code}"
+    # On a border the zone to the west, as PROJ's list of zones says; asking it takes 0.1 s.
+    return f"EPSG:{(32600 if lat >= 0 else 32700) + max(ceil((lon + 180) / 6), 1)}"
 
 
 @lru_cache

@@ -74,20 +74,28 @@ def _forms(name: str) -> tuple[str, str]:
     return folded(plain), folded(_UNIT.sub("", plain))
 
 
+@lru_cache(100)
+def _names(aliases: tuple[tuple[str, tuple[str, ...]], ...],
+           ) -> tuple[dict[str, tuple[frozenset[str], frozenset[str]]], frozenset[str]]:
+    """Return the plain and the further names of each meaning, and all of them."""
+    known = POINTS | LINES
+    # Readers of other programs' tables have meanings of these names, too, and no further names.
+    names = {meaning: (frozenset(map(folded, plain)), frozenset(
+        f"{name}{end}" for name in _FURTHER.get(base, ()) if plain == known.get(meaning)))
+        for meaning, plain in aliases for base, end in [_parted(meaning)]}
+    return names, frozenset().union(*(one for both in names.values() for one in both))
+
+
 def matches(header: Sequence[str], aliases: Aliases) -> dict[str, list[int]]:
     """Return the columns that could hold each meaning, by their names."""
-    own = {meaning: frozenset(map(folded, names)) for meaning, names in aliases.items()}
-    # Readers of other programs' tables have meanings of these names, too, and no further names.
-    further = {meaning: frozenset(f"{name}{end}" for name in _FURTHER.get(base, ()))
-               for meaning in aliases for base, end in [_parted(meaning)]
-               if aliases[meaning] == (POINTS | LINES).get(meaning)}
-    every = frozenset().union(*own.values(), *further.values())
-    forms = list(map(_forms, header))
+    of_meaning, every = _names(tuple((one, tuple(names)) for one, names in aliases.items()))
+    # Most rows that are asked about hold numbers, none of which is a name.
+    forms = {i: both for i, both in enumerate(map(_forms, header)) if not every.isdisjoint(both)}
     found: dict[str, list[int]] = {}
-    for meaning, names in own.items():
+    for meaning, names in of_meaning.items():
         # Names in other languages count where no column has one of the plain names.
-        for known in (names, further.get(meaning, frozenset())):
-            found[meaning] = [i for i, (whole, bare) in enumerate(forms) if whole in known or (
+        for known in names:
+            found[meaning] = [i for i, (whole, bare) in forms.items() if whole in known or (
                 bare in known and whole not in every)]
             if found[meaning]:
                 break
