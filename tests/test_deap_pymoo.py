@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import copy
 import json
+import multiprocessing
+import pickle
 import pkgutil
 import random
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from threading import Event
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -114,6 +119,73 @@ def test_individuals_keep_forced_genes_whatever_the_operators_do() -> None:
     last, _ = algorithms.eaSimple(box.population(n=20), box, 0.5, 1.0, 5, verbose=False)
     genes = np.array(last)
     assert problems.kept(problem.genome, genes).all()
+
+
+def islands(box: base.Toolbox) -> list[Any]:
+    """Evolve two populations that exchange their best; operators break forced genes."""
+    random.seed(5)
+    box.register("mutate", tools.mutFlipBit, indpb=0.4)
+    islands = [box.population(n=8) for _ in range(2)]
+    for _ in range(2):
+        islands = [algorithms.eaSimple(one, box, 0.6, 0.5, 1, verbose=False)[0] for one in islands]
+        tools.migRing(islands, 2, tools.selBest)
+    return [one for island in islands for one in island]
+
+
+def _map_of_processes(start: str) -> Any:
+    return multiprocessing.get_context(start).Pool(1)
+
+
+@contextmanager
+def _map_of_dask(_start: str) -> Iterator[Any]:
+    distributed = pytest.importorskip("distributed")
+    with distributed.Client(n_workers=1, threads_per_worker=1, dashboard_address=None) as client:
+        yield SimpleNamespace(map=lambda function, *each: client.gather(
+            client.map(function, *each, pure=False)))
+
+
+@pytest.mark.parametrize(("pool", "start"), [
+    pytest.param(_map_of_processes, "fork", marks=pytest.mark.skipif(
+        "fork" not in multiprocessing.get_all_start_methods(), reason="no fork here")),
+    pytest.param(_map_of_processes, "spawn", marks=pytest.mark.slow),
+    pytest.param(_map_of_dask, "", marks=pytest.mark.slow)])
+def test_other_processes_evaluate_the_same(pool: Any, start: str) -> None:
+    problem = small(max_share=0.4, force_on="line.num:X").problem
+    alone = islands(termsel.to_deap(problem))
+    with pool(start) as several:
+        box = termsel.to_deap(problem)
+        box.register("map", several.map)
+        found = islands(box)
+    assert problems.kept(problem.genome, np.array(found)).all()
+    assert [one.fitness.values[0] for one in found] == pytest.approx(
+        problem.evaluate(np.array(found)).objectives[:, 0])
+    assert [tuple(one.objectives) for one in found] == [one.fitness.values for one in found]
+    if start:  # dask itself draws from the global random state
+        assert found == alone
+
+
+def test_toolboxes_and_individuals_survive_pickling() -> None:
+    box = termsel.to_deap(Counted(small().problem))
+    one = box.individual()
+    one.fitness.values = box.evaluate(one)
+    again = pickle.loads(pickle.dumps(one))
+    assert again == one
+    assert again.fitness == one.fitness
+    assert (again.objectives == one.objectives).all()
+    assert copy.deepcopy(again).fitness.values == one.fitness.values
+    loaded = pickle.loads(pickle.dumps(box))
+    several = [again, copy.deepcopy(one)]
+    for values in loaded.map(loaded.evaluate, several):
+        assert values == pytest.approx(one.fitness.values)
+
+
+def test_a_search_tells_who_evaluates_elsewhere() -> None:
+    task = small()
+    solver = termsel.from_deap(lambda problem: termsel.to_deap(task.problem), name="elsewhere")
+    with pytest.raises(TermselError, match=r"'elsewhere' .* evaluated nothing with the problem"):
+        search(task.problem, solver(population=10), generations=3)
+    with pytest.raises(TermselError, match="counts evaluations in its own process"):
+        pickle.dumps(Ledger(task.problem))
 
 
 def test_a_replaced_evaluation_is_called_for_each_individual() -> None:

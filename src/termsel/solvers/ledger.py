@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from termsel.errors import TermselError
 from termsel.guard.faults import wrong
 from termsel.guard.inside import own_code
 from termsel.problems.base import Evaluation, Problem, ProblemAround, evaluation_fault
@@ -62,6 +63,13 @@ class Ledger(ProblemAround):
         self._row_of: dict[bytes, int] = {}
         self._objectives: list[np.ndarray[tuple[int], np.dtype[np.float64]]] = []
         self._violation: list[float] = []
+
+    def __getstate__(self) -> None:
+        """Refuse to go to another process, where nobody would count what is evaluated."""
+        raise TermselError(
+            "the problem that a solver gets counts evaluations in its own process, so no other one "
+            "can have it", hint="Evaluate whole populations in this process. To spread a script of "
+            "your own over processes, use the problem of termsel.prepare.")
 
     def evaluate(self, genes: Genes) -> Evaluation:
         """Return the evaluation, computing only what is not known."""

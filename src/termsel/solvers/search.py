@@ -209,7 +209,7 @@ def search(
         answered()
         interrupted = True
     if ledger.best_genes is None:
-        raise TermselError(f"solver {solver.name!r} evaluated nothing", hint="Increase the budget.")
+        raise _unevaluated(solver, generation)
     details = generation.details if generation else {}
     return Search(ledger.best_genes, ledger.best_objectives, ledger.best[0], seed, ledger.count,
                   generation.index if generation else 0, ledger.lookups,
@@ -217,6 +217,16 @@ def search(
                   tuple(ledger.front() if len(problem.objectives) > 1
                         else details.get("front", ())),
                   details.get("coefficients"), notes, tuple(history), details.get("proof"))
+
+
+def _unevaluated(solver: Solver, generation: Generation | None) -> TermselError:
+    """Return the error for a search without an evaluation."""
+    if generation is None:
+        return TermselError(f"solver {solver.name!r} evaluated nothing",
+                            hint="Increase the budget.")
+    return TermselError(
+        f"solver {solver.name!r} yields generations, but evaluated nothing with the problem that "
+        "it got", hint="Call evaluate() of that problem: it counts, and remembers the best.")
 
 
 def begin(problem: Problem, solver: Solver) -> None:

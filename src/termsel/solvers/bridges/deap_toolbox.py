@@ -5,18 +5,59 @@ from __future__ import annotations
 import ast
 import inspect
 import random
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from copy import deepcopy
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 from deap import base, tools
 
 from termsel.errors import TermselError, unknown_name
+from termsel.measurements.features import FloatArray
 from termsel.problems.base import WORST, Problem
 from termsel.problems.genome import Genome
 from termsel.problems.segments import Genes
 from termsel.solvers.genetic.operators import crossover, mutation
+
+
+class Fitness(base.Fitness):
+    """The objectives, all minimised, of an individual; penalised where it is infeasible.
+
+    DEAP makes a class for every number of objectives, which no other process can import.
+    """
+
+    def __init__(self, objectives: int, owner: Individual | None = None) -> None:
+        self.weights = (-1.0,) * objectives
+        self.owner = owner
+        super().__init__()
+
+    def _set(self, values: Sequence[float]) -> None:
+        super().setValues(values)
+        if isinstance(values, Judged) and self.owner is not None:
+            # The genes are the repaired ones from now on, also where another process repaired them.
+            self.owner[:] = values.genes
+            self.owner.objectives, self.owner.violation = values.objectives, values.violation
+
+    values = property(base.Fitness.getValues, _set, base.Fitness.delValues)
+
+
+class Judged(tuple[float, ...]):
+    """The values of a fitness, with the genes that were evaluated and their evaluation."""
+
+    genes: list[Any]
+    objectives: FloatArray
+    violation: float
+
+    def __new__(cls, genes: list[Any], objectives: FloatArray, violation: float) -> Judged:
+        """Return values, penalised as by `deap.tools.DeltaPenalty` if there is a violation."""
+        one = super().__new__(cls, [WORST + violation] * len(objectives) if violation
+                              else objectives.tolist())
+        one.genes, one.objectives, one.violation = genes, objectives, violation
+        return one
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Judged, (self.genes, self.objectives, self.violation)
 
 
 class Individual(list[Any]):
@@ -26,17 +67,56 @@ class Individual(list[Any]):
     penalised.
     """
 
-    def __init__(self, genes: Iterable[Any], fitness: base.Fitness) -> None:
+    def __init__(self, genes: Iterable[Any], objectives: int) -> None:
         super().__init__(genes)
-        self.fitness = fitness
+        self.fitness = Fitness(objectives, self)
         self.objectives: Any = None
         self.violation = 0.0
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Individual:
-        copied = Individual(self, deepcopy(self.fitness))
+        copied = Individual(self, len(self.fitness.weights))
+        copied.fitness.wvalues = self.fitness.wvalues
         # Nobody changes an evaluation: it needs no copy.
         copied.objectives, copied.violation = self.objectives, self.violation
         return copied
+
+
+class _Judge:
+    """What a toolbox does with a problem; other processes can have it, as they can a toolbox."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+
+    def population(self, n: int) -> list[Individual]:
+        genes = self.problem.genome.random(_rng(), n).tolist()
+        return [Individual(one, len(self.problem.objectives)) for one in genes]
+
+    def individual(self) -> Individual:
+        return self.population(1)[0]
+
+    def evaluate(self, one: Individual) -> Judged:
+        return self.judged([one])[0]
+
+    def judged(self, individuals: list[Individual]) -> list[Judged]:
+        if not individuals:
+            return []
+        genome = self.problem.genome
+        given = np.array(individuals, dtype=genome.dtype)
+        genes = genome.repair(given, np.random.default_rng(0))
+        for i in np.flatnonzero((genes != given).any(axis=1)):
+            # By chance that follows from the genes: the same in every process and order.
+            genes[i] = genome.repair(given[i:i + 1],
+                                     np.random.default_rng(crc32(given[i].tobytes())))[0]
+        evaluation = self.problem.evaluate(genes)
+        return list(map(Judged, genes.tolist(), evaluation.objectives,
+                        evaluation.violation.tolist()))
+
+    def map(self, function: Callable[..., Any], individuals: Iterable[Any], *more: Any
+            ) -> Iterable[Any]:
+        # What replaces or decorates `evaluate` is called for each individual.
+        if getattr(function, "func", None) == self.evaluate and not more:
+            return self.judged(list(individuals))
+        return map(function, individuals, *more)
 
 
 def to_deap(problem: Problem) -> base.Toolbox:
@@ -44,10 +124,11 @@ def to_deap(problem: Problem) -> base.Toolbox:
 
     It has ``population(n)``, ``evaluate``, ``map``, ``clone``, and operators that may be replaced:
     ``select`` (tournaments of 3), ``mate`` (uniform crossover) and ``mutate`` (1 gene on average).
-    ``map`` evaluates all individuals at once. Individuals keep forced genes and cardinality: they
-    are repaired where they are evaluated. Infeasible ones have a penalised fitness
-    (`deap.tools.DeltaPenalty`), the larger the violation the worse, and worse than all others.
-    Chance comes from Python's `random`, as everywhere in DEAP.
+    ``map`` evaluates all individuals at once; ``register("map", pool.map)`` spreads them over
+    processes, with the same outcome. Individuals keep forced genes and cardinality: what is
+    evaluated is repaired, and the genes follow when the fitness is set. Infeasible ones have a
+    penalised fitness, as by `deap.tools.DeltaPenalty`: the larger the violation the worse, and
+    worse than all others. Chance comes from Python's `random`, as everywhere in DEAP.
 
     Parameters
     ----------
@@ -65,40 +146,12 @@ def to_deap(problem: Problem) -> base.Toolbox:
     >>> len(last), log.select("gen")
     (20, [0, 1, 2])
     """
-    genome = problem.genome
-    fitness = type("Fitness", (base.Fitness,), {"weights": (-1.0,) * len(problem.objectives)})
-
-    def population(n: int) -> list[Individual]:
-        return [Individual(genes, fitness()) for genes in genome.random(_rng(), n).tolist()]
-
-    # It decorates an evaluation; this one only returns what is known of the individual.
-    objectives = tools.DeltaPenalty(
-        lambda one: one.violation == 0, WORST, lambda one: one.violation)(
-        lambda one: tuple(one.objectives.tolist()))
-
-    def judged(individuals: list[Individual]) -> list[tuple[float, ...]]:
-        if not individuals:
-            return []
-        genes = genome.repair(np.array(individuals, dtype=genome.dtype), _rng())
-        evaluation = problem.evaluate(genes)
-        for one, row, values, violation in zip(individuals, genes.tolist(), evaluation.objectives,
-                                               evaluation.violation.tolist(), strict=True):
-            # In place, as loops hold the individual: its genes are the repaired ones from now on.
-            one[:], one.objectives, one.violation = row, values, violation
-        return [objectives(one) for one in individuals]
-
-    box = base.Toolbox()
-    box.register("individual", lambda: population(1)[0])
-    box.register("population", population)
+    judge, box = _Judge(problem), base.Toolbox()
+    for alias in ("individual", "population", "evaluate", "map"):
+        box.register(alias, getattr(judge, alias))
     box.register("clone", deepcopy)
-    box.register("evaluate", lambda one: judged([one])[0])
-    alone = box.evaluate
-    # What replaces or decorates `evaluate` is called for each individual.
-    box.register("map", lambda function, individuals, *more:
-                 judged(list(individuals)) if function is alone and not more
-                 else map(function, individuals, *more))
     for role in ROLES:
-        register(box, role, None, genome)
+        register(box, role, None, problem.genome)
     return box
 
 
