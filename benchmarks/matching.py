@@ -24,12 +24,12 @@ import numpy as np
 import termsel
 from termsel import FeatureSet, Points, write_rpc
 from termsel_match.chain import georeference
-from termsel_match.points import match_points
-from termsel_match.rounds import in_place, iterate_lines
-from termsel_match.selection import select_points, with_lines
-from termsel_match.starts import Start
-from termsel_match.world import CRS, World
-from termsel_match.world_files import write_world
+from termsel_match.images.starts import Start
+from termsel_match.judgement.selection import select_points, with_lines
+from termsel_match.lines.rounds import in_place, iterate_lines
+from termsel_match.points.candidates import match_points
+from termsel_match.simulated.world import CRS, World
+from termsel_match.simulated.world_files import write_world
 
 PAGE = Path(__file__).parents[1] / "docs/evidence/matching.md"
 SHARES = (0.0, 0.1, 0.3, 0.5, 0.6)

@@ -22,9 +22,9 @@ import rasterio
 
 from termsel import TermselError
 from termsel_match.chain import judge
-from termsel_match.scenery import Scenery
-from termsel_match.world import World
-from termsel_match.world_files import write_world
+from termsel_match.simulated.scenery import Scenery
+from termsel_match.simulated.world import World
+from termsel_match.simulated.world_files import write_world
 
 PAGE = Path(__file__).parents[1] / "docs/evidence/verdicts.md"
 BAD = ("seam", "half replaced", "another place", "wrong heights", "repeated texture", "clouds")

@@ -15,10 +15,10 @@ from pyproj import Transformer
 
 import termsel
 from termsel import FeatureSet
-from termsel_match.points import match_points
-from termsel_match.selection import select_points
-from termsel_match.world import CRS, World
-from termsel_match.world_files import write_world
+from termsel_match.judgement.selection import select_points
+from termsel_match.points.candidates import match_points
+from termsel_match.simulated.world import CRS, World
+from termsel_match.simulated.world_files import write_world
 
 PICTURE = Path(__file__).parents[1] / "_static/matched.png"
 SIZE = 600

@@ -20,8 +20,8 @@ from pyproj import Transformer
 from termsel import Points
 from termsel.cli.main import cli
 from termsel.errors import TermselError
-from termsel_match.world import CRS, World
-from termsel_match.world_files import write_world
+from termsel_match.simulated.world import CRS, World
+from termsel_match.simulated.world_files import write_world
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,8 @@ from termsel import FeatureSet, Lines, TermselError, write_points_csv
 from termsel.testing import checks
 from termsel_match.chain import georeference, judge, model_for
 from termsel_match.commands import NOT_GOOD_ENOUGH, auto_georeference
-from termsel_match.criteria import Agreement
-from termsel_match.selection import AGREEING, select_points, with_lines
+from termsel_match.judgement.criteria import Agreement
+from termsel_match.judgement.selection import AGREEING, select_points, with_lines
 
 CHECKS = (*checks(Agreement()), *checks(
     auto_georeference, words=["none.tif", "--reference", "none.tif", "-o", "none.tif"]))

@@ -20,14 +20,14 @@ from rasterio.transform import from_origin
 import termsel
 from termsel import FeatureSet, Lines, TermselError
 from termsel.testing import checks
-from termsel_match import ridges
-from termsel_match.certainty import fitted_to, most_decisive, undetermined
 from termsel_match.commands import match_lines
-from termsel_match.lines import LineCandidates
-from termsel_match.lines import match_lines as match
-from termsel_match.problem import RECIPE
-from termsel_match.rounds import iterate_lines
-from termsel_match.starts import Start, start_of, turned
+from termsel_match.images.starts import Start, start_of, turned
+from termsel_match.lines import ridges
+from termsel_match.lines.candidates import LineCandidates
+from termsel_match.lines.candidates import match_lines as match
+from termsel_match.lines.certainty import fitted_to, most_decisive, undetermined
+from termsel_match.lines.problem import RECIPE
+from termsel_match.lines.rounds import iterate_lines
 
 CHECKS = (*checks(match_lines, words=["none.tif", "--vectors", "none.gpkg"]),
           *checks(RECIPE))

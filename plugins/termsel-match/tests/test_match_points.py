@@ -18,10 +18,10 @@ from rasterio.transform import from_origin
 import termsel
 from termsel import TermselError
 from termsel.testing import checks
-from termsel_match import overview
 from termsel_match.commands import match_example, match_points
-from termsel_match.points import Candidates
-from termsel_match.points import match_points as match
+from termsel_match.images import overview
+from termsel_match.points.candidates import Candidates
+from termsel_match.points.candidates import match_points as match
 
 CHECKS = (*checks(match_points, words=["none.tif", "--reference", "none.tif"]),
           *checks(match_example, words=["/dev/null"]))

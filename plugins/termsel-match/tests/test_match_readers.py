@@ -13,7 +13,7 @@ pytest.importorskip("termsel_match", reason="termsel-match is not installed: "
 
 from termsel import FeatureSet, Points, TermselError, read
 from termsel.testing import check, checks
-from termsel_match.readers import ArosicsTable, AspMatches, MatchesCsv
+from termsel_match.points.readers import ArosicsTable, AspMatches, MatchesCsv
 
 # As GeoPandas saves the table: with an index, the geometry as text, and all columns.
 AROSICS = """,geometry,POINT_ID,X_IM,Y_IM,X_MAP,Y_MAP,REF_BADDATA,X_WIN_SIZE,Y_WIN_SIZE,X_SHIFT_PX,\

@@ -20,8 +20,8 @@ from hypothesis import strategies as st
 from benchmarks.verdicts import BAD, PASSED, REFUSED, verdict
 from termsel import FeatureSet, Points, TermselError, read, write_points_csv
 from termsel_match.chain import georeference, judge
-from termsel_match.evidence import other_place, structure, unsupported
-from termsel_match.selection import select_points
+from termsel_match.judgement.evidence import other_place, structure, unsupported
+from termsel_match.judgement.selection import select_points
 
 SIZE = (1000, 1000)
 

@@ -10,7 +10,7 @@ import pytest
 
 from termsel import TermselError, read, read_rpc
 from termsel.simulate import read_geometry
-from termsel_match.world import World
+from termsel_match.simulated.world import World
 
 
 def test_the_camera_sees_the_independent_places_where_they_are(place: Any) -> None:

@@ -32,7 +32,7 @@ def termsel_commands(cli: click.Group) -> None:
 @hookimpl
 def termsel_readers() -> Iterable[type[Reader]]:
     """Return readers of what other programs have matched."""
-    from termsel_match.readers import ArosicsTable, AspMatches, MatchesCsv
+    from termsel_match.points.readers import ArosicsTable, AspMatches, MatchesCsv
 
     return [ArosicsTable, AspMatches, MatchesCsv]
 
@@ -40,7 +40,7 @@ def termsel_readers() -> Iterable[type[Reader]]:
 @hookimpl
 def termsel_criteria() -> Iterable[type[Criterion]]:
     """Return the agreement of candidates."""
-    from termsel_match.criteria import Agreement
+    from termsel_match.judgement.criteria import Agreement
 
     return [Agreement]
 
@@ -48,6 +48,6 @@ def termsel_criteria() -> Iterable[type[Criterion]]:
 @hookimpl
 def termsel_problems() -> Iterable[Recipe]:
     """Return the selection of matched lines."""
-    from termsel_match.problem import RECIPE
+    from termsel_match.lines.problem import RECIPE
 
     return [RECIPE]

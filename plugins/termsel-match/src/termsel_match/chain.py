@@ -12,15 +12,15 @@ import numpy as np
 
 from termsel import TermselError, open_dem, read_result, read_rpc, rectify, write_points_csv
 from termsel.files.atomic import write_text
-from termsel_match.given import read_candidates
-from termsel_match.points import Candidates, match_points
-from termsel_match.rasters import grid, open_picture
-from termsel_match.rounds import iterate_lines
-from termsel_match.selection import Selected, select_points, with_lines
-from termsel_match.starts import Start
-from termsel_match.vectors import read_vectors
-from termsel_match.verdict import Evidence, Georeferenced, evidence_of, reasons, remarks
-from termsel_match.warps import COVERS, open_reference
+from termsel_match.images.rasters import grid, open_picture
+from termsel_match.images.starts import Start
+from termsel_match.images.warps import COVERS, open_reference
+from termsel_match.judgement.selection import Selected, select_points, with_lines
+from termsel_match.judgement.verdict import Evidence, Georeferenced, evidence_of, reasons, remarks
+from termsel_match.lines.rounds import iterate_lines
+from termsel_match.lines.vectors import read_vectors
+from termsel_match.points.candidates import Candidates, match_points
+from termsel_match.points.given import read_candidates
 
 CANDIDATES, REPORT, RESULT = "candidates.csv", "report.txt", "result"
 

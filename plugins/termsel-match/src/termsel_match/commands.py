@@ -70,7 +70,7 @@ def match_points(image: Path, reference: Path, output: Path, overwrite: bool, qu
           --dem dem.tif -o map.tif --out result
     """
     from termsel import write_points_csv
-    from termsel_match.points import match_points as match
+    from termsel_match.points.candidates import match_points as match
 
     refuse_output(output, overwrite, image, reference, *options.values())
     show_log()
@@ -119,8 +119,8 @@ def match_lines(image: Path, vectors: Path, iterate: bool, folder: Path | None, 
     """
     from termsel import write_lines_csv
     from termsel_match.chain import model_for
-    from termsel_match.lines import match_lines as match
-    from termsel_match.rounds import iterate_lines
+    from termsel_match.lines.candidates import match_lines as match
+    from termsel_match.lines.rounds import iterate_lines
 
     refuse_output(output, overwrite, image, vectors, *options.values())
     if folder is not None and not iterate:
@@ -220,8 +220,8 @@ def match_example(folder: Path, size: int, seed: int, off: float) -> None:
     Example:
       termsel match-example place
     """
-    from termsel_match.world import World
-    from termsel_match.world_files import NAMES, write_world
+    from termsel_match.simulated.world import World
+    from termsel_match.simulated.world_files import NAMES, write_world
 
     world = World(size=size, seed=seed, off=off)
     write_world(world, folder)

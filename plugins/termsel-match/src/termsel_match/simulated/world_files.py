@@ -12,7 +12,7 @@ import shapely
 from termsel import write_points_csv, write_rpc
 from termsel.files.atomic import new_folder
 from termsel.simulate import write_geometry
-from termsel_match.world import CRS, SPACING, World
+from termsel_match.simulated.world import CRS, SPACING, World
 
 log = logging.getLogger("termsel.match")
 

@@ -13,7 +13,7 @@ from scipy.interpolate import RectBivariateSpline
 
 from termsel import FeatureSet, Points, Rpc, TermselError, fit, rpc_of
 from termsel.simulate import Angle, Pushbroom, Terrain, pushbroom_at
-from termsel_match.scenery import Bytes, FloatArray, Scenery, scenery
+from termsel_match.simulated.scenery import Bytes, FloatArray, Scenery, scenery
 
 CRS = "EPSG:32633"
 SMALLEST, LARGEST = 200, 4000  # px along either side of an image

@@ -8,7 +8,9 @@ import numpy as np
 import shapely
 
 from termsel import Points
-from termsel_match.evidence import (
+from termsel_match.images.rasters import FloatArray, Mask, grid
+from termsel_match.images.starts import Heights, turned
+from termsel_match.judgement.evidence import (
     LEVEL,
     OtherPlace,
     Structure,
@@ -16,11 +18,9 @@ from termsel_match.evidence import (
     structure,
     unsupported,
 )
-from termsel_match.points import Candidates
-from termsel_match.rasters import FloatArray, Mask, grid
-from termsel_match.rounds import Matched, rms_distance
-from termsel_match.selection import AGREEING, NEAR, TOLERANCE, Selected
-from termsel_match.starts import Heights, turned
+from termsel_match.judgement.selection import AGREEING, NEAR, TOLERANCE, Selected
+from termsel_match.lines.rounds import Matched, rms_distance
+from termsel_match.points.candidates import Candidates
 
 _LEAST_INDEPENDENT = 5  # candidates that agree; of fewer the RMSE says little
 _BARE = 0.15  # part of the image, without candidates that agree, that is worth a remark

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.stats import poisson
 
-from termsel_match.rasters import FloatArray, Mask, grid
+from termsel_match.images.rasters import FloatArray, Mask, grid
 
 LEVEL = 0.01
 """Permutation level at which residuals are not by chance."""

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from termsel import FeatureSet, Points, TermselError, fit, open_raster, read, read_result, read_rpc
-from termsel_match.rasters import FloatArray
+from termsel_match.images.rasters import FloatArray
 
 Heights = float | Callable[[FloatArray], FloatArray]
 

@@ -10,7 +10,7 @@ import numpy as np
 
 import termsel
 from termsel import FeatureSet, Fit, Lines, Points, TermselError
-from termsel_match.starts import Start, turned
+from termsel_match.images.starts import Start, turned
 
 _WEAK = 3.0  # ratio of standard deviations across and along
 _HELD = 2.0  # px along the lines, beyond which the start holds the image

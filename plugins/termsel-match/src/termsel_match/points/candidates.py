@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from termsel import FeatureSet, Points, TermselError
-from termsel_match.features import Pairs, alike, described, refined
-from termsel_match.overview import start_by_overview
-from termsel_match.rasters import GreyRaster, open_picture
-from termsel_match.starts import Start, start_of
-from termsel_match.warps import Reference, open_reference
+from termsel_match.images.overview import start_by_overview
+from termsel_match.images.rasters import GreyRaster, open_picture
+from termsel_match.images.starts import Start, start_of
+from termsel_match.images.warps import Reference, open_reference
+from termsel_match.matchers.features import Pairs, alike, described, refined
 
 log = logging.getLogger("termsel.match")
 
@@ -92,7 +92,7 @@ def match_points(
     dem : path-like, optional
         Raster of heights; without it, those of the points are unknown.
     start : path-like or str, optional
-        See `termsel_match.starts.start_of`.
+        See `termsel_match.images.starts.start_of`.
     search : float
         Largest distance from the start [px].
     count : int

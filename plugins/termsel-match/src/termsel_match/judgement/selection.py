@@ -13,8 +13,9 @@ import numpy as np
 import termsel
 from termsel import FeatureSet, Fit, Points, Result, TermselError
 from termsel.io.result_folder import write_result
-from termsel_match.rasters import FloatArray, Mask
-from termsel_match.starts import turned
+from termsel_match.images.rasters import FloatArray, Mask
+from termsel_match.images.starts import turned
+from termsel_match.searching import searched
 
 TOLERANCE = 2.0  # px at which a candidate counts half in the search
 _INDEPENDENT, _CHECK = 0.25, 0.25  # parts of the candidates
@@ -160,17 +161,6 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
     result = _told(termsel.run("owdis-points", features=kept, model=model, solver="all-terms",
                                options=dict(options), seed=seed, out=out), out)
     return Selected(result, agrees, independent, limit, points)
-
-
-def searched(problem: str, features: FeatureSet, model: str, options: Mapping[str, Any], *,
-             seed: int, criterion: str | None = None) -> tuple[str, ...]:
-    """Return the features that a search selects, without the comparisons that a run makes."""
-    task = termsel.prepare(problem, features=features, model=model, criterion=criterion,
-                           options=dict(options))
-    best = termsel.search(task.problem, task.solver, seed=seed,
-                           generations=task.recipe.generations, patience=task.recipe.patience,
-                           **task.options["search"])
-    return task.problem.decode(best.genes).features
 
 
 def _require(agrees: Mask, roles: Any, least: int) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from termsel_match.rasters import FloatArray, GreyRaster
+from termsel_match.images.rasters import FloatArray, GreyRaster
 
 _STEP = 0.5  # px across
 _WIDTHS = (4.0, 6.0, 8.0, 10.0, 13.0)  # px of a band

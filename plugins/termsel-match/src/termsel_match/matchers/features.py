@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, spline_filter
 
-from termsel_match.rasters import FloatArray, Grey, Mask, stretched
+from termsel_match.images.rasters import FloatArray, Grey, Mask, stretched
 
 RATIO = 0.9  # of the distances to the nearest and the second nearest descriptor
 _AREA = 60  # px for each keypoint, the strongest

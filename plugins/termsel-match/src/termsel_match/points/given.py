@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from termsel import Points, TermselError, open_raster, read
-from termsel_match.points import LEAST, Candidates
-from termsel_match.rasters import open_picture
-from termsel_match.readers import AspMatches, MatchesCsv
-from termsel_match.starts import start_of
-from termsel_match.warps import crs_of
+from termsel_match.images.rasters import open_picture
+from termsel_match.images.starts import start_of
+from termsel_match.images.warps import crs_of
+from termsel_match.points.candidates import LEAST, Candidates
+from termsel_match.points.readers import AspMatches, MatchesCsv
 
 _HEAD = 4096  # bytes by which readers recognise a file
 

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 import termsel
 from termsel import FeatureSet, Fit, Lines, Result, TermselError
-from termsel_match.certainty import Decisive, fitted_to, most_decisive, undetermined
-from termsel_match.lines import LineCandidates, match_lines, without_start
-from termsel_match.selection import searched
-from termsel_match.starts import Start, start_of, turned
+from termsel_match.images.starts import Start, start_of, turned
+from termsel_match.lines.candidates import LineCandidates, match_lines, without_start
+from termsel_match.lines.certainty import Decisive, fitted_to, most_decisive, undetermined
+from termsel_match.searching import searched
 
 _MOST = 6  # rounds
 _NARROWER = 4.0  # the search of a round is that of the last by this

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from termsel import TermselError, open_dem
 from termsel.formats.readers.vector import open_layer
-from termsel_match.rasters import FloatArray
-from termsel_match.starts import Start
+from termsel_match.images.rasters import FloatArray
+from termsel_match.images.starts import Start
 
 _KINDS = ("LineString", "MultiLineString", "Polygon", "MultiPolygon")
 _STRAIGHT = 0.5  # px by which a vector may bend within a piece

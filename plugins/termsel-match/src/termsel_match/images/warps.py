@@ -13,8 +13,8 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from termsel import TermselError, open_dem
-from termsel_match.rasters import FloatArray, Grey, GreyRaster, Mask, grid, open_picture
-from termsel_match.starts import Heights, Start
+from termsel_match.images.rasters import FloatArray, Grey, GreyRaster, Mask, grid, open_picture
+from termsel_match.images.starts import Heights, Start
 
 _MESH = 24  # px between places that are computed; those between are interpolated
 COVERS = 33

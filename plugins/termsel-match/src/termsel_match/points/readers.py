@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from termsel import FeatureSet, Option, Points, Reader, TermselError
-from termsel_match.rasters import FloatArray, open_picture
-from termsel_match.warps import crs_of
+from termsel_match.images.rasters import FloatArray, open_picture
+from termsel_match.images.warps import crs_of
 
 REFERENCE = Option("reference", "", "Required: the georeferenced image in which the second places "
                                     "were matched.")

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from termsel import Lines, TermselError
-from termsel_match.rasters import FloatArray, open_picture
-from termsel_match.ridges import bands
-from termsel_match.starts import Start, start_of
-from termsel_match.vectors import pieces_of
+from termsel_match.images.rasters import FloatArray, open_picture
+from termsel_match.images.starts import Start, start_of
+from termsel_match.lines.ridges import bands
+from termsel_match.lines.vectors import pieces_of
 
 LEAST = 6  # pieces with a band
 MOST = 4  # bands for each piece
@@ -62,7 +62,7 @@ def match_lines(
     dem : path-like, optional
         Raster of heights.
     start : path-like, str or Start, optional
-        See `termsel_match.starts.start_of`.
+        See `termsel_match.images.starts.start_of`.
     search : float
         Largest distance across from the start [px].
     band : int, optional

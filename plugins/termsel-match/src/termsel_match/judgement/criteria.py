@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from termsel import Criterion, Fits, Option
-from termsel_match.rasters import FloatArray
+from termsel_match.images.rasters import FloatArray
 
 
 class Agreement(Criterion):

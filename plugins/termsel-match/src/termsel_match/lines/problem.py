@@ -19,7 +19,7 @@ from termsel import (
     Subset,
     TermselError,
 )
-from termsel_match.rasters import FloatArray
+from termsel_match.images.rasters import FloatArray
 
 _LIMIT = 2.5  # half_at distances up to which a line may agree
 _SIGMAS, _LEAST_LIMIT = 2.5, 0.6  # by the spread of those, and at least; px

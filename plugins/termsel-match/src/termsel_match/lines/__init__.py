@@ -1,0 +1,1 @@
+"""Candidates of control lines, and those of them that agree."""

@@ -1,0 +1,1 @@
+"""Matchers: two windows as arrays, and the places in them that look alike."""

@@ -1,0 +1,1 @@
+"""Candidates of control points, matched here or by other programs."""

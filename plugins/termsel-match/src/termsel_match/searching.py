@@ -1,0 +1,20 @@
+"""A search among candidates, without the comparisons of a whole run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import termsel
+from termsel import FeatureSet
+
+
+def searched(problem: str, features: FeatureSet, model: str, options: Mapping[str, Any], *,
+             seed: int, criterion: str | None = None) -> tuple[str, ...]:
+    """Return the features that a search selects, without the comparisons that a run makes."""
+    task = termsel.prepare(problem, features=features, model=model, criterion=criterion,
+                           options=dict(options))
+    best = termsel.search(task.problem, task.solver, seed=seed,
+                           generations=task.recipe.generations, patience=task.recipe.patience,
+                           **task.options["search"])
+    return task.problem.decode(best.genes).features

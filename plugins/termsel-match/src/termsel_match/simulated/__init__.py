@@ -1,0 +1,1 @@
+"""A simulated place with an exact camera."""
