@@ -56,6 +56,7 @@ from .models import Term as Term
 from .models import ThinPlate as ThinPlate
 from .models.rpc import Rpc as Rpc
 from .models.rpc_fit import rpc_of as rpc_of
+from .options import Configurable as Configurable
 from .options import Option as Option
 from .plugins.hookspecs import hookimpl as hookimpl
 from .plugins.session import get as get

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,8 @@ pytest.importorskip("termsel_match", reason="termsel-match is not installed: "
 
 from termsel import FeatureSet, Points, TermselError, read
 from termsel.testing import check, checks
-from termsel_match.points.readers import ArosicsTable, AspMatches, MatchesCsv
+from termsel_match.points.asp import AspMatches
+from termsel_match.points.readers import ArosicsTable, MatchesCsv
 
 # As GeoPandas saves the table: with an index, the geometry as text, and all columns.
 AROSICS = """,geometry,POINT_ID,X_IM,Y_IM,X_MAP,Y_MAP,REF_BADDATA,X_WIN_SIZE,Y_WIN_SIZE,X_SHIFT_PX,\
@@ -32,6 +34,16 @@ ASP = """2 2
 5.0 6.0 5 6 0.1 1.0 0.5 1 0 0 0
 7.0 9.0 7 9 0.1 1.0 0.5 1 0 0 0
 """
+
+
+def _binary(width: str) -> bytes:
+    """Return the matches of ASP as VisionWorkbench writes them: records without gaps."""
+    records = [line.split() for line in ASP.splitlines()[1:]]
+    return struct.pack("<2Q", 2, 2) + b"".join(struct.pack(
+        f"<2f2i3f?2IQ3{width}", float(x), float(y), int(ix), int(iy), 0.1, 1, 0.5, True, 0, 0, 3,
+        0.1, 0.2, 0.3) for x, y, ix, iy, *_ in records)
+
+
 MATCHES = """id,image_line,image_sample,reference_line,reference_sample,sigma
 a,10.25,20.5,6,5,0.2
 b,30,40,9,7,0.3
@@ -49,15 +61,17 @@ def test_conforms(check: Any) -> None:
     check.run()
 
 
-@pytest.mark.parametrize(("reader", "text"), [(AspMatches, ASP), (MatchesCsv, MATCHES)])
-def test_conforms_with_its_reference(place: Any, reader: Any, text: str) -> None:
+@pytest.mark.parametrize(("reader", "content"), [
+    (AspMatches, ASP.encode()), (AspMatches, _binary("f")), (AspMatches, _binary("d")),
+    (MatchesCsv, MATCHES.encode())], ids=["asp", "asp-binary", "asp-binary-64", "csv"])
+def test_conforms_with_its_reference(place: Any, reader: Any, content: bytes) -> None:
     west, north = place.world.corner
     points = Points(("a", "b") if reader is MatchesCsv else ("M001", "M002"),
                     np.array([[10.25, 20.5], [30, 40]]),
                     np.array([[west + 5.5, north - 6.5, np.nan],
                               [west + 7.5, north - 9.5, np.nan]]),
                     np.array([[0.2, 0.2], [0.3, 0.3]]) if reader is MatchesCsv else None)
-    check(reader(reference=str(place / "ortho.tif")), content=text.encode(),
+    check(reader(reference=str(place / "ortho.tif")), content=content,
                  expected=FeatureSet(points, crs="EPSG:32633"))
 
 

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from termsel.formats.base import Reader, Writer
     from termsel.measurements.datasets import DatasetSpec
     from termsel.models import SensorModel
+    from termsel.options import Configurable
     from termsel.problems.objectives import Objective
     from termsel.problems.recipes import Recipe
     from termsel.results.result import Result
@@ -118,6 +119,17 @@ def termsel_candidates() -> Iterable[Candidate]:
     iterable of Candidate
         Each with a `name` as in `termsel.fit`. One that fails is left out of the choice, and a note
         names it.
+    """
+
+
+@hookspec
+def termsel_matchers() -> Iterable[type[Configurable]]:
+    """Return matchers, which termsel-match asks for places of two images that look alike.
+
+    Returns
+    -------
+    iterable of type
+        Subclasses of `termsel_match.matchers.Matcher`, each with a `name` as in ``--matcher``.
     """
 
 

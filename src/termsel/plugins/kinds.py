@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import inspect
 import re
+import sys
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
@@ -26,16 +27,20 @@ class Kind:
     The type `base` is imported from its module `home` when needed. A hook returns subclasses of a
     `Configurable` type, and instances of another. Where `tried`, a class is refused that cannot be
     made without options: every reader is asked about a file and every writer about a result; models
-    may need options.
+    may need options. What is of a package of its own has its conformance suite there.
     """
 
     word: str
     home: str
     base: str
     tried: bool = False
+    suite: str = ""
 
     def is_of(self, thing: Any) -> bool:
         """Return whether a thing is a class or an instance of the kind."""
+        # A package that is not imported, or not installed, has made nothing.
+        if self.suite and self.home not in sys.modules:
+            return False
         base: type = getattr(import_module(self.home), self.base)
         return issubclass(thing, base) if isinstance(thing, type) else isinstance(thing, base)
 
@@ -97,6 +102,8 @@ KINDS = {
     "criteria": Kind("criterion", "termsel.criteria", "Criterion", tried=True),
     "objectives": Kind("objective", "termsel.problems.objectives", "Objective"),
     "candidates": Kind("candidate", "termsel.candidates.base", "Candidate"),
+    "matchers": Kind("matcher", "termsel_match.matchers", "Matcher", tried=True,
+                     suite="termsel_match.testing"),
     "datasets": Kind("data set", "termsel.measurements.datasets", "DatasetSpec"),
     "readers": Kind("reader", "termsel.formats.base", "Reader", tried=True),
     "writers": Kind("writer", "termsel.formats.base", "Writer", tried=True),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib import import_module
 from inspect import signature
 from typing import Any
 
@@ -87,7 +88,8 @@ def checks(thing: Any, *, expected_failures: Mapping[str, str] | None = None,
     >>> checks(Affine)[0].name
     'declaration'
     """
-    suite = SUITES[_kind(thing)]
+    kind = _kind(thing)
+    suite: Suite = SUITES[kind] if kind in SUITES else import_module(KINDS[kind].suite).SUITE
     try:
         signature(suite.cases).bind(thing, **about)
     except TypeError as error:

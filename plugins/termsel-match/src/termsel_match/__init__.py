@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     import click
 
     from termsel import Criterion, Reader, Recipe
+    from termsel_match.matchers import Matcher
 
 
 @hookimpl
@@ -32,9 +33,20 @@ def termsel_commands(cli: click.Group) -> None:
 @hookimpl
 def termsel_readers() -> Iterable[type[Reader]]:
     """Return readers of what other programs have matched."""
-    from termsel_match.points.readers import ArosicsTable, AspMatches, MatchesCsv
+    from termsel_match.points.asp import AspMatches
+    from termsel_match.points.readers import ArosicsTable, MatchesCsv
 
     return [ArosicsTable, AspMatches, MatchesCsv]
+
+
+@hookimpl
+def termsel_matchers() -> Iterable[type[Matcher]]:
+    """Return SIFT, phase correlation, and one for other contrast."""
+    from termsel_match.matchers.phase import Phase
+    from termsel_match.matchers.sift import Sift
+    from termsel_match.matchers.structure import Structure
+
+    return [Sift, Phase, Structure]
 
 
 @hookimpl

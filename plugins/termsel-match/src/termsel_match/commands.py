@@ -9,12 +9,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from shlex import quote
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from termsel import TermselError, require_replaceable
+from termsel import TermselError, get, require_replaceable
 from termsel.errors import counted
+
+if TYPE_CHECKING:
+    from termsel_match.matchers import Matcher
 
 _FILE = click.Path(path_type=Path)
 NOT_GOOD_ENOUGH = 3
@@ -43,9 +46,30 @@ def reference_options(command: Callable[..., Any]) -> Callable[..., Any]:
                          type=click.IntRange(12, 20000), help="Number of candidates wanted."),
             click.option("--band", type=int, help="Band of the image, from 1; by default the mean "
                                                   "of all."),
-            click.option("--reference-band", type=int, help="Band of the reference."))):
+            click.option("--reference-band", type=int, help="Band of the reference."),
+            click.option("--matcher", metavar="NAME", help="What finds places that look "
+                         "alike (termsel list matchers). By default sift, and structure where "
+                         "that finds none."),
+            click.option("--set", "settings", metavar="KEY=VALUE", multiple=True,
+                         help="Option of the matcher, such as weights=FILE."))):
         command = option(command)
     return command
+
+
+def matcher_of(name: str | None, settings: tuple[str, ...]) -> Matcher | None:
+    """Return the matcher that is asked for, with its options; None for the usual ones."""
+    if name is None and settings:
+        raise TermselError("--set is for options of a matcher, and none is named",
+                           hint="Add --matcher NAME.")
+    if name is None:
+        return None
+    pairs = [text.partition("=") for text in settings]
+    for text, (key, sign, _) in zip(settings, pairs, strict=True):
+        if not (key and sign):
+            raise TermselError(f"--set {text!r} is not KEY=VALUE",
+                               hint="Give an option and its value, such as weights=FILE.")
+    made: Matcher = get("matchers", name)(**{key: value for key, _, value in pairs})
+    return made
 
 
 @click.command("match-points")
@@ -58,7 +82,7 @@ def reference_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 @click.option("--quiet", is_flag=True, help="Show no progress.")
 def match_points(image: Path, reference: Path, output: Path, overwrite: bool, quiet: bool,
-                 **options: Any) -> None:
+                 matcher: str | None, settings: tuple[str, ...], **options: Any) -> None:
     """Find candidates of control points: places of an image and a map that look alike.
 
     Some candidates are wrong; `auto-georeference` selects those that agree.
@@ -75,7 +99,8 @@ def match_points(image: Path, reference: Path, output: Path, overwrite: bool, qu
     refuse_output(output, overwrite, image, reference, *options.values())
     show_log()
     with bar("match-points", quiet) as progress:
-        candidates = match(image, reference, progress=progress, **options)
+        candidates = match(image, reference, progress=progress,
+                           matcher=matcher_of(matcher, settings), **options)
     write_points_csv(candidates.points, output, candidates.crs)
     click.echo(f"Start: {candidates.start}")
     cells = sum(candidates.cells.values())
@@ -172,7 +197,8 @@ def match_lines(image: Path, vectors: Path, iterate: bool, folder: Path | None, 
 @click.option("--quiet", is_flag=True, help="Show no progress.")
 @click.pass_context
 def auto_georeference(context: click.Context, /, image: Path, output: Path, folder: Path | None,
-                      dem: Path | None, quiet: bool, **options: Any) -> None:
+                      dem: Path | None, quiet: bool, matcher: str | None,
+                      settings: tuple[str, ...], **options: Any) -> None:
     """Make a map of a raw image: match it, select candidates, judge and rectify.
 
     Ends with exit code 3 and the reasons, and without a map, if the result is not good enough.
@@ -193,7 +219,7 @@ def auto_georeference(context: click.Context, /, image: Path, output: Path, fold
     show_log()
     with bar("match", quiet) as progress:
         done = georeference(image, output=output, dem=dem, folder=folder, progress=progress,
-                            **options)
+                            matcher=matcher_of(matcher, settings), **options)
     click.echo(done.text(), nl=False)
     if done.reasons:
         click.echo("No map was written.", err=True)

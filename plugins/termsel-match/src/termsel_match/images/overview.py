@@ -12,7 +12,7 @@ from termsel import FeatureSet, Points, TermselError
 from termsel_match.images.rasters import FloatArray, Grey, GreyRaster, open_picture
 from termsel_match.images.starts import Start, start_by_points
 from termsel_match.images.warps import crs_of
-from termsel_match.matchers.features import alike, described
+from termsel_match.matchers.sift import alike, described
 
 log = logging.getLogger("termsel.match")
 

@@ -10,16 +10,19 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from termsel import FeatureSet, Points, TermselError
+from termsel import FeatureSet, Points, TermselError, get
 from termsel_match.images.overview import start_by_overview
-from termsel_match.images.rasters import GreyRaster, open_picture
+from termsel_match.images.rasters import GreyRaster, open_picture, stretched
 from termsel_match.images.starts import Start, start_of
 from termsel_match.images.warps import Reference, open_reference
-from termsel_match.matchers.features import Pairs, alike, described, refined
+from termsel_match.matchers import Matcher, Matches, Window
+from termsel_match.matchers.refinement import Layers, refined
 
 log = logging.getLogger("termsel.match")
 
+_USUAL = ("sift", "structure")
 LEAST = 8  # candidates; fewer cannot be selected from
 _EACH = 3  # candidates wanted in a cell
 _TRIED = 8  # keypoints of a cell that are refined
@@ -76,14 +79,15 @@ def match_points(
     count: int = 200,
     band: int | None = None,
     reference_band: int | None = None,
+    matcher: str | Matcher | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Candidates:
     """Return places of an image and of a georeferenced image that look alike.
 
     In each cell of the image, the reference is resampled as the start says that the image shows
-    it. Keypoints that are alike (SIFT) are then placed to sub-pixel by least squares. Nothing else
-    is asked of them than to be within `search` of the start: which of them are right, the
-    selection decides.
+    it. A matcher finds places that are alike, which are then placed to sub-pixel by least squares.
+    Nothing else is asked of them than to be within `search` of the start: which of them are right,
+    the selection decides.
 
     Parameters
     ----------
@@ -99,6 +103,8 @@ def match_points(
         Candidates wanted, some in each cell.
     band, reference_band : int, optional
         Counted from 1; by default the mean of all.
+    matcher : str or Matcher, optional
+        By default "sift", and "structure" where that finds fewer than 8 candidates.
     progress : callable, optional
         Called with the fraction that is done, 0 to 1.
 
@@ -125,8 +131,14 @@ def match_points(
         if known is None:
             known = start_by_overview(picture, reference, reference_band)
         with open_reference(reference, known, dem, picture.size, reference_band) as other:
-            pairs, cells = _in_cells(picture, other, search, count, progress)
-            points = _points(pairs, other)
+            for name in _USUAL if matcher is None else (matcher,):
+                chosen = get("matchers", name)
+                found, cells = _in_cells(picture, other, chosen() if isinstance(chosen, type)
+                                         else chosen, search, count, progress)
+                points = _points(found, other)
+                if len(points) >= LEAST:
+                    break
+                log.info("Note: the matcher %s finds %d candidates.", chosen.name, len(points))
         size = picture.size
     if len(points) < LEAST:
         raise TermselError(f"not enough candidates: {len(points)} found, at least {LEAST} "
@@ -136,9 +148,10 @@ def match_points(
     return Candidates(points, other.crs, size, cells, known.what, known)
 
 
-def _in_cells(picture: GreyRaster, reference: Reference, search: float, count: int,
-              progress: Callable[[float], None] | None) -> tuple[list[Pairs], dict[str, int]]:
-    """Return pairs, first in the image and second in the reference [px], and how cells ended."""
+def _in_cells(picture: GreyRaster, reference: Reference, matcher: Matcher, search: float,
+              count: int, progress: Callable[[float], None] | None,
+              ) -> tuple[list[Matches], dict[str, int]]:
+    """Return matches, first in the image and second in the reference [px], and how cells ended."""
     step = reference.reduction(picture.size)
     if step > 1:
         log.info("Note: the image is matched at 1/%d of its resolution, that of the reference.",
@@ -148,9 +161,9 @@ def _in_cells(picture: GreyRaster, reference: Reference, search: float, count: i
     inner = -(-across // blocks)  # several small cells are looked at together
     of_cells, ends = [], Counter[str]()
     for done, block in enumerate(product(range(blocks), range(blocks))):
-        parts: list[Pairs] = []
+        parts: list[Matches] = []
         for window in _windows(picture.size, blocks, block, step):
-            more, end = _in_window(picture, reference, window, inner, step, search / step)
+            more, end = _in_window(picture, reference, matcher, window, inner, step, search / step)
             parts = max(parts, more, key=_count)
             if _count(parts) >= _EACH:
                 break
@@ -178,9 +191,10 @@ def _windows(size: tuple[int, int], across: int, block: tuple[int, int], step: i
     return windows
 
 
-def _in_window(picture: GreyRaster, reference: Reference, window: tuple[int, int, int, int],
-               inner: int, step: int, search: float) -> tuple[list[Pairs], str]:
-    """Return the best pairs of each cell of a window, in px of image and reference.
+def _in_window(picture: GreyRaster, reference: Reference, matcher: Matcher,
+               window: tuple[int, int, int, int], inner: int, step: int, search: float,
+               ) -> tuple[list[Matches], str]:
+    """Return the best matches of each cell of a window, in px of image and reference.
 
     And why the other cells have none.
     """
@@ -189,50 +203,58 @@ def _in_window(picture: GreyRaster, reference: Reference, window: tuple[int, int
     own = picture.read(top - border, left - border, lines + 2 * border, samples + 2 * border, step)
     if not own[1].any():
         return [], NO_DATA
+    if stretched(*own) is None:
+        return [], NO_TEXTURE
     shape = (lines + 2 * reach) // step, (samples + 2 * reach) // step
     patch = reference.patch(top - reach, left - reach, shape, step)
     if not patch.known.any():
         return [], OUTSIDE
-    first, own_vectors = described(*own)
-    sides = np.array(own[0].shape) - 2 * _BORDER
-    cell = np.floor((first - _BORDER) / sides * inner).astype(int)
-    within = ((cell >= 0) & (cell < inner)).all(axis=1)
-    second, vectors = described(patch.pixels, patch.known)
-    if not within.any() or not len(second):
-        return [], NO_TEXTURE
-    first, own_vectors, cell = first[within], own_vectors[within], cell[within]
-    own_number, number = alike(own_vectors, vectors)
     moved = (reach - border) // step  # between the origins of the two
-    apart = np.linalg.norm(second[number] - moved - first[own_number], axis=1)
-    near = apart <= search
-    own_number, number = own_number[near], number[near]
+    first, second = Window(*own), Window(patch.pixels, patch.known, (-moved, -moved))
+    found = matcher.match(first, second, search)
+    if not len(found.first):
+        return [], UNLIKE
+    sides = np.array(own[0].shape) - 2 * _BORDER
+    cell = np.floor((found.first - _BORDER) / sides * inner).astype(int)
+    away = np.linalg.norm(found.second - moved - found.first, axis=1)
+    used = ((cell >= 0) & (cell < inner)).all(axis=1) & (away <= search)
     parts = []
     for wanted in product(range(inner), repeat=2):
-        some = np.flatnonzero((cell[own_number] == wanted).all(axis=1))[:_TRIED]
-        pairs = _apart(refined(own, (patch.pixels, patch.known), first[own_number[some]],
-                               second[number[some]]))
-        if len(pairs.score):
-            parts.append(Pairs((pairs.first + 0.5) * step - 0.5 + [top - border, left - border],
-                               patch.in_reference(pairs.second), pairs.sigma * step, pairs.score))
+        some = np.flatnonzero(used & (cell == wanted).all(axis=1))[:_TRIED]
+        matches = _apart(_placed(matcher, found, some, first, second))
+        if matches.sigma is not None and len(matches.score):
+            parts.append(Matches((matches.first + 0.5) * step - 0.5 + [top - border, left - border],
+                                 patch.in_reference(matches.second), matches.score,
+                                 matches.sigma * step))
     return parts, UNLIKE
 
 
-def _count(parts: list[Pairs]) -> int:
+def _placed(matcher: Matcher, found: Matches, some: NDArray[np.intp], first: Window,
+            second: Window) -> Matches:
+    """Return some matches with their standard deviations."""
+    if matcher.places_exactly:
+        return found.take(some)
+    return refined(Layers(first.pixels[None], first.known), Layers(second.pixels[None],
+                   second.known), found.first[some], found.second[some])
+
+
+def _count(parts: list[Matches]) -> int:
     return sum(len(part.score) for part in parts)
 
 
-def _apart(pairs: Pairs) -> Pairs:
-    """Return the pairs with the best scores that are apart, at most those wanted in a cell."""
+def _apart(matches: Matches) -> Matches:
+    """Return the matches with the best scores that are apart, at most those wanted in a cell."""
     best: list[int] = []
-    for i in np.argsort(-pairs.score, kind="stable"):
+    for i in np.argsort(-matches.score, kind="stable"):
         if len(best) < _EACH and all(
-                min(np.linalg.norm(pairs.first[i] - pairs.first[j]),
-                    np.linalg.norm(pairs.second[i] - pairs.second[j])) >= _APART for j in best):
+                min(np.linalg.norm(matches.first[i] - matches.first[j]),
+                    np.linalg.norm(matches.second[i] - matches.second[j])) >= _APART
+                for j in best):
             best.append(int(i))
-    return Pairs(pairs.first[best], pairs.second[best], pairs.sigma[best], pairs.score[best])
+    return matches.take(np.array(best, dtype=np.intp))
 
 
-def _points(of_cells: list[Pairs], reference: Reference) -> Points:
+def _points(of_cells: list[Matches], reference: Reference) -> Points:
     """Return the pairs as points, those with a height if there is a DEM."""
     none = np.empty((0, 2))
     image, other, sigma = (np.concatenate([none, *(getattr(pairs, name) for pairs in of_cells)])

@@ -11,8 +11,9 @@ from termsel import Points, TermselError, open_raster, read
 from termsel_match.images.rasters import open_picture
 from termsel_match.images.starts import start_of
 from termsel_match.images.warps import crs_of
+from termsel_match.points.asp import AspMatches
 from termsel_match.points.candidates import LEAST, Candidates
-from termsel_match.points.readers import AspMatches, MatchesCsv
+from termsel_match.points.readers import MatchesCsv
 
 _HEAD = 4096  # bytes by which readers recognise a file
 

@@ -20,8 +20,6 @@ _AROSICS = ("POINT_ID", "X_IM", "Y_IM", "X_MAP", "Y_MAP", "X_SHIFT_M", "Y_SHIFT_
 _NO_MATCH = -9999.0  # AROSICS' fill value
 _PLACES = (("image_line", "image_sample", "reference_line", "reference_sample"),
            ("y1", "x1", "y2", "x2"))
-_DIGITS = 19
-_ASP_CELLS = 11  # of an interest point, before its descriptor
 
 
 class ArosicsTable(Reader):
@@ -80,7 +78,7 @@ class MatchesCsv(Reader):
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file, line and column."""
-        header = _header(_text(path).encode())
+        header = _header(text_of(path).encode())
         names = next((names for names in _PLACES if set(names) <= set(header)), _PLACES[0])
         ids, rows, sigma = [], [], []
         for line, cells in _rows(path, names):
@@ -89,51 +87,11 @@ class MatchesCsv(Reader):
             if "sigma" in cells:
                 sigma.append(_number(cells, "sigma", path, line))
         places = np.array(rows).reshape(-1, 4)
-        return _with_ground(path, ids, places[:, :2], places[:, 2:], self.options["reference"],
+        return with_ground(path, ids, places[:, :2], places[:, 2:], self.options["reference"],
                             np.repeat(sigma, 2).reshape(-1, 2) if sigma else None)
 
 
-class AspMatches(Reader):
-    """Matches of the Ames Stereo Pipeline, as text from its parse_match_file.py.
-
-    The first image is the one to georeference, the second the reference.
-    """
-
-    name = "asp-match"
-    summary = "text from ASP's parse_match_file.py: two counts, then a row per interest point"
-    declared_options = (REFERENCE,)
-
-    def sniff(self, path: Path, head: bytes) -> bool:
-        """Return True if two equal counts are followed by a row of an interest point."""
-        lines = head.decode("utf-8", errors="replace").splitlines()
-        counts = lines[0].split() if lines else []
-        return (len(counts) == 2 and counts[0].isdigit() and counts[0] == counts[1]
-                and len(lines) > 1 and _is_interest_point(lines[1].split()))
-
-    def read(self, path: Path) -> FeatureSet:
-        """Return the points; errors name file and line."""
-        lines = _text(path).splitlines()
-        first_word = next(iter((lines or [""])[0].split()), "")
-        # Python reads no number of thousands of digits, and no file has so many rows.
-        count = int(first_word[:_DIGITS]) if first_word.isdecimal() else 0
-        if count == 0 or len(lines) < 1 + 2 * count:
-            raise TermselError(
-                f"the file announces {count} matches and has {max(len(lines) - 1, 0)} rows",
-                file=path, line=1, hint="Expected a row for each point of either image. Is the "
-                                        "file complete?")
-        places = []
-        for number, text in enumerate(lines[1:1 + 2 * count], 2):
-            cells = text.split()
-            if not _is_interest_point(cells):
-                raise TermselError("this row is not an interest point", file=path, line=number,
-                                   hint="Expected x, y and nine further numbers.")
-            places.append([float(cells[1]), float(cells[0])])
-        first, second = np.array(places[:count]), np.array(places[count:])
-        return _with_ground(path, [f"M{i + 1:03d}" for i in range(count)], first, second,
-                            self.options["reference"], None)
-
-
-def _with_ground(path: Path, ids: Sequence[str], image: FloatArray, at: FloatArray,
+def with_ground(path: Path, ids: Sequence[str], image: FloatArray, at: FloatArray,
                  reference: str, sigma: FloatArray | None) -> FeatureSet:
     """Return points whose ground coordinates are those of pixels of a reference."""
     if not reference:
@@ -152,12 +110,19 @@ def _with_ground(path: Path, ids: Sequence[str], image: FloatArray, at: FloatArr
                              None if sigma is None else sigma[kept]), crs=crs)
 
 
-def _text(path: Path) -> str:
+def text_of(path: Path) -> str:
+    """Return the text of a file in UTF-8."""
     try:
-        return path.read_text(encoding="utf-8-sig")
+        return bytes_of(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise TermselError("the text of this file is not UTF-8", file=path,
                            hint="Save it with the encoding UTF-8.") from error
+
+
+def bytes_of(path: Path) -> bytes:
+    """Return the content of a file."""
+    try:
+        return path.read_bytes()
     except OSError as error:
         raise TermselError(f"cannot read this file: {error.strerror}", file=path,
                            hint="Check the name and the folder.") from error
@@ -171,7 +136,7 @@ def _header(head: bytes) -> list[str]:
 
 def _rows(path: Path, needed: Sequence[str]) -> Iterator[tuple[int, dict[str, str]]]:
     """Yield the number and the cells of each row of a table that has the columns needed."""
-    reader = csv.DictReader(_text(path).splitlines(), skipinitialspace=True)
+    reader = csv.DictReader(text_of(path).splitlines(), skipinitialspace=True)
     try:
         names = [name.strip() for name in reader.fieldnames or []]
         reader.fieldnames = names
@@ -197,10 +162,3 @@ def _number(cells: dict[str, str], name: str, path: Path, line: int) -> float:
         raise TermselError(f"{text!r} is not a number", file=path, line=line, column=name,
                            hint="Write a number with a decimal point.")
     return value
-
-
-def _is_interest_point(cells: Sequence[str]) -> bool:
-    try:
-        return len(cells) >= _ASP_CELLS and all(isfinite(float(cell)) for cell in cells[:2])
-    except ValueError:
-        return False

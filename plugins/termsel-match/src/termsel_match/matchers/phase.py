@@ -1,0 +1,74 @@
+"""Phase correlation.
+
+References
+----------
+Kuglin, Hines 1975: The phase correlation image alignment method. Proceedings of the IEEE
+Conference on Cybernetics and Society, 163-165.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.fft import irfft2, rfft2
+from scipy.signal.windows import hann
+
+from termsel_match.images.rasters import Grey
+from termsel_match.matchers import Matcher, Matches, Window
+from termsel_match.matchers.dense import (
+    HALF,
+    REACH,
+    common_shift,
+    distinct_places,
+    inside,
+    peak,
+)
+
+
+class Phase(Matcher):
+    """Phase correlation: for images of the same contrast with few distinct places, such as fields.
+
+    The shift of the window is found first, then that of 41 x 41 px around distinct places.
+
+    References
+    ----------
+    Kuglin, Hines 1975, IEEE Conference on Cybernetics and Society, 163-165.
+    """
+
+    name = "phase"
+
+    def match(self, first: Window, second: Window, search: float) -> Matches:
+        """Return distinct places and where they are in the second (see `Matcher.match`)."""
+        none = Matches(np.empty((0, 2)), np.empty((0, 2)), np.empty(0))
+        expected = np.subtract(first.origin, second.origin)
+        own, other = _centred(first), _centred(second)
+        shift = common_shift(own[None], other[None], expected, search, whitened=True)
+        if shift is None:
+            return none
+        places = distinct_places(first)
+        places = places[inside(places + shift, second.known, HALF)]
+        if not len(places):
+            return none
+        steps = np.arange(-HALF, HALF + 1)
+        taper = np.outer(hann(2 * HALF + 1), hann(2 * HALF + 1))
+        moved, clear, score = [], [], []
+        for place in places.astype(int):
+            at = place + shift.astype(int)
+            a, b = (taper * (part - part.mean()) for part in (
+                own[np.ix_(place[0] + steps, place[1] + steps)],
+                other[np.ix_(at[0] + steps, at[1] + steps)]))
+            product = np.conj(rfft2(a)) * rfft2(b)
+            surface = irfft2(product / np.maximum(np.abs(product), 1e-9), a.shape)
+            away, best, next_best = peak(np.fft.fftshift(surface))
+            moved.append(away)
+            clear.append(next_best / best if best > 0 else 1.0)
+            score.append(best)
+        near = np.abs(moved).max(axis=1) <= REACH
+        order = np.argsort(clear, kind="stable")
+        order = order[near[order]]
+        return Matches(places[order], (places + shift + moved)[order], np.array(score)[order])
+
+
+def _centred(window: Window) -> Grey:
+    """Return grey of which the mean is zero, and zero where it is unknown."""
+    mean = window.pixels[window.known].mean() if window.known.any() else 0.0
+    return np.where(window.known, window.pixels - mean, 0).astype(np.float32)

@@ -1,0 +1,83 @@
+"""Distinct places by SIFT.
+
+References
+----------
+Lowe 2004: Distinctive image features from scale-invariant keypoints. IJCV 60, 91-110: detector,
+descriptor and the ratio of the nearest to the second nearest.
+Arandjelovic, Zisserman 2012: Three things everyone should know to improve object retrieval. CVPR:
+RootSIFT, the square root of the descriptor divided by its sum.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from termsel_match.images.rasters import FloatArray, Grey, Mask, stretched
+from termsel_match.matchers import Matcher, Matches, Window
+
+RATIO = 0.9  # of the distances to the nearest and the second nearest descriptor
+_AREA = 60  # px for each keypoint, the strongest
+_CONTRAST = 0.015
+
+
+class Sift(Matcher):
+    """Keypoints whose descriptors are each other's nearest: for images of the same contrast.
+
+    It finds no places where one image is bright and the other dark.
+
+    References
+    ----------
+    Lowe 2004, International Journal of Computer Vision 60, 91-110.
+    """
+
+    name = "sift"
+
+    def match(self, first: Window, second: Window, search: float) -> Matches:
+        """Return keypoints that are each other's nearest (see `Matcher.match`)."""
+        own, own_vectors = described(first.pixels, first.known)
+        other, vectors = described(second.pixels, second.known)
+        number, other_number = alike(own_vectors, vectors)
+        likeness = np.einsum("ij,ij->i", own_vectors[number], vectors[other_number])
+        return Matches(own[number], other[other_number], likeness.astype(np.float64))
+
+
+def described(pixels: Grey, known: Mask) -> tuple[FloatArray, Grey]:
+    """Return keypoints, line and sample, shape (n, 2), and RootSIFT descriptors, (n, 128)."""
+    picture = stretched(pixels, known)
+    if picture is None:
+        return np.empty((0, 2)), np.empty((0, 128), dtype=np.float32)
+    # Edges of the data are no texture.
+    inner = cv2.erode(known.astype(np.uint8), np.ones((9, 9), dtype=np.uint8), borderValue=0)
+    detector = cv2.SIFT_create(nfeatures=1 + pixels.size // _AREA, contrastThreshold=_CONTRAST)
+    keypoints, vectors = detector.detectAndCompute(picture, inner)
+    if not keypoints:
+        return np.empty((0, 2)), np.empty((0, 128), dtype=np.float32)
+    vectors = np.sqrt(vectors / np.maximum(vectors.sum(axis=1, keepdims=True), 1e-9))
+    return np.array([keypoint.pt[::-1] for keypoint in keypoints]), vectors
+
+
+def alike(first: Grey, second: Grey, ratio: float = RATIO,
+          ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the pairs of descriptors that are each other's nearest, the clearest first.
+
+    Parameters
+    ----------
+    first, second : ndarray, shape (n, 128) and (m, 128)
+    ratio : float
+        Largest distance to the nearest, as part of that to the second nearest.
+    """
+    if len(first) < 2 or len(second) < 2:
+        return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
+    likeness = first @ second.T  # of unit vectors: distance^2 = 2 - 2 likeness
+    at, n = likeness.argmax(axis=1), np.arange(len(first))
+    best = likeness[n, at]
+    likeness[n, at] = -1.0
+    second_best = likeness.max(axis=1)
+    likeness[n, at] = best
+    near, next_near = (np.sqrt(np.maximum(2 - 2 * value, 0)) for value in (best, second_best))
+    relative = near / np.maximum(next_near, 1e-9)
+    order = np.argsort(relative, kind="stable")
+    order = order[(relative[order] < ratio) & (likeness.argmax(axis=0)[at[order]] == order)]
+    return order, at[order]

@@ -1,0 +1,108 @@
+"""Reader of the matches of the Ames Stereo Pipeline, binary and as text."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import isfinite
+from pathlib import Path
+from struct import Struct
+
+import numpy as np
+
+from termsel import FeatureSet, Reader, TermselError
+from termsel_match.images.rasters import FloatArray
+from termsel_match.points.readers import REFERENCE, bytes_of, text_of, with_ground
+
+_DIGITS = 19
+_CELLS = 11  # of an interest point as text, before its descriptor
+_COUNTS = 16  # bytes of the two counts
+# x, y, both as whole numbers, orientation, scale, interest, polarity, octave, level, and the
+# length of the descriptor, as VisionWorkbench writes them without gaps.
+_RECORD = Struct("<2f2i3f?2IQ")
+_MOST = 10_000_000  # matches, and numbers of a descriptor: more are none of a real file
+
+
+class AspMatches(Reader):
+    """Matches of the Ames Stereo Pipeline: a .match file, or text of its parse_match_file.py.
+
+    The first image is the one to georeference, the second the reference.
+    """
+
+    name = "asp-match"
+    summary = ("ASP's .match files, and text from its parse_match_file.py: two counts, then the "
+               "interest points")
+    declared_options = (REFERENCE,)
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True if two equal counts are followed by an interest point."""
+        if _counts(head) is not None:
+            return True
+        lines = head.decode("utf-8", errors="replace").splitlines()
+        counts = lines[0].split() if lines else []
+        return (len(counts) == 2 and counts[0].isdigit() and counts[0] == counts[1]
+                and len(lines) > 1 and _is_interest_point(lines[1].split()))
+
+    def read(self, path: Path) -> FeatureSet:
+        """Return the points; errors name file and line."""
+        content = bytes_of(path)
+        if (counts := _counts(content[:_COUNTS + _RECORD.size])) is not None:
+            first, second = _binary(content, counts[0], path)
+            return with_ground(path, _ids(counts[0]), first, second, self.options["reference"],
+                               None)
+        lines = text_of(path).splitlines()
+        first_word = next(iter((lines or [""])[0].split()), "")
+        # Python reads no number of thousands of digits, and no file has so many rows.
+        count = int(first_word[:_DIGITS]) if first_word.isdecimal() else 0
+        if count == 0 or len(lines) < 1 + 2 * count:
+            raise TermselError(
+                f"the file announces {count} matches and has {max(len(lines) - 1, 0)} rows",
+                file=path, line=1, hint="Expected a row for each point of either image. Is the "
+                                        "file complete?")
+        places = []
+        for number, text in enumerate(lines[1:1 + 2 * count], 2):
+            cells = text.split()
+            if not _is_interest_point(cells):
+                raise TermselError("this row is not an interest point", file=path, line=number,
+                                   hint="Expected x, y and nine further numbers.")
+            places.append([float(cells[1]), float(cells[0])])
+        first, second = np.array(places[:count]), np.array(places[count:])
+        return with_ground(path, _ids(count), first, second, self.options["reference"], None)
+
+
+def _counts(head: bytes) -> tuple[int, int] | None:
+    """Return the two counts of a binary file; None if it is none."""
+    if len(head) < _COUNTS + _RECORD.size:
+        return None
+    counts = int.from_bytes(head[:8], "little"), int.from_bytes(head[8:_COUNTS], "little")
+    x, y, column, row, *_, size = _RECORD.unpack_from(head, _COUNTS)
+    near = isfinite(x) and isfinite(y) and abs(x - column) <= 1 and abs(y - row) <= 1
+    return counts if 0 < counts[0] == counts[1] < _MOST and near and size < _MOST else None
+
+
+def _binary(content: bytes, count: int, path: Path) -> tuple[FloatArray, FloatArray]:
+    """Return line and sample of the points of both images, of a binary file."""
+    for width in (4, 8):  # bytes of a number of the descriptor, by the version of ASP
+        places: list[tuple[float, float]] = []
+        at = _COUNTS
+        while len(places) < 2 * count and at + _RECORD.size <= len(content):
+            x, y, *_, size = _RECORD.unpack_from(content, at)
+            if not (isfinite(x) and isfinite(y) and size < _MOST):
+                break
+            places.append((y, x))
+            at += _RECORD.size + width * size
+        if len(places) == 2 * count and at == len(content):
+            both = np.array(places, dtype=np.float64)
+            return both[:count], both[count:]
+    raise TermselError(f"the file announces {count} matches and is cut off, or is no match file of "
+                       "ASP", file=path, hint="Is the file complete?")
+
+
+def _ids(count: int) -> list[str]:
+    return [f"M{i + 1:03d}" for i in range(count)]
+
+
+def _is_interest_point(cells: Sequence[str]) -> bool:
+    try:
+        return len(cells) >= _CELLS and all(isfinite(float(cell)) for cell in cells[:2])
+    except ValueError:
+        return False

@@ -1,0 +1,135 @@
+"""What every matcher must do: the checks that `termsel.testing.checks` runs for one."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from termsel.testing.cases import (
+    Case,
+    Suite,
+    declares,
+    instance,
+    label,
+    pickled,
+    require,
+    require_unchanged,
+)
+from termsel_match.matchers import Matcher, Matches, Window, fault
+
+SEARCH = 20.0
+_SIDE, _BORDER = 160, 24  # px of the first window, and of the second around it
+_SHIFT = (7.0, -5.0)  # px: the second shows the ground so much further down and to the left
+_NEAR = 2.0  # px
+_LEAST = 8
+_SHARE = 0.5  # of the matches that must be right
+_TRIES = 3
+
+
+def declaration(matcher: Matcher) -> None:
+    """It has a name and a docstring; its options are documented and parse."""
+    declares("matchers")(matcher)
+
+
+def finds_a_shift(matcher: Matcher) -> None:
+    """Of the matches of two windows that differ by noise and a shift, half and more are right."""
+    for seed in range(_TRIES):
+        first, second = _pair(seed)
+        matches = _matched(matcher, first, second)
+        away = matches.second + second.origin - matches.first - first.origin - _SHIFT
+        right = np.linalg.norm(away, axis=1) < _NEAR
+        require(right.sum() >= _LEAST and right.mean() >= _SHARE,
+                f"of {len(right)} matches of two alike windows {int(right.sum())} are right; "
+                f"expected {_LEAST} and more, and at least half")
+
+
+def stays_within_the_windows(matcher: Matcher) -> None:
+    """Places are within the windows, and none is where there are no data."""
+    first, second = _pair(0)
+    known = first.known.copy()
+    known[:, :_SIDE // 2] = False
+    matches = _matched(matcher, Window(first.pixels, known, first.origin), second)
+    for places, window, name in ((matches.first, Window(first.pixels, known), "first"),
+                                 (matches.second, second, "second")):
+        at = np.round(places).astype(int)
+        require(((at >= 0) & (at < window.known.shape)).all(),
+                f"places are beyond the {name} window")
+        require(window.known[tuple(at.T)].all(), f"places of the {name} window have no data")
+
+
+def nothing_where_nothing_is(matcher: Matcher) -> None:
+    """Windows without texture or data give no fault, and those without data no match."""
+    first, second = _pair(0)
+    flat = Window(np.full_like(first.pixels, 100), first.known, first.origin)
+    empty = Window(first.pixels, np.zeros_like(first.known), first.origin)
+    _matched(matcher, flat, second)
+    _matched(matcher, flat, Window(np.full_like(second.pixels, 7), second.known, second.origin))
+    found = len(_matched(matcher, empty, second).first)
+    require(found == 0, f"a window without data has {found} matches")
+
+
+def small_windows(matcher: Matcher) -> None:
+    """Windows of a few pixels, as at the edge of an image, give no fault."""
+    first, second = _pair(0)
+    for side in (1, 5, 30):
+        _matched(matcher, Window(first.pixels[:side, :side], first.known[:side, :side]),
+                 Window(second.pixels[:side, :2 * side], second.known[:side, :2 * side]))
+
+
+def repeats(matcher: Matcher) -> None:
+    """The same windows give the same matches again, in another process too."""
+    first, second = _pair(0)
+    once = _matched(matcher, first, second)
+    for other in (matcher, pickled(matcher)):
+        again = _matched(other, first, second)
+        require(np.array_equal(once.first, again.first)
+                and np.array_equal(once.second, again.second),
+                "match() of the same windows differs from one call or process to the next")
+
+
+def leaves_windows(matcher: Matcher) -> None:
+    """It does not change the arrays it is given."""
+    first, second = _pair(0)
+    arrays = {"first.pixels": first.pixels, "first.known": first.known,
+              "second.pixels": second.pixels, "second.known": second.known}
+    require_unchanged(arrays, "match", lambda: matcher.match(first, second, SEARCH))
+
+
+def cases(thing: type[Matcher] | Matcher) -> list[Case]:
+    """Return a matcher, with the options it has."""
+    return [Case(label(thing, {}), lambda: instance(thing))]
+
+
+SUITE = Suite((declaration, finds_a_shift, stays_within_the_windows, nothing_where_nothing_is,
+               small_windows, repeats, leaves_windows), cases)
+
+
+def _matched(matcher: Matcher, first: Window, second: Window) -> Matches:
+    matches = matcher.match(first, second, SEARCH)
+    said = fault(matcher, matches)
+    require(said is None, f"match() {said}")
+    return matches
+
+
+def _pair(seed: int) -> tuple[Window, Window]:
+    """Return two windows of ground with fields, houses and texture, with noise of their own."""
+    rng = np.random.default_rng(seed)
+    side = _SIDE + 2 * (_BORDER + 16)
+    ground = cv2.GaussianBlur(rng.normal(0, 60, (side, side)).astype(np.float32), (0, 0), 2.0)
+    for _ in range(60):
+        top, left = rng.integers(0, side - 8, 2).tolist()
+        high, wide = rng.integers(6, 30, 2).tolist()
+        ground[top:top + high, left:left + wide] += float(rng.normal(0, 40))
+    ground = cv2.GaussianBlur(ground, (0, 0), 0.8) + 500
+
+    def seen(corner: tuple[int, int], extent: int) -> Window:
+        top, left = corner
+        pixels = ground[top:top + extent, left:left + extent] \
+            + rng.normal(0, 2, (extent, extent)).astype(np.float32)
+        return Window(pixels.astype(np.float32), np.ones((extent, extent), dtype=bool))
+
+    inner = _BORDER + 16
+    first = seen((inner, inner), _SIDE)
+    # What is at p in the first is at p + border + shift in the second.
+    second = seen((16 - int(_SHIFT[0]), 16 - int(_SHIFT[1])), _SIDE + 2 * _BORDER)
+    return first, Window(second.pixels, second.known, (-float(_BORDER), -float(_BORDER)))
