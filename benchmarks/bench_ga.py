@@ -20,7 +20,7 @@ from benchmarks.bench_kernels import Row
 from termsel import prepare, search
 from termsel.measurements.features import FeatureSet
 from termsel.problems.selection import SelectionProblem
-from termsel.solvers.bridges.deap_algorithms import Deap
+from termsel_optimisers.deap_algorithms import Deap
 
 POPULATION, GENERATIONS, MUTATION = 200, 80, 1 / 78
 

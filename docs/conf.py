@@ -13,8 +13,9 @@ from sphinx.application import Sphinx
 import termsel
 
 sys.path.insert(0, str(Path(__file__).parent))
-# The reference has the estimators of a package whether or not it is installed.
-sys.path.append(str(Path(__file__).parents[1] / "plugins" / "termsel-sklearn" / "src"))
+# The reference has the public names of these packages whether or not they are installed.
+sys.path.extend(str(Path(__file__).parents[1] / "plugins" / name / "src")
+                for name in ("termsel-sklearn", "termsel-optimisers"))
 
 project = "termsel"
 author = "The termsel developers"

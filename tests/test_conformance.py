@@ -26,11 +26,9 @@ from termsel.models.quotient import Blocks, RationalModel
 from termsel.models.rational import RationalFunctions
 from termsel.problems.base import Inputs
 from termsel.problems.selection import SelectionProblem
-from termsel.solvers.bridges.pareto import AgeMoea2, Nsga2, SmsEmoa, Spea2
+from termsel.solvers.bridges.pareto import Nsga2
 from termsel.solvers.genetic.ga import GeneticAlgorithm
-from termsel.solvers.genetic.ga_correlation import CorrelationSeededGA
 from termsel.solvers.genetic.ga_steady import SteadyStateGA
-from termsel.solvers.heuristics.ica import ImperialistCompetition
 from termsel.solvers.heuristics.pso import BinarySwarm
 from termsel.solvers.heuristics.swap import Swap
 from termsel.solvers.heuristics.yardsticks import AllTerms, RandomSearch
@@ -76,17 +74,13 @@ SUITES: dict[str, tuple[Check, ...]] = {
     "field": checks(Field),
     "field3d": checks(Field3D),
     "ga": checks(GeneticAlgorithm, options=[{}, {"population": 21, "elite": 1}]),
-    "ga-correlation": checks(
-        CorrelationSeededGA, options=[{}, {"population": 21, "preset": "case-1"}],
-        expected_failures={"any_problem": "it needs a design matrix"}),
     "ga-steady": checks(
         SteadyStateGA, options=[{}, {"population": 21, "overlap": 1.0}], problem=six_of_twelve,
         expected_failures={"any_problem": "it needs features alone"}),
-    "ica": checks(ImperialistCompetition, options=[{}, {"population": 60}]),
     "pso": checks(BinarySwarm, options=[{}, {"population": 21, "neighbours": 0}]),
     "swap": checks(Swap),
     "exact": checks(Exact, expected_failures={"any_problem": "it needs parts to walk"}),
-    **{solver.name: checks(solver) for solver in (Nsga2, AgeMoea2, SmsEmoa, Spea2)},
+    "nsga2": checks(Nsga2),
     "ridge": checks(Ridge, expected_failures=NEEDS_COLUMNS),
     "random": checks(RandomSearch, expected_failures=NO_SEARCH),
     "all-terms": checks(AllTerms, expected_failures=NO_SEARCH),

@@ -15,8 +15,8 @@ from termsel.measurements.features import FeatureSet, Points
 from termsel.problems.coverage import hull_areas, uncovered_share
 from termsel.problems.objectives import PopulationSelection, max_correlation, uncovered, unevenness
 from termsel.runs.search.recommend import recommended
-from termsel.solvers.bridges.pareto import _AgeSurvival
 from termsel.solvers.search import Search
+from termsel_optimisers.survivals import _AgeSurvival
 
 SOLVERS = ("nsga2", "age-moea2", "sms-emoa", "spea2")
 

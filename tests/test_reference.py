@@ -14,7 +14,8 @@ import pytest
 import termsel
 
 ROOT = Path(__file__).parents[1]
-MODULES = ("termsel", "termsel.simulate", "termsel.testing", "termsel_sklearn")
+MODULES = ("termsel", "termsel.simulate", "termsel.testing", "termsel_sklearn",
+           "termsel_optimisers")
 FOREIGN = ("sklearn", "builtins", "enum")
 
 

@@ -91,9 +91,6 @@ from .runs.task.task import prepare as prepare
 from .simulate import simulate_scene as simulate_scene
 from .solvers import Generation as Generation
 from .solvers import Solver as Solver
-from .solvers.bridges.deap_algorithms import from_deap as from_deap
-from .solvers.bridges.deap_toolbox import to_deap as to_deap
-from .solvers.bridges.pymoo_algorithms import from_pymoo as from_pymoo
 from .solvers.bridges.pymoo_problem import to_pymoo as to_pymoo
 from .solvers.genetic.ga import GeneticAlgorithm as GeneticAlgorithm
 from .solvers.regression.base import Regression as Regression

@@ -43,10 +43,9 @@ def termsel_models() -> Iterable[type[SensorModel]]:
 @hookimpl
 def termsel_problems() -> Iterable[Recipe]:
     """Return the built-in problems."""
-    from termsel.problems.papers import PAPERS
     from termsel.problems.recipes import RECIPES
 
-    return [*RECIPES, *PAPERS]
+    return RECIPES
 
 
 @hookimpl
@@ -68,23 +67,17 @@ def termsel_objectives() -> Iterable[Objective]:
 @hookimpl
 def termsel_solvers() -> Iterable[type[Solver]]:
     """Return the built-in solvers."""
-    from termsel.solvers.bridges.deap_algorithms import Deap
-    from termsel.solvers.bridges.pareto import AgeMoea2, Nsga2, SmsEmoa, Spea2
-    from termsel.solvers.bridges.pymoo_algorithms import Pymoo
+    from termsel.solvers.bridges.pareto import Nsga2
     from termsel.solvers.genetic.ga import GeneticAlgorithm
-    from termsel.solvers.genetic.ga_correlation import CorrelationSeededGA
     from termsel.solvers.genetic.ga_steady import SteadyStateGA
-    from termsel.solvers.heuristics.ica import ImperialistCompetition
     from termsel.solvers.heuristics.pso import BinarySwarm
     from termsel.solvers.heuristics.swap import Swap
     from termsel.solvers.heuristics.yardsticks import AllTerms, RandomSearch
     from termsel.solvers.proofs.exact import Exact
     from termsel.solvers.regression.ridge import Ridge
 
-    return [Deap, Pymoo, GeneticAlgorithm, CorrelationSeededGA, SteadyStateGA,
-            ImperialistCompetition, BinarySwarm,
-            Nsga2, AgeMoea2, SmsEmoa, Spea2, Exact, Swap, RandomSearch, AllTerms,
-            Ridge]
+    return [GeneticAlgorithm, SteadyStateGA, BinarySwarm, Nsga2, Exact, Swap, RandomSearch,
+            AllTerms, Ridge]
 
 
 @hookimpl
@@ -99,9 +92,9 @@ def termsel_candidates() -> Iterable[Candidate]:
 def termsel_datasets() -> Iterable[DatasetSpec]:
     """Return the embedded data sets."""
     from termsel.simulate.maps import MAP
-    from termsel.simulate.scenes import DATASETS, PAPER_SETS
+    from termsel.simulate.scenes import DATASETS, FURTHER
 
-    return [*DATASETS, MAP, *PAPER_SETS]
+    return [*DATASETS, MAP, *FURTHER]
 
 
 @hookimpl

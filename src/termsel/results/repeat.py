@@ -9,10 +9,6 @@ from termsel.record.base import Value, plain
 from termsel.record.record import Record
 from termsel.solvers.base import GIVEN
 from termsel.solvers.genetic.ga import GeneticAlgorithm
-from termsel.solvers.genetic.ga_correlation import CorrelationSeededGA
-
-_BY_NAME = (GeneticAlgorithm, CorrelationSeededGA)
-"""Solvers that have other options when they are named."""
 
 
 def command(record: Record) -> str:
@@ -47,10 +43,9 @@ def _parts(record: Record) -> Iterator[str]:
         yield "--strategy auto"
     else:
         own = record.options.solver
-        # A solver that is named takes what its paper says; that of the problem does not.
-        published = next((solver.published for solver in _BY_NAME
-                          if solver.name == record.solver), {})
-        named = all(own[name] is not None for name in published)
+        # A GA that is named takes what its paper says; that of the problem does not.
+        named = record.solver != GeneticAlgorithm.name or all(
+            own[name] is not None for name in GeneticAlgorithm.published)
         for part in ("model", *["solver"] * named, "criterion"):
             yield f"--{part} {shlex.quote(_full_name(record, part))}"
     each = plain(record.options)

@@ -12,12 +12,11 @@ from zlib import crc32
 
 import numpy as np
 from deap import base, tools
+from numpy.typing import NDArray
 
-from termsel.errors import TermselError, unknown_name
-from termsel.measurements.features import FloatArray
-from termsel.problems.base import WORST, Problem
-from termsel.problems.genome import Genome
-from termsel.problems.segments import Genes
+from termsel import Genome, Problem, TermselError
+from termsel.errors import unknown_name
+from termsel.problems.base import WORST
 from termsel.solvers.genetic.operators import crossover, mutation
 
 
@@ -46,10 +45,10 @@ class Judged(tuple[float, ...]):
     """The values of a fitness, with the genes that were evaluated and their evaluation."""
 
     genes: list[Any]
-    objectives: FloatArray
+    objectives: NDArray[np.float64]
     violation: float
 
-    def __new__(cls, genes: list[Any], objectives: FloatArray, violation: float) -> Judged:
+    def __new__(cls, genes: list[Any], objectives: NDArray[np.float64], violation: float) -> Judged:
         """Return values, penalised as by `deap.tools.DeltaPenalty` if there is a violation."""
         one = super().__new__(cls, [WORST + violation] * len(objectives) if violation
                               else objectives.tolist())
@@ -137,11 +136,11 @@ def to_deap(problem: Problem) -> base.Toolbox:
 
     Examples
     --------
-    >>> import random, termsel
+    >>> import random, termsel, termsel_optimisers
     >>> from deap import algorithms
     >>> random.seed(1)
     >>> task = termsel.prepare("poly-terms", options={"degree": 2})
-    >>> box = termsel.to_deap(task.problem)
+    >>> box = termsel_optimisers.to_deap(task.problem)
     >>> last, log = algorithms.eaSimple(box.population(n=20), box, 0.9, 0.2, 2, verbose=False)
     >>> len(last), log.select("gen")
     (20, [0, 1, 2])
@@ -212,7 +211,7 @@ def _mated(one: Individual, other: Individual, genome: Genome) -> tuple[Individu
 
 def _mutated(one: Individual, genome: Genome) -> tuple[Individual]:
     """Mutate an individual in place, with the operators for its types of genes."""
-    genes: Genes = np.array([one], dtype=genome.dtype)
+    genes = np.array([one], dtype=genome.dtype)
     one[:] = mutation(genes, genome, 1.0 / genome.size, _rng())[0].tolist()
     return (one,)
 

@@ -1,5 +1,7 @@
 """DEAP and pymoo as their users know them: scripts and algorithms of theirs, as they stand."""
 
+# mypy: disable-error-code="arg-type,func-returns-value"
+# ruff: noqa: ARG001, ARG005
 from __future__ import annotations
 
 import copy
@@ -38,16 +40,19 @@ from pymoo.optimize import minimize
 from scipy.stats import ks_2samp
 
 import termsel
+import termsel_optimisers
 from termsel import TermselError, search
 from termsel.cli.main import cli
 from termsel.solvers.bridges.chance import OwnChance
-from termsel.solvers.bridges.deap_algorithms import Deap
-from termsel.solvers.bridges.pymoo_algorithms import ALGORITHMS, SINGLE, UNFIT, Pymoo
 from termsel.solvers.genetic.ga import GeneticAlgorithm
 from termsel.solvers.ledger import Ledger, Progress
 from termsel.testing import Check, checks, problems
 from termsel.testing.problems import Watched
 from termsel.testing.trial import Counted, global_states
+from termsel_optimisers import from_deap, from_pymoo, to_deap
+from termsel_optimisers.deap_algorithms import Deap
+from termsel_optimisers.pymoo_algorithms import ALGORITHMS, SINGLE, UNFIT, Pymoo
+from termsel_optimisers.survivals import AgeMoea2, SmsEmoa, Spea2
 
 
 class Free(termsel.Problem):
@@ -73,7 +78,7 @@ def test_a_deap_script_runs_as_it_stands() -> None:
     task = termsel.prepare("poly-terms", options={"degree": 3})
     watched = Watched(task.problem)
     random.seed(1)
-    box = termsel.to_deap(watched)
+    box = to_deap(watched)
     last, log = algorithms.eaSimple(box.population(n=60), box, 0.9, 0.2, 15, verbose=False)
     assert len(last) == 60
     assert watched.calls == 16  # a batch a generation
@@ -101,7 +106,7 @@ def test_infeasible_individuals_are_penalised_by_their_violation() -> None:
         def decode(self, genes: np.ndarray) -> termsel.Selection:
             return termsel.Selection((), ())
 
-    box = termsel.to_deap(Broken())
+    box = to_deap(Broken())
     people = [box.individual() for _ in range(3)]
     people[0][:], people[1][:], people[2][:] = [0, 0, 0], [1, 0, 0], [1, 1, 1]
     fitness = list(box.map(box.evaluate, people))
@@ -113,7 +118,7 @@ def test_infeasible_individuals_are_penalised_by_their_violation() -> None:
 
 def test_individuals_keep_forced_genes_whatever_the_operators_do() -> None:
     problem = problems.bound()
-    box = termsel.to_deap(problem)
+    box = to_deap(problem)
     box.register("mutate", tools.mutFlipBit, indpb=0.5)
     random.seed(2)
     last, _ = algorithms.eaSimple(box.population(n=20), box, 0.5, 1.0, 5, verbose=False)
@@ -151,9 +156,9 @@ def _map_of_dask(_start: str) -> Iterator[Any]:
     pytest.param(_map_of_dask, "", marks=pytest.mark.slow)])
 def test_other_processes_evaluate_the_same(pool: Any, start: str) -> None:
     problem = small(max_share=0.4, force_on="line.num:X").problem
-    alone = islands(termsel.to_deap(problem))
+    alone = islands(to_deap(problem))
     with pool(start) as several:
-        box = termsel.to_deap(problem)
+        box = to_deap(problem)
         box.register("map", several.map)
         found = islands(box)
     assert problems.kept(problem.genome, np.array(found)).all()
@@ -165,7 +170,7 @@ def test_other_processes_evaluate_the_same(pool: Any, start: str) -> None:
 
 
 def test_toolboxes_and_individuals_survive_pickling() -> None:
-    box = termsel.to_deap(Counted(small().problem))
+    box = to_deap(Counted(small().problem))
     one = box.individual()
     one.fitness.values = box.evaluate(one)
     again = pickle.loads(pickle.dumps(one))
@@ -181,7 +186,7 @@ def test_toolboxes_and_individuals_survive_pickling() -> None:
 
 def test_a_search_tells_who_evaluates_elsewhere() -> None:
     task = small()
-    solver = termsel.from_deap(lambda problem: termsel.to_deap(task.problem), name="elsewhere")
+    solver = from_deap(lambda problem: to_deap(task.problem), name="elsewhere")
     with pytest.raises(TermselError, match=r"'elsewhere' .* evaluated nothing with the problem"):
         search(task.problem, solver(population=10), generations=3)
     with pytest.raises(TermselError, match="counts evaluations in its own process"):
@@ -189,7 +194,7 @@ def test_a_search_tells_who_evaluates_elsewhere() -> None:
 
 
 def test_a_replaced_evaluation_is_called_for_each_individual() -> None:
-    box = termsel.to_deap(small().problem)
+    box = to_deap(small().problem)
     calls = []
     plain = box.evaluate
     box.register("evaluate", lambda one: calls.append(1) or plain(one))
@@ -235,7 +240,7 @@ def test_what_deap_does_not_have_is_refused(options: dict[str, Any], said: str) 
 
 def own_box(problem: termsel.Problem) -> base.Toolbox:
     """Two-point crossover."""
-    box = termsel.to_deap(problem)
+    box = to_deap(problem)
     box.register("mate", tools.cxTwoPoint)
     return box
 
@@ -250,7 +255,7 @@ def own_loop(population: list[Any], toolbox: base.Toolbox) -> Iterator[list[Any]
 
 @pytest.mark.parametrize("loop", [algorithms.eaSimple, own_loop])
 def test_a_toolbox_of_ones_own_is_a_solver(loop: Any) -> None:
-    solver = termsel.from_deap(own_box, loop)
+    solver = from_deap(own_box, loop)
     assert solver.name == "own-box"
     before = global_states()
     result = termsel.run("poly-terms", solver=solver, evaluations=600,
@@ -329,7 +334,7 @@ def test_each_algorithm_of_pymoo_conforms(check: Check) -> None:
 
 @pytest.mark.parametrize(("options", "said"), [
     ({"algorithm": "moead"}, "'moead' refuses constraints"),
-    ({"algorithm": "rnsga3"}, "'rnsga3' requires reference points; make .* termsel.from_pymoo"),
+    ({"algorithm": "rnsga3"}, "'rnsga3' requires reference points; make .* from_pymoo"),
     ({"algorithm": "de"}, "'de' moves real numbers"),
     ({"algorithm": ["nsga2"]}, "does not accept"),
     ({"algorithm": "nsga2", "horizon": 5}, "'horizon' is for algorithm=rvea")])
@@ -360,19 +365,19 @@ def test_every_algorithm_of_pymoo_is_offered_or_has_a_reason() -> None:
     ("GA", "'GA' is no algorithm of pymoo")])
 def test_an_algorithm_that_cannot_do_makes_no_solver(algorithm: Any, said: str) -> None:
     with pytest.raises(TermselError, match=said):
-        termsel.from_pymoo(algorithm)
+        from_pymoo(algorithm)
 
 
 @pytest.mark.parametrize(("given", "said"), [
-    ([None], "toolbox_factory is None"), ([termsel.to_deap, 7], "algorithm is 7"),
+    ([None], "toolbox_factory is None"), ([to_deap, 7], "algorithm is 7"),
     ([lambda problem: None], "'<lambda>' returned no DEAP toolbox")])
 def test_what_gives_no_toolbox_makes_no_solver(given: list[Any], said: str) -> None:
     with pytest.raises(TermselError, match=said):
-        search(problems.twelve_terms(), termsel.from_deap(*given)(), generations=1)
+        search(problems.twelve_terms(), from_deap(*given)(), generations=1)
 
 
 def test_a_partial_function_gives_a_toolbox() -> None:
-    assert termsel.from_deap(partial(termsel.to_deap)).name == "from-deap"
+    assert from_deap(partial(to_deap)).name == "from-deap"
 
 
 def test_rvea_runs_beyond_its_horizon() -> None:
@@ -405,7 +410,7 @@ def test_c_taea_has_as_many_directions_as_its_population_allows() -> None:
     (RNSGA2(np.array([[3.0, 9.0]]), pop_size=20, sampling=BinaryRandomSampling(), crossover=UX(),
             mutation=BitflipMutation()), 2)])
 def test_an_algorithm_of_ones_own_is_a_solver(algorithm: Any, objectives: int) -> None:
-    solver = termsel.from_pymoo(algorithm)
+    solver = from_pymoo(algorithm)
     runs = [termsel.run("poly-terms", solver=solver, evaluations=200, seed=4,
                         options={"degree": 2}) for _ in range(2)]
     assert runs[0].selection == runs[1].selection
@@ -415,12 +420,12 @@ def test_an_algorithm_of_ones_own_is_a_solver(algorithm: Any, objectives: int) -
 
 
 def test_an_algorithm_without_a_population_is_a_solver() -> None:
-    mine = termsel.from_pymoo(RandomSearch(10, sampling=BinaryRandomSampling()))
+    mine = from_pymoo(RandomSearch(10, sampling=BinaryRandomSampling()))
     assert search(problems.twelve_terms(), mine(), evaluations=35).evaluations == 35
 
 
 def test_forced_genes_are_kept_by_algorithms_of_ones_own() -> None:
-    mine = termsel.from_pymoo(GA(pop_size=20, sampling=BinaryRandomSampling(), crossover=UX(),
+    mine = from_pymoo(GA(pop_size=20, sampling=BinaryRandomSampling(), crossover=UX(),
                                  mutation=BitflipMutation()))
     problem = problems.bound()
     found = search(problem, mine(), generations=5)
@@ -490,11 +495,11 @@ def stuck(population: list[Any], toolbox: base.Toolbox) -> Iterator[list[Any]]:
 def test_a_loop_that_breeds_nothing_comes_to_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("termsel.solvers.search.IDLE", 20)
     for budget in ({"generations": 50}, {"evaluations": 500}, {}):
-        found = search(problems.twelve_terms(), termsel.from_deap(own_box, still)(), **budget)
+        found = search(problems.twelve_terms(), from_deap(own_box, still)(), **budget)
         assert (found.evaluations, found.generations) == (200, 20)
         assert found.notes == (
             "The search ended after 20 generations in which solver 'own-box' evaluated nothing.",)
-    assert search(problems.twelve_terms(), termsel.from_deap(own_box, still)(),
+    assert search(problems.twelve_terms(), from_deap(own_box, still)(),
                   generations=5).generations == 5
 
 
@@ -506,7 +511,7 @@ def test_a_loop_that_does_nothing_is_named(monkeypatch: pytest.MonkeyPatch) -> N
         if "has yielded nothing" in progress.what:
             NAMED.set()
 
-    found = search(problems.twelve_terms(), termsel.from_deap(own_box, stuck)(population=10),
+    found = search(problems.twelve_terms(), from_deap(own_box, stuck)(population=10),
                    observers=[observe])
     assert (found.evaluations, found.interrupted) == (10, True)
     assert Deap(algorithm="mine:loop").runs_code_of_users
@@ -553,3 +558,17 @@ def test_random_numbers_of_other_threads_stay_their_own() -> None:
         assert np.random.default_rng() is mine
     assert len({id(one) for one in (mine, *theirs)}) == 3
     assert np.random.default_rng is before
+
+
+@pytest.mark.parametrize("check", [
+    pytest.param(check, id=f"{solver.name}-{check.name}")
+    for solver in (AgeMoea2, SmsEmoa, Spea2) for check in checks(solver)])
+def test_the_other_algorithms_conform(check: Check) -> None:
+    check.run()
+
+
+@pytest.mark.parametrize("name", ["from_deap", "from_pymoo", "to_deap"])
+def test_the_old_names_work_and_say_so(name: str) -> None:
+    with pytest.warns(DeprecationWarning, match=rf"termsel_optimisers\.{name}"):
+        old = getattr(termsel, name)
+    assert old is getattr(termsel_optimisers, name)

@@ -7,10 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.measurements.features import BoolArray, FloatArray, IntArray
-from termsel.options import COUNT, Option
-from termsel.problems.base import Evaluation, Problem
-from termsel.solvers.base import Generation, Solver
+from termsel import Evaluation, Generation, Option, Problem, Solver
+from termsel_papers.arrays import BoolArray, FloatArray, IntArray
 
 
 def costs(evaluation: Evaluation) -> FloatArray:
@@ -242,7 +240,7 @@ class ImperialistCompetition(Solver):
         Option("alpha", 0.08, "Weight of the mean cost of the colonies in the power of an "
                "empire, alpha.", float, 0.0, 1.0),
         Option("contested", 1, "Number of weakest colonies contested in a generation.", int, 1,
-               COUNT),
+               1_000_000),
         Option("uniting", None, "Unite empires whose imperialists differ in at most this share of "
                "their genes, such as 0.02; by default never.", float, 0.0, 1.0),
     )

@@ -12,13 +12,11 @@ import numpy as np
 from pymoo.core.algorithm import Algorithm
 from pymoo.util.ref_dirs import get_reference_directions
 
-from termsel.errors import TermselError
-from termsel.options import COUNT, Option
-from termsel.problems.base import Problem
-from termsel.problems.segments import SEGMENTS, AnySegment
-from termsel.solvers.base import Generation, Solver
-from termsel.solvers.bridges.pareto import OPTIONS, RveaSurvival, made, operators
+from termsel import Generation, Option, Problem, Solver, TermselError
+from termsel.problems.segments import SEGMENTS
+from termsel.solvers.bridges.pareto import OPTIONS, operators
 from termsel.solvers.bridges.pymoo_problem import steps
+from termsel_optimisers.survivals import RveaSurvival, made
 
 ALGORITHMS = {
     "nsga2": "moo.nsga2:NSGA2", "nsga3": "moo.nsga3:NSGA3", "unsga3": "moo.unsga3:UNSGA3",
@@ -36,7 +34,7 @@ DIRECTED = frozenset({"nsga3", "unsga3", "rvea", "ctaea"})
 """Those with reference directions."""
 
 _UNCONSTRAINED = "refuses constraints, so it would not keep infeasible selections out"
-_POINTS = "requires reference points; make a solver of it with termsel.from_pymoo"
+_POINTS = "requires reference points; make a solver of it with termsel_optimisers.from_pymoo"
 _NUMBERS = "moves real numbers, not bits"
 UNFIT = {
     **dict.fromkeys(("moead", "dnsga2", "kgb"), _UNCONSTRAINED),
@@ -61,18 +59,19 @@ class Pymoo(Solver):
 
     Not offered are MOEA/D, D-NSGA-II and KGB-DMOEA, which refuse constraints, and algorithms for
     real numbers. R-NSGA-II and R-NSGA-III require reference points: make a solver of them with
-    `termsel.from_pymoo`.
+    `termsel_optimisers.from_pymoo`.
     """
 
     name = "pymoo"
     max_objectives: ClassVar[int] = 8
-    segments: ClassVar[tuple[type[AnySegment], ...]] = SEGMENTS
+    segments = SEGMENTS
     declared_options = (
         Option("algorithm", "nsga2", "The algorithm, as pymoo names its module.",
                choices=tuple(ALGORITHMS)),
         *OPTIONS,
         Option("horizon", None, "Generations over which rvea shifts its weight from convergence "
-               "to spread; by default as many as the usual budget has.", int, 1, COUNT),
+               "to spread; by default as many as the usual budget has.", int, 1,
+               1_000_000),
     )
 
     def __init__(self, **options: Any) -> None:
@@ -140,12 +139,12 @@ def from_pymoo(algorithm: Algorithm, *, name: str | None = None) -> type[Solver]
 
     Examples
     --------
-    >>> import termsel
+    >>> import termsel, termsel_optimisers
     >>> from pymoo.algorithms.soo.nonconvex.ga import GA
     >>> from pymoo.operators.crossover.ux import UX
     >>> from pymoo.operators.mutation.bitflip import BitflipMutation
     >>> from pymoo.operators.sampling.rnd import BinaryRandomSampling
-    >>> mine = termsel.from_pymoo(GA(pop_size=20, sampling=BinaryRandomSampling(),
+    >>> mine = termsel_optimisers.from_pymoo(GA(pop_size=20, sampling=BinaryRandomSampling(),
     ...                              crossover=UX(), mutation=BitflipMutation()))
     >>> termsel.run("poly-terms", solver=mine, evaluations=200, options={"degree": 2}).solver
     'ga-pymoo'

@@ -8,19 +8,17 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib import import_module
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from deap import algorithms, base, tools
+from numpy.typing import NDArray
 
-from termsel.errors import TermselError
+from termsel import Evaluation, Generation, Option, Problem, Solver, TermselError
 from termsel.guard.faults import blamed
-from termsel.options import Option
-from termsel.problems.base import Evaluation, Problem
-from termsel.problems.segments import SEGMENTS, AnySegment, Genes
-from termsel.solvers.base import Generation, Solver
+from termsel.problems.segments import SEGMENTS
 from termsel.solvers.bridges.chance import OwnChance
-from termsel.solvers.bridges.deap_toolbox import Individual, register, to_deap
+from termsel_optimisers.deap_toolbox import Individual, register, to_deap
 
 CHECK = "Check your loop, and the operators with their arguments: select, mate, mutate."
 
@@ -42,7 +40,7 @@ class Deap(Solver):
     """
 
     name = "deap"
-    segments: ClassVar[tuple[type[AnySegment], ...]] = SEGMENTS
+    segments = SEGMENTS
     declared_options = (
         Option("algorithm", "eaSimple", "eaSimple, eaMuPlusLambda or eaMuCommaLambda of "
                "deap.algorithms, or a loop of your own as module:function."),
@@ -163,7 +161,7 @@ def _evaluate(box: base.Toolbox, people: Iterable[Individual]) -> None:
 
 
 def _generation(index: int, people: list[Individual], details: Mapping[str, Any]) -> Generation:
-    genes: Genes = np.array(people)
+    genes: NDArray[Any] = np.array(people)
     return Generation(index, genes, Evaluation(
         np.array([one.objectives for one in people]),
         np.array([one.violation for one in people])), details)
@@ -199,8 +197,9 @@ def from_deap(toolbox_factory: Callable[[Problem], base.Toolbox],
 
     Examples
     --------
-    >>> import termsel
-    >>> result = termsel.run("poly-terms", solver=termsel.from_deap(termsel.to_deap),
+    >>> import termsel, termsel_optimisers
+    >>> made = termsel_optimisers.from_deap(termsel_optimisers.to_deap)
+    >>> result = termsel.run("poly-terms", solver=made,
     ...                      evaluations=300, options={"degree": 2, "population": 40})
     >>> result.solver
     'to-deap'
@@ -208,7 +207,7 @@ def from_deap(toolbox_factory: Callable[[Problem], base.Toolbox],
     for given_as, what in (("toolbox_factory", toolbox_factory), ("algorithm", algorithm)):
         if not callable(what):
             raise TermselError(f"{given_as} is {what!r:.100}, which is no function",
-                               hint="Give a function, such as termsel.to_deap and "
+                               hint="Give a function, such as termsel_optimisers.to_deap and "
                                     "deap.algorithms.eaSimple.")
     given = {"cxpb": 0.5, "mutpb": 0.2, **arguments}
     called = getattr(toolbox_factory, "__name__", "from-deap")
@@ -225,7 +224,7 @@ def from_deap(toolbox_factory: Callable[[Problem], base.Toolbox],
             box = toolbox_factory(problem)
             if not isinstance(box, base.Toolbox):
                 raise TermselError(f"the function {called!r} returned no DEAP toolbox",
-                                   hint="Return what termsel.to_deap(problem) returned.")
+                                   hint="Return what termsel_optimisers.to_deap(problem) returned.")
             yield from evolved(box, algorithm, rng, n, {"mu": n, "lambda_": 2 * n, **given})
 
     FromDeap.name = name or called.strip("_").replace("_", "-").lower()

@@ -7,13 +7,9 @@ from typing import Any, ClassVar
 import numpy as np
 from deap import base
 
-from termsel.errors import TermselError
-from termsel.measurements.features import BoolArray, FloatArray
-from termsel.options import Option
-from termsel.problems.base import Problem
+from termsel import Bits, GeneticAlgorithm, Option, Problem, TermselError
 from termsel.problems.objectives import unit_deviations
-from termsel.problems.segments import Bits
-from termsel.solvers.genetic.ga import GeneticAlgorithm
+from termsel_papers.arrays import BoolArray, FloatArray
 
 PRESETS = {"case-1": (1.19, 0.15), "case-2": (1.69, 0.0), "case-3": (1.0, 0.0)}
 """Scale and offset of the cases of Akhoundi Khezrabad et al. 2020, table 3."""

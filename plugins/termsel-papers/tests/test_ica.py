@@ -12,7 +12,10 @@ from hypothesis import strategies as st
 import termsel
 from termsel.problems.base import Evaluation
 from termsel.solvers.base import Generation
-from termsel.solvers.heuristics.ica import (
+from termsel.solvers.proofs.exact import gap
+from termsel.testing import Check, checks, problems
+from termsel.testing.problems import Watched
+from termsel_papers.ica import (
     Empires,
     ImperialistCompetition,
     assimilate,
@@ -26,9 +29,6 @@ from termsel.solvers.heuristics.ica import (
     sizes,
     total_power,
 )
-from termsel.solvers.proofs.exact import gap
-from termsel.testing import problems
-from termsel.testing.problems import Watched
 
 
 def bits(text: str) -> np.ndarray:
@@ -308,3 +308,9 @@ def test_more_contested_colonies_move_in_one_generation() -> None:
         return int((first.details["empire"] != second.details["empire"]).sum())
 
     assert moved(1) <= 1 < moved(12)
+
+
+@pytest.mark.parametrize("check", checks(ImperialistCompetition, options=[{}, {"population": 60}]),
+                         ids=lambda check: check.name)
+def test_it_conforms(check: Check) -> None:
+    check.run()
