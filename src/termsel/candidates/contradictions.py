@@ -90,10 +90,10 @@ class Division:
 
         Points are tested in their own coordinates, whatever those of the fit.
         """
-        part = self.every.take(self.used)
-        if not part.features.fit_crs or len(part.features.lines):
-            return part
-        return Control.of(replace(part.features, fit_crs=""), part.heights)
+        features = self.every.features
+        if not features.fit_crs or len(features.lines):
+            return self.every.take(self.used)
+        return Control.of(replace(features, fit_crs="").take(self.used), self.every.heights)
 
     @property
     def _collocated(self) -> Collocation | None:

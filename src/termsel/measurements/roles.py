@@ -59,24 +59,25 @@ class Observations:
     @cached_property
     def carriers(self) -> tuple[str, ...]:
         """One or two features of `together` without which all heights lie on a plane, if any."""
-        return carriers(self._together) if self._together.heights else ()
+        return carriers(self.joint) if self.joint.heights else ()
 
     @cached_property
     def heights(self) -> bool:
         """Whether all features have heights, and these differ without any one or two of them."""
         # Of independent points nothing else is looked at.
         return not np.isnan(self.independent.ground[:, 2]).any() \
-            and self._together.heights and not self.carriers
+            and self.joint.heights and not self.carriers
 
     @cached_property
     def pool(self) -> Control:
         """What a choice is made from: the features of `together`, twins merged."""
         features = merged(self.together)
-        return (replace(self._together, heights=self.heights) if features is self.together
+        return (replace(self.joint, heights=self.heights) if features is self.together
                 else Control.of(features, self.heights))
 
     @cached_property
-    def _together(self) -> Control:
+    def joint(self) -> Control:
+        """Those of `together` with their scaling, heights where these differ."""
         return Control.of(self.together)
 
     def fitted_in(self, crs: str) -> Observations:

@@ -43,8 +43,8 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
     yield from _on_one_line(both)
     if heights and len(both) > 1 and not both.without_height():
         yield from _on_carriers(both, observations.carriers)
-        yield from _on_flat(fitted or both, independent if fitted is None else
-                            observations.check.join(independent))
+        yield from (_on_flat(observations.joint, independent) if fitted is None else _on_flat(
+            Control.of(fitted, False), observations.check.join(independent)))
 
 
 def _on_one_line(both: FeatureSet) -> Iterator[str]:
@@ -82,17 +82,17 @@ def _on_carriers(both: FeatureSet, carrying: tuple[str, ...]) -> Iterator[str]:
                "height does cannot be told from an error there, so the model is plane.")
 
 
-def _on_flat(fitted: FeatureSet, others: Points) -> Iterator[str]:
+def _on_flat(control: Control, others: Points) -> Iterator[str]:
     """Yield that heights tell nothing, and what they may do at other points."""
-    control, z = Control.of(fitted, False), fitted.ground_vertices()[:, 2]
+    z = control.features.ground_vertices()[:, 2]
     if len(carriers(control)) < len(control):
         pass
     elif (z == z[0]).all():
         yield (f"All heights are {z[0]:g}, so they were not used. If they are not known, leave "
                "them blank or take them from a raster (--dem FILE).")
     else:
-        yield (f"The heights of the {fitted.word} differ too little from a plane to tell what a "
-               "height does, so they were not used.")
+        yield (f"The heights of the {control.features.word} differ too little from a plane to "
+               "tell what a height does, so they were not used.")
     off, effect = off_plane(control, others.ground)
     far = effect > MEASURED
     if far.any():
