@@ -334,7 +334,7 @@ def test_each_algorithm_of_pymoo_conforms(check: Check) -> None:
 
 @pytest.mark.parametrize(("options", "said"), [
     ({"algorithm": "moead"}, "'moead' refuses constraints"),
-    ({"algorithm": "rnsga3"}, "'rnsga3' requires reference points; make .* from_pymoo"),
+    ({"algorithm": "rnsga3"}, "'rnsga3' requires reference points; make .*from_pymoo"),
     ({"algorithm": "de"}, "'de' moves real numbers"),
     ({"algorithm": ["nsga2"]}, "does not accept"),
     ({"algorithm": "nsga2", "horizon": 5}, "'horizon' is for algorithm=rvea")])
