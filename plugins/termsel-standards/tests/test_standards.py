@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import replace
 from math import hypot
 from pathlib import Path
+from typing import Any
 
+import jsonschema
 import numpy as np
 import pytest
+import referencing
+import referencing.jsonschema
 from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
@@ -234,11 +239,23 @@ def test_a_date_that_is_none(date: str, result: Result, tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+def faults(schema: str, item: dict[str, Any]) -> list[str]:
+    """What the schema of an extension finds wrong; schemas of others that it names are skipped."""
+    def other(_uri: str) -> referencing.Resource[Any]:
+        return referencing.Resource.from_contents({}, referencing.jsonschema.DRAFT7)
+
+    text = (Path(__file__).with_name("schemas") / f"stac-{schema}.json").read_text()
+    validator = jsonschema.Draft7Validator(
+        json.loads(text), registry=referencing.Registry(retrieve=other))
+    return [error.message for error in validator.iter_errors(item)]
+
+
 def test_a_stac_item_is_valid(result: Result, tmp_path: Path) -> None:
     pystac = pytest.importorskip("pystac")
     local = pytest.importorskip("pystac.validation.local_validator")
-    path = tmp_path / "item.json"
-    export(result, "stac-item", path, href="scene.tif")
+    path, image = tmp_path / "item.json", tmp_path / "scene.tif"
+    image.write_bytes(b"pixels")
+    export(result, "stac-item", path, image=image)
     item = json.loads(path.read_text())
     schema = f"https://schemas.stacspec.org/v{item['stac_version']}/item-spec/json-schema/item.json"
     valid = local.LocalValidator()
@@ -246,3 +263,32 @@ def test_a_stac_item_is_valid(result: Result, tmp_path: Path) -> None:
     assert valid._validate_from_local(schema, {**item, "bbox": [1]}) != []
     read = pystac.Item.from_file(str(path))
     assert read.ext.proj.code == "EPSG:4326"
+    asset = read.assets["image"]
+    assert asset.href == "scene.tif"
+    assert asset.ext.file.size == 6
+    assert asset.ext.file.checksum == "1220" + hashlib.sha256(b"pixels").hexdigest()
+    for name in ("file", "projection"):
+        assert faults(name, item) == []
+    assert faults("file", {**item, "assets": {"image": {"href": "a", "file:size": -1}}})
+    wrong = {**item["properties"], "proj:code": 4326}
+    assert faults("projection", {**item, "properties": wrong})
+
+
+def test_the_fields_of_other_extensions_are_of_their_types(
+        result: Result, tmp_path: Path) -> None:
+    # Of processing 1.2 and accuracy 1.0 beta: names and types of their fields, from their texts.
+    path = tmp_path / "item.json"
+    export(result, "stac-item", path)
+    item = json.loads(path.read_text())
+    known = {name: value for name, value in item["properties"].items() if ":" in name}
+    assert set(known) == {"proj:code", "processing:software", "processing:lineage",
+                          "accuracy:geometric_rmse"}
+    assert all(isinstance(value, str) for value in known["processing:software"].values())
+    assert isinstance(known["processing:lineage"], str)
+    assert known["accuracy:geometric_rmse"] > 0
+    # An item declares the extensions that it has fields of, no others.
+    assert [uri.split("/")[3] for uri in item["stac_extensions"]] == [
+        "projection", "processing", "accuracy"]
+    export(replace(result, accuracy=None), "stac-item", path, overwrite=True)
+    bare = json.loads(path.read_text())
+    assert [uri.split("/")[3] for uri in bare["stac_extensions"]] == ["projection", "processing"]

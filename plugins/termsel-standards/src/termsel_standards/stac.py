@@ -12,21 +12,25 @@ from termsel import Option, Result, TermselError, Writer
 from termsel.files.atomic import write_text
 from termsel.measurements.coordinates.crs import LOCAL, horizontal
 from termsel_standards.outline import outline_of
+from termsel_standards.quality.report import file_sha256
 
 VERSION = "1.1.0"
 """Of STAC."""
-EXTENSIONS = ("https://stac-extensions.github.io/projection/v2.0.0/schema.json",
-              "https://stac-extensions.github.io/processing/v1.2.0/schema.json",
-              "https://stac-extensions.github.io/accuracy/v1.0.0-beta.1/schema.json")
+EXTENSIONS = {"proj": "https://stac-extensions.github.io/projection/v2.0.0/schema.json",
+              "processing": "https://stac-extensions.github.io/processing/v1.2.0/schema.json",
+              "file": "https://stac-extensions.github.io/file/v2.1.0/schema.json",
+              "accuracy": "https://stac-extensions.github.io/accuracy/v1.0.0-beta.1/schema.json"}
+"""Extensions by the prefix of their fields; an item declares those whose fields it has."""
+_SHA256 = "1220"  # of a multihash: the function is SHA-256, and 32 bytes follow
 _AUTHORITY = re.compile(r"[A-Z]+:\w+")
 
 
 class StacItem(Writer):
     """Item of a SpatioTemporal Asset Catalog: outline, CRS, processing and accuracy.
 
-    The fields are those of the extensions projection, processing and accuracy. Without independent
-    points there is no accuracy in it. The date is when the item was made, unless `date` says when
-    the image was taken. Where the model does not hold at the borders of the image, the outline is
+    The fields are those of the extensions projection, processing, file and accuracy. Without
+    independent points there is no accuracy in it, and without the image no size and checksum. The
+    date is when the item was made, unless `date` says when the image was taken. Where the model does not hold at the borders of the image, the outline is
     the rectangle around the features.
     """
 
@@ -36,6 +40,7 @@ class StacItem(Writer):
     suffix = "_stac.json"
     declared_options: ClassVar[tuple[Option, ...]] = (
         Option("href", "", "Address of the image, or its path from the item; by default no asset."),
+        Option("image", None, "The image; its size and checksum are stated."),
         Option("date", "", "When the image was taken, such as 2024-05-31T10:20:30Z; by default "
                            "unknown, and the item has the time at which it was made."))
 
@@ -61,14 +66,24 @@ class StacItem(Writer):
         if result.accuracy and result.accuracy.ground:
             # Of the run: the exported fit may have used the independent points.
             properties["accuracy:geometric_rmse"] = result.accuracy.ground.total
-        href = self.options["href"]
+        asset = self._asset()
         item = {
-            "type": "Feature", "stac_version": VERSION, "stac_extensions": list(EXTENSIONS),
-            "id": PurePath(href or result.data.source).stem or "scene",
+            "type": "Feature", "stac_version": VERSION,
+            "stac_extensions": [uri for prefix, uri in EXTENSIONS.items() if any(
+                name.startswith(f"{prefix}:") for name in (*properties, *asset))],
+            "id": PurePath(asset.get("href", "") or result.data.source).stem or "scene",
             "geometry": {"type": "Polygon", "coordinates": [outline.tolist()]}, "bbox": box,
-            "properties": properties, "links": [],
-            "assets": {"image": {"href": href, "roles": ["data"]}} if href else {}}
+            "properties": properties, "links": [], "assets": {"image": asset} if asset else {}}
         write_text(path, json.dumps(item, indent=2, ensure_ascii=False) + "\n")
+
+    def _asset(self) -> dict[str, Any]:
+        """Return the image as an asset: address, size and checksum; nothing where it is unknown."""
+        image, href = self.options["image"], self.options["href"]
+        if image is None:
+            return {"href": href, "roles": ["data"]} if href else {}
+        path = Path(image)
+        return {"href": href or path.name, "roles": ["data"],
+                "file:checksum": _SHA256 + file_sha256(path), "file:size": path.stat().st_size}
 
 
 def _time(date: str) -> str:
