@@ -17,6 +17,8 @@ from termsel.plugins.registry import registry
 from termsel.simulate import scene_truth, simulate_scene
 
 MEASURED = ("orthority-geojson", "points-csv", "residuals-gpkg", "lines-csv")
+POINTS = ("erdas-gcps", "pci-gcp", "metashape-markers", "pix4d-marks")
+"""Formats of termsel-formats that hold points alone."""
 
 
 @pytest.fixture(scope="module")
@@ -232,7 +234,7 @@ def test_every_format_says_its_deviation_or_that_it_holds_measurements(
     names = [entry.name for entry in registry().entries("writers")]
     for name in names:
         if not registry().get("writers", name)().accepts(relief):
-            assert name in ("lines-csv", "georeference-annotation")
+            assert name in ("lines-csv", "georeference-annotation", "ozi-map")
             continue
         if name in ("stac-item", "iso19157-xml", "iso19157-json", "fgdc-xml"):
             # They say where the image lies and how accurately, not how it is transformed.
@@ -240,6 +242,9 @@ def test_every_format_says_its_deviation_or_that_it_holds_measurements(
         if name in MEASURED:
             assert said(relief, name, tmp_path / f"{name}.x", caplog) == []
             assert f"{name} holds the measurements and their residuals, not" in caplog.text
+        elif name in POINTS:
+            assert said(relief, name, tmp_path / f"{name}.x", caplog) == []
+            assert f"{name} holds the control points, not the model" in caplog.text
         else:
             assert said(relief, name, tmp_path / f"{name}.vrt", caplog)
 

@@ -19,9 +19,16 @@ pytest.importorskip("termsel_formats", reason="termsel-formats is not installed:
 import termsel
 from termsel import FeatureSet, Points, Reader, TermselError
 from termsel.testing import Check, checks
+from termsel_formats.points.erdas import ErdasGcps
+from termsel_formats.points.gdal_files import PamGcps
 from termsel_formats.points.mapinfo import MapInfoTab
 from termsel_formats.points.metashape import MetashapeMarkers
 from termsel_formats.points.ozi import OziMap
+from termsel_formats.points.pci import PciGcp
+from termsel_formats.points.pix4d import Pix4dMarks
+from termsel_formats.points.world import WorldFile
+
+GOLDEN = Path(__file__).with_name("golden")
 
 
 def features(ids: tuple[str, ...], image: list[list[float]], ground: list[list[float]], crs: str,
@@ -90,11 +97,53 @@ PRIMEM["Greenwich",0],UNIT["degree",0.01745329251994328],AUTHORITY["EPSG","4326"
 """
 MARKERS_READ = features(("point 1", "point 2"), [[19.5, 100], [39.75, 2999.5]],
                         [[11.5, 48.25, 520.5], [11.6, 48.5, 530]], "EPSG:4326")
+PAM = (GOLDEN / "scene.png.aux.xml").read_text()
+PAM_READ = features(
+    ("P1", "P2", "P3", "P4"), [[-0.5, -0.5], [-0.5, 39.5], [30, -0.5], [30, 39.75]],
+    [[500000.5, 5000000, 10], [500400, 5000000, 11], [500000, 4999700, 12],
+     [500600, 4999690, 13]], "EPSG:32631")
+WORLD = (GOLDEN / "scene.tfw").read_text()
+WORLD_READ = FeatureSet(Points(
+    ("upper left", "upper right", "lower left", "lower right", "middle"),
+    np.array([[0, 0], [0, 40], [31, 0], [31, 40], [15.5, 20]]),
+    np.array([[500005, 4999995, np.nan], [500405, 4999995, np.nan], [500005, 4999685, np.nan],
+              [500405, 4999685, np.nan], [500205, 4999840, np.nan]])), crs="", image_size=(32, 41))
+PCI = """# points of a scene
+A1  100.5  20.0   500000.5  5000000  520.5 G
+"A 2" 3000  40.75  500600   4999690  530   C
+A3  7  9.5  500100 4999900 525 I
+"""
+PCI_READ = FeatureSet(Points(
+    ("A1", "A 2", "A3"), np.array([[19.5, 100], [40.25, 2999.5], [9, 6.5]]),
+    np.array([[500000.5, 5000000, 520.5], [500600, 4999690, 530], [500100, 4999900, 525]]),
+    roles=("control", "check", "off")), crs="")
+ERDAS = """Point #\tPoint ID\t>\tColor\tX Input\tY Input\tX Ref.\tY Ref.\tType\tX Residual
+1\tGCP #1\t\t\t100.0\t-19.5\t500000.5\t5000000.0\tControl\t0.01
+2\tGCP #2\t>\t\t2999.5\t-40.25\t500600.0\t4999690.0\tCheck\t-0.5
+3\tGCP #3\t\t\t7.0\t-9.0\t500100.0\t4999900.0\tControl\t0.2
+"""
+ERDAS_READ = FeatureSet(Points(
+    ("GCP #1", "GCP #2", "GCP #3"), np.array([[19.5, 100], [40.25, 2999.5], [9, 7]]),
+    np.array([[500000.5, 5000000, np.nan], [500600, 4999690, np.nan], [500100, 4999900, np.nan]]),
+    roles=("control", "check", "control")), crs="")
+MARKS = """IMG_1.JPG,GCP0,100.5,20,0.3
+IMG_1.JPG,GCP1,3000,40.75,0.5
+IMG_2.JPG,GCP0,8,9,0.5
+IMG_1.JPG,MTP7,8,9,0.5
+"""
+MARKS_READ = features(("GCP0", "GCP1"), [[19.5, 100], [40.25, 2999.5]],
+                      [[6.56114, 46.23456, 299.931], [6.56234, 46.23234, 299.823]], "")
 FILES: dict[str, tuple[Reader, str, FeatureSet, str]] = {
     "mapinfo-tab": (MapInfoTab(), TAB, TAB_READ, "scene.tab"),
     "ozi-map": (OziMap(), OZI, OZI_READ, "scene.map"),
     "metashape-markers": (MetashapeMarkers(image_name="IMG_1.JPG"), MARKERS, MARKERS_READ,
-                          "markers.xml")}
+                          "markers.xml"),
+    "pam-gcps": (PamGcps(), PAM, PAM_READ, "scene.png.aux.xml"),
+    "world-file": (WorldFile(image=GOLDEN / "scene.tif"), WORLD, WORLD_READ, "scene.tfw"),
+    "pci-gcp": (PciGcp(), PCI, PCI_READ, "scene.gcp"),
+    "erdas-gcps": (ErdasGcps(), ERDAS, ERDAS_READ, "points.txt"),
+    "pix4d-marks": (Pix4dMarks(ground=GOLDEN / "pix4d_gcps.csv", latitude_first=True,
+                               image_name="IMG_1.JPG"), MARKS, MARKS_READ, "marks.csv")}
 
 
 @pytest.mark.parametrize("check", [
@@ -160,7 +209,22 @@ def test_systems_of_mapinfo(old: str, new: str, crs: str, tmp_path: Path) -> Non
     ("ozi-map", "Point", "Ponit", "no points in use", None),
     ("metashape-markers", "</document>", "", "this is not XML", None),
     ("metashape-markers", 'x="11.5"', 'x="here"', "a marker cannot be read", None),
-    ("metashape-markers", "<document", "<!DOCTYPE a><document", "document type", None)])
+    ("metashape-markers", "<document", "<!DOCTYPE a><document", "document type", None),
+    ("pam-gcps", 'Pixel="0.0000"', 'Pixel="left"', "point cannot be read", None),
+    ("pam-gcps", "GCPList", "List", "no ground control points", None),
+    ("pam-gcps", "<PAM", "<!DOCTYPE a><PAM", "document type", None),
+    ("world-file", "500005", "east", "not a number", 5),
+    ("world-file", "500005.0", "nan\n#", "not a number", 6),
+    ("world-file", "500005", "1\n500005", "7 numbers", None),
+    ("pci-gcp", "40.75", "forty", "not a number", 3),
+    ("pci-gcp", " 530 ", "", "6 fields, expected 7", 3),
+    ("pci-gcp", " I\n", " X\n", "no status", 4),
+    ("erdas-gcps", "2999.5", "2999,5 px", "not a number", 3),
+    ("erdas-gcps", "X Ref.", "East", "no X Input", 1),
+    ("erdas-gcps", "GCP #2", "GCP #1", "already used", 3),
+    ("pix4d-marks", "40.75", "forty", "not a number", 2),
+    ("pix4d-marks", "GCP", "PNT", "no label of these marks", None),
+    ("pix4d-marks", ",0.3", ",0.3,1,2", "a line has 7 cells", 1)])
 def test_damage_is_named(name: str, old: str, new: str, said: str, line: int | None,
                          tmp_path: Path) -> None:
     reader, text, _, file = FILES[name]
@@ -168,6 +232,92 @@ def test_damage_is_named(name: str, old: str, new: str, said: str, line: int | N
     with pytest.raises(TermselError, match=said) as caught:
         reader.read(tmp_path / file)
     assert caught.value.line == line
+
+
+def test_gcps_that_gdal_wrote_into_a_geotiff() -> None:
+    read = termsel.read(GOLDEN / "gcps.tif")
+    np.testing.assert_allclose(read.points.image, PAM_READ.points.image)
+    np.testing.assert_allclose(read.points.ground, PAM_READ.points.ground)
+    assert read.crs == "EPSG:32631"
+
+
+ARCGIS = """<PAMDataset><Metadata domain="xml:ESRI" format="xml"><GeodataXform>
+<SpatialReference><WKT>GEOGCS["GCS_WGS_1984",DATUM["D_WGS_1984",SPHEROID["WGS_1984",6378137,
+298.257223563]],PRIMEM["Greenwich",0],UNIT["Degree",0.0174532925199433],AUTHORITY["EPSG",4326]]
+</WKT></SpatialReference>
+<SourceGCPs><Double>0.5</Double><Double>-30.5</Double><Double>40</Double><Double>-1</Double>
+</SourceGCPs>
+<TargetGCPs><Double>11.5</Double><Double>48.25</Double><Double>11.6</Double><Double>48.5</Double>
+</TargetGCPs></GeodataXform></Metadata></PAMDataset>"""
+
+
+def test_points_of_arcgis_are_those_that_gdal_reads(tmp_path: Path) -> None:
+    (tmp_path / "a.png.aux.xml").write_text(ARCGIS)
+    read = termsel.read(tmp_path / "a.png.aux.xml")
+    assert read.crs == "EPSG:4326"
+    np.testing.assert_array_equal(read.points.image, [[30, 0], [0.5, 39.5]])
+    np.testing.assert_array_equal(read.points.ground[:, :2], [[11.5, 48.25], [11.6, 48.5]])
+    if shutil.which("gdal_translate") is None:
+        pytest.skip("gdal_translate is not installed")
+    subprocess.run(["gdal_translate", "-q", "-of", "PNG", GOLDEN / "scene.tif", "b.png"],
+                   cwd=tmp_path, check=True)
+    (tmp_path / "b.png.aux.xml").write_text(ARCGIS)
+    said = json.loads(subprocess.run(["gdalinfo", "-json", tmp_path / "b.png"], check=True,
+                                     capture_output=True, text=True).stdout)
+    assert [[one["line"] - 0.5, one["pixel"] - 0.5] for one in said["gcps"]["gcpList"]] == \
+        read.points.image.tolist()
+    (tmp_path / "c.aux.xml").write_text(ARCGIS.replace("<Double>-1</Double>", ""))
+    with pytest.raises(TermselError, match="3 numbers in the image and 4 on the ground"):
+        termsel.read(tmp_path / "c.aux.xml")
+
+
+def test_a_world_file_needs_its_image(tmp_path: Path) -> None:
+    (tmp_path / "scene.tfw").write_text(WORLD)
+    with pytest.raises(TermselError, match="no image next to"):
+        termsel.read(tmp_path / "scene.tfw")
+    with pytest.raises(TermselError, match="does not exist"):
+        termsel.read(tmp_path / "scene.tfw", image=tmp_path / "other.tif")
+    shutil.copy(GOLDEN / "scene.tif", tmp_path)
+    assert len(termsel.read(tmp_path / "scene.tfw", crs="local").points) == 5
+
+
+@pytest.mark.parametrize(("layout", "line", "sigma"), [
+    ("IDXYZPL", "A1 500000.5 5000000 520.5 100.5 20", None),
+    ("ID P L eP eL X Y Z S", "A1 100.5 20 0.3 0.4 500000.5 5000000 520.5 G", [[0.4, 0.3]]),
+    ("IPLXYE", "A1,100.5,20,500000.5,5000000,520.5", None)])
+def test_layouts_of_pci(layout: str, line: str, sigma: list[list[float]] | None,
+                        tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_text(f"{line}\n")
+    read = termsel.read(tmp_path / "a.txt", format="pci-gcp", crs="local",
+                        layout=layout).points
+    np.testing.assert_array_equal(read.image, [[19.5, 100]])
+    np.testing.assert_array_equal(read.ground, [[500000.5, 5000000, 520.5]])
+    assert (None if read.sigma is None else read.sigma.tolist()) == sigma
+
+
+@pytest.mark.parametrize("layout", ["IDPLX", "IDPLXYQ", "IDPPLXY"])
+def test_layouts_that_pci_has_not(layout: str, tmp_path: Path) -> None:
+    (tmp_path / "a.gcp").write_text(PCI)
+    with pytest.raises(TermselError, match="is none of PCI"):
+        termsel.read(tmp_path / "a.gcp", layout=layout)
+
+
+def test_a_binary_file_of_erdas_is_refused_by_name(tmp_path: Path) -> None:
+    (tmp_path / "a.gcc").write_bytes(b"EHFA_HEADER_TAG\0\1\2\3")
+    with pytest.raises(TermselError, match=r"this \.gcc file of ERDAS IMAGINE is binary"):
+        termsel.read(tmp_path / "a.gcc", format="erdas-gcps")
+
+
+def test_marks_of_pix4d_need_the_ground(tmp_path: Path) -> None:
+    (tmp_path / "marks.csv").write_text(MARKS)
+    with pytest.raises(TermselError, match="marks say where points are in the image alone"):
+        termsel.read(tmp_path / "marks.csv")
+    shutil.copy(GOLDEN / "pix4d_gcps.csv", tmp_path / "marks_gcps.csv")
+    with pytest.raises(TermselError, match=r"images IMG_1\.JPG, IMG_2\.JPG"):
+        termsel.read(tmp_path / "marks.csv")
+    read = termsel.read(tmp_path / "marks.csv", image_name="IMG_2.JPG", crs="local")
+    assert read.points.ids == ("GCP0",)
+    assert read.points.ground.tolist() == [[46.23456, 6.56114, 299.931]]
 
 
 def test_several_cameras_need_a_choice(tmp_path: Path) -> None:

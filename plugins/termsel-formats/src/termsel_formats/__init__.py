@@ -12,7 +12,7 @@ from termsel import hookimpl
 if TYPE_CHECKING:
     import click
 
-    from termsel import Reader
+    from termsel import Reader, Writer
     from termsel_formats.check.comparison import Deviation, compared
     from termsel_formats.check.programs import Taken, taken_by
 
@@ -36,8 +36,30 @@ def termsel_readers() -> Iterable[type[Reader]]:
     """Return the readers of points."""
     from termsel_formats.points.asp import AspGcp
     from termsel_formats.points.envi import EnviPoints
+    from termsel_formats.points.erdas import ErdasGcps
+    from termsel_formats.points.gdal_files import PamGcps
     from termsel_formats.points.mapinfo import MapInfoTab
     from termsel_formats.points.metashape import MetashapeMarkers
     from termsel_formats.points.ozi import OziMap
+    from termsel_formats.points.pci import PciGcp
+    from termsel_formats.points.pix4d import Pix4dMarks
+    from termsel_formats.points.world import WorldFile
 
-    return [EnviPoints, AspGcp, MapInfoTab, OziMap, MetashapeMarkers]
+    return [EnviPoints, AspGcp, MapInfoTab, OziMap, MetashapeMarkers, Pix4dMarks, ErdasGcps,
+            PciGcp, PamGcps, WorldFile]
+
+
+@hookimpl
+def termsel_writers() -> Iterable[type[Writer]]:
+    """Return the writers of points, and of the affine map."""
+    from termsel_formats.points.erdas import ErdasGcpsWriter
+    from termsel_formats.points.gdal_files import GcpTiff, PamGcpsWriter
+    from termsel_formats.points.mapinfo import MapInfoTabWriter
+    from termsel_formats.points.metashape import MetashapeMarkersWriter
+    from termsel_formats.points.ozi import OziMapWriter
+    from termsel_formats.points.pci import PciGcpWriter
+    from termsel_formats.points.pix4d import Pix4dMarksWriter
+    from termsel_formats.points.world import WorldFileWriter
+
+    return [GcpTiff, PamGcpsWriter, WorldFileWriter, MapInfoTabWriter, OziMapWriter,
+            MetashapeMarkersWriter, Pix4dMarksWriter, ErdasGcpsWriter, PciGcpWriter]

@@ -30,8 +30,8 @@ class StacItem(Writer):
 
     The fields are those of the extensions projection, processing, file and accuracy. Without
     independent points there is no accuracy in it, and without the image no size and checksum. The
-    date is when the item was made, unless `date` says when the image was taken. Where the model does not hold at the borders of the image, the outline is
-    the rectangle around the features.
+    date is when the item was made, unless `date` says when the image was taken. Where the model
+    does not hold at the borders of the image, the outline is the rectangle around the features.
     """
 
     name = "stac-item"

@@ -8,12 +8,23 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
-from termsel import FeatureSet, Reader, TermselError
+from termsel import FeatureSet, Option, Reader, Result, TermselError
+from termsel.files.atomic import write_text
 from termsel.formats.base import read_text
 from termsel.formats.readers.table import Table
+from termsel_formats.points.written import (
+    CORNER,
+    IMAGE,
+    PointsWriter,
+    chosen,
+    image_name,
+    on_wgs84,
+    say_by_gdal,
+)
 
 _TITLE = re.compile(rb"^\s*!table", re.IGNORECASE)
 _RASTER = re.compile(rb"Type\s+\"RASTER\"", re.IGNORECASE)
@@ -22,7 +33,6 @@ _POINT = re.compile(rf"\s*\({_NUMBER},{_NUMBER}\)\s*\({_NUMBER},{_NUMBER}\)"
                     r"(?:\s*Label\s*\"([^\"]*)\")?", re.IGNORECASE)
 _SYSTEM = re.compile(r"^\s*CoordSys\s+Earth\s+Projection\s+([^\n]*)", re.IGNORECASE | re.MULTILINE)
 _WGS84 = ("104",)
-_CORNER = 0.5
 
 
 class MapInfoTab(Reader):
@@ -53,7 +63,7 @@ class MapInfoTab(Reader):
             del cells["id"]  # labels are for the eyes alone
         crs = _crs(text)
         table = Table(path, crs, {name: name for name in cells}, cells, lines)
-        image = table.stack("line", "sample") - _CORNER
+        image = table.stack("line", "sample") - CORNER
         ground = np.column_stack([table.stack("x", "y"), np.full(len(image), np.nan)])
         return FeatureSet(table.points(image, ground, None, ()), crs=crs)
 
@@ -77,3 +87,44 @@ def _crs(text: str) -> str:
             or lon != 6 * zone - 183 or not 1 <= zone <= 60 or north not in (0.0, 1e7):
         return ""
     return f"EPSG:32{7 if north else 6}{zone:02d}"
+
+
+class MapInfoTabWriter(PointsWriter):
+    """The selected control points as the registration of a raster in MapInfo.
+
+    In UTM on WGS84 where they are, else as longitude and latitude on WGS84.
+    """
+
+    name = "mapinfo-tab"
+    summary = "selected control points as MapInfo .tab of the image, which GDAL reads too"
+    suffix = ".tab"
+    declared_options: ClassVar[tuple[Option, ...]] = (IMAGE,)
+
+    def write(self, result: Result, path: Path) -> None:
+        """Write the table."""
+        self.require(result, path)
+        used = chosen(result)
+        points, zone = on_wgs84(used, result.features.crs)
+        system, unit = 'Projection 1, 104', "degree"
+        if zone is not None:
+            number, south = zone
+            system = f'Projection 8, 104, "m", {6 * number - 183}, 0, 0.9996, 500000, ' \
+                     f"{10000000 if south else 0}"
+            unit = "m"
+        rows = [f'  ({x!r},{y!r}) ({sample + CORNER!r},{line + CORNER!r}) Label "{_label(name, i)}"'
+                for i, (name, (line, sample), (x, y, _)) in enumerate(zip(
+                    points.ids, points.image.tolist(), points.ground.tolist(), strict=True), 1)]
+        write_text(path, "\n".join([
+            "!table", "!version 300", "!charset WindowsLatin1", "", "Definition Table",
+            f'  File "{_plain(image_name(self.options["image"], path))}"', '  Type "RASTER"',
+            ",\n".join(rows), f"  CoordSys Earth {system}", f'  Units "{unit}"', ""]))
+        say_by_gdal(self.name, result, used)
+
+
+def _label(name: str, number: int) -> str:
+    """Return an id as a label, which holds the letters of ASCII alone."""
+    return name if name.isascii() and '"' not in name else f"Pt {number}"
+
+
+def _plain(name: str) -> str:
+    return name.replace('"', "_")

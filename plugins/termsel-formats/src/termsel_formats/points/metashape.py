@@ -7,15 +7,25 @@ columns and rows from the outer corner of the first pixel).
 from __future__ import annotations
 
 from pathlib import Path
+from typing import ClassVar
 from xml.etree import ElementTree
 
 import numpy as np
 
-from termsel import FeatureSet, Points, Reader, TermselError
+from termsel import FeatureSet, Option, Points, Reader, Result, TermselError
+from termsel.files.atomic import write_text
 from termsel.formats.base import IMAGE_NAME, image_of, located, read_text
-from termsel.measurements.coordinates.crs import normalise
+from termsel.formats.writers.selections import wkt
+from termsel.measurements.coordinates.crs import horizontal, normalise
+from termsel_formats.points.written import (
+    CORNER,
+    IMAGE,
+    PointsWriter,
+    chosen,
+    image_name,
+    say_points,
+)
 
-_CORNER = 0.5
 _HINT = "Export the markers from Metashape again, as XML."
 
 
@@ -60,7 +70,7 @@ class MetashapeMarkers(Reader):
         camera = image_of(path, (cameras.get(one[1], one[1]) for one in places if one[0] in ground),
                           self.options["image_name"], "image_name=NAME")
         used = [one for one in places if cameras.get(one[1], one[1]) == camera and one[0] in ground]
-        image = np.array([[row, column] for _, _, column, row in used]) - _CORNER
+        image = np.array([[row, column] for _, _, column, row in used]) - CORNER
         try:
             return FeatureSet(Points(tuple(labels[one[0]] for one in used), image,
                                      np.array([ground[one[0]] for one in used])), crs=_crs(root))
@@ -75,3 +85,39 @@ def _crs(root: ElementTree.Element) -> str:
         return normalise("" if found is None else found.text or "")
     except TermselError:  # "LOCAL_CS" of Metashape, or nothing
         return ""
+
+
+class MetashapeMarkersWriter(PointsWriter):
+    """The selected control points as markers of Metashape, with their places in one camera."""
+
+    name = "metashape-markers"
+    summary = "selected control points as markers of Metashape (XML), in one camera"
+    suffix = "_markers.xml"
+    declared_options: ClassVar[tuple[Option, ...]] = (IMAGE,)
+
+    def write(self, result: Result, path: Path) -> None:
+        """Write the markers."""
+        self.require(result, path)
+        points = chosen(result)
+        root = ElementTree.Element("document", version="1.2.0")
+        chunk = ElementTree.SubElement(root, "chunk", label="Chunk 1", enabled="true")
+        cameras = ElementTree.SubElement(chunk, "cameras")
+        ElementTree.SubElement(cameras, "camera", id="0",
+                               label=image_name(self.options["image"], path))
+        markers = ElementTree.SubElement(chunk, "markers")
+        frame = ElementTree.SubElement(ElementTree.SubElement(chunk, "frames"), "frame", id="0")
+        seen = ElementTree.SubElement(frame, "markers")
+        for i, (name, (line, sample), place) in enumerate(zip(
+                points.ids, points.image.tolist(), points.ground.tolist(), strict=True)):
+            marker = ElementTree.SubElement(markers, "marker", id=str(i), label=name)
+            known = {axis: repr(value) for axis, value in zip("xyz", place, strict=True)
+                     if not np.isnan(value)}
+            ElementTree.SubElement(marker, "reference", {**known, "enabled": "true"})
+            ElementTree.SubElement(
+                ElementTree.SubElement(seen, "marker", marker_id=str(i)), "location",
+                camera_id="0", pinned="true", x=repr(sample + CORNER), y=repr(line + CORNER))
+        ElementTree.SubElement(chunk, "reference").text = wkt(horizontal(result.features.crs))
+        ElementTree.indent(root)
+        write_text(path, f'<?xml version="1.0" encoding="UTF-8"?>\n'
+                         f'{ElementTree.tostring(root, encoding="unicode")}\n')
+        say_points(self.name)

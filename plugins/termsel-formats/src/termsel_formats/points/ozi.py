@@ -9,16 +9,27 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
-from termsel import FeatureSet, Reader, TermselError
+from termsel import FeatureSet, Option, Reader, Result, TermselError
+from termsel.files.atomic import write_text
 from termsel.formats.base import read_text
 from termsel.formats.readers.table import Table
+from termsel_formats.points.written import (
+    CORNER,
+    IMAGE,
+    PointsWriter,
+    chosen,
+    image_name,
+    on_wgs84,
+    say_by_gdal,
+)
 
 _TITLE = b"OziExplorer Map Data File"
 _POINT = re.compile(r"\s*Point(\d+)\s*,\s*xy\s*,", re.IGNORECASE)
-_CORNER = 0.5
+_MOST = 30  # points in a map
 _SIGN = {"N": 1, "S": -1, "E": 1, "W": -1}
 
 
@@ -65,7 +76,7 @@ class OziMap(Reader):
         cells_of = dict(zip(("id", "x", "y", "sample", "line"), columns, strict=True))
         crs = _crs(text[4] if len(text) > 4 else "", kinds, zones)
         table = Table(path, crs, {name: name for name in cells_of}, cells_of, lines)
-        image = table.stack("line", "sample") - _CORNER
+        image = table.stack("line", "sample") - CORNER
         ground = np.column_stack([table.stack("x", "y"), np.full(len(image), np.nan)])
         return FeatureSet(table.points(image, ground, None, ()), crs=crs)
 
@@ -90,3 +101,56 @@ def _crs(datum: str, kinds: set[str], zones: set[tuple[str, str]]) -> str:
     zone, side = next(iter(zones))
     known = zone.isdecimal() and 1 <= int(zone) <= 60 and side.upper() in ("N", "S")
     return f"EPSG:32{6 if side.upper() == 'N' else 7}{int(zone):02d}" if known else ""
+
+
+class OziMapWriter(PointsWriter):
+    """The selected control points as the calibration of a map in OziExplorer, 30 at most.
+
+    In UTM on WGS 84 where they are, else as degrees and minutes on WGS 84. Columns and rows keep
+    their fractions, which GDAL reads.
+    """
+
+    name = "ozi-map"
+    summary = "selected control points, 30 at most, as OziExplorer .map, which GDAL reads too"
+    needs = f"at most {_MOST} control points in a CRS of the Earth"
+    suffix = ".map"
+    declared_options: ClassVar[tuple[Option, ...]] = (IMAGE,)
+
+    def accepts(self, result: Result) -> bool:
+        """Return True for 30 control points or fewer in a CRS of the Earth."""
+        return super().accepts(result) and len(chosen(result)) <= _MOST
+
+    def write(self, result: Result, path: Path) -> None:
+        """Write the map."""
+        self.require(result, path)
+        used = chosen(result)
+        points, zone = on_wgs84(used, result.features.crs)
+        rows = [_row(i, line + CORNER, sample + CORNER, x, y, zone)
+                for i, ((line, sample), (x, y, _)) in enumerate(zip(
+                    points.image.tolist(), points.ground.tolist(), strict=True), 1)]
+        image = image_name(self.options["image"], path)
+        projection = "Latitude/Longitude" if zone is None else "(UTM) Universal Transverse Mercator"
+        write_text(path, "\n".join([
+            f"{_TITLE.decode()} Version 2.2", path.stem, image, "1 ,Map Code,",
+            "WGS 84,WGS 84,   0.0000,   0.0000,WGS 84", "Reserved 1", "Reserved 2",
+            "Magnetic Variation,,,E",
+            f"Map Projection,{projection},PolyCal,No,AutoCalOnly,No,BSBUseWPX,No", *rows,
+            "Projection Setup,,,,,,,,,,", "Map Feature = MF ; Map Comment = MC",
+            "Track File = TF", "Moving Map Parameters = MM?", "MM0,No", "MMPNUM,0", ""]))
+        say_by_gdal(self.name, result, used)
+
+
+def _row(number: int, row: float, column: float, x: float, y: float,
+         zone: tuple[int, bool] | None) -> str:
+    """Return the line of a point."""
+    place = f"Point{number:02d},xy,{column!r},{row!r},in"
+    if zone is None:
+        return f"{place},deg,{_parted(y, 'NS')},{_parted(x, 'EW')},grid,,,,N"
+    side = "S" if zone[1] else "N"
+    return f"{place},deg,,,{side},,,E,grid,{zone[0]},{x!r},{y!r},{side}"
+
+
+def _parted(angle: float, sides: str) -> str:
+    """Return degrees, minutes and side."""
+    whole = int(abs(angle))
+    return f"{whole},{(abs(angle) - whole) * 60!r},{sides[angle < 0]}"

@@ -1,0 +1,161 @@
+"""GCPs in files of GDAL: the auxiliary XML next to an image, and the tags of a GeoTIFF.
+
+Columns and rows count from the outer corner of the first pixel. ArcGIS writes its own list into the
+same auxiliary file: source coordinates with rows that may be negative, which GDAL takes as rows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import ClassVar
+from xml.etree import ElementTree
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from termsel import FeatureSet, Option, Points, Reader, Result, TermselError
+from termsel.files.atomic import atomic_path, encoded, private_folder, write_text
+from termsel.formats.base import located, read_text
+from termsel.formats.vrt import picture_for, vrt_text
+from termsel.measurements.coordinates.crs import normalise
+from termsel.measurements.coordinates.utm import for_warping
+from termsel_formats.points.written import CORNER, IMAGE, PointsWriter, chosen, say_by_gdal
+
+_HINT = "Write it again with GDAL or ArcGIS, or give another file."
+
+
+class PamGcps(Reader):
+    """GCPs in the auxiliary XML of GDAL or ArcGIS, such as scene.tif.aux.xml."""
+
+    name = "pam-gcps"
+    summary = "auxiliary XML of GDAL or ArcGIS (.aux.xml) with ground control points"
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True for auxiliary XML."""
+        return b"<PAMDataset" in head
+
+    def read(self, path: Path) -> FeatureSet:
+        """Return the points; errors name the file and the point."""
+        text = read_text(path)
+        if "<!DOCTYPE" in text or "<!ENTITY" in text:
+            raise TermselError("an XML file with a document type is not read", file=path,
+                               hint=_HINT)
+        try:
+            root = ElementTree.fromstring(text)
+        except ElementTree.ParseError as error:
+            raise TermselError(f"this is not XML: {error}", file=path, hint=_HINT) from error
+        try:
+            ids, rows, crs = _of_gdal(root) or _of_arcgis(root) or ([], [], "")
+        except (KeyError, ValueError) as error:
+            raise TermselError(f"a ground control point cannot be read: {error}", file=path,
+                               hint=_HINT) from error
+        if not rows:
+            raise TermselError("this file has no ground control points", file=path,
+                               hint="Check the image with gdalinfo.")
+        table = np.array(rows)
+        ground = table[:, 2:]
+        if not np.nan_to_num(ground[:, 2]).any():
+            ground[:, 2] = np.nan  # of files in which heights cannot be left out
+        if len({*ids} - {""}) < len(ids):
+            ids = [f"P{i}" for i in range(1, len(rows) + 1)]
+        try:
+            return FeatureSet(Points(tuple(ids), table[:, 1::-1] - CORNER, ground), crs=_known(crs))
+        except TermselError as error:
+            raise located(error, path) from error
+
+
+_Found = tuple[list[str], list[list[float]], str]
+
+
+def _of_gdal(root: ElementTree.Element) -> _Found | None:
+    found = root.find("GCPList")
+    if found is None:
+        return None
+    gcps = found.findall("GCP")
+    return ([one.get("Id", "").strip() for one in gcps],
+            [[float(one.get(key, "nan") if key == "Z" else one.attrib[key])
+              for key in ("Pixel", "Line", "X", "Y", "Z")] for one in gcps],
+            found.get("Projection", ""))
+
+
+def _of_arcgis(root: ElementTree.Element) -> _Found | None:
+    found = root.find(".//GeodataXform")
+    if found is None:
+        return None
+    source, target = ([float(one.text or "") for one in found.findall(f"{which}GCPs/Double")]
+                      for which in ("Source", "Target"))
+    if len(source) != len(target) or len(source) % 2:
+        raise ValueError(f"{len(source)} numbers in the image and {len(target)} on the ground")
+    rows = [[column, abs(row), x, y, np.nan] for column, row, x, y in zip(
+        source[::2], source[1::2], target[::2], target[1::2], strict=True)]
+    return [""] * len(rows), rows, found.findtext("SpatialReference/WKT", "")
+
+
+def _known(crs: str) -> str:
+    """Return a CRS, "" where it cannot be read."""
+    try:
+        return normalise(crs)
+    except TermselError:
+        return ""
+
+
+class PamGcpsWriter(PointsWriter):
+    """The selected control points in GDAL's auxiliary XML: name it as the image, with .aux.xml.
+
+    GDAL and what builds on it take the points from there when they open the image.
+    """
+
+    name = "pam-gcps"
+    summary = "selected control points in auxiliary XML (IMAGE.aux.xml), which GDAL reads"
+    suffix = ".aux.xml"
+
+    def write(self, result: Result, path: Path) -> None:
+        """Write the points."""
+        self.require(result, path)
+        used, gcps, crs = _gcps(result)
+        rows = [f'    <GCP Id={quoteattr(name)} Info="" Pixel="{sample + CORNER!r}" '
+                f'Line="{line + CORNER!r}" X="{x!r}" Y="{y!r}" Z="{z!r}"/>'
+                for name, (line, sample), (x, y, z) in zip(
+                    gcps.ids, gcps.image.tolist(), gcps.ground.tolist(), strict=True)]
+        write_text(path, "\n".join([
+            "<PAMDataset>", f"  <GCPList Projection={quoteattr(crs)}>", *rows, "  </GCPList>",
+            "</PAMDataset>", ""]))
+        say_by_gdal(self.name, result, used)
+
+
+class GcpTiff(PointsWriter):
+    """A copy of the image as a GeoTIFF with the selected control points in its tags."""
+
+    name = "gcp-tiff"
+    summary = "copy of the image as a GeoTIFF with the selected control points as GCPs"
+    needs = "control points in a CRS of the Earth; --image FILE, by default an image without pixels"
+    suffix = "_gcps.tif"
+    declared_options: ClassVar[tuple[Option, ...]] = (IMAGE,)
+
+    def write(self, result: Result, path: Path) -> None:
+        """Write the copy."""
+        self.require(result, path)
+        from rasterio._err import CPLE_BaseError
+        from rasterio.errors import RasterioError
+        from rasterio.shutil import copy
+
+        used, gcps, crs = _gcps(result)
+        image = self.options["image"]
+        picture = picture_for(result, None if image is None else Path(image).absolute())
+        with private_folder() as folder, atomic_path(path) as made:
+            source = folder / "gcps.vrt"
+            source.write_bytes(encoded(vrt_text(picture, folder, gcps=gcps, crs=crs)))
+            try:
+                copy(source, made, driver="GTiff", compress="deflate", tiled=True,
+                     sparse_ok=image is None)
+            except (RasterioError, CPLE_BaseError) as error:
+                raise TermselError(f"cannot write this file: {error}", file=path) from error
+        say_by_gdal(self.name, result, used)
+
+
+def _gcps(result: Result) -> tuple[Points, Points, str]:
+    """Return the points as measured, as GCPs with heights, and the CRS of these as WKT."""
+    used = chosen(result)
+    ground, crs = for_warping(used.ground, result.features.crs)
+    return used, replace(used, ground=np.nan_to_num(ground)), crs

@@ -1,0 +1,148 @@
+"""Text files of ground control points of PCI Geomatica and CATALYST (.gcp).
+
+A line is a point, with fields by a layout such as "ID P L X Y Z S": identifier, pixel and line in
+the image, place on the ground, and status (G ground control, C check point, I inactive). Pixels and
+lines are taken as GDAL takes those of PCI's segments, from the outer corner of the first pixel.
+
+References
+----------
+CATALYST Professional, "Understanding formats for text files containing GCPs".
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from termsel import FeatureSet, Option, Reader, Result, TermselError
+from termsel.files.atomic import write_text
+from termsel.formats.base import read_text
+from termsel.formats.readers.table import Table
+from termsel_formats.points.written import CORNER, PointsWriter, chosen, say_points
+
+_FIELD = re.compile(r'"([^"]*)"|([^\s,]+)')
+_TOKEN = re.compile(r"ID|I|e[PLXYZ]|[PLXYZES]")
+_MEANING = {"ID": "id", "I": "id", "P": "sample", "L": "line", "X": "x", "Y": "y", "Z": "z",
+            "E": "z", "eP": "sigma_sample", "eL": "sigma_line", "S": "role"}
+_ROLES = {"G": "control", "C": "check", "I": "off"}
+_USUAL = {5: "ID P L X Y", 6: "ID P L X Y Z"}
+_COMMENT = ("#", ";", "!")
+
+
+class PciGcp(Reader):
+    """Ground control points of PCI: one line a point, with fields by `layout`."""
+
+    name = "pci-gcp"
+    summary = "text of GCPs of PCI and CATALYST (.gcp): ID P L X Y [Z] [S]; --set layout=..."
+    declared_options: ClassVar[tuple[Option, ...]] = (
+        Option("layout", "", "Fields of a line, such as IDPLXYZ or IXYZPL; by default ID, P, L, X, "
+                             "Y, then Z and S where they are there."),)
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True for lines of an id and four or five numbers in a file that ends in .gcp."""
+        if path.suffix.lower() != ".gcp":
+            return False
+        rows = [row for _, row in _rows(head.decode("utf-8", "replace").rpartition("\n")[0])]
+        return bool(rows) and all(
+            len(row) - (row[-1] in _ROLES) in _USUAL and _are_numbers(row[1:5]) for row in rows)
+
+    def read(self, path: Path) -> FeatureSet:
+        """Return the points; errors name file, line and column."""
+        rows = _rows(read_text(path))
+        if not rows:
+            raise TermselError("this file has no points", file=path,
+                               hint="A line is ID P L X Y Z.")
+        fields = self._fields(path, rows[0][1])
+        for number, row in rows:
+            if len(row) != len(fields):
+                raise TermselError(f"{len(row)} fields, expected {len(fields)}: "
+                                   f"{' '.join(fields)}", file=path, line=number,
+                                   hint="Correct the line, or name the fields with "
+                                        "--set layout=IDPLXYZ.")
+        lines, cells = zip(*rows, strict=True)
+        columns = {_MEANING[field]: [row[i] for row in cells]
+                   for i, field in enumerate(fields) if field in _MEANING}
+        if "role" in columns:
+            for number, status in zip(lines, columns["role"], strict=True):
+                if status not in _ROLES:
+                    raise TermselError(f"{status!r:.20} is no status", file=path, line=number,
+                                       hint="Write G, C or I.")
+            columns["role"] = [_ROLES[status] for status in columns["role"]]
+        table = Table(path, "", {name: name for name in columns}, columns, lines)
+        image = table.stack("line", "sample") - CORNER
+        sigma = table.sigma("sigma_line", "sigma_sample") \
+            if {"sigma_line", "sigma_sample"} <= set(columns) else None
+        return FeatureSet(table.points(image, table.stack("x", "y", "z"), sigma, table.roles()),
+                          crs="")
+
+    def _fields(self, path: Path, first: list[str]) -> list[str]:
+        asked = re.sub(r"[\s,]", "", str(self.options["layout"]))
+        if not asked:
+            status = first[-1] in _ROLES
+            usual = _USUAL.get(len(first) - status)
+            if usual is None:
+                raise TermselError(f"a line has {len(first)} fields", file=path,
+                                   hint="Name them with --set layout=IDPLXYZ.")
+            return usual.split() + ["S"] * status
+        fields = _TOKEN.findall(asked)
+        meanings = [_MEANING[field] for field in fields if field in _MEANING]
+        if "".join(fields) != asked or len(set(meanings)) < len(meanings) \
+                or not {"sample", "line", "x", "y"} <= set(meanings):
+            raise TermselError(f"the layout {asked!r:.40} is none of PCI",
+                               hint="It consists of ID, P, L, X, Y, Z, eP, eL, eX, eY, eZ and S; "
+                                    "P, L, X and Y are required.")
+        return fields
+
+
+def _rows(text: str) -> list[tuple[int, list[str]]]:
+    """Return number and fields of the lines that are no comments."""
+    return [(number, [quoted or plain for quoted, plain in _FIELD.findall(line)])
+            for number, line in enumerate(text.splitlines(), 1)
+            if line.strip() and not line.lstrip().startswith(_COMMENT)]
+
+
+def _are_numbers(cells: list[str]) -> bool:
+    try:
+        return bool(np.isfinite([float(cell) for cell in cells]).all())
+    except ValueError:
+        return False
+
+
+class PciGcpWriter(PointsWriter):
+    """The selected control points as text for PCI and CATALYST, with the layout ID P L X Y [Z] S.
+
+    The file does not name the CRS; state it when you read the file there.
+    """
+
+    name = "pci-gcp"
+    summary = "selected control points as text for PCI and CATALYST: ID P L X Y [Z] S"
+    needs = "control points"
+    suffix = ".gcp"
+
+    def accepts(self, result: Result) -> bool:
+        """Return True for control points."""
+        return bool(len(result.fit.control.points))
+
+    def write(self, result: Result, path: Path) -> None:
+        """Write the text."""
+        self.require(result, path)
+        points = chosen(result)
+        heights = not np.isnan(points.ground[:, 2]).any()
+        status = {role: letter for letter, role in _ROLES.items()}
+        rows = []
+        for name, (line, sample), place, role in zip(
+                points.ids, points.image.tolist(), points.ground.tolist(), points.roles,
+                strict=True):
+            numbers = (sample + CORNER, line + CORNER, *place[:3 if heights else 2])
+            rows.append(" ".join([_quoted(name), *map(repr, numbers), status.get(role, "G")]))
+        write_text(path, "\n".join([*rows, ""]))
+        say_points(self.name)
+
+
+def _quoted(name: str) -> str:
+    name = name.replace('"', "'")
+    return f'"{name}"' if _FIELD.findall(name) != [("", name)] or name.startswith(_COMMENT) \
+        else name

@@ -1,0 +1,150 @@
+"""Marks of Pix4D: where points are in images, and a second file of where they are on the ground.
+
+A line of the marks is ``image,label,column,row[,accuracy]``, of the ground
+``label,x,y,z[,accuracy,accuracy]``. Columns and rows are taken from the outer corner of the first
+pixel. Geographic coordinates are usually in the order latitude, longitude there.
+
+References
+----------
+Pix4D, "How to import and export Tie Points (marks)" and "Tie points (GCPs, CPs) import format".
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from termsel import FeatureSet, Option, Reader, Result, TermselError
+from termsel.files.atomic import atomic_path, encoded, write_text
+from termsel.formats.base import IMAGE_NAME, image_of, read_text
+from termsel.formats.readers.table import Table
+from termsel.measurements.coordinates.crs import is_geographic
+from termsel_formats.points.written import (
+    CORNER,
+    IMAGE,
+    PointsWriter,
+    chosen,
+    image_name,
+    say_points,
+)
+
+_MARK = re.compile(rb"\s*[^,\r\n]+\.(?:jpe?g|tiff?|png|dng|rjpg|raw)\s*,[^,\r\n]+,"
+                   rb"\s*[-+.\d][^,\r\n]*,\s*[-+.\d][^,\r\n]*(?:,\s*[\d.][^,\r\n]*)?\s*$",
+                   re.IGNORECASE)
+_LATITUDE_FIRST = Option(
+    "latitude_first", False, "Whether the second column of the ground file is a latitude, or a "
+                             "northing.", bool)
+
+
+class Pix4dMarks(Reader):
+    """Marks of Pix4D in one image, with the places of the points from a file of their own."""
+
+    name = "pix4d-marks"
+    summary = "marks of Pix4D: image,label,x,y; --set ground=FILE has label,x,y,z"
+    declared_options: ClassVar[tuple[Option, ...]] = (
+        Option("ground", None, "The file with label,x,y,z of the points; by default the one named "
+                               "as that of the marks, with _gcps.csv in the place of its ending."),
+        _LATITUDE_FIRST, IMAGE_NAME)
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True for lines that begin with the name of an image, a label and two numbers."""
+        lines = [line for line in head.removeprefix(b"\xef\xbb\xbf").splitlines()[:20]
+                 if line.strip()]
+        whole = lines[:-1] or lines  # the last one may be cut
+        return bool(whole) and all(_MARK.match(line) for line in whole)
+
+    def read(self, path: Path) -> FeatureSet:
+        """Return the points; errors name file, line and column."""
+        marks = _rows(path, (4, 5), "image,label,x,y")
+        asked = self.options["ground"]
+        there = _ground_file(path) if asked is None else Path(asked)
+        if asked is None and not there.is_file():
+            raise TermselError("marks say where points are in the image alone", file=path,
+                               hint="Name the file with their places on the ground, "
+                                    "--set ground=FILE.")
+        known = {row[0]: (number, row) for number, row in _rows(there, (3, 4, 5, 6),
+                                                                "label,x,y,z")}
+        image = image_of(path, (row[0] for _, row in marks if row[1] in known),
+                         self.options["image_name"], "image_name=NAME") \
+            if any(row[1] in known for _, row in marks) else None
+        used = [(number, row) for number, row in marks if row[0] == image and row[1] in known]
+        if not used:
+            raise TermselError(f"no label of these marks is in {there.name}", file=path,
+                               hint="Give the file of the same points.")
+        lines, cells = zip(*used, strict=True)
+        table = Table(path, "", {"id": "label", "sample": "x", "line": "y"}, {
+            "id": [row[1] for row in cells], "sample": [row[2] for row in cells],
+            "line": [row[3] for row in cells]}, lines)
+        of_ground = [known[row[1]] for row in cells]
+        first, second = ("y", "x") if self.options["latitude_first"] else ("x", "y")
+        ground = Table(there, "", {axis: axis for axis in "xyz"}, {
+            first: [row[1] for _, row in of_ground], second: [row[2] for _, row in of_ground],
+            "z": [row[3] if len(row) > 3 else "" for _, row in of_ground]},
+            [number for number, _ in of_ground])
+        return FeatureSet(table.points(table.stack("line", "sample") - CORNER,
+                                       ground.stack("x", "y", "z"), None, ()), crs="")
+
+
+def _ground_file(path: Path) -> Path:
+    return path.with_name(f"{path.stem}_gcps.csv")
+
+
+def _rows(path: Path, widths: tuple[int, ...], form: str) -> list[tuple[int, list[str]]]:
+    """Return number and cells of the lines of a file."""
+    rows = []
+    try:
+        for number, row in enumerate(csv.reader(read_text(path).splitlines()), 1):
+            cells = [cell.strip() for cell in row]
+            if not any(cells):
+                continue
+            if len(cells) not in widths:
+                raise TermselError(f"a line has {len(cells)} cells", file=path, line=number,
+                                   hint=f"A line is {form}.")
+            rows.append((number, cells))
+    except csv.Error as error:
+        raise TermselError(f"this table cannot be read: {error}", file=path,
+                           hint=f"A line is {form}.") from error
+    if not rows:
+        raise TermselError("this file has no points", file=path, hint=f"A line is {form}.")
+    return rows
+
+
+class Pix4dMarksWriter(PointsWriter):
+    """The selected control points as marks for Pix4D, and NAME_gcps.csv with their places.
+
+    Of geographic coordinates the latitude comes first there, as Pix4D expects it.
+    """
+
+    name = "pix4d-marks"
+    summary = "selected control points as marks for Pix4D, and their places in NAME_gcps.csv"
+    suffix = "_marks.csv"
+    declared_options: ClassVar[tuple[Option, ...]] = (IMAGE,)
+
+    def files(self, path: Path) -> tuple[Path, ...]:
+        """Return the files of the marks and of the places on the ground."""
+        return path, _ground_file(path)
+
+    def write(self, result: Result, path: Path) -> None:
+        """Write both files."""
+        self.require(result, path)
+        points = chosen(result)
+        image = image_name(self.options["image"], path).replace(",", "_")
+        swapped = is_geographic(result.features.crs)
+        marks, places = [], []
+        for name, (line, sample), (x, y, z) in zip(
+                map(_cell, points.ids), points.image.tolist(), points.ground.tolist(), strict=True):
+            marks.append(f"{image},{name},{sample + CORNER!r},{line + CORNER!r}")
+            first, second = (y, x) if swapped else (x, y)
+            places.append(f"{name},{first!r},{second!r},{'' if np.isnan(z) else repr(z)}")
+        with atomic_path(path) as made:  # in place after the other, or neither is
+            made.write_bytes(encoded("\n".join([*marks, ""])))
+            write_text(_ground_file(path), "\n".join([*places, ""]))
+        say_points(self.name)
+
+
+def _cell(name: str) -> str:
+    return f'"{name.replace(chr(34), chr(34) * 2)}"' if set(name) & set(',"') else name

@@ -1,0 +1,126 @@
+"""World files (.tfw, .pgw, .jgw, .wld): the affine map of an image in six lines.
+
+The last two numbers are where the centre of the first pixel is, which is termsel's origin too.
+"""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from termsel import FeatureSet, Option, Points, Reader, Result, TermselError, open_raster
+from termsel.files.atomic import write_text
+from termsel.formats.base import read_text
+from termsel.formats.deviation import places_of, say_deviation
+from termsel.measurements.coordinates.crs import LOCAL, horizontal
+from termsel.measurements.features import FloatArray
+from termsel_formats.points.written import PointsWriter
+
+log = logging.getLogger("termsel.formats")
+
+_FEWEST = 9  # places at which the affine map is fitted to the model
+_ENDINGS = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".jp2", ".bmp", ".gif", ".img", ".bil")
+
+
+class WorldFile(Reader):
+    """The affine map of a world file as five points: the corners of the image, and its middle.
+
+    The image must be next to it, with the same name, or be named; it tells how large it is.
+    """
+
+    name = "world-file"
+    summary = "world file (.tfw, .wld, ...) as points at the corners; --set image=FILE if apart"
+    declared_options: ClassVar[tuple[Option, ...]] = (
+        Option("image", None, "The image; by default the one next to it with the same name."),)
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True for six lines of one number each."""
+        try:
+            return len([float(line) for line in head.split()]) == 6 and head.count(b"\n") >= 5
+        except ValueError:
+            return False
+
+    def read(self, path: Path) -> FeatureSet:
+        """Return the points; errors name file and line."""
+        numbers = []
+        for i, line in enumerate(read_text(path).splitlines(), 1):
+            try:
+                numbers += [float(line)] if line.strip() else []
+            except ValueError:
+                raise TermselError(f"{line.strip()!r:.40} is not a number", file=path, line=i,
+                                   hint="A world file has six lines of one number.") from None
+        if len(numbers) != 6 or not np.isfinite(numbers).all():
+            raise TermselError(f"this world file has {len(numbers)} numbers", file=path,
+                               hint="A world file has six lines of one finite number.")
+        image = self.options["image"]
+        there = [path.with_suffix(ending) for ending in _ENDINGS] if image is None else [
+            Path(image)]
+        found = next((one for one in there if one.is_file()), None)
+        if found is None:
+            raise TermselError("there is no image next to this world file" if image is None
+                               else "this image does not exist", file=image or path,
+                               hint="Name it with --set image=FILE.")
+        with open_raster(found) as raster:
+            size, crs = raster.shape, raster.crs
+        lines, samples = size[0] - 1.0, size[1] - 1.0
+        at = np.array([[0, 0], [0, samples], [lines, 0], [lines, samples],
+                       [lines / 2, samples / 2]])
+        right, turn_y, turn_x, down, x, y = numbers
+        ground = at @ [[turn_x, down], [right, turn_y]] + [x, y]
+        epsg = crs.to_epsg() if crs else None
+        return FeatureSet(
+            Points(("upper left", "upper right", "lower left", "lower right", "middle"), at,
+                   np.column_stack([ground, np.full(5, np.nan)])),
+            crs=f"EPSG:{epsg}" if epsg else crs.to_wkt() if crs else "", image_size=size)
+
+
+class WorldFileWriter(PointsWriter):
+    """The affine map nearest to the model, as a world file.
+
+    How far it is from the model is said; where a model bends, that is far. A world file does not
+    name its CRS, which is that of the result without heights.
+    """
+
+    name = "world-file"
+    summary = "the affine map nearest to the model, as a world file (.tfw, .pgw, .wld)"
+    needs = "a model that has places on the ground"
+    suffix = ".tfw"
+
+    def accepts(self, result: Result) -> bool:
+        """Return True for any result."""
+        return True
+
+    def write(self, result: Result, path: Path) -> None:
+        """Write the six numbers."""
+        fitted = result.fit
+        ground = places_of(fitted)
+        if len(ground) < _FEWEST:  # a model that has no places on the ground: where its control is
+            ground = fitted.control.points.ground
+        image = fitted.project(ground)
+        known = np.isfinite(image).all(axis=1)
+        design = np.column_stack([np.ones(known.sum()), image[known, 1], image[known, 0]])
+        if np.linalg.matrix_rank(design) < 3:
+            raise TermselError("the model has no places on the ground for most of the image",
+                               file=path, hint="Fit a simpler model, such as --model affine.")
+        # About the middle: coordinates are large next to the size of the image.
+        middle = ground[known, :2].mean(axis=0)
+        (x, y), (right_x, right_y), (down_x, down_y) = np.linalg.lstsq(
+            design, ground[known, :2] - middle, rcond=None)[0].tolist()
+        numbers = (right_x, right_y, down_x, down_y, x + middle[0], y + middle[1])
+        matrix = np.array([[down_x, right_x], [down_y, right_y]])
+        if np.linalg.matrix_rank(matrix) < 2:
+            raise TermselError("no affine map comes near the model", file=path,
+                               hint="Export the points instead, such as --to gcp-vrt.")
+        write_text(path, "".join(f"{float(number)!r}\n" for number in numbers))
+        say_deviation(self.name, fitted, ground, _into_image(ground, numbers, matrix))
+        crs = result.features.crs
+        log.info("A world file does not name its CRS: %s.",
+                 "plane coordinates" if crs == LOCAL else horizontal(crs))
+
+
+def _into_image(ground: FloatArray, numbers: tuple[float, ...], matrix: FloatArray) -> FloatArray:
+    """Return where a world file puts ground places: line and sample."""
+    return np.asarray(np.linalg.solve(matrix, (ground[:, :2] - numbers[4:]).T).T)
