@@ -20,7 +20,8 @@ from termsel import FeatureSet, Points, Result, TermselError, export, read
 from termsel.testing import check, checks
 from termsel_iiif.annotation import MASK, SOURCE, TRANSFORMATION, corners, maps_of
 from termsel_iiif.reader import AnnotationReader
-from termsel_iiif.writer import TRANSFORMATIONS, AnnotationWriter
+from termsel_iiif.viewer import KINDS, degrees, forward, kind_of, mercator
+from termsel_iiif.writer import AnnotationWriter
 
 MASK_OF_4 = '<svg width="3000" height="2000"><polygon points="5,5 5,1990 2990,1990 2990,5" /></svg>'
 
@@ -166,16 +167,149 @@ def test_written_points_are_those_that_were_read(tmp_path: Path) -> None:
                                   np.sort(read(there).points.image, axis=0))
 
 
-@pytest.mark.parametrize(("degree", "key"), [(1, "order 1"), (2, "order 2"), (3, "order 3")])
-def test_the_nearest_transformation_is_stated(
-        tmp_path: Path, degree: int, key: str, caplog: pytest.LogCaptureFixture) -> None:
+@pytest.mark.parametrize("key", KINDS)
+def test_a_transformation_is_a_model_and_back(
+        tmp_path: Path, key: str, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO", logger="termsel")
+    kind = KINDS[key]
+    there = write(tmp_path, annotation(**kind.stated))
+    read(there)
+    assert f"The map is drawn with {kind.label}; --model {kind.model}" in caplog.text
     back = tmp_path / "back.json"
-    export(fitted(write(tmp_path, annotation()), "poly2d", degree=degree),
-           "georeference-annotation", back)
+    export(fitted(there, kind.model, **kind.options), "georeference-annotation", back)
+    before, after = (json.loads(path.read_text())["body"] for path in (there, back))
+    assert after["transformation"] == kind.stated == before["transformation"]
+    assert f"by a viewer with {kind.label}" in caplog.text
+    # And once more: what was written is read as it was.
+    np.testing.assert_array_equal(np.sort(read(back).points.ground[:, :2], axis=0),
+                                  np.sort(read(there).points.ground[:, :2], axis=0))
+
+
+def test_another_transformation_than_the_model_is_not_kept(tmp_path: Path) -> None:
+    there, back = write(tmp_path, annotation(type="thinPlateSpline")), tmp_path / "back.json"
+    export(fitted(there, "projective2d"), "georeference-annotation", back)
+    assert json.loads(back.read_text())["body"]["transformation"] == {"type": "projective"}
+
+
+def test_what_an_annotation_says_of_its_own_comes_back(tmp_path: Path) -> None:
+    own: dict[str, Any] = {"type": "polynomial", "options": {"order": 2, "by": "a viewer"}}
+    there, back = write(tmp_path, annotation(**own)), tmp_path / "back.json"
+    export(fitted(there, "poly2d", degree=2), "georeference-annotation", back)
+    assert json.loads(back.read_text())["body"]["transformation"] == own
+
+
+@pytest.mark.parametrize(("stated", "key"), [
+    ({"type": "polynomial"}, "order 1"),
+    ({"type": "polynomial", "options": {"order": 3}}, "order 3"),
+    ({"type": "polynomial", "options": {"order": 4}}, None), ({"type": "straight"}, None),
+    ({}, None), ("invalid", None), (None, None)])
+def test_transformations_by_name(stated: Any, key: str | None) -> None:
+    assert kind_of(stated) is (None if key is None else KINDS[key])
+
+
+def test_a_model_without_a_name_gets_the_nearest_transformation(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO", logger="termsel")
+    there, back = write(tmp_path, annotation()), tmp_path / "back.json"
+    export(fitted(there, "dlt2d"), "georeference-annotation", back)
     stated = json.loads(back.read_text())["body"]["transformation"]
-    assert stated == TRANSFORMATIONS[key][1]
-    assert f"by a viewer with {TRANSFORMATIONS[key][0]}" in caplog.text
+    kind = kind_of(stated)
+    assert kind is not None
+    assert f"by a viewer with {kind.label}" in caplog.text
+
+
+def test_web_mercator_is_that_of_pyproj() -> None:
+    pyproj = pytest.importorskip("pyproj")
+    lonlat = np.array([[-179.0, -80.0], [2.3, 48.9], [0.0, 0.0], [120.0, 71.5]])
+    known = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:3857", always_xy=True)
+    np.testing.assert_allclose(mercator(lonlat), np.column_stack(known.transform(*lonlat.T)),
+                               rtol=1e-12, atol=1e-6)
+    np.testing.assert_allclose(degrees(mercator(lonlat)), lonlat, rtol=1e-12, atol=1e-12)
+
+
+EXACT = {
+    "similarity": lambda line, sample: (3 * sample + 4 * line, 4 * sample - 3 * line),
+    "order 1": lambda line, sample: (3 * sample + 4 * line, sample - 3 * line),
+    "projective": lambda line, sample: ((3 * sample + 4 * line) / (1 + 1e-4 * sample),
+                                        (sample - 3 * line + 5) / (1 + 1e-4 * sample)),
+    "order 2": lambda line, sample: (3 * sample + 1e-3 * line * sample, 1e-3 * line**2 - 3 * line),
+    "order 3": lambda line, sample: (3 * sample + 1e-6 * line**3, 1e-6 * line * sample**2 - line)}
+
+
+@pytest.mark.parametrize("key", EXACT)
+def test_transformations_are_exact_where_the_points_are(key: str) -> None:
+    rng = np.random.default_rng(4)
+    image, other = rng.uniform(0, 2000, (2, 25, 2))
+    made = forward(key, image, 250000 + np.column_stack(EXACT[key](*image.T)))
+    assert made is not None
+    np.testing.assert_allclose(made(other), 250000 + np.column_stack(EXACT[key](*other.T)),
+                               rtol=1e-9)
+
+
+def test_a_spline_goes_through_its_points_and_takes_up_an_affine_map() -> None:
+    rng = np.random.default_rng(5)
+    image, other = rng.uniform(0, 2000, (2, 25, 2))
+    affine = np.array([[2.0, -1.0], [0.5, 3.0]])
+    made = forward("spline", image, image @ affine)
+    assert made is not None
+    np.testing.assert_allclose(made(other), other @ affine, atol=1e-6)
+    bent = forward("spline", image, image @ affine + rng.normal(0, 50, image.shape))
+    assert bent is not None
+    assert np.abs(bent(image) - image @ affine).max() > 50
+
+
+@pytest.mark.parametrize(("key", "n"), [
+    ("similarity", 1), ("order 1", 2), ("projective", 3), ("order 2", 5), ("order 3", 9),
+    ("spline", 2)])
+def test_too_few_points_determine_no_transformation(key: str, n: int) -> None:
+    image = np.random.default_rng(6).uniform(0, 100, (n, 2))
+    assert forward(key, image, image) is None
+    line = np.column_stack([np.arange(12.0), 2 * np.arange(12.0)])
+    assert key == "similarity" or forward(key, line, line) is None
+
+
+def test_the_deviation_is_that_of_the_viewer(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    # The image is a similarity of Web Mercator times (1, 1.01): a viewer that turns and scales
+    # alone is off by half of 1 % of the distance from the middle.
+    caplog.set_level("INFO", logger="termsel")
+    one = annotation(4)
+    corners_of = np.array([[0.0, 0.0], [2000, 0], [0, 2000], [2000, 2000]])  # column, row
+    plane = mercator(np.array([[2.2, 48.9]])) + corners_of * [1.0, -1.01]
+    for feature, place, lonlat in zip(one["body"]["features"], corners_of.tolist(),
+                                      degrees(plane).tolist(), strict=True):
+        feature["properties"]["resourceCoords"] = place
+        feature["geometry"]["coordinates"] = lonlat
+    one["target"]["source"].update(width=2000, height=2000)
+    path = write(tmp_path, one)
+    export(fitted(path, "poly2d", degree=1), "georeference-annotation", tmp_path / "a.json")
+    assert float(caplog.text.split("at most ")[1].split(" px")[0]) < 0.1
+    caplog.clear()
+    export(fitted(path, "helmert2d"), "georeference-annotation", tmp_path / "b.json")
+    assert "viewer with helmert" in caplog.text
+
+
+def test_the_maps_of_a_page_are_data_of_a_study(tmp_path: Path) -> None:
+    pages = [annotation(12, seed=seed) for seed in range(3)]
+    for i, page in enumerate(pages):
+        page["id"] = f"https://example.org/maps/{i}"
+    pages[2]["body"]["features"] = []
+    there = write(tmp_path, {"type": "AnnotationPage", "items": pages}, "page.json")
+    assert AnnotationReader().parts(there) == {"1": {"map": "1"}, "2": {"map": "2"},
+                                               "3": {"map": "3"}}
+    assert AnnotationReader(map="2").parts(there) == {}
+    study = termsel.compare(
+        problems=["poly-terms"], models=[{"name": "poly2d", "degree": 1}], solvers=["all-terms"],
+        criteria=["press"], data=[{"points": str(there)}], seeds=1)
+    rows = study.to_pandas()
+    labels = [Path(label).name for label in rows["data"]]
+    assert labels == ["page.json#1", "page.json#2", "page.json#3"]
+    assert [bool(reason) for reason in rows["reason"].fillna("")] == [False, False, True]
+    # One map that is named is one.
+    one = termsel.compare(
+        problems=["poly-terms"], models=[{"name": "poly2d", "degree": 1}], solvers=["all-terms"],
+        criteria=["press"], data=[{"points": str(there), "options": {"map": "2"}}], seeds=1)
+    assert [Path(label).name for label in one.to_pandas()["data"]] == ["page.json"]
 
 
 def test_an_image_without_an_address_is_asked_for(tmp_path: Path) -> None:

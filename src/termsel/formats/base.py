@@ -62,7 +62,8 @@ class Reader(Configurable, ABC):
 
     kind = "reader"
     guards: ClassVar[Mapping[str, Check | None]] = {
-        "sniff": _answer_fault, "read": returns(FeatureSet), "placed": returns(TermselError)}
+        "sniff": _answer_fault, "read": returns(FeatureSet), "placed": returns(TermselError),
+        "parts": returns(dict)}
 
     name: ClassVar[str]
     summary: ClassVar[str]
@@ -98,6 +99,13 @@ class Reader(Configurable, ABC):
         TermselError
             Naming file, line and column, for anything in the file that the user must correct.
         """
+
+    def parts(self, path: Path) -> dict[str, dict[str, Any]]:
+        """Return the options that read each part of a file that has several, by name.
+
+        Such as the maps of a page, which a study takes one by one. Empty for other files.
+        """
+        return {}
 
     def placed(self, error: TermselError, path: Path) -> TermselError:
         """Return an error that was found after reading with its place in the file.

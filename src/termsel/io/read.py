@@ -105,6 +105,12 @@ def read(
     return _with_known(features, dem, rpc)
 
 
+def parts_of(path: Path, format: str | None = None, **options: Any) -> dict[str, dict[str, Any]]:
+    """Return the options with which `read` takes each part of a file of several, by name."""
+    readers = readers_of([path], [format] if format else [])
+    return find_reader(path, readers, format, options).parts(path)
+
+
 def features_of(given: Any, crs: str | None = None,
                 columns: str | Mapping[str, Any] | None = None) -> FeatureSet:
     """Return features, points or lines or both, from a FeatureSet, a file or a table, as `read`."""

@@ -11,6 +11,7 @@ import numpy as np
 from termsel import FeatureSet, Option, Points, Reader, TermselError
 from termsel.formats.base import read_text
 from termsel_iiif.annotation import NAME, Map, kept, maps_of
+from termsel_iiif.viewer import kind_of
 
 log = logging.getLogger("termsel.iiif")
 
@@ -41,13 +42,7 @@ class AnnotationReader(Reader):
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points of a map."""
-        text = read_text(path)
-        try:
-            maps = maps_of(text.encode())
-        except (ValueError, RecursionError) as error:
-            raise TermselError(f"this is not a georeference annotation: {error}", file=path,
-                               hint="Correct it, or export it again.") from error
-        chosen = self._chosen(maps, path)
+        chosen = self._chosen(self._maps(path), path)
         if not chosen.features:
             raise TermselError("this map has no control points", file=path,
                                hint="Add some, for example in Allmaps Editor.")
@@ -59,9 +54,30 @@ class AnnotationReader(Reader):
                       for name, text in kept(chosen).items()}
         points = Points(tuple(f"P{i}" for i in range(1, n + 1)), image, ground,
                         attributes=attributes)
+        kind = kind_of(chosen.transformation)
+        if kind is not None:
+            options = "".join(f" --set {name}={value}" for name, value in kind.options.items()
+                              if value)
+            log.info("The map is drawn with %s; --model %s%s fits the same from the ground to the "
+                     "image.", kind.label, kind.model, options)
         width, height = chosen.resource["width"], chosen.resource["height"]
         size = (height, width) if width and height else None
         return FeatureSet(points, crs="EPSG:4326", image_size=size)
+
+    def parts(self, path: Path) -> dict[str, dict[str, str]]:
+        """Return the maps of a page by their numbers, unless one is chosen."""
+        if self.options["map"]:
+            return {}
+        maps = self._maps(path)
+        return {str(i): {"map": str(i)} for i in range(1, len(maps) + 1)} if len(maps) > 1 else {}
+
+    def _maps(self, path: Path) -> list[Map]:
+        text = read_text(path)
+        try:
+            return maps_of(text.encode())
+        except (ValueError, RecursionError) as error:
+            raise TermselError(f"this is not a georeference annotation: {error}", file=path,
+                               hint="Correct it, or export it again.") from error
 
     def _chosen(self, maps: list[Map], path: Path) -> Map:
         """Return the map that the option names, or the only one."""

@@ -10,19 +10,24 @@ import numpy as np
 
 from termsel import Option, Result, TermselError, Writer
 from termsel.files.atomic import write_text
-from termsel.formats.deviation import say_nearest
-from termsel.measurements.coordinates.crs import LOCAL, to_wgs84
+from termsel.fits.fit import Fit
+from termsel.formats.deviation import say_deviation
+from termsel.measurements.coordinates.crs import LOCAL, to_wgs84, transformation
+from termsel.measurements.features import FloatArray
 from termsel_iiif.annotation import MASK, NAME, SOURCE, TRANSFORMATION
 from termsel_iiif.reader import CENTRE
+from termsel_iiif.viewer import (
+    KINDS,
+    Forward,
+    degrees,
+    forward,
+    kind_of,
+    kind_of_fit,
+    mercator,
+    places,
+)
 
-TRANSFORMATIONS: dict[str, tuple[str, dict[str, Any]]] = {
-    "similarity": ("helmert", {"type": "helmert"}),
-    "order 1": ("polynomial of order 1", {"type": "polynomial", "options": {"order": 1}}),
-    "projective": ("projective", {"type": "projective"}),
-    "order 2": ("polynomial of order 2", {"type": "polynomial", "options": {"order": 2}}),
-    "order 3": ("polynomial of order 3", {"type": "polynomial", "options": {"order": 3}}),
-    "spline": ("thinPlateSpline", {"type": "thinPlateSpline"})}
-"""Transformations of the extension, by termsel's names, the simplest first."""
+_ALIKE = 0.01  # px
 
 _IMAGE = Option("image_id", "", "Address of the IIIF image, such as https://example.org/iiif/map1; "
                                 "by default that of the annotation that was read.")
@@ -33,9 +38,11 @@ _SERVICE = Option("service", "ImageService2", "Type of that address.", choices=(
 class AnnotationWriter(Writer):
     """Control points as a georeference annotation of version 1 of the extension.
 
-    The transformation is the one of the extension that comes nearest to the fitted model; its
-    deviation in px and metres is said. Points left out as blunders are not in it, and no point with
-    the role off. What a viewer cannot express, such as an effect of heights, is not in it either.
+    The transformation is that of the extension with the name of the fitted model (poly2d with all
+    terms to the third degree, projective2d, helmert2d, tps). For another model it is the one that
+    comes nearest. What a viewer makes of it is compared with the model, in px and metres. Points
+    left out as blunders are not in it, and no point with the role off. What a viewer cannot
+    express, such as an effect of heights, is not in it either.
     """
 
     name = NAME
@@ -63,30 +70,26 @@ class AnnotationWriter(Writer):
         source = self._source(result)
         ground = used.ground.copy()
         ground[:, 2] = np.nan_to_num(ground[:, 2])
-        places = to_wgs84(result.features.crs)(ground)
+        places_on_earth = to_wgs84(result.features.crs)(ground)
         features = [{
             "type": "Feature",
             "properties": {"resourceCoords": [_short(sample + CENTRE), _short(line + CENTRE)]},
-            "geometry": {"type": "Point", "coordinates": [_short(lon, 9), _short(lat, 9)]},
-        } for (line, sample), (lon, lat) in zip(used.image.tolist(), places[:, :2].tolist(),
-                                                strict=True)]
-        nearest = say_nearest(self.name, result.exported, used.ground[:, :2], used.image,
-                              {key: label for key, (label, _) in TRANSFORMATIONS.items()},
-                              "by a viewer with {}")
-        # Without any, a viewer takes its own.
-        transformation = (_kept(result, TRANSFORMATION) if nearest is None
-                          else TRANSFORMATIONS[nearest][1])
+            "geometry": {"type": "Point", "coordinates": [_plain(lon), _plain(lat)]},
+        } for (line, sample), (lon, lat) in zip(
+            used.image.tolist(), places_on_earth[:, :2].tolist(), strict=True)]
+        kept = _kept(result, TRANSFORMATION)
+        stated = _transformation(result.exported, used.image, places_on_earth[:, :2], kept)
         annotation = source.pop("annotation", None)
-        stated = {"type": "Annotation", **({"id": annotation} if annotation else {}),
+        content = {"type": "Annotation", **({"id": annotation} if annotation else {}),
                   "@context": ["http://iiif.io/api/extension/georef/1/context.json",
                                "http://iiif.io/api/presentation/3/context.json"],
                   "motivation": "georeferencing",
                   "target": {"type": "SpecificResource", "source": source,
                              "selector": {"type": "SvgSelector", "value": self._mask(result)}},
                   "body": {"type": "FeatureCollection",
-                           **({"transformation": transformation} if transformation else {}),
+                           **({"transformation": stated} if stated else {}),
                            "features": features}}
-        write_text(path, json.dumps(stated, indent=2, ensure_ascii=False) + "\n")
+        write_text(path, json.dumps(content, indent=2, ensure_ascii=False) + "\n")
 
     def _source(self, result: Result) -> dict[str, Any]:
         """Return the image: of the options, or of the annotation that was read."""
@@ -118,6 +121,43 @@ class AnnotationWriter(Writer):
                 f'{right},{top}" /></svg>')
 
 
+def _transformation(fitted: Fit, image: FloatArray, lonlat: FloatArray,
+                    kept: Any) -> dict[str, Any] | None:
+    """Return the transformation to state, and log what a viewer makes of it.
+
+    `kept` is what an annotation that was read stated: it comes back as it was where it is the same
+    transformation. None where the points determine none; a viewer then takes its own.
+    """
+    plane = mercator(lonlat)
+    made = {key: by_points for key in KINDS
+            if (by_points := forward(key, image, plane)) is not None}
+    named = kind_of_fit(fitted)
+    seen = {key: _seen(fitted, by_points) for key, by_points in made.items()
+            if named in (None, key)}
+    if not seen:
+        return kept if isinstance(kept, dict) else None
+    worst = {key: float(np.nan_to_num(np.hypot(*(fitted.project(ground) - at).T), nan=np.inf
+                                      ).max(initial=0.0)) for key, (ground, at) in seen.items()}
+    key = next(key for key in seen if worst[key] <= min(worst.values()) + _ALIKE)
+    kind = KINDS[key]
+    ignored = ", and ignores heights" * fitted.model.uses_height
+    say_deviation(NAME, fitted, *seen[key], f", by a viewer with {kind.label}{ignored}")
+    return kept if kind_of(kept) is kind else kind.stated
+
+
+def _seen(fitted: Fit, by_points: Forward) -> tuple[FloatArray, FloatArray]:
+    """Return where a viewer puts places of the image: on the ground (m, 3), and in the image."""
+    at = places(fitted)
+    height = float(fitted.ground_box()[0][2]) if fitted.model.uses_height else 0.0
+    lonlat = degrees(by_points(at))
+    known = np.isfinite(lonlat).all(axis=1)
+    at, lonlat = at[known], lonlat[known]
+    to_crs = transformation("EPSG:4979", fitted.control.crs, strict=False)
+    ground = to_crs(np.column_stack([lonlat, np.full(len(at), height)]))
+    finite = np.isfinite(ground[:, :2]).all(axis=1)
+    return np.asarray(ground[finite]), at[finite]
+
+
 def _first(result: Result, name: str) -> str:
     """Return what an attribute says at the first point that has it."""
     cells = result.features.points.attributes.get(name, ())
@@ -130,7 +170,10 @@ def _kept(result: Result, name: str) -> Any:
     return json.loads(text) if text else None
 
 
-def _short(value: float, digits: int = 6) -> float | int:
-    """Return a number without digits that only binary fractions have."""
-    rounded = round(value, digits)
-    return int(rounded) if rounded == int(rounded) else rounded
+def _short(value: float) -> float | int:
+    """Return px without the digits that adding half a pixel costs."""
+    return _plain(round(value, 9))
+
+
+def _plain(value: float) -> float | int:
+    return int(value) if value == int(value) else value

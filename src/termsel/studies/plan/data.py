@@ -12,7 +12,7 @@ from threading import Timer
 from typing import Any
 
 from termsel.errors import TermselError
-from termsel.io.read import read
+from termsel.io.read import parts_of, read
 from termsel.measurements.datasets import DatasetSpec
 from termsel.measurements.features import FeatureSet
 from termsel.plugins.registry import registry
@@ -75,7 +75,8 @@ def _of_source(spec: Spec, source: Source, folder: Path) -> Iterator[Data]:
         matched = {kind: _matched(spec, source, kind, patterns, folder)
                    for kind, patterns in source.files.items()}
         for files in _together(spec, source, matched):
-            yield _read(source, files, folder)
+            for part, options in _parts(source, files, folder).items():
+                yield _read(source, files, folder, part, options)
 
 
 def _matched(spec: Spec, source: Source, kind: str, patterns: tuple[str, ...],
@@ -127,11 +128,23 @@ def _together(spec: Spec, source: Source,
         yield {kind: by_stem[kind][stem] for kind in kinds}
 
 
-def _read(source: Source, files: Mapping[str, str], folder: Path) -> Data:
-    label = " + ".join(dict.fromkeys(files.values()))
+def _parts(source: Source, files: Mapping[str, str], folder: Path) -> dict[str, dict[str, Any]]:
+    """Return the options of each part of a file that has several; of another nothing."""
+    whole: dict[str, dict[str, Any]] = {"": {}}
+    if set(files) != {"points"}:
+        return whole
+    try:
+        return parts_of(folder / files["points"], **source.reading) or whole
+    except TermselError:
+        return whole  # it is told when the file is read
+
+
+def _read(source: Source, files: Mapping[str, str], folder: Path, part: str,
+          options: Mapping[str, Any]) -> Data:
+    label = " + ".join(dict.fromkeys(files.values())) + f"#{part}" * bool(part)
     of_files: dict[str, Any] = {kind: folder / name for kind, name in files.items()}
     try:
-        features = read(**of_files, **source.reading)
+        features = read(**of_files, **{**source.reading, **options})
     except TermselError as error:
         return Data(label, "unreadable", label, None, str(error), source.path)
     return Data(label, _key(features), label, features, path=source.path)

@@ -1,0 +1,192 @@
+"""What viewers make of an annotation: its transformations, by name and as Allmaps computes them.
+
+A viewer fits a transformation from the image to the ground in Web Mercator to the control points,
+by least squares. Rows count downwards in the image and northings upwards, so that the similarity is
+that of an image seen from above.
+
+References
+----------
+IIIF Georeference Extension 1.0, section 3.3 (transformation types).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from termsel.fits.fit import Fit
+from termsel.measurements.features import FloatArray
+
+EARTH = 6378137.0
+"""Radius of the sphere of Web Mercator [m]."""
+
+_ACROSS = 15  # places along either side of the image at which a viewer is compared with the model
+
+Forward = Callable[[FloatArray], FloatArray]
+"""From line and sample (n, 2) to Web Mercator (n, 2) [m]."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A transformation of the extension.
+
+    Parameters
+    ----------
+    label : str
+        What messages call it.
+    stated : dict
+        As the extension states it.
+    model : str
+        The model of termsel that is the same from the ground to the image, or next to it.
+    options : dict
+        Of the model.
+    """
+
+    label: str
+    stated: dict[str, Any]
+    model: str
+    options: Mapping[str, Any]
+
+
+def _polynomial(order: int) -> Kind:
+    return Kind(f"polynomial of order {order}",
+                {"type": "polynomial", "options": {"order": order}}, "poly2d", {"degree": order})
+
+
+KINDS: dict[str, Kind] = {
+    "similarity": Kind("helmert", {"type": "helmert"}, "helmert2d", {"mirrored": False}),
+    "order 1": _polynomial(1),
+    "projective": Kind("projective", {"type": "projective"}, "projective2d", {}),
+    "order 2": _polynomial(2), "order 3": _polynomial(3),
+    "spline": Kind("thinPlateSpline", {"type": "thinPlateSpline"}, "tps", {})}
+"""The transformations of the extension, the simplest first."""
+
+
+def kind_of(stated: Any) -> Kind | None:
+    """Return the transformation that an annotation states, None for none that is known.
+
+    A polynomial without an order is of order 1.
+    """
+    if not isinstance(stated, dict):
+        return None
+    options = stated.get("options")
+    order = options.get("order", 1) if isinstance(options, dict) else 1
+    for kind in KINDS.values():
+        if stated.get("type") == kind.stated["type"] and (
+                kind.model != "poly2d" or order == kind.options["degree"]):
+            return kind
+    return None
+
+
+def kind_of_fit(fitted: Fit) -> str | None:
+    """Return which transformation a fitted model is by its name; None where it is none.
+
+    A polynomial of which terms were left out is none, nor is a mirrored similarity.
+    """
+    model = fitted.model
+    for key, kind in KINDS.items():
+        if model.name == kind.model and fitted.terms.all() and all(
+                model.options.get(name) == value for name, value in kind.options.items()):
+            return key
+    return None
+
+
+def mercator(degrees: FloatArray) -> FloatArray:
+    """Return longitude and latitude (n, 2) [degrees] in Web Mercator [m]."""
+    lon, lat = np.radians(degrees).T
+    return EARTH * np.column_stack([lon, np.arctanh(np.sin(lat))])
+
+
+def degrees(metres: FloatArray) -> FloatArray:
+    """Return places in Web Mercator (n, 2) [m] as longitude and latitude [degrees]."""
+    x, y = metres.T / EARTH
+    return np.asarray(np.degrees(np.column_stack([x, np.arctan(np.sinh(y))])))
+
+
+def forward(key: str, image: FloatArray, plane: FloatArray) -> Forward | None:
+    """Return a transformation fitted to control points, None where they do not determine it.
+
+    Parameters
+    ----------
+    key : str
+        Of `KINDS`.
+    image : ndarray, shape (n, 2)
+        Line and sample.
+    plane : ndarray, shape (n, 2)
+        Web Mercator [m].
+    """
+    middle, far = plane.mean(axis=0), float(np.abs(plane - plane.mean(axis=0)).max()) or 1.0
+    centre, unit = image.mean(axis=0), float(np.abs(image - image.mean(axis=0)).max()) or 1.0
+    known, place = (image - centre) / unit, (plane - middle) / far
+    made = _scaled(key, known, place)
+    return None if made is None else lambda at: np.asarray(
+        middle + far * made((at - centre) / unit))
+
+
+def _scaled(key: str, image: FloatArray, plane: FloatArray) -> Forward | None:
+    """Return a transformation of coordinates that are about 1."""
+    n = len(image)
+    if key == "spline":
+        if n < 3 or np.linalg.matrix_rank(image - image.mean(axis=0)) < 2 \
+                or len(np.unique(image, axis=0)) < n:
+            return None
+        from scipy.interpolate import RBFInterpolator
+
+        spline = RBFInterpolator(image, plane, kernel="thin_plate_spline")
+        return lambda at: np.asarray(spline(at))
+    if key == "similarity":
+        design = np.concatenate([_turned(image, 0), _turned(image, 1)])
+        if n < 2 or np.linalg.matrix_rank(design) < 4:
+            return None
+        values = np.linalg.lstsq(design, plane.T.ravel(), rcond=None)[0]
+        return lambda at: np.column_stack([_turned(at, axis) @ values for axis in (0, 1)])
+    if key == "projective":
+        return _projective(image, plane)
+    design = _monomials(image, int(key[-1]))
+    if n < design.shape[1] or np.linalg.matrix_rank(design) < design.shape[1]:
+        return None
+    terms = np.linalg.lstsq(design, plane, rcond=None)[0]
+    return lambda at: np.asarray(_monomials(at, int(key[-1])) @ terms)
+
+
+def _turned(image: FloatArray, axis: int) -> FloatArray:
+    """Return the columns of the similarity: two shifts, cosine and sine, for x or for y."""
+    (line, sample), one, none = image.T, np.ones(len(image)), np.zeros(len(image))
+    # x = a + c * sample + s * line,  y = b + s * sample - c * line
+    return np.column_stack([one, none, sample, line] if axis == 0 else [none, one, -line, sample])
+
+
+def _monomials(image: FloatArray, order: int) -> FloatArray:
+    line, sample = image.T
+    return np.column_stack([line**i * sample**j for i in range(order + 1)
+                            for j in range(order + 1 - i)])
+
+
+def _projective(image: FloatArray, plane: FloatArray) -> Forward | None:
+    """Return the projective transformation by the direct linear transformation."""
+    if len(image) < 4:
+        return None
+    source = np.column_stack([image, np.ones(len(image))])
+    rows = np.concatenate([
+        np.hstack([source, 0 * source, -plane[:, :1] * source]),
+        np.hstack([0 * source, source, -plane[:, 1:] * source])])
+    sizes, directions = np.linalg.svd(rows)[1:]
+    if sizes[7] < 1e-10 * sizes[0]:
+        return None
+    matrix = directions[-1].reshape(3, 3)
+
+    def project(at: FloatArray) -> FloatArray:
+        above = np.column_stack([at, np.ones(len(at))]) @ matrix.T
+        return np.asarray(above[:, :2] / above[:, 2:])
+
+    return project
+
+
+def places(fitted: Fit) -> FloatArray:
+    """Return line and sample of places over the image (m, 2)."""
+    (top, left), (bottom, right) = fitted.image_box()
+    return np.stack(np.meshgrid(np.linspace(top, bottom, _ACROSS), np.linspace(left, right, _ACROSS)
+                                ), axis=-1).reshape(-1, 2)
