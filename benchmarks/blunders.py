@@ -258,7 +258,7 @@ def _quantile(values: list[float]) -> str:
     return f"{np.quantile(values, 0.99):.2f} ± {np.quantile(drawn, 0.99, axis=1).std():.2f}"
 
 
-CONSTANTS = {"LEVEL": (contradictions, blunders), "STRAIN": (contradictions, blunders),
+CONSTANTS = {"UNLIKELY": (contradictions, blunders), "STRAIN": (contradictions, blunders),
              "ALLOWANCE": (contradictions,), "LOOK": (contradictions,), "MOST": (blunders,),
              "STEP": (blunders,), "CLEAR": (blunders,), "LEAST": (blunders,),
              "SIZES": (blunder_odds,), "FORM": (blunder_odds,)}

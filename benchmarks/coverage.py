@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.sets import heights_of, names, put, rmse_of, split
 from termsel.candidates.portfolio import choose
 from termsel.candidates.repetition import repeated
-from termsel.fits.accuracy import LEVEL, Predicted, predicted_by, predicted_rmse
+from termsel.fits.accuracy import CONFIDENCE, Predicted, predicted_by, predicted_rmse
 from termsel.measurements.control import Control
 from termsel.measurements.features import FeatureSet, FloatArray
 from termsel.simulate.catalogue import SCENES
@@ -166,8 +166,8 @@ def main() -> None:
 
 Made by `python -m benchmarks.coverage --write`: {asked.splits} splits of each set and number of
 points, up to 300 independent points. A cell says in how many splits the interval
-holds the RMSE of just these independent points with a chance of {100 * LEVEL:.0f} %: it knows their
-number, and what so few of them add is part of its width. The embedded scenes are simulated,
+holds the RMSE of just these independent points with a chance of {100 * CONFIDENCE:.0f} %: it knows
+their number, and what so few of them add is part of its width. The embedded scenes are simulated,
 as `simulated` counts them together. Splits that leave fewer than 20 independent points are
 left out, as are those with too few points to repeat the choice.
 

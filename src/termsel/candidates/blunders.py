@@ -30,8 +30,8 @@ from scipy.special import chdtr, gammaincinv
 
 from termsel.candidates.base import Judged, Suspects
 from termsel.candidates.contradictions import (
-    LEVEL,
     STRAIN,
+    UNLIKELY,
     Division,
     Test,
     polynomial_of,
@@ -203,7 +203,7 @@ def _forward(control: Control, used: BoolArray, test: Test,
             # The closest features understate the noise.
             strain = test.strain * np.sqrt(_consistency(used.sum() / n))
             chance = chance_of(strain**2, max(2 * int(used.sum()) - 8, 2))
-            out &= (chance < LEVEL / n) & (strain > STRAIN)
+            out &= (chance < UNLIKELY / n) & (strain > STRAIN)
         back = np.flatnonzero(~used & ~out)
         now = used.copy()
         if back.size:

@@ -26,7 +26,7 @@ from termsel.priors.held_out import Prediction, chance_of
 from termsel.priors.of_lines import coupled
 from termsel.priors.posterior import Posterior, posterior, scales_of
 
-LEVEL = 1e-3
+UNLIKELY = 1e-3
 """Chance of naming any point where there is no blunder, under normal errors."""
 
 STRAIN = 4.0
@@ -62,7 +62,7 @@ class Test:
 
     def far(self, n: int) -> BoolArray:
         """Return the features whose error is beyond chance."""
-        return (self.chance < LEVEL / n) & (self.strain > STRAIN) & (self.errors > ROUNDING)
+        return (self.chance < UNLIKELY / n) & (self.strain > STRAIN) & (self.errors > ROUNDING)
 
     def decided(self) -> BoolArray:
         """Return the features whose error exceeds what their place allows."""
@@ -71,7 +71,7 @@ class Test:
     def suspects(self, blunders: BoolArray, probable: BoolArray, undecided: BoolArray,
                  which: BoolArray) -> Suspects:
         """Return what is found of some of the features."""
-        least = np.sqrt(fdtri(2, self.freedom, 1 - LEVEL / which.sum()))
+        least = np.sqrt(fdtri(2, self.freedom, 1 - UNLIKELY / which.sum()))
         strain = np.maximum(max(STRAIN, float(least)), ALLOWANCE * self.spread)
         return Suspects(blunders[which], probable[which], undecided[which], self.errors[which],
                         np.maximum(strain * self.spread * self.noise, ROUNDING)[which])

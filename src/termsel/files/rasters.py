@@ -75,6 +75,7 @@ def open_raster(path: Path | str) -> Iterator[Any]:
     Parameters
     ----------
     path : path-like
+        Of any format that GDAL reads.
 
     Yields
     ------

@@ -21,7 +21,7 @@ from termsel.fits.uncertainty import shared_variance
 from termsel.measurements.coordinates.metres import in_metres
 from termsel.measurements.features import FloatArray, Points
 from termsel.record.figures import (
-    LEVEL,
+    CONFIDENCE,
     Accuracy,
     InImage,
     OnGround,
@@ -64,7 +64,7 @@ def predicted_rmse(errors: FloatArray, effective: float, points: int,
     spread = max(squares.var(ddof=1) / squares.mean() ** 2, 1.0)
     redundancy = max(2 * n - effective, 2.0)
     shared = effective / 2 / n**2 if shared is None else shared
-    quantile = stdtrit(redundancy, (1 + LEVEL) / 2)
+    quantile = stdtrit(redundancy, (1 + CONFIDENCE) / 2)
     # Of a mean of so many squares, of those held out and of those to come; and what all places have
     # in common: coefficients that few points determine, and the doubt which solution is right.
     variance = min(spread / redundancy / 2 + (spread / points if points else 0.0) / 4 + shared / 4,
@@ -81,7 +81,7 @@ def predicted_by(fitted: Fit, errors: FloatArray, points: int) -> Predicted:
         fitted.model, fitted.scaled_control.take(fitted.used)))
 
 
-def rmse_interval(total: float, points: int, level: float = LEVEL) -> tuple[float, float]:
+def rmse_interval(total: float, points: int, level: float = CONFIDENCE) -> tuple[float, float]:
     """Return the interval of the RMSE [px] that endlessly many such points would have.
 
     Of errors in line and sample that are independent, normal and alike, so that their squares have

@@ -87,6 +87,7 @@ class Reader(Configurable, ABC):
         Parameters
         ----------
         path : pathlib.Path
+            A file that `sniff` knows, or that the user says is of this format.
 
         Returns
         -------

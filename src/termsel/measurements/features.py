@@ -168,6 +168,7 @@ class Lines(Tabular):
         Parameters
         ----------
         values : ndarray, shape (n, ...)
+            One, or an array, of each line.
 
         Returns
         -------
@@ -343,6 +344,7 @@ class FeatureSet(Glance):
         Parameters
         ----------
         name : str
+            As for `texts`.
 
         Returns
         -------

@@ -8,7 +8,7 @@ from msgspec import Meta, field
 
 from termsel.record.base import Count, Name, Positive, RecordPart, Role, Roles, Share, Size
 
-LEVEL = 0.9
+CONFIDENCE = 0.9
 """Probability of an interval."""
 
 
@@ -91,7 +91,7 @@ class Predicted(RecordPart, frozen=True, omit_defaults=False):
     """Lower end of the interval [px]."""
     high: Size
     """Upper end of the interval [px]."""
-    level: Share = LEVEL
+    level: Share = CONFIDENCE
     """Probability that the interval holds the RMSE."""
     points: Positive | None = None
     """Number of independent points whose RMSE the interval is for; null for the true accuracy."""

@@ -54,6 +54,7 @@ def picture(chart: Any, suffix: str) -> bytes:
     ----------
     chart : altair.Chart
     suffix : {".svg", ".png", ".pdf"}
+        Format of the picture.
 
     Raises
     ------

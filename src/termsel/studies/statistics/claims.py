@@ -5,7 +5,7 @@ from __future__ import annotations
 from termsel.errors import counted
 from termsel.studies.cells.table import Row
 from termsel.studies.statistics.groups import Groups
-from termsel.studies.statistics.significance import FEWEST, LEVEL, Comparison, effect_size
+from termsel.studies.statistics.significance import FEWEST, SIGNIFICANCE, Comparison, effect_size
 from termsel.studies.statistics.summaries import quantiles
 
 _MOST_NAMED = 6
@@ -85,11 +85,11 @@ def size_in_words(value: float) -> str:
 def _over_instances(found: Comparison) -> list[str]:
     said = []
     if found.p is not None:
-        word = "differ" if found.p < LEVEL else "cannot be told apart"
+        word = "differ" if found.p < SIGNIFICANCE else "cannot be told apart"
         said.append(f"Over {found.instances} instances the methods {word} (Friedman, "
                     f"p = {found.p:.2g}).")
-    proven = [pair for pair in found.pairs if pair.corrected < LEVEL] \
-        if found.p is None or found.p < LEVEL else []
+    proven = [pair for pair in found.pairs if pair.corrected < SIGNIFICANCE] \
+        if found.p is None or found.p < SIGNIFICANCE else []
     for pair in proven:
         better, worse, won = (pair.one, pair.other, pair.wins) if pair.lower \
             else (pair.other, pair.one, pair.losses)

@@ -13,7 +13,7 @@ from termsel.measurements.features import FloatArray
 from termsel.studies.statistics.groups import Groups
 from termsel.studies.statistics.summaries import quantiles
 
-LEVEL = 0.05
+SIGNIFICANCE = 0.05
 """Significance level of all tests."""
 
 FEWEST = 5
@@ -112,7 +112,7 @@ def holm(p_values: Sequence[float]) -> list[float]:
     return [float(value) for value in corrected]
 
 
-def critical_difference(methods: int, instances: int, level: float = LEVEL) -> float:
+def critical_difference(methods: int, instances: int, level: float = SIGNIFICANCE) -> float:
     """Return by how much mean ranks must differ, by Nemenyi's test (Demšar 2006, section 3.2.2)."""
     from scipy.stats import studentized_range
 
