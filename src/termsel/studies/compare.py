@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from termsel.adjustment.kernels import needs_compilation
-from termsel.errors import TermselError, counted
+from termsel.errors import TermselError, counted, requires
 from termsel.files.atomic import private_folder
 from termsel.files.lock import locked
 from termsel.files.names import JOURNAL
@@ -236,7 +236,8 @@ def _outcomes(cells: list[Cell], stopped: Callable[[], bool], workers: int,
             yield failed(cell.key, cell.data.reason)
     works, features = works_of(cells)
     if scheduler is not None:
-        from termsel.studies.execution.cluster import on_cluster
+        with requires("a scheduler requires", "termsel_cluster", "./plugins/termsel-cluster"):
+            from termsel_cluster import on_cluster
 
         yield from on_cluster(works, features, stopped, scheduler, plugins)
         return

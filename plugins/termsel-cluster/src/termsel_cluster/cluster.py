@@ -11,8 +11,7 @@ from queue import Empty, Queue
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
-from termsel.errors import TermselError, requires
-from termsel.measurements.features import FeatureSet
+from termsel import FeatureSet, TermselError
 from termsel.plugins.registry import registry
 from termsel.runs.task.provenance import versions
 from termsel.studies.cells.cell import Cell
@@ -65,8 +64,7 @@ def on_cluster(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: 
 
 
 def _connected(address: str) -> Client:
-    with requires("a scheduler requires", "dask.distributed", '"termsel[distributed]"'):
-        from distributed import Client
+    from distributed import Client
 
     wrong = TermselError(f"{address!r} is no address of a scheduler",
                          hint="Write --scheduler tcp://host:8786.")

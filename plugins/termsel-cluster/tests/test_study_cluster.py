@@ -1,5 +1,6 @@
 """Studies on a cluster: a real scheduler and real workers, some of which are lost."""
 
+# mypy: disable-error-code="arg-type"
 from __future__ import annotations
 
 import contextlib
@@ -116,7 +117,7 @@ def test_workers_without_a_plugin_are_named_before_anything_runs(
     asked = {**ASKED, "budget": {"evaluations": 50}}
     for needed, said in ({"termsel-other": "1.0"}, "lacks termsel-other, which the study needs"), (
             {"numpy": "0.1"}, "has numpy .*, this machine 0.1"):
-        monkeypatch.setattr(compare, "_plugins", lambda cells, spec, needed=needed: needed)
+        monkeypatch.setattr(compare, "_plugins", lambda _cells, _spec, needed=needed: needed)
         out = tmp_path / next(iter(needed))
         with pytest.raises(TermselError, match=rf"worker tcp://127\.0\.0\.1:\d+ {said}"):
             termsel.compare(**asked, scheduler=cluster.address, out=out)
@@ -136,7 +137,7 @@ echo Submitted batch job 1
 def test_the_page_on_clusters_starts_workers_through_a_queue(
         tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("dask_jobqueue")
-    page = (Path(__file__).parents[1] / "docs" / "how-to" / "cluster.md").read_text()
+    page = (Path(__file__).parents[3] / "docs" / "how-to" / "cluster.md").read_text()
     (snippet,) = re.findall(r"```python\n(import time\n\nfrom dask_jobqueue.*?)```", page, re.S)
     # The queue takes the job and runs it here: one worker in place of 64.
     for name, text in (("sbatch", SBATCH.format(folder=tmp_path)), ("scancel", "#!/bin/sh\n")):
@@ -166,7 +167,7 @@ def test_the_page_on_clusters_starts_workers_through_a_queue(
 
 @pytest.mark.slow
 def test_a_scheduler_that_does_not_answer_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    from termsel.studies.execution import cluster
+    from termsel_cluster import cluster
 
     monkeypatch.setattr(cluster, "PATIENCE", 1.0)
     asked = {**ASKED, "budget": {"evaluations": 50}}
@@ -183,7 +184,7 @@ def test_what_has_no_port_is_no_address(address: str) -> None:
 
 
 def test_a_worker_that_differs_is_named_with_its_address() -> None:
-    from termsel.studies.execution.cluster import require_alike, versions_here
+    from termsel_cluster.cluster import require_alike, versions_here
 
     here = versions_here(("termsel", "numpy"))
     assert here["termsel"] == termsel.__version__
