@@ -25,6 +25,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreference
 
 SIZE = (400, 500)
 WITH_GDAL = shutil.which("gdaltransform") is not None
+WITH_QGIS = WITH_GDAL and shutil.which("qgis_process") is not None
 
 
 @pytest.mark.parametrize("check", checks("termsel-formats"), ids=lambda check: check.name)
@@ -135,6 +136,12 @@ def test_an_rpc_is_told_apart_from_one_at_the_height_0(tmp_path: Path) -> None:
         high = by_name["RPC at the heights of the ground"].over_image
         assert high is not None
         assert high.largest < 0.2  # GDAL ends its own iteration at 0.1 px
+    if WITH_QGIS:  # From 3.14 on QGIS takes the height offset of the RPC, as GDAL does not.
+        name, middle = next((one.transformation, one.over_image) for one in found
+                            if one.program.startswith("QGIS"))
+        assert name.startswith("RPC at its height offset, ")
+        assert middle is not None
+        assert middle.largest < flat.largest / 2
 
 
 def call(*words: object) -> Result:

@@ -37,6 +37,8 @@ class Header:
     kind : str
         "geotransform", "gcps", "rpc", "geolocation" or "" for none.
     geotransform : tuple of float or None
+    height : float or None
+        The height offset of its RPC [m].
     """
 
     version: str
@@ -44,6 +46,7 @@ class Header:
     crs: str
     kind: str
     geotransform: tuple[float, ...] | None
+    height: float | None = None
 
 
 def header(path: Path) -> Header | None:
@@ -75,7 +78,8 @@ def header(path: Path) -> Header | None:
     elif "GEOLOCATION" in metadata:
         kind, crs = "geolocation", metadata["GEOLOCATION"].get("SRS", crs)
     given = said.get("geoTransform")
-    return Header(version, (lines, samples), crs, kind, tuple(given) if given else None)
+    height = _number(metadata.get("RPC", {}).get("HEIGHT_OFF", "")) if kind == "rpc" else None
+    return Header(version, (lines, samples), crs, kind, tuple(given) if given else None, height)
 
 
 def transformed(path: Path, *options: str) -> Places:
@@ -104,9 +108,17 @@ def _pair(row: str) -> tuple[float, float]:
     return x, y
 
 
-def level(places: Places) -> Places:
-    """Return places at the height 0, whatever the heights."""
-    return lambda image, _heights: places(image, np.zeros(len(image)))
+def _number(text: str) -> float | None:
+    """Return the number at the beginning of a text, which a unit may follow."""
+    try:
+        return float(text.split()[0])
+    except (ValueError, IndexError):
+        return None
+
+
+def level(places: Places, height: float = 0.0) -> Places:
+    """Return places at one height, whatever the heights."""
+    return lambda image, _heights: places(image, np.full(len(image), height))
 
 
 def taken(path: Path, found: Header) -> Iterator[Taken]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from termsel.files.atomic import private_folder
 from termsel_formats.check.base import NoAnswer, Taken, answer
-from termsel_formats.check.gdal import Header, outline, transformed
+from termsel_formats.check.gdal import Header, level, outline, transformed
 
 _NEAR = 3.0  # px of the map that QGIS makes, by which its extent may differ from GDAL's
 
@@ -20,8 +20,10 @@ def taken(path: Path, found: Header) -> Taken | None:
     """Return what QGIS takes, or None where it is not installed.
 
     QGIS opens a raster with GCPs, RPCs or a rotated geotransform through GDAL's warped raster, by
-    the transformation that GDAL takes by default. That is believed if the extent of the layer
-    agrees with it.
+    the transformation that GDAL takes by default. It takes an RPC at its height offset, from
+    version 3.14 on (`QgsGdalUtils::rpcAwareAutoCreateWarpedVrt`), where GDAL itself and earlier
+    versions take the height 0. What is believed is the one with which the extent of the layer
+    agrees.
 
     Raises
     ------
@@ -49,14 +51,18 @@ def taken(path: Path, found: Header) -> Taken | None:
         raise NoAnswer("qgis_process gave an answer of another form") from None
     if not found.kind:
         return Taken(name, "none: places are pixels")
-    places = transformed(path)
-    border = outline(found.size)
-    seen = places(border, np.zeros(len(border)))
-    least, most = np.nanmin(seen, axis=0), np.nanmax(seen, axis=0)
-    apart = np.abs((np.concatenate([least, most]) - shown) / pixel).max()
-    if not apart <= _NEAR:
-        return Taken(name, f"another than GDAL: its extent is {apart:,.0f} px off")
+    by_gdal, border = transformed(path), outline(found.size)
     words = {"geotransform": "affine transformation", "gcps": "as GDAL, through GCPs",
              "rpc": "RPC at the height 0", "geolocation": "geolocation array"}[found.kind]
-    return Taken(name, words, found.crs,
-                 lambda image, _heights: places(image, np.zeros(len(image))))
+    ways = {words: level(by_gdal)}
+    if found.height is not None:
+        ways[f"RPC at its height offset, {found.height:,.0f} m"] = level(by_gdal, found.height)
+    away = {}
+    for words, places in ways.items():
+        seen = places(border, np.zeros(len(border)))
+        least, most = np.nanmin(seen, axis=0), np.nanmax(seen, axis=0)
+        away[words] = float(np.abs((np.concatenate([least, most]) - shown) / pixel).max())
+    words = min(away, key=away.__getitem__)
+    if not away[words] <= _NEAR:
+        return Taken(name, f"another than GDAL: its extent is {away[words]:,.0f} px off")
+    return Taken(name, words, found.crs, ways[words])
