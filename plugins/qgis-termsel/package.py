@@ -1,25 +1,90 @@
 """Pack the plugin as a file that QGIS installs.
 
     python plugins/qgis-termsel/package.py [FILE.zip]
+    python plugins/qgis-termsel/package.py [FILE.zip] --for-repository [--email ADDRESS]
+        [--repository URL] [--tracker URL] [--homepage URL]
+
+The second form is for the repository of QGIS plugins, which takes no plugin without these four.
+What no option states comes from pyproject.toml next to this file: email from `authors`, the others
+from the `repository`, `issues` and `homepage` of `[project.urls]`.
 """
 
 from __future__ import annotations
 
+import argparse
+import re
 import sys
+import tomllib
 import zipfile
 from pathlib import Path
+from urllib.parse import urlsplit
 
 FOLDER = Path(__file__).with_name("qgis_termsel")
+PROJECT = Path(__file__).with_name("pyproject.toml")
+WANTED = {"email": "authors = [{ name = ..., email = ... }]", "repository": "urls.repository",
+          "tracker": "urls.issues", "homepage": "urls.homepage"}
 
 
-def main(target: Path) -> None:
-    """Write the plugin's files, in their order, to a zip file."""
+def stated(project: dict) -> dict[str, str]:
+    """Return what a project table says of the four."""
+    urls = {name.lower(): url for name, url in project.get("urls", {}).items()}
+    emails = [author["email"] for author in project.get("authors", []) if "email" in author]
+    found = {"email": next(iter(emails), ""), "tracker": urls.get("issues", ""),
+             **{name: urls.get(name, "") for name in ("repository", "homepage")}}
+    return {name: text for name, text in found.items() if text}
+
+
+def faults(known: dict[str, str]) -> list[str]:
+    """Return what the repository of plugins would refuse, as sentences."""
+    said = [f"{name} is missing: give --{name}, or {place} in {PROJECT.name}."
+            for name, place in WANTED.items() if name not in known]
+    for name, text in known.items():
+        url = urlsplit(text)
+        if name == "email":
+            if not re.fullmatch(r"[^@\s]+@[^@\s]+\.[^@\s]+", text):
+                said.append(f"email {text!r} is no address.")
+        elif url.scheme not in ("http", "https") or not url.netloc or len(text.split()) != 1:
+            said.append(f"{name} {text!r} is no address of a page, such as https://...")
+    return said
+
+
+def pack(target: Path, known: dict[str, str]) -> None:
+    """Write the plugin's files, in their order, to a zip file, with more metadata."""
+    more = "".join(f"{name}={text}\n" for name, text in known.items())
     with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as packed:
         for file in sorted(FOLDER.rglob("*")):
-            if file.is_file() and "__pycache__" not in file.parts:
-                packed.write(file, str(file.relative_to(FOLDER.parent)))
-    print(f"Written: {target}")
+            if not file.is_file() or "__pycache__" in file.parts:
+                continue
+            name = str(file.relative_to(FOLDER.parent).as_posix())
+            if file.name == "metadata.txt":
+                packed.writestr(name, file.read_text(encoding="utf-8").rstrip() + "\n" + more)
+            else:
+                packed.write(file, name)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Pack the plugin; return 2 if the repository of plugins would refuse it."""
+    parser = argparse.ArgumentParser(description="Pack the plugin as a file that QGIS installs.")
+    parser.add_argument("target", nargs="?", type=Path, default=Path("qgis_termsel.zip"))
+    parser.add_argument("--for-repository", action="store_true",
+                        help="state what the repository of QGIS plugins asks for")
+    for name in WANTED:
+        parser.add_argument(f"--{name}")
+    options = vars(parser.parse_args(arguments))
+    known = stated(tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"])
+    known.update({name: options[name] for name in WANTED if options[name]})
+    said = faults(known)
+    if options["for_repository"] and said:
+        print("Error:", *said, sep="\n  ", file=sys.stderr)
+        return 2
+    try:
+        pack(options["target"], known)
+    except OSError as error:
+        print(f"Error: {options['target']} cannot be written: {error.strerror}.", file=sys.stderr)
+        return 2
+    print(f"Written: {options['target']}")
+    return 0
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "qgis_termsel.zip"))
+    sys.exit(main())

@@ -5,13 +5,14 @@ import os
 import queue
 import shutil
 import signal
-import subprocess
+import subprocess  # nosec B404: termsel needs a Python of its own
 import sys
 import threading
 import time
 from pathlib import Path
 
 from qgis.core import QgsApplication, QgsProcessingException, QgsSettings
+from qgis.PyQt.QtCore import QCoreApplication, QThread
 
 SETTING = "termsel/executable"
 MISSING = ("termsel was not found: run the algorithm 'Set up termsel', or state the path of "
@@ -68,8 +69,10 @@ def clean_environment():
     return kept
 
 
-def run(arguments, feedback, program=None):
+def run(arguments, feedback, program=None, show=False):
     """Run a command to its end, show its messages and progress, and return its stdout.
+
+    With ``show`` the log has its stdout, too.
 
     Cancelling ends the process, and those it began, within two seconds.
 
@@ -83,13 +86,15 @@ def run(arguments, feedback, program=None):
     options = ({"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW}
                if _WINDOWS else {"start_new_session": True})
     try:
-        process = subprocess.Popen(
+        # A list and no shell; the program is that of the user's own settings.
+        process = subprocess.Popen(  # nosec B603
             command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL,
             env=clean_environment(), encoding="utf-8", errors="replace", **options)
     except OSError as error:
         raise QgsProcessingException(f"{command[0]} cannot be run: {error.strerror}.") from error
     printed, messages = [], queue.Queue()
-    readers = [threading.Thread(target=_read, args=(process.stdout, printed.append), daemon=True),
+    stdout = messages.put if show else printed.append
+    readers = [threading.Thread(target=_read, args=(process.stdout, stdout), daemon=True),
                threading.Thread(target=_read, args=(process.stderr, messages.put), daemon=True)]
     for reader in readers:
         reader.start()
@@ -100,11 +105,13 @@ def run(arguments, feedback, program=None):
             _remove_left(process.pid, command)
             raise QgsProcessingException("Cancelled; nothing was written.")
         _show(messages, feedback, said)
+        if QThread.currentThread() == QCoreApplication.instance().thread():
+            QCoreApplication.processEvents()  # a batch runs here: its button Cancel must work
         time.sleep(0.05)
     _show(messages, feedback, said)
     if process.returncode:
-        reasons = [line for line in said if line.startswith("Error:")] or said[-3:]
-        raise QgsProcessingException(" ".join(reasons) or f"termsel ended with code "
+        first = next((at for at, line in enumerate(said) if line.startswith("Error:")), -3)
+        raise QgsProcessingException(" ".join(said[first:]) or f"{command[0]} ended with code "
                                      f"{process.returncode}.")
     return "".join(printed)
 
@@ -145,8 +152,9 @@ def _remove_left(number, command):
 def _end(process):
     """End a process and those that it began."""
     if _WINDOWS:
-        subprocess.run(["taskkill", "/F", "/T", "/PID", str(process.pid)], check=False,
-                       capture_output=True)
+        taskkill = Path(os.environ["SYSTEMROOT"]) / "System32" / "taskkill.exe"
+        subprocess.run(  # nosec B603: of Windows itself
+            [str(taskkill), "/F", "/T", "/PID", str(process.pid)], check=False, capture_output=True)
         return
     os.killpg(process.pid, signal.SIGINT)  # as Ctrl-C: termsel then removes what it has begun
     try:

@@ -19,7 +19,7 @@ from qgis.PyQt.QtWidgets import (
     QWidget,
 )
 
-from .algorithms.georeference import model_named
+from .algorithms.georeference import INPUTS, model_named
 from .layers import blunder_style
 
 CHECKED, UNCHECKED = Qt.CheckState.Checked, Qt.CheckState.Unchecked
@@ -32,7 +32,7 @@ class ResultDock(QDockWidget):
     def __init__(self, iface):
         super().__init__("termsel result")
         self.iface = iface
-        self.folder = None
+        self.folder = self.problem = None
         self.setObjectName("termselResult")
         self.accuracy = QLabel("Open the folder of a result.")
         self.accuracy.setWordWrap(True)
@@ -77,6 +77,7 @@ class ResultDock(QDockWidget):
             self.accuracy.setText(f"{folder} has no result: {error}")
             self._enable()
             return
+        self.problem = record.get("problem")
         self.accuracy.setText(accuracy_text(record))
         self._offer(record)
         self._fill(rows)
@@ -112,8 +113,9 @@ class ResultDock(QDockWidget):
         for at, row in enumerate(rows):
             box = QTableWidgetItem()
             box.setFlags(Qt.ItemFlag.ItemIsUserCheckable | Qt.ItemFlag.ItemIsEnabled)
-            box.setCheckState(CHECKED if row["used"] == "no" and row["role"] != "independent"
-                              else UNCHECKED)
+            # Check points are not used either where they judge: they are not left out.
+            out = row["role"] == "off" or (row["used"] == "no" and row["blunder"])
+            box.setCheckState(CHECKED if out else UNCHECKED)
             self.table.setItem(at, 0, box)
             for column, text in enumerate((row["id"], row["role"], row["residual_line"],
                                            row["residual_sample"], row["distance"]), 1):
@@ -136,11 +138,20 @@ class ResultDock(QDockWidget):
         """Open the dialog of the algorithm with the same points, and what is to be left out."""
         from processing import execAlgorithmDialog
 
-        outputs = execAlgorithmDialog("termsel:georeference", {
-            "FILE": str(self.folder / "points.csv"), "OFF": ",".join(self.left_out()),
-            "MODEL": self.candidates.currentData() or ""})
+        outputs = execAlgorithmDialog(*self.again())
         if outputs:
             self.show_result(outputs["OUTPUT"])
+
+    def again(self):
+        """Return the algorithm and the parameters of another run."""
+        files = {"FILE": self.folder / "points.csv", "LINES": self.folder / "lines.csv"}
+        parameters = {name: str(file) for name, file in files.items() if file.exists()}
+        if (self.folder / INPUTS).exists():
+            parameters.update(json.loads((self.folder / INPUTS).read_text(encoding="utf-8")))
+        parameters["OFF"] = ",".join(self.left_out())
+        if self.problem == "owdis-lines":
+            return "termsel:selectlines", parameters
+        return "termsel:georeference", {**parameters, "MODEL": self.candidates.currentData() or ""}
 
     def export(self):
         """Open the dialog of the export."""
@@ -165,5 +176,5 @@ def accuracy_text(record):
     if predicted:
         parts.append(f"Predicted: {predicted['rmse']:.3g} px, {predicted['low']:.3g} to "
                      f"{predicted['high']:.3g} px with a probability of "
-                     f"{100 * predicted['level']:.0f} %.")
+                     f"{100 * predicted['level']:.0f}\u00a0%.")
     return " ".join(parts) or "No point took no part, so that the accuracy is not known."

@@ -56,6 +56,17 @@ class Algorithm(QgsProcessingAlgorithm):
         return type(self)()
 
 
+def with_page(outputs, name, page, feedback):
+    """Return outputs with a page for the results viewer.
+
+    The batch of QGIS 3.22 fails when it has run all rows and one of them has a page: its own
+    feedback tells that it is one, and then the page is a file in the folder alone.
+    """
+    if type(feedback).__name__ == "BatchFeedback":
+        return outputs
+    return {**outputs, name: str(page)}
+
+
 def result_parameter():
     """Return the parameter of a folder that has a result."""
     return QgsProcessingParameterFile("RESULT", "Folder of the result", behavior=FOLDER)

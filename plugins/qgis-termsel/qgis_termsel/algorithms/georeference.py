@@ -13,6 +13,7 @@ from qgis.core import (
     QgsProcessingOutputString,
     QgsProcessingOutputVectorLayer,
     QgsProcessingParameterCrs,
+    QgsProcessingParameterDefinition,
     QgsProcessingParameterFeatureSource,
     QgsProcessingParameterField,
     QgsProcessingParameterFile,
@@ -23,9 +24,12 @@ from qgis.core import (
 
 from ..child import run
 from ..layers import BlundersInRed, add_blunders, crs_text, points_csv
-from .base import Algorithm, in_place, layer_file, scratch
+from .base import Algorithm, in_place, layer_file, scratch, with_page
 
 _RESIDUALS = "result_residuals.gpkg"
+INPUTS = "qgis.json"
+"""File of a result: what another run needs that the folder has not, as parameters."""
+
 _DEGREES = {"linear": 1, "quadratic": 2, "cubic": 3}
 
 
@@ -33,6 +37,8 @@ def model_named(candidate, model):
     """Return what the parameter MODEL says for a candidate of auto; "" if only auto can fit it."""
     if model in ("poly2d", "poly3d"):
         return f"{model} {_DEGREES[candidate]}" if candidate in _DEGREES else ""
+    if model == "rpc-affine":  # its other forms are chosen by auto
+        return model if candidate == "rpc-by-affine" else ""
     return "" if candidate.startswith(("shrunken", "selected")) else model
 
 
@@ -57,22 +63,25 @@ class Georeference(Algorithm):
         for name, label in (("LINE", "Field of line (row)"), ("SAMPLE", "Field of sample (column)"),
                             ("HEIGHT", "Field of height"), ("ID", "Field of names"),
                             ("ROLE", "Field of roles")):
-            add(QgsProcessingParameterField(name, label, parentLayerParameterName="POINTS",
-                                            optional=True))
+            field = QgsProcessingParameterField(name, label, parentLayerParameterName="POINTS",
+                                                optional=True)
+            # Names that are known are found without them.
+            field.setFlags(field.flags() | QgsProcessingParameterDefinition.Flag.FlagAdvanced)
+            add(field)
         add(QgsProcessingParameterFile("FILE", "Or file of points", optional=True))
         add(QgsProcessingParameterCrs("CRS", "CRS of the file, if it states none", optional=True))
         add(QgsProcessingParameterRasterLayer("DEM", "Raster of heights", optional=True))
         add(QgsProcessingParameterFile("RPC", "RPC of the vendor", optional=True))
         add(QgsProcessingParameterFile("LINES", "File of control lines", optional=True))
-        add(QgsProcessingParameterString("OFF", "Points to leave out, such as P07,P12",
-                                         optional=True))
         add(QgsProcessingParameterString(
             "MODEL", "Model instead of the choice of auto, such as affine, tps or poly3d 2",
             optional=True))
         self._outputs()
 
     def _outputs(self):
-        """Declare the outputs."""
+        """Declare what both algorithms take last, and the outputs."""
+        self.addParameter(QgsProcessingParameterString(
+            "OFF", "Points to leave out, such as P07,P12", optional=True))
         self.addParameter(QgsProcessingParameterFolderDestination("OUTPUT", "Result"))
         self.addOutput(QgsProcessingOutputVectorLayer("RESIDUALS", "Residuals"))
         self.addOutput(QgsProcessingOutputVectorLayer("VECTORS", "Residual vectors"))
@@ -112,8 +121,6 @@ class Georeference(Algorithm):
             file = self.parameterAsFile(parameters, name, context)
             if file:
                 arguments += [option, file]
-        off = self.parameterAsString(parameters, "OFF", context)
-        arguments += ["--off", off] if off else []
         model, _, degree = self.parameterAsString(parameters, "MODEL", context).partition(" ")
         if model:
             arguments += ["--strategy", "as-asked", "--problem", "poly-terms", "--solver",
@@ -126,9 +133,13 @@ class Georeference(Algorithm):
         made, target = scratch(), self.parameterAsString(parameters, "OUTPUT", context)
         if (Path(target) / "result.json").exists():
             raise QgsProcessingException(f"{target} has a result already. Choose another folder.")
-        printed = run(["run", *arguments, "--out", made, "--export", "residuals-gpkg", "--report",
-                       "--progress", "json", "--json"], feedback)
+        off = self.parameterAsString(parameters, "OFF", context)
+        printed = run(["run", *arguments, *(["--off", off] if off else []), "--out", made,
+                       "--export", "residuals-gpkg", "--progress", "json", "--json"], feedback)
         record = json.loads(printed)
+        rpc = self.parameterAsFile(parameters, "RPC", context)
+        if rpc:
+            (Path(made) / INPUTS).write_text(json.dumps({"RPC": rpc}), encoding="utf-8")
         in_place(made, target)
         target = Path(target)
         summary = (target / "summary.txt").read_text(encoding="utf-8")
@@ -141,7 +152,7 @@ class Georeference(Algorithm):
         add_blunders(target, record, target / _RESIDUALS)
         layers = {"RESIDUALS": ("residuals", "Residuals"),
                   "VECTORS": ("vectors", "Residual vectors"), "WRONG": ("blunders", "Blunders")}
-        outputs = {"OUTPUT": str(target), "SUMMARY": str(page),
+        outputs = {"OUTPUT": str(target),
                    "RMSE": ((record.get("rmse") or {}).get("independent") or {}).get("total"),
                    "BLUNDERS": ",".join(one["id"] for one in record.get("outliers", []))}
         for name, (layer, title) in layers.items():
@@ -150,7 +161,7 @@ class Georeference(Algorithm):
             if name == "WRONG":
                 details.setPostProcessor(BlundersInRed())
             context.addLayerToLoadOnCompletion(outputs[name], details)
-        return outputs
+        return with_page(outputs, "SUMMARY", page, feedback)
 
 
 class SelectLines(Georeference):

@@ -25,7 +25,7 @@ from qgis.core import (
 
 from ..child import run
 from ..layers import InShades, crs_text
-from .base import Algorithm, layer_file, result_parameter, scratch
+from .base import Algorithm, layer_file, result_parameter, scratch, with_page
 
 _FORMATS = ("rpc-txt", "rpb", "rpc-vrt", "gcp-vrt", "gcp-grid-vrt", "geolocation-vrt",
             "qgis-points", "points-csv", "residuals-gpkg")
@@ -171,7 +171,7 @@ class Report(Algorithm):
         output = self.parameterAsFileOutput(parameters, "OUTPUT", context)
         run(["report", self.parameterAsString(parameters, "RESULT", context), "-o", output,
              "--overwrite"], feedback)
-        return {"OUTPUT": output, "PAGE": output}
+        return with_page({"OUTPUT": output}, "PAGE", output, feedback)
 
 
 class NextPlaces(Algorithm):

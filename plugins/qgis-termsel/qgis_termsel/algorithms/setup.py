@@ -16,6 +16,9 @@ from ..child import SETTING, command_in, own_environment, run
 from .base import FOLDER, Algorithm
 
 _PACKAGES = "termsel[gis,report,tables] termsel-rpc"
+_PYTHONS = ("python3.13", "python3.12", "python3.11", "python3", "python")
+# Debian has these two modules in a package of their own, without which no environment can be made.
+_SUITS = "import ensurepip, venv, sys; sys.exit(sys.version_info < (3, 11))"
 
 
 class SetUp(Algorithm):
@@ -24,7 +27,8 @@ class SetUp(Algorithm):
     NAME, TITLE, GROUP = "setup", "Set up termsel", "Setup"
     HELP = ("Installs termsel in a virtual environment of its own, with python -m venv and pip; "
             "the log shows all that they say. Or state an environment that has termsel.\n\n"
-            "Packages are names of a package index or folders, with spaces between them.")
+            "Packages are names of a package index or folders, with spaces between them. A path "
+            "with a space stands in quotes.")
 
     def initAlgorithm(self, config=None):
         """Declare parameters and outputs."""
@@ -39,11 +43,7 @@ class SetUp(Algorithm):
         stated = self.parameterAsString(parameters, "ENVIRONMENT", context)
         folder = Path(stated) if stated else own_environment()
         if not stated:
-            python = _python()
-            run(["-m", "venv", folder], feedback, python)
-            run(["-m", "pip", "install", "--disable-pip-version-check",
-                 *self.parameterAsString(parameters, "PACKAGES", context).split()], feedback,
-                str(command_in(folder, "python")))
+            _make(folder, _words(self.parameterAsString(parameters, "PACKAGES", context)), feedback)
         command = command_in(folder)
         if not command.is_file():
             raise QgsProcessingException(f"{folder} has no command termsel.")
@@ -53,13 +53,47 @@ class SetUp(Algorithm):
         return {"VERSION": version}
 
 
-def _python():
-    """Return a Python of 3.11 or later: that of QGIS is the application itself on some systems."""
-    names = ["python3.13", "python3.12", "python3.11", "python3", "python"]
+def _make(folder, packages, feedback):
+    """Make an environment with packages; one that fails leaves none."""
+    if not packages:
+        raise QgsProcessingException("State the packages to install, or an environment that has "
+                                     "termsel.")
+    new = not folder.exists()
+    try:
+        run(["-m", "venv", folder], feedback, _python(feedback), show=True)
+        run(["-m", "pip", "install", "--disable-pip-version-check", "--progress-bar", "off",
+             *packages], feedback, str(command_in(folder, "python")), show=True)
+    except QgsProcessingException:
+        if new:
+            shutil.rmtree(folder, ignore_errors=True)
+        raise
+
+
+def _words(text):
+    """Return the words of a text; quotes keep spaces, and a backslash is one of a path."""
+    words, rest = [], text.strip()
+    while rest:
+        word, _, rest = rest[1:].partition(rest[0]) if rest[0] in "'\"" else rest.partition(" ")
+        words.append(word)
+        rest = rest.strip()
+    return words
+
+
+def _python(feedback):
+    """Return a Python that can make the environment.
+
+    That of QGIS may be too old, or the application itself.
+    """
     own = Path(sys.prefix) / ("python.exe" if sys.platform == "win32" else "bin/python3")
-    found = [str(own)] if own.is_file() else []
-    found += [path for path in map(shutil.which, names) if path]
-    if not found:
-        raise QgsProcessingException("No Python was found. Install Python 3.11 or later, or state "
-                                     "an environment that has termsel.")
-    return found[0]
+    found = [path for path in map(shutil.which, (*_PYTHONS, str(own))) if path]
+    for path in dict.fromkeys(found):
+        try:
+            run(["-c", _SUITS], feedback, path)
+        except QgsProcessingException:
+            if feedback.isCanceled():
+                raise
+            continue
+        return path
+    raise QgsProcessingException(
+        "No Python can make the environment: it takes 3.11 or later with the modules venv and "
+        f"ensurepip (in Debian: apt install python3-venv). Tried: {', '.join(found) or 'none'}.")

@@ -1,15 +1,22 @@
 """What needs further packages of termsel: image matching, and blocks of images."""
 
+from itertools import takewhile
+from pathlib import Path
+from urllib.parse import urlencode
+
 from qgis.core import (
+    QgsProcessingContext,
     QgsProcessingOutputHtml,
+    QgsProcessingOutputVectorLayer,
     QgsProcessingParameterFile,
     QgsProcessingParameterFileDestination,
     QgsProcessingParameterFolderDestination,
     QgsProcessingParameterRasterLayer,
+    QgsProcessingUtils,
 )
 
 from ..child import run
-from .base import Algorithm, layer_file
+from .base import Algorithm, layer_file, with_page
 
 
 class MatchReference(Algorithm):
@@ -29,6 +36,7 @@ class MatchReference(Algorithm):
         add(QgsProcessingParameterFile("START", "Rough geometry: a file with an RPC or of three "
                                        "points, if the image has none", optional=True))
         add(QgsProcessingParameterFileDestination("OUTPUT", "Candidates", "CSV files (*.csv)"))
+        self.addOutput(QgsProcessingOutputVectorLayer("LAYER", "Candidates"))
 
     def processAlgorithm(self, parameters, context, feedback):
         """Run the command."""
@@ -43,7 +51,20 @@ class MatchReference(Algorithm):
         start = self.parameterAsFile(parameters, "START", context)
         arguments += ["--start", start] if start else []
         run([*arguments, "-o", output, "--overwrite"], feedback)
-        return {"OUTPUT": output}
+        layer = _layer_of(output)
+        context.addLayerToLoadOnCompletion(layer, QgsProcessingContext.LayerDetails(
+            "Candidates", context.project(), "LAYER", QgsProcessingUtils.LayerHint.Vector))
+        return {"OUTPUT": output, "LAYER": layer}
+
+
+def _layer_of(table):
+    """Return the source of a layer that shows a table of points where they lie."""
+    with open(table, encoding="utf-8") as opened:
+        heads = list(takewhile(lambda line: line.startswith("#"), opened))
+    crs = next((head.partition(":")[2].strip() for head in heads if head.startswith("# crs:")), "")
+    options = {"type": "csv", "skipLines": len(heads), "xField": "x", "yField": "y", "zField": "z",
+               "crs": crs, "detectTypes": "yes"}
+    return f"delimitedtext://{Path(table).absolute().as_uri()}?{urlencode(options, safe=':')}"
 
 
 class AdjustBlock(Algorithm):
@@ -65,4 +86,4 @@ class AdjustBlock(Algorithm):
         output = self.parameterAsString(parameters, "OUTPUT", context)
         feedback.pushInfo(run(["block", self.parameterAsFile(parameters, "BLOCK", context), "--out",
                                output], feedback))
-        return {"OUTPUT": output, "PAGE": f"{output}/report.html"}
+        return with_page({"OUTPUT": output}, "PAGE", Path(output) / "report.html", feedback)
