@@ -101,8 +101,8 @@ def crs_text(crs):
 _kept = []  # post-processors, which QGIS does not keep
 
 
-class BlundersInRed(QgsProcessingLayerPostProcessorInterface):
-    """Gives the layer of blunders its look; the others have theirs in the file."""
+class AsInFile(QgsProcessingLayerPostProcessorInterface):
+    """Gives a layer the look that its file states: Processing takes none by itself."""
 
     def __init__(self):
         super().__init__()
@@ -110,11 +110,20 @@ class BlundersInRed(QgsProcessingLayerPostProcessorInterface):
 
     def postProcessLayer(self, layer, context, feedback):
         """Take the look."""
+        layer.loadDefaultStyle()
+        layer.triggerRepaint()
+
+
+class BlundersInRed(AsInFile):
+    """Gives the layer of blunders its look."""
+
+    def postProcessLayer(self, layer, context, feedback):
+        """Take the look."""
         blunder_style(layer)
         layer.triggerRepaint()
 
 
-class InShades(BlundersInRed):
+class InShades(AsInFile):
     """Shows an uncertainty in shades, the darker the larger."""
 
     def postProcessLayer(self, layer, context, feedback):

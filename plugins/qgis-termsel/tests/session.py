@@ -36,7 +36,7 @@ from qgis.core import (
     QgsVectorLayer,
 )
 from qgis.PyQt.QtCore import QEventLoop, Qt, QTimer
-from qgis.PyQt.QtWidgets import QApplication
+from qgis.PyQt.QtWidgets import QApplication, QDockWidget
 from qgis.utils import iface, plugins
 from qgis_termsel import child
 from qgis_termsel.dock import CHECKED
@@ -167,6 +167,9 @@ def georeference():
     dialog.grab().save(str(folder / "batch.png"))
     dialog.runButton().click()
     dialog.close()
+    told["looks"] = sorted({(layer.name(), layer.renderer().type())
+                            for layer in project.mapLayers().values()})
+    project.removeAllMapLayers()
 
 
 def model():
@@ -263,9 +266,15 @@ def dock():
         "first": [shown.table.item(0, 1).text(), shown.table.item(0, 0).checkState() == CHECKED],
         "layers": sorted(layer.name() for layer in project.mapLayers().values())}
     iface.mainWindow().resize(1400, 900)
+    for other in iface.mainWindow().findChildren(QDockWidget):
+        if other.windowTitle() == "Results Viewer":
+            other.close()
     canvas = iface.mapCanvas()
     canvas.setDestinationCrs(next(iter(project.mapLayers().values())).crs())
-    canvas.zoomToFullExtent()
+    points = next(layer for layer in project.mapLayers().values() if layer.name() == "residuals")
+    extent = points.extent()
+    extent.scale(1.15)
+    canvas.setExtent(extent)
     picture = drawn(canvas)
     picture.save(str(folder / "map.png"))
     seen["red"] = sum(picture.pixelColor(x, y).name() == "#c22f2f"

@@ -89,7 +89,7 @@ def told(place: Place, display: str) -> dict[str, Any]:
                 [str(PROGRAMS[0]), "--nologo", "--noversioncheck", "--profiles-path",
                  str(folder.parent), "--code", str(Path(__file__).with_name("session.py"))],
                 env={**environment, "DISPLAY": display}, capture_output=True, text=True,
-                timeout=600)
+                timeout=900)
             assert written.exists(), done.stdout + done.stderr
     answer: dict[str, Any] = json.loads(written.read_text())
     assert not answer["faults"], answer["faults"][0]
@@ -182,13 +182,15 @@ def test_a_model_takes_selected_features_and_makes_a_map(
     assert (place[0] / "map of model.tif").stat().st_size > 10_000
 
 
-@pytest.mark.usefixtures("told")
-def test_a_batch_runs_its_rows(place: Place) -> None:
+def test_a_batch_runs_its_rows(told: dict[str, Any], place: Place) -> None:
     records = [record_of(place[0] / name) for name in ("wrong", "quadratic")]
     assert [(record["model"], record["solver"]) for record in records] == [
         ("affine", "all-terms"), ("poly3d", "all-terms")]
     assert records[1]["options"]["model"]["degree"] == 2
     assert [one["id"] for one in records[0]["outliers"]] == ["C40"]
+    assert told["looks"] == [
+        ["Blunders", "singleSymbol"], ["Residual vectors", "categorizedSymbol"],
+        ["Residuals", "categorizedSymbol"]]
 
 
 @pytest.mark.parametrize(("case", "message"), [

@@ -23,7 +23,7 @@ from qgis.core import (
 )
 
 from ..child import run
-from ..layers import BlundersInRed, add_blunders, crs_text, points_csv
+from ..layers import AsInFile, BlundersInRed, add_blunders, crs_text, points_csv
 from .base import Algorithm, in_place, layer_file, scratch, with_page
 
 _RESIDUALS = "result_residuals.gpkg"
@@ -158,8 +158,7 @@ class Georeference(Algorithm):
         for name, (layer, title) in layers.items():
             outputs[name] = f"{target / _RESIDUALS}|layername={layer}"
             details = QgsProcessingContext.LayerDetails(title, context.project(), name)
-            if name == "WRONG":
-                details.setPostProcessor(BlundersInRed())
+            details.setPostProcessor(BlundersInRed() if name == "WRONG" else AsInFile())
             context.addLayerToLoadOnCompletion(outputs[name], details)
         return with_page(outputs, "SUMMARY", page, feedback)
 

@@ -15,10 +15,11 @@ import numpy as np
 
 from termsel import FeatureSet, Points, Result, TermselError, require_replaceable, run
 from termsel.files.atomic import write_text
-from termsel.io.result_folder import claimed, write_result
+from termsel.io.result_folder import write_result
 from termsel_block.block import BlockImage
 from termsel_block.joint import BlockResult
 from termsel_block.page import page_of
+from termsel_block.placing import together
 from termsel_block.record import BlockRecord, correction_of, record_of, schema, times_seen
 from termsel_block.summary import text_of
 
@@ -76,23 +77,24 @@ def write_block(result: BlockResult, folder: Path | str, *, overwrite: bool = Fa
     Raises
     ------
     TermselError
-        As `claim`, or if a file cannot be written.
+        As `claim`, or if a file cannot be written. Then nothing has changed.
     """
     folder = Path(folder)
     names = [image.name for image in result.block.images]
     claim(folder, names, overwrite=overwrite)
     record = record_of(result)
-    for i, name in enumerate(names):
-        with claimed(folder / name, overwrite=overwrite):
-            write_result(image_result(result, i, record), folder / name)
-        if progress is not None:
-            progress((i + 1) / len(names))
-    for file, text in {
-            TIES: ties_csv(result), SUMMARY: text_of(record), PAGE: page_of(result, record),
-            SCHEMA_FILE: json.dumps(schema(), indent=1) + "\n",
-            RECORD: msgspec.json.format(msgspec.json.encode(record), indent=1).decode() + "\n",
-            }.items():
-        write_text(folder / file, text)
+    with together(folder, RECORD) as made:
+        for i, name in enumerate(names):
+            (made / name).mkdir()
+            write_result(image_result(result, i, record), made / name)
+            if progress is not None:
+                progress((i + 1) / len(names))
+        for file, text in {
+                TIES: ties_csv(result), SUMMARY: text_of(record), PAGE: page_of(result, record),
+                SCHEMA_FILE: json.dumps(schema(), indent=1) + "\n",
+                RECORD: msgspec.json.format(msgspec.json.encode(record), indent=1).decode() + "\n",
+                }.items():
+            write_text(made / file, text)
     return record
 
 
