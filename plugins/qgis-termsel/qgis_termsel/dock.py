@@ -130,9 +130,10 @@ class ResultDock(QDockWidget):
         self.table.setSortingEnabled(True)
 
     def left_out(self):
-        """Return the ids whose boxes are checked."""
-        return [self.table.item(row, 1).text() for row in range(self.table.rowCount())
-                if self.table.item(row, 0).checkState() == CHECKED]
+        """Return the ids whose boxes are checked; a line has a row for each of its vertices."""
+        return list(dict.fromkeys(
+            self.table.item(row, 1).text() for row in range(self.table.rowCount())
+            if self.table.item(row, 0).checkState() == CHECKED))
 
     def rerun(self):
         """Open the dialog of the algorithm with the same points, and what is to be left out."""
