@@ -11,6 +11,7 @@ from typing import Any, TypeVar, cast
 import numba
 from numba.core import types
 from numba.core.caching import FunctionCache
+from numba.core.runtime import rtsys
 
 from termsel.errors import TermselError
 
@@ -28,7 +29,10 @@ class _Cache(FunctionCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the code kept, None if there is none."""
         try:
-            return super().load_overload(sig, target_context)
+            # Numba first makes itself ready to compile, too, which takes 0.2 s.
+            rtsys.initialize(target_context)  # what arrays are allocated by
+            with self._guard_against_spurious_io_errors():
+                return self._load_overload(sig, target_context)
         except _UNREADABLE:  # emptied, truncated, not to be read
             self._forget()
             return None
