@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from termsel.candidates.local import Interpolated
+from termsel.candidates.physical import Physical
 from termsel.candidates.ridge import RidgeByOrder
 from termsel.candidates.robust import Reweighted
 from termsel.candidates.selected import ForwardSelection
@@ -14,7 +15,8 @@ from termsel.fits.fit import Estimator, Given
 from termsel.fits.least_squares import LeastSquares
 
 ESTIMATORS: dict[str, type[Estimator]] = {one.name: one for one in (
-    LeastSquares, RidgeByOrder, ForwardSelection, Averaging, Interpolated, Reweighted, Given)}
+    LeastSquares, RidgeByOrder, ForwardSelection, Averaging, Physical, Interpolated, Reweighted,
+    Given)}
 
 
 def estimator(name: str, /, **options: Any) -> Estimator:

@@ -8,6 +8,7 @@ import numpy as np
 
 from termsel.candidates.base import Candidate
 from termsel.candidates.local import LIKELY, Interpolated
+from termsel.candidates.physical import Physical
 from termsel.candidates.ridge import RidgeByOrder
 from termsel.candidates.robust import Reweighted
 from termsel.candidates.selected import ForwardSelection
@@ -86,6 +87,15 @@ class _WithField(Structure):
                 f"{found.probability:.3g}; it must exceed {LIKELY:g}.")
 
 
+class _WithPhysics(Structure):
+    """A structure with the prior of a scanner, which declines where that is not likely."""
+
+    def describe(self, fitted: Fit) -> str:
+        """Return what called for the prior."""
+        return (f"{self.label} is called for: a line scanner in orbit is likelier than an image of "
+                "which nothing is known.")
+
+
 def _polynomials(degree: int) -> tuple[SensorModel, SensorModel]:
     return Polynomial3D(degree=degree), Polynomial2D(degree=degree)
 
@@ -126,9 +136,12 @@ CANDIDATES: tuple[Structure, ...] = (
     Structure("shrunken-cubic", "a shrunken cubic polynomial", *_polynomials(3),
               estimator=Averaging(), short="shrunken cubic", has_prior=True, contains=_LIMITS,
               family=_FAMILY),
+    _WithPhysics("physical-cubic", "a cubic polynomial with the prior of a line scanner in orbit",
+                 *_polynomials(3), estimator=Physical(), short="physical cubic", has_prior=True,
+                 contains=(*_LIMITS, *_SHRUNKEN), family=_FAMILY),
     _WithField("field", "a shrunken cubic polynomial with a random field", Field3D(), Field(),
                estimator=Interpolated(), short="random field", has_prior=True,
-               contains=(*_LIMITS, *_SHRUNKEN), family=_FAMILY),
+               contains=(*_LIMITS, *_SHRUNKEN, "physical-cubic"), family=_FAMILY),
     Structure("tps", "a thin-plate spline", None, ThinPlate(), estimator=Interpolated(),
               short="thin-plate spline", needs=("field",)),
     *ROBUST,

@@ -75,7 +75,7 @@ def scales_of(exponents: FloatArray, draws: int | None = None) -> FloatArray:
     return np.concatenate([rule, (rule * own).reshape(-1, rule.shape[1])])
 
 
-def _believed() -> FloatArray:
+def believed_sizes() -> FloatArray:
     """Return the logarithm of how likely each size is before the points are looked at.
 
     That of 0 is half of that of an affine image, as line and sample are affine together.
@@ -89,7 +89,7 @@ def _odds(design: Design, targets: FloatArray) -> list[Odds]:
     """Return how likely the solutions of each axis are, for all scales and sizes."""
     along = design.basis.T @ targets
     evidence, squares = _mixed(design, along) or _decomposed(design, along)
-    evidence = (evidence + _believed()).ravel()
+    evidence = (evidence + believed_sizes()).ravel()
     beyond = (design.beyond(targets) ** 2).sum(axis=0)
     return [Odds(evidence, rest + square.ravel())
             for rest, square in zip(beyond, squares, strict=True)]

@@ -1,0 +1,243 @@
+"""Simulated images of six kinds of cameras, with points on hills.
+
+A steady satellite, an agile one that turns while it scans, a small one with an attitude of poor
+quality, an airborne line scanner, a scanned frame photo and a panoramic camera. All sizes are
+drawn; two sets of them, CHOSEN and FRESH, have other ranges: constants of the program were chosen
+on scenes of the first, and figures are of scenes of the second.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.random import Generator
+
+from termsel.errors import TermselError
+from termsel.measurements.features import FeatureSet, FloatArray, Points
+from termsel.simulate.orbit import pushbroom_at
+from termsel.simulate.pushbroom import Angle, Pushbroom
+from termsel.simulate.wgs84 import from_ecef, to_ecef, vertical
+
+KINDS = ("steady", "agile", "cubesat", "airborne", "frame", "panoramic")
+
+CRS = "EPSG:4979"
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """Ranges that sizes are drawn from."""
+
+    number: int  # part of the seeds
+    altitude: tuple[float, float]  # of orbits [m]
+    incline: tuple[float, float]  # orbit [deg]
+    tilt: tuple[float, float]  # off nadir [deg]
+    pixel: tuple[float, float]  # on the ground from orbit [m]
+    size: tuple[int, int]  # lines and samples [px]
+    relief: tuple[float, float]  # of the scene's width
+    noise: tuple[float, float]  # of measurements [px]
+    latitude: tuple[float, float]
+    waves: int  # of the terrain
+
+
+CHOSEN = Ranges(1, (480e3, 830e3), (97.0, 99.0), (0.0, 28.0), (2.0, 20.0), (4000, 9000),
+                (0.002, 0.03), (0.3, 0.7), (5.0, 60.0), 6)
+FRESH = Ranges(2, (440e3, 915e3), (80.0, 100.0), (0.0, 33.0), (0.7, 30.0), (3000, 12000),
+               (0.001, 0.05), (0.2, 1.0), (-55.0, 55.0), 10)
+
+
+@dataclass(frozen=True)
+class Turning(Pushbroom):
+    """A satellite that turns so that its view moves over the ground in any direction."""
+
+    aim: tuple[float, float, float] = (0.0, 0.0, 0.0)  # Earth-fixed [m], in the middle of the scene
+    course: tuple[float, float, float] = (1.0, 0.0, 0.0)  # Earth-fixed, of length 1
+    speed: float = 7000.0  # of the view on the ground [m/s]
+
+    def exposure(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return exposure stations and rotations (see `Pushbroom.exposure`)."""
+        time = np.asarray(time, dtype=np.float64)
+        station = super().exposure(time)[0]
+        return station, self._looking(station, time)
+
+    def _looking(self, station: FloatArray, time: FloatArray) -> FloatArray:
+        aim, course = np.array(self.aim), np.array(self.course)
+        way = (self.speed * time / np.linalg.norm(aim))[:, None]
+        up = aim / np.linalg.norm(aim)
+        target = np.linalg.norm(aim) * (np.cos(way) * up + np.sin(way) * course)
+        z = _unit(target - station)
+        ahead = np.cos(way) * course - np.sin(way) * up
+        x = _unit(ahead - z * (ahead * z).sum(axis=1, keepdims=True))
+        return np.stack([x, np.cross(z, x), z], axis=2) @ _small(
+            self.roll(time), self.pitch(time), self.yaw(time))
+
+
+@dataclass(frozen=True)
+class Flying(Turning):
+    """An aircraft that flies straight on, but for turbulence, and looks down."""
+
+    sway: tuple[Angle, Angle, Angle] = (Angle(), Angle(), Angle())  # off the course [m]
+
+    def exposure(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return exposure stations and rotations (see `Pushbroom.exposure`)."""
+        time = np.asarray(time, dtype=np.float64)
+        aim, course = np.array(self.aim), np.array(self.course)
+        up = vertical(from_ecef(aim[None]))[0]
+        off = np.stack([one(time) for one in self.sway], axis=1)
+        station = aim + up * self.altitude + course * (self.speed * time)[:, None] \
+            + off @ np.stack([course, np.cross(up, course), up])
+        axes = np.stack([course, np.cross(-up, course), -up], axis=1)
+        return station, axes @ _small(self.roll(time), self.pitch(time), self.yaw(time))
+
+
+def image_of(kind: str, seed: int, ranges: Ranges, count: int) -> FeatureSet:
+    """Return so many points of a simulated image, their image positions with noise."""
+    for attempt in range(20):
+        rng = np.random.default_rng([ranges.number, KINDS.index(kind), seed, attempt])
+        try:
+            return _image_of(kind, rng, ranges, count)
+        except TermselError:  # drawn so that the place is not in view
+            continue
+    raise RuntimeError(f"no image of the kind {kind} was found")
+
+
+def _image_of(kind: str, rng: Generator, ranges: Ranges, count: int) -> FeatureSet:
+    lines, samples = (int(n) for n in rng.integers(*ranges.size, 2))
+    lon, lat = rng.uniform(-170, 170), rng.uniform(*ranges.latitude)
+    pixel = float(np.exp(rng.uniform(*np.log(ranges.pixel))))
+    pixel *= {"airborne": 0.05, "frame": 0.06, "panoramic": 0.15}.get(kind, 1.0)
+    width = pixel * max(lines, samples)
+    relief = width * float(np.exp(rng.uniform(*np.log(ranges.relief))))
+    middle = to_ecef(np.array([[lon, lat, 0.0]]))[0]
+    up = vertical(np.array([[lon, lat, 0.0]]))[0]
+    east = _unit(np.array([-middle[1], middle[0], 0.0]))
+    axes = np.stack([east, np.cross(up, east), up])
+    plan = rng.uniform(-0.8, 0.8, (40 * count, 2)) * width
+    ground = from_ecef(middle + np.pad(plan, ((0, 0), (0, 1))) @ axes)
+    ground[:, 2] = relief + _heights(rng, plan / width, ranges.waves) * relief
+    image = _seen(kind, rng, ranges, (lines, samples), pixel, (lon, lat, relief), axes, ground,
+                  (to_ecef(ground) - middle) @ axes.T)
+    inside = ((image > 0.02 * np.array([lines, samples]))
+              & (image < 0.98 * np.array([lines, samples]))).all(axis=1)
+    if inside.sum() < count:
+        raise TermselError("too few points are in view")
+    image, ground = image[inside][:count], ground[inside][:count]
+    noise = rng.uniform(*ranges.noise)
+    image = image + noise * rng.standard_normal(image.shape)
+    return FeatureSet(Points(tuple(map(str, range(count))), image, ground), crs=CRS,
+                      image_size=(lines, samples), noise=noise)
+
+
+def _seen(kind: str, rng: Generator, ranges: Ranges, size: tuple[int, int], pixel: float,
+          place: tuple[float, float, float], axes: FloatArray, ground: FloatArray,
+          local: FloatArray) -> FloatArray:
+    """Return where ground points are seen, (n, 2) [px]; `local` is from the middle [m], (n, 3)."""
+    if kind in ("frame", "panoramic"):
+        return _photo(kind, rng, size, pixel, local)
+    lon, lat, height = place
+    tilt, turn = rng.uniform(*ranges.tilt), rng.choice([90.0, 270.0]) + rng.normal(0.0, 3.0)
+    if kind == "agile":
+        turn = rng.uniform(0.0, 360.0)
+    altitude, incline = rng.uniform(*ranges.altitude), rng.uniform(*ranges.incline)
+    if kind == "cubesat":
+        altitude = rng.uniform(400e3, 600e3)
+    sensor = pushbroom_at(lon, lat, height=height, off_nadir=tilt, look_azimuth=turn, gsd=pixel,
+                          image_size=size, altitude=altitude, inclination=incline)
+    half = size[0] * sensor.line_period / 2
+    if kind in ("steady", "cubesat"):
+        # What attitude moves the image by at its end [px].
+        large = (2.0, 1.0, 0.3) if kind == "steady" else (40.0, 12.0, 4.0)
+        angles = [_shaken(rng, sensor.ifov, half, large, (half / 2, 0.15 if kind == "steady"
+                                                          else 1.0), lever)
+                  for lever in (1.0, 1.0, 2.0 / size[1])]
+        return _replaced(sensor, angles).project(ground)
+    course = rng.uniform(0.0, 2 * np.pi) if kind == "airborne" or rng.random() < 0.6 else np.pi
+    middle, ahead = to_ecef(np.array([[lon, lat, height]]))[0], (
+        np.sin(course) * axes[0] + np.cos(course) * axes[1])
+    speed = 70.0 if kind == "airborne" else 7000.0 * rng.uniform(0.3, 1.1)
+    period = pixel / speed
+    half = size[0] * period / 2
+    common = {"inclination": sensor.inclination, "node": sensor.node, "argument": sensor.argument,
+              "n_lines": size[0], "n_samples": size[1], "line_period": period,
+              "aim": tuple(middle), "course": tuple(ahead), "speed": speed, "refraction": False}
+    if kind == "airborne":
+        above = size[1] * pixel / 2 / np.tan(rng.uniform(0.25, 0.5))
+        sway = tuple(_shaken(rng, 1.0, half, (0.0, 3.0, 1.0), (6.0, 1.0), 1.0) for _ in range(3))
+        angles = [_shaken(rng, pixel / above, half, (20.0, 10.0, 5.0), (5.0, 4.0), lever)
+                  for lever in (1.0, 1.0, 2.0 / size[1])]
+        return Flying(altitude=above, ifov=pixel / above, roll=angles[0], pitch=angles[1],
+                      yaw=angles[2], sway=sway, **common).project(ground)
+    station = sensor.exposure(np.zeros(1))[0][0]
+    ray = station - middle
+    distance = float(np.linalg.norm(ray))
+    angles = [_shaken(rng, pixel / distance, half, (2.0, 1.0, 0.3), (half / 2, 0.15), lever)
+              for lever in (1.0, 1.0, 2.0 / size[1])]
+    return Turning(altitude=altitude, ifov=pixel / distance, roll=angles[0], pitch=angles[1],
+                   yaw=angles[2], **common).project(ground)
+
+
+def _photo(kind: str, rng: Generator, size: tuple[int, int], pixel: float,
+           local: FloatArray) -> FloatArray:
+    """Return where a frame or a panoramic camera sees places; film and scan deform a little."""
+    extent = pixel * max(size)
+    above = extent / (2 * np.tan(rng.uniform(0.2, 0.7)))
+    focal = above / pixel
+    turned = _small(*rng.normal(0.0, 0.03, (2, 1)), np.array([rng.uniform(-np.pi, np.pi)]))[0]
+    x, y, z = ((local - [0.0, 0.0, above]) @ turned).T
+    if kind == "frame":
+        ideal = focal * np.column_stack([y / z, -x / z])
+        radius = np.linalg.norm(ideal, axis=1, keepdims=True) / (max(size) / 2)
+        ideal *= 1.0 + rng.normal(0.0, 3.0 / max(size)) * radius**2
+    else:
+        angle = np.arctan2(x, -z)  # across; the film is a cylinder
+        motion = rng.normal(0.0, 0.01) * focal * np.sin(angle)
+        ideal = focal * np.column_stack([y / np.hypot(x, z) + 0.0, angle])
+        ideal[:, 0] += motion
+    return ideal + np.array(size) / 2 + rng.normal(0.0, 20.0, 2)
+
+
+def _shaken(rng: Generator, unit: float, half: float, drift: tuple[float, ...],
+            jitter: tuple[float, float], lever: float) -> Angle:
+    """Return drift, by powers of time at the end of a scene, and one sine of a period [s]."""
+    return Angle((0.0, *(unit * lever * rng.normal(0.0, size) / half ** (i + 1)
+                         for i, size in enumerate(drift))),
+                 ((unit * lever * jitter[1], 1.0 / jitter[0], rng.uniform(0, 2 * np.pi)),))
+
+
+def _replaced(sensor: Pushbroom, angles: list[Angle]) -> Pushbroom:
+    from dataclasses import replace
+
+    def joined(before: Angle, more: Angle) -> Angle:
+        drift = np.zeros(max(len(before.drift), len(more.drift)))
+        drift[:len(before.drift)] += before.drift
+        drift[:len(more.drift)] += more.drift
+        return Angle(tuple(drift), more.jitter)
+
+    return replace(sensor, roll=joined(sensor.roll, angles[0]),
+                   pitch=joined(sensor.pitch, angles[1]), yaw=joined(sensor.yaw, angles[2]))
+
+
+def _heights(rng: Generator, plan: FloatArray, waves: int) -> FloatArray:
+    """Return smooth heights between about -1 and 1."""
+    total = np.zeros(len(plan))
+    for _ in range(waves):
+        along = rng.normal(0.0, 4.0, 2)
+        total += np.sin(plan @ along + rng.uniform(0, 2 * np.pi)) * rng.uniform(0.3, 1.0)
+    return total / np.abs(total).max()
+
+
+def _small(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> FloatArray:
+    """Return rotations about three axes, (n, 3, 3)."""
+    (sr, cr), (sp, cp), (sy, cy) = ((np.sin(a), np.cos(a)) for a in (roll, pitch, yaw))
+    none, one = np.zeros_like(sr), np.ones_like(sr)
+
+    def matrix(*rows: list[FloatArray]) -> FloatArray:
+        return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+    return matrix([one, none, none], [none, cr, -sr], [none, sr, cr]) \
+        @ matrix([cp, none, sp], [none, one, none], [-sp, none, cp]) \
+        @ matrix([cy, -sy, none], [sy, cy, none], [none, none, one])
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))

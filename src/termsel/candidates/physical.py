@@ -1,0 +1,158 @@
+"""A polynomial with the prior of a line scanner in orbit, next to shrunken ones in one average."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from termsel.adjustment.equations import weights_of
+from termsel.adjustment.monomials import Exponents, graded_exponents, monomials
+from termsel.adjustment.solve import Adjustment
+from termsel.candidates.local import points_alone
+from termsel.candidates.shrunken import average
+from termsel.fits.fit import Estimator, Fit, HeldOut, Undetermined
+from termsel.fits.fittable import Fittable
+from termsel.fits.uncertainty import Spread
+from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
+from termsel.measurements.scaling import Scaling
+from termsel.models.polynomial import Polynomial
+from termsel.priors.cameras import in_space
+from termsel.priors.foresight import foresee
+from termsel.priors.physics import BOX, PLACES, Solutions, marginal, of_cameras
+from termsel.priors.posterior import Posterior, polynomial_posterior
+
+FEWEST, MOST = 6, 20
+"""Numbers of points for which there is a physical prior: fewer do not tell a scanner from other
+images, and more gain hardly anything by it."""
+
+WORSE = 1.0
+"""Standard errors by which the shrunken polynomials alone must predict left-out points better to
+remain alone."""
+
+LIKELY = 0.5
+"""Probability of the physical prior up to which the shrunken polynomials remain alone."""
+
+
+@dataclass(frozen=True, eq=False)
+class Averaged:
+    """Polynomials with different priors, averaged by their marginal likelihoods."""
+
+    physical: tuple[Solutions, ...]
+    shrunken: tuple[tuple[Posterior, Exponents], ...]
+    shares: FloatArray  # (p,): of the physical ones, then of the others
+    coefficients: FloatArray  # (k, 2)
+    errors: FloatArray  # (n, 2): of each point by the others, scaled
+    effective: float
+    worse: float  # standard errors by which the shrunken ones predict left-out points better
+
+    @property
+    def probability(self) -> float:
+        """Probability of the physical prior."""
+        return float(self.shares[:len(self.physical)].sum())
+
+
+def averaged(points: Points, scaling: Scaling, crs: str, exponents: Exponents) -> Averaged | None:
+    """Return the average for scaled control points; None where no scanner could be meant.
+
+    The exponents are those of a cubic polynomial of X and Y, or of X, Y and Z.
+    """
+    variables = 3 if any(power[2] for power in exponents) else 2
+    found = in_space(scaling, crs, points.ground)
+    rng = np.random.default_rng(0)
+    scaled = rng.uniform(-BOX, BOX, (PLACES, 3)) * [1.0, 1.0, variables == 3]
+    grid = in_space(scaling, crs, scaled)
+    if found is None or grid is None or not FEWEST <= len(points) <= MOST:
+        return None
+    plan, pixel = found[0][:, :2], 1.0 / scaling.image_scale
+    slopes, _, rank, _ = np.linalg.lstsq(
+        np.column_stack([np.ones(len(plan)), plan]), points.image)
+    if rank < 3 or not np.linalg.norm(slopes[1:], axis=0).all():
+        return None
+    priors = of_cameras(grid[0], scaled, exponents, grid[1], np.asarray(slopes[1:].T), pixel)
+    if not priors:
+        return None
+    weights = weights_of(points)
+    columns = monomials(points.ground, exponents)
+    physical = [Solutions(columns, points.image, weights, one, pixel) for one in priors]
+    logs, each, errors, coefficients, effective = (
+        [getattr(one, name) for one in physical]
+        for name in ("log", "log_each", "errors", "coefficients", "effective"))
+    shrunken, own = [], None if points.sigma is None else weights
+    height = scaling.ground_scale[2] * float(np.linalg.norm(slopes[1:], axis=0).mean())
+    for degree in (2, 3):
+        powers = graded_exponents(degree, variables)
+        one = average(points.ground, points.image, powers, own)
+        posterior = polynomial_posterior(points.ground, points.image, powers, own)
+        if one is None or posterior is None:
+            return None
+        shrunken.append((posterior, powers))
+        log = marginal(posterior, one.coefficients, variables, height, pixel) - np.log(2.0)
+        logs.append(log)
+        each.append(log + posterior.left_out.log - posterior.cells.log)
+        errors.append(one.errors)
+        coefficients.append(np.pad(one.coefficients, (
+            (0, len(exponents) - len(powers)), (0, 0))))
+        effective.append(one.effective)
+    shares = np.exp(logs - np.logaddexp.reduce(logs))
+
+    def left_out(some: slice) -> FloatArray:
+        logs = np.array(each[some])
+        return np.asarray(np.einsum("pn,pna->na", np.exp(
+            logs - np.logaddexp.reduce(logs, axis=0)), np.array(errors[some])))
+
+    mean, others = left_out(slice(None)), left_out(slice(len(physical), None))
+    tiny = np.finfo(float).tiny
+    gain = np.log(np.maximum((mean**2).sum(axis=1), tiny)
+                  / np.maximum((others**2).sum(axis=1), tiny))
+    return Averaged(tuple(physical), tuple(shrunken), shares,
+                    np.einsum("p,pka->ka", shares, coefficients), mean, float(shares @ effective),
+                    float(gain.mean() / max(gain.std(ddof=1) / np.sqrt(len(gain)), tiny)))
+
+
+class Physical(Estimator):
+    """The average of polynomials with a physical prior and of shrunken ones."""
+
+    name = "physical"
+
+    def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+            used: BoolArray) -> Fit:
+        """Fit a cubic polynomial (see `Estimator.fit`) with all its terms."""
+        assert isinstance(model, Polynomial)
+        mine = points_alone(control, used, "a physical prior")
+        found = averaged(scaling.points(mine), scaling, control.crs, model.exponents)
+        if found is None or found.probability <= LIKELY or found.worse > WORSE:
+            raise Undetermined(
+                "the points do not call for the prior of a line scanner in orbit" + (
+                    "" if found is None else f": its probability is {found.probability:.2g}"),
+                hint="Choose a polynomial without it, such as shrunken-cubic.")
+        equations, coefficients = model.equations(scaling.features(control)), found.coefficients
+        coefficients = coefficients.T.ravel()
+        in_use = (equations.b - equations.A @ coefficients)[used[equations.feature]]
+        freedom = len(in_use) - found.effective
+        count, unknown = round(found.effective), np.full(len(coefficients), np.nan)
+        sigma0 = float(np.sqrt(in_use @ in_use / freedom)) if freedom > 0.5 else np.nan
+        return Fit(model, scaling, control, np.ones(len(coefficients), dtype=bool), used,
+                   Adjustment(coefficients, unknown, count, len(in_use), count, np.nan, sigma0),
+                   self, found.effective,
+                   HeldOut.of(found.errors * scaling.image_scale, control.take(used)))
+
+    def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
+        """Return the mean square errors of a fit at scaled places, under all priors."""
+        assert isinstance(fitted.model, Polynomial)
+        exponents = fitted.model.exponents
+        points = fitted.scaling.points(fitted.control.points.take(fitted.used))
+        found = averaged(points, fitted.scaling, fitted.control.crs, exponents)
+        assert found is not None  # the fit was made of it
+        columns, parts = monomials(ground, exponents), []
+        for one in found.physical:
+            parts.append((columns @ one.coefficients, *one.spread(columns)))
+        for posterior, powers in found.shrunken:
+            mine = monomials(ground, powers)
+            lead = posterior.designs[0].lead.shape[0]
+            there = foresee(posterior, mine[:, :lead], mine[:, lead:])
+            parts.append((there.image, there.variance, there.noise))
+        image = fitted.model.project(fitted.adjustment.coefficients, ground)
+        variance = sum((share * (own + (mean - image) ** 2) for share, (mean, own, _) in zip(
+            found.shares, parts, strict=True)), np.zeros_like(image))
+        return Spread(variance, np.full(2, float(found.shares @ [part[2] for part in parts])))

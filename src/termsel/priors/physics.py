@@ -1,0 +1,214 @@
+"""A cubic polynomial with the prior of a line scanner in orbit, averaged with shrunken ones.
+
+Cubic polynomials fitted to what plausible cameras see (see `termsel.priors.cameras`) have a mean
+and a covariance of all coefficients but those that are affine in X and Y, which are free; line and
+sample go together. The prior is normal with that mean, and with the covariance times the square of
+a width: wide, it forgets the physics by degrees. Width and noise are not known, and averaged over
+a grid by marginal likelihood. Every solution on it is linear in the measurements, so that those
+without each point, and their probabilities, are known in closed form.
+
+The shrunken polynomials of any image are the other parts of the average, by their own marginal
+likelihood. In it Z has no prior. So that both compare, what a height does gets that of views from
+the air or space (`PARALLAX`), as a density at its estimate, and the noise its own, likewise.
+
+References
+----------
+Hoeting et al. 1999, Statistical Science 14(4), for averaging; Rasmussen and Williams 2006, Gaussian
+Processes for Machine Learning, sections 2.7 and 5.4, for free columns and leaving out. The prior
+from an ensemble of cameras is termsel's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.special import gammaln
+
+from termsel.adjustment.monomials import Exponents, monomials
+from termsel.measurements.control import PARALLAX
+from termsel.measurements.features import FloatArray
+from termsel.priors.cameras import seen_by_scanners
+from termsel.priors.posterior import SIZES, Posterior, believed_sizes
+
+WIDTHS = np.array([0.3, 1.0, 3.0, 10.0])
+"""By what the deviations of the cameras from their mean are multiplied."""
+
+NOISES = np.geomspace(0.15, 15.0, 14)
+"""Standard deviations of a measurement [px]."""
+
+NOISE, SPREAD = 1.0, 1.4
+"""Median of the noise beforehand [px], and the standard deviation of its logarithm: from 0.25 px of
+targets to 4 px of crossings in a coarse image, four times in five."""
+
+FREE = 3
+"""Columns of an axis that are free: 1, X and Y."""
+
+PLACES, BOX = 60, 1.2
+"""Places at which cameras look, in a box so much wider than that of the points."""
+
+DEPARTURES = (0.01, 0.3, 1.0, 3.0)
+"""Standard deviations of what no camera explains of a quadratic coefficient [px]: attitude that
+changes in another way, or the interior of the camera. They are as likely."""
+
+FALL, RELIEF = 0.1, 0.03
+"""The same of cubic coefficients by quadratic ones, and of each power of Z."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """A normal prior of the coefficients that are not free, those of line before those of sample.
+    """
+
+    mean: FloatArray  # (c,)
+    root: FloatArray  # (c, c): times its transpose it is the covariance
+    share: float  # how likely it is beforehand
+
+
+def of_cameras(places: FloatArray, scaled: FloatArray, exponents: Exponents, latitude: float,
+               slopes: FloatArray, pixel: float) -> list[Prior]:
+    """Return priors by cameras that see places (m, 3) [m], which are scaled (m, 3), too.
+
+    None of them if hardly any camera sees these. The slopes are those of line and of sample by
+    metres to the east and to the north, (2, 2), in scaled units; `pixel` is that of a pixel.
+    """
+    seen = seen_by_scanners(places, float(np.arctan2(*slopes[0])), latitude)
+    if len(seen) < 2 * len(exponents):
+        return []
+    plane = np.column_stack([np.ones(len(places)), places[:, :2]])
+    own = np.linalg.pinv(plane)[1:] @ seen                                           # (c, 2, 2)
+    # Each camera has the pixels of the image, and counts samples in its direction.
+    factor = np.linalg.norm(slopes, axis=1) / np.linalg.norm(own, axis=1)
+    factor *= np.sign(np.einsum("cxa,ax->ca", own, slopes))
+    found = np.linalg.pinv(monomials(scaled, exponents)) @ (seen * factor[:, None])  # (c, k, 2)
+    rest = found[:, FREE:].swapaxes(1, 2).reshape(len(found), -1)
+    mean = rest.mean(axis=0)
+    powers, covariance = np.array(exponents[FREE:]), np.cov(rest.T)
+    departure = np.tile(pixel * FALL ** np.maximum(powers.sum(axis=1) - 2.0, 0.0)
+                        * RELIEF ** powers[:, 2], 2)
+    believed = 1.0 / np.hypot(1.0, WIDTHS)
+    believed /= believed.sum() * len(DEPARTURES)
+    return [Prior(mean, np.linalg.cholesky(width**2 * covariance + np.diag((size * departure)**2)),
+                  float(share))
+            for width, share in zip(WIDTHS, believed, strict=True) for size in DEPARTURES]
+
+
+class Solutions:
+    """All solutions of a polynomial with a prior, for all noises.
+
+    The columns (n, k) are monomials, free ones first, of which the image is (n, 2), and the weights
+    are (n, 2). All is scaled; `pixel` is the size of a pixel then.
+    """
+
+    def __init__(self, columns: FloatArray, image: FloatArray, weights: FloatArray, prior: Prior,
+                 pixel: float) -> None:
+        n, self._prior, self._columns = len(columns), prior, columns
+        lead, rest = _stacked(columns[:, :FREE], weights), _stacked(columns[:, FREE:], weights)
+        self._image, self._weights = image, weights
+        q, r = np.linalg.qr(lead, mode="complete")
+        self._lead, basis = r[:2 * FREE], q[:, 2 * FREE:]
+        self._cross = q[:, :2 * FREE].T @ rest
+        target = (image * weights).T.ravel() - rest @ prior.mean
+        # Along U, what the prior lets vary has the variance S^2, to which comes that of the noise.
+        u, values, self._vt = np.linalg.svd(basis.T @ rest @ prior.root)
+        self._strength = np.zeros(len(u))
+        self._strength[:len(values)] = values
+        self.noise = NOISES * pixel
+        self._variance = self._strength**2 + self.noise[:, None] ** 2                   # (c, v)
+        self._along, rows = u.T @ (basis.T @ target), basis @ u
+        logs = _normalised(-0.5 * (np.log(NOISES / NOISE) / SPREAD) ** 2) - 0.5 * (
+            np.log(2 * np.pi * self._variance).sum(axis=1)
+            + (self._along**2 / self._variance).sum(axis=1)) \
+            - np.log(np.abs(np.diag(self._lead))).sum() + np.log(prior.share)
+        self.log = float(np.logaddexp.reduce(logs))
+        self.share = np.exp(logs - self.log)
+        # The errors of a point by all others: P^-1 P y of its two rows, P the inverse covariance.
+        line, sample = rows[:n], rows[n:]
+        each = 1.0 / self._variance
+        inverse = np.stack([[each @ (a * b).T for b in (line, sample)] for a in (line, sample)])
+        inverse = inverse.transpose(2, 3, 0, 1)                                       # (c, n, 2, 2)
+        right = np.stack([(each * self._along) @ one.T for one in (line, sample)], axis=2)
+        errors = np.linalg.solve(inverse, right[..., None])[..., 0]
+        logs = logs[:, None] + 0.5 * (errors * right).sum(axis=2) + np.log(2 * np.pi) \
+            - 0.5 * np.log(np.linalg.det(inverse))
+        self.log_each = np.logaddexp.reduce(logs, axis=0)
+        self.errors = np.einsum("cn,cna->na", np.exp(logs - self.log_each), errors) / weights
+
+    @cached_property
+    def coefficients(self) -> FloatArray:
+        """The averaged coefficients, shape (k, 2)."""
+        known = self.share @ (self._strength / self._variance * self._along)
+        rank = min(len(known), len(self._vt))
+        rest = self._prior.mean + self._prior.root @ (self._vt[:rank].T @ known[:rank])
+        rest = rest.reshape(2, -1).T
+        found = np.empty((self._columns.shape[1], 2))
+        found[FREE:] = rest
+        lead = self._columns[:, :FREE]
+        for axis, w in enumerate(self._weights.T):
+            left = self._image[:, axis] - self._columns[:, FREE:] @ rest[:, axis]
+            found[:FREE, axis] = np.linalg.lstsq(lead * w[:, None], left * w)[0]
+        return found
+
+    @property
+    def effective(self) -> float:
+        """Effective parameters of line and sample together."""
+        return 2 * FREE + float(self.share @ (
+            1.0 - self.noise[:, None] ** 2 / self._variance).sum(axis=1))
+
+    def spread(self, columns: FloatArray) -> tuple[FloatArray, float]:
+        """Return the variance of what is predicted at places (m, k), shape (m, 2), and the noise's.
+        """
+        variance, noise = np.empty((len(columns), 2)), float(self.share @ self.noise**2)
+        rank = min(len(self._strength), len(self._vt))
+        for axis in (0, 1):
+            lead, rest = (_stacked(part, np.ones((len(columns), 2)))[
+                axis * len(columns):(axis + 1) * len(columns)]
+                for part in (columns[:, :FREE], columns[:, FREE:]))
+            q = np.linalg.solve(self._lead.T, lead.T).T
+            free = (rest - q @ self._cross) @ self._prior.root
+            along = (free @ self._vt.T)[:, :rank]
+            gain = (self._strength / self._variance)[:, :rank]
+            means = along @ (gain * self._along[:rank]).T                            # (m, c)
+            own = (free**2).sum(axis=1, keepdims=True) \
+                - along**2 @ (self._strength[:rank] * gain).T
+            middle = means @ self.share
+            variance[:, axis] = (q**2).sum(axis=1) * noise + (
+                own + (means - middle[:, None]) ** 2) @ self.share
+        return variance, noise
+
+
+def marginal(found: Posterior, coefficients: FloatArray, variables: int, height: float,
+             pixel: float) -> float:
+    """Return the logarithm of the marginal likelihood of shrunken polynomials.
+
+    On the scale of `Solutions.log`. The coefficients (k, 2) are their average; `height` is what a
+    scaled height of 1 moves on the ground, in scaled units of the image.
+    """
+    half, sizes = found.freedom / 2, np.exp(believed_sizes())
+    some = sizes[SIZES > 0.0].sum() ** 2 + sizes[0] ** 2
+    # The integral over the noise of its density 1 / sigma; what the affine terms determine.
+    log = found.cells.log - np.log(len(found.scales) * some) + gammaln(half) - np.log(2.0) \
+        - half * np.log(np.pi) - sum(np.log(np.abs(np.diag(one.lead))).sum()
+                                     for one in found.designs)
+    noise = 0.5 * np.log(float(found.cells.share @ (found.square / found.freedom))) - np.log(pixel)
+    log += _density(noise - np.log(NOISE), SPREAD)
+    if variables == 3:
+        log += sum(_density(one, PARALLAX * height) for one in coefficients[3])
+    return float(log)
+
+
+def _density(value: float, deviation: float) -> float:
+    """Return the logarithm of a normal density."""
+    return float(-0.5 * (value / deviation) ** 2 - np.log(deviation * np.sqrt(2 * np.pi)))
+
+
+def _normalised(logs: FloatArray) -> FloatArray:
+    return np.asarray(logs - np.logaddexp.reduce(logs))
+
+
+def _stacked(columns: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return the rows of line, then those of sample, each with columns of its own."""
+    (n, k), rows = columns.shape, np.zeros((2 * len(columns), 2 * columns.shape[1]))
+    rows[:n, :k], rows[n:, k:] = columns * weights[:, :1], columns * weights[:, 1:]
+    return rows

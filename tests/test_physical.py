@@ -1,0 +1,126 @@
+"""A polynomial with the prior of a line scanner in orbit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+import termsel
+from benchmarks.cameras import CHOSEN, image_of
+from termsel import FeatureSet, TermselError
+from termsel.adjustment.monomials import graded_exponents, monomials
+from termsel.priors import physics
+from termsel.priors.physics import FREE, Prior, Solutions
+from termsel.simulate import simulate_scene
+
+
+def solutions(rows=slice(None), seed=3, scale=1.0):
+    rng = np.random.default_rng(seed)
+    columns = monomials(rng.uniform(-1, 1, (7, 3)), graded_exponents(2, 3))
+    image, weights = rng.normal(size=(7, 2)), rng.uniform(0.5, 1.5, (7, 2))
+    rest = 2 * (columns.shape[1] - FREE)
+    prior = Prior(0.1 * rng.normal(size=rest), scale * rng.normal(size=(rest, rest)), 0.25)
+    return columns, image, weights, prior, Solutions(
+        columns[rows], image[rows], weights[rows], prior, 1.0)
+
+
+def dense(columns, image, weights, prior, noise, free):
+    """Mean and covariance of all measurements where free columns have a finite, wide prior."""
+    both = np.kron(np.eye(2), columns)
+    k = columns.shape[1]
+    rest = np.r_[FREE:k, k + FREE:2 * k]
+    covariance = np.zeros((2 * k, 2 * k))
+    covariance[np.ix_(rest, rest)] = prior.root @ prior.root.T
+    for axis in (0, 1):
+        covariance[axis * k + np.arange(FREE), axis * k + np.arange(FREE)] = free**2
+    mean = np.zeros(2 * k)
+    mean[rest] = prior.mean
+    w = weights.T.ravel()
+    return (w * (both @ mean), (w[:, None] * (both @ covariance @ both.T) * w)
+            + noise**2 * np.eye(len(w)), w * image.T.ravel())
+
+
+def test_marginal_likelihood_and_average_are_those_of_dense_normal_densities():
+    columns, image, weights, prior, found = solutions()
+    free, logs = 1e3, []
+    for noise in physics.NOISES:
+        mean, covariance, target = dense(columns, image, weights, prior, noise, free)
+        logs.append(multivariate_normal.logpdf(target, mean, covariance, allow_singular=True))
+    before = np.exp(-0.5 * (np.log(physics.NOISES / physics.NOISE) / physics.SPREAD) ** 2)
+    before /= before.sum()
+    # A flat prior of density 1 for each free coefficient instead of a wide normal one.
+    flat = np.array(logs) + 2 * FREE * np.log(free * np.sqrt(2 * np.pi))
+    total = np.logaddexp.reduce(flat + np.log(before)) + np.log(prior.share)
+    assert found.log == pytest.approx(total, abs=1e-3)
+    share = np.exp(flat + np.log(before) + np.log(prior.share) - total)
+    np.testing.assert_allclose(found.share, share, atol=1e-4)
+
+
+def test_errors_of_points_left_out_are_those_of_solutions_without_them():
+    columns, image, _, _, found = solutions()
+    for out in range(7):
+        rest = np.arange(7) != out
+        without = solutions(rest)[-1]
+        np.testing.assert_allclose(found.errors[out],
+                                   image[out] - columns[out] @ without.coefficients, atol=1e-8)
+        assert found.log_each[out] == pytest.approx(without.log, abs=1e-8)
+
+
+def test_spread_at_a_place_is_the_variance_of_a_measurement_there():
+    columns, image, weights, prior, found = solutions()
+    place = np.array([[1.0, 0.3, -0.2, 0.5, 0.09, -0.06, 0.15, 0.04, -0.1, 0.25]])
+    variance, noise = found.spread(place)
+    assert noise == pytest.approx(found.share @ found.noise**2)
+    means, each = [], []
+    for one in found.noise:
+        mean, covariance, target = dense(
+            np.concatenate([columns, place]), np.concatenate([image, np.zeros((1, 2))]),
+            np.concatenate([weights, np.ones((1, 2))]), prior, one, 1e3)
+        there = np.isin(np.arange(16), (7, 15))
+        gain = covariance[np.ix_(there, ~there)] @ np.linalg.inv(covariance[np.ix_(~there, ~there)])
+        means.append(mean[there] + gain @ (target - mean)[~there])
+        each.append(np.diag(covariance[np.ix_(there, there)]
+                            - gain @ covariance[np.ix_(~there, there)]) - one**2)
+    middle = found.share @ means
+    expected = found.share @ (np.array(each) + (np.array(means) - middle) ** 2)
+    np.testing.assert_allclose(variance[0], expected, rtol=1e-3)
+    np.testing.assert_allclose((place @ found.coefficients)[0], middle, rtol=1e-3)
+
+
+def test_six_points_of_a_steady_scanner_are_worth_twice_as_much():
+    ratios = []
+    for seed in range(4):
+        scene = simulate_scene("spot-isfahan", seed=seed, roles=(6, 0, 60))
+        independent = scene.points.take([role == "independent" for role in scene.points.roles])
+        rmse = [np.sqrt((termsel.fit(scene, name).errors(independent) ** 2).sum(axis=1).mean())
+                for name in ("physical-cubic", "shrunken-cubic")]
+        ratios.append(rmse[0] / rmse[1])
+    assert np.median(ratios) < 0.5
+
+
+def test_auto_chooses_it_and_says_why_and_the_result_is_the_same_fit_again(tmp_path):
+    scene = simulate_scene("spot-isfahan", roles=(6, 0, 30))
+    result = termsel.run(features=scene, out=tmp_path / "out")
+    assert result.strategy.chosen == "physical-cubic"
+    assert "line scanner in orbit" in result.strategy.reason
+    again = termsel.fit(scene, "physical-cubic")
+    np.testing.assert_allclose(result.fit.adjustment.coefficients, again.adjustment.coefficients)
+    others = scene.points.take([role == "independent" for role in scene.points.roles])
+    sigma, errors = again.sigma(others.ground), again.errors(others)
+    assert 0.5 < np.sqrt((sigma**2).mean() / (errors**2).mean()) < 3.0
+
+
+@pytest.mark.parametrize(("kind", "count"), [("frame", 12), ("panoramic", 20), ("steady", 5)])
+def test_it_declines_where_the_image_is_no_scanner_or_points_are_few(kind, count):
+    with pytest.raises(TermselError, match="do not call for the prior of a line scanner"):
+        termsel.fit(image_of(kind, 0, CHOSEN, count), "physical-cubic")
+
+
+def test_it_declines_on_other_bodies_and_with_lines():
+    image = image_of("steady", 0, CHOSEN, 8)
+    with pytest.raises(TermselError, match="do not call for"):
+        termsel.fit(replace(image, crs="IAU_2015:49900"), "physical-cubic")
+    lines = simulate_scene("ikonos-hamedan", n_points=12, n_lines=8)
+    with pytest.raises(TermselError, match="takes control points alone"):
+        termsel.fit(FeatureSet(lines.points, lines.lines, crs=lines.crs), "physical-cubic")
