@@ -39,6 +39,14 @@ SHARES = (1.0, 0.98, 0.9, 0.7, 0.5, 0.3, 0.1)
 """Limits to the check RMSE, as shares of the optimum, for which the work is sampled."""
 PIECE, PIECES = 1 << 25, 80
 """Most selections of a piece of the search, and pieces of an axis that are timed."""
+OPTIMUM = """
+    line.num:1 line.num:X line.num:Y line.num:Z line.num:X2 line.num:X2Y line.num:Y3
+    line.num:X2Z line.den:XY line.den:XZ line.den:X2Y line.den:Y2Z sample.num:1 sample.num:X
+    sample.num:Y sample.num:Z sample.num:XY sample.num:XZ sample.num:YZ sample.num:XY2
+    sample.num:XZ2 sample.num:X2Y sample.den:Z sample.den:XY sample.den:XZ sample.den:Y2
+    sample.den:X2Y sample.den:X2Z
+"""
+"""Terms of the optimum on the page, whose proof takes minutes: for what needs them alone."""
 NEAR = 1.3
 """Runs within so much of the optimum enter the correlation; those far off failed."""
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 ROOMS = {
     "__main__": "entry of the command line",
     "cli": "commands, one module each",
+    "check": "certificates of proofs, by integers alone; it imports no other room",
     "sklearn": "the deprecated name of the package termsel-sklearn",
     "testing": "conformance suites for every kind of thing that plugins provide",
     "studies": "many runs: cells, journal, executors, statistics, tables",

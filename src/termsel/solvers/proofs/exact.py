@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from importlib import import_module
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,7 +15,7 @@ from termsel.enumeration import subsets
 from termsel.errors import TermselError, amount
 from termsel.options import COUNT, Option
 from termsel.problems.base import EnumerablePart, Problem
-from termsel.problems.segments import AnySegment, Bits, Subset
+from termsel.problems.segments import AnySegment, Bits, Genes, Subset
 from termsel.solvers.base import Generation, Solver
 from termsel.solvers.heuristics.swap import neighbours
 from termsel.solvers.proofs.exact_features import duration, proof_generations, quick_optimum
@@ -103,6 +105,8 @@ class Exact(Solver):
                1, COUNT),
         Option("workers", None, "Threads; by default all cores. The result does not depend on "
                "it.", int, 1, 256),
+        Option("certificate", None, "File for the tree of the proof, which `python -m "
+               "termsel.check FILE` verifies; needs the package termsel-bench."),
     )
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
@@ -110,6 +114,7 @@ class Exact(Solver):
         most = self.options["max_terms"]
         workers = self.options["workers"] or os.cpu_count() or 1
         systems = problem.row_systems()
+        certify = _certifier(self.options["certificate"], problem, most)
         if systems is not None:
             yield from proof_generations(problem, systems, workers, most)
             return
@@ -131,8 +136,25 @@ class Exact(Solver):
                 generation = generation_of(problem, proof, index, space, nothing)
                 if proof.complete and proof.front():
                     _require_unbeaten(problem, proof, generation, most)
+                    if certify is not None:
+                        certify(generation.genes[-1])
                 yield generation
                 index += 1
+
+
+def _certifier(path: str | None, problem: Problem,
+               most: int | None) -> Callable[[Genes], None] | None:
+    """Return what writes the certificate of an optimum, if asked for."""
+    if path is None:
+        return None
+    try:
+        writer = import_module("termsel_bench.certificate")
+    except ImportError as error:
+        raise TermselError("certificates need the package termsel-bench",
+                           hint="Install it: pip install termsel-bench") from error
+    rooms = [limits_of(problem, part, most)[1] for part in problem.parts()]
+    certify: Callable[[Genes], None] = writer.certifier(Path(path), problem, rooms)
+    return certify
 
 
 def _require_unbeaten(problem: Problem, proof: Proof, generation: Generation,

@@ -1,0 +1,1 @@
+"""Certificates of proofs and an open benchmark, as a plugin of termsel."""

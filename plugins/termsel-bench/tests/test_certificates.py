@@ -1,0 +1,228 @@
+"""Certificates: what is true is proven, what was changed is refused."""
+
+from __future__ import annotations
+
+import copy
+import itertools
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+pytest.importorskip("termsel_bench", reason="termsel-bench is not installed: "
+                    "pip install -e plugins/termsel-bench")
+
+import termsel
+from termsel import check
+from termsel.enumeration.columns.system import SubsetSystem
+from termsel_bench import certificate
+
+
+def _system(seed: int, k: int = 6, *, rational: bool = True) -> SubsetSystem:
+    rng = np.random.default_rng(seed)
+    design, extra = rng.uniform(-1, 1, (10, k)), rng.uniform(-1, 1, (7, k))
+    truth = rng.normal(size=k) * (rng.random(k) < 0.6)
+    below, extra_below = np.zeros((10, k)), np.zeros((7, k))
+    if rational:
+        below[:, k // 2:], extra_below[:, k // 2:] = (
+            0.3 * rng.uniform(-1, 1, (n, k - k // 2)) for n in (10, 7))
+    return SubsetSystem(
+        design, (design @ truth + 0.1 * rng.normal(size=10))[:, None], extra,
+        (extra @ truth + 0.1 * rng.normal(size=7))[:, None],
+        below if rational else None, extra_below if rational else None, margin=0.1)
+
+
+def _scores(system: SubsetSystem, room: int) -> dict[tuple[int, ...], float]:
+    """Return the score of each feasible selection, by an adjustment of each."""
+    assert system.check_design is not None
+    assert system.check_target is not None
+    scores = {}
+    for size in range(room + 1):
+        for chosen in map(list, itertools.combinations(range(system.design.shape[1]), size)):
+            x = np.linalg.lstsq(system.design[:, chosen], system.target[:, 0])[0]
+            errors = system.check_target[:, 0] - system.check_design[:, chosen] @ x
+            if system.check_denominator is not None:
+                below = 1.0 + system.check_denominator[:, chosen] @ x
+                if below.min() < system.margin:
+                    continue
+                errors = errors / below
+            scores[tuple(chosen)] = float(errors @ errors)
+    return scores
+
+
+def _axis(system: SubsetSystem, chosen: tuple[int, ...], room: int) -> dict[str, Any]:
+    names = [f"t{j}" for j in range(system.design.shape[1])]
+    return certificate.axis_of("line", names, system, chosen, room, 1.0)
+
+
+def _checked(content: dict[str, Any], folder: Path) -> tuple[list[str], int]:
+    """Check a content, with a checksum that fits it."""
+    body = {key: value for key, value in content.items() if key != "sha256"}
+    body = json.loads(json.dumps(body))
+    file = folder / "certificate.json"
+    file.write_text(json.dumps({**body, "sha256": check.checksum(body)}))
+    return check.check(file)
+
+
+@pytest.fixture(scope="module")
+def proof(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]:
+    system = _system(3)
+    scores = _scores(system, 5)
+    content = certificate.content_of([_axis(system, min(scores, key=scores.__getitem__), 5)])
+    return content, tmp_path_factory.mktemp("proof")
+
+
+@pytest.mark.parametrize("rational", [True, False])
+@pytest.mark.parametrize("seed", range(4))
+def test_the_best_of_all_selections_is_proven_and_no_other(
+        tmp_path: Path, seed: int, rational: bool) -> None:
+    system = _system(seed, rational=rational)
+    scores = _scores(system, 5)
+    ranked = sorted(scores, key=scores.__getitem__)
+    lines, open_ = _checked(certificate.content_of([_axis(system, ranked[0], 5)]), tmp_path)
+    assert open_ == 0
+    assert f"{(scores[ranked[0]] / 7)**0.5:.6f} px" in lines[-1]
+    assert f"{sum(1 for n in range(6) for _ in itertools.combinations(range(6), n))} " in lines[0]
+    second = certificate.content_of([_axis(system, ranked[1], 5)])
+    with pytest.raises(check.Refused, match=r"line, step \d+: a selection"):
+        _checked(second, tmp_path)
+
+
+def test_a_tree_of_few_steps_says_what_is_open(proof: tuple[dict[str, Any], Path]) -> None:
+    content, folder = proof
+    axis = {key: value for key, value in content["axes"][0].items() if key != "nodes"}
+    lines, open_ = _checked(certificate.content_of([axis], most=3), folder)
+    assert open_ > 0
+    assert not any(line.startswith("no selection") for line in lines)
+
+
+def test_a_path_decides_its_selections_alone(proof: tuple[dict[str, Any], Path]) -> None:
+    content, folder = proof
+    axis = content["axes"][0]
+    nodes = certificate.tree_of(axis, 1000, [(1, True), (4, False)])
+    _, open_ = _checked({**content, "axes": [{**axis, "nodes": nodes}]}, folder)
+    decided = sum(1 for n in range(5) for _ in itertools.combinations(range(4), n))
+    assert open_ == 63 - decided  # of up to 5 of 6 terms
+
+
+@settings(max_examples=150, deadline=None)
+@given(data=st.data())
+def test_a_changed_file_is_refused(proof: tuple[dict[str, Any], Path],
+                                   data: st.DataObject) -> None:
+    content, folder = proof
+    text = json.dumps(content)
+    at = data.draw(st.integers(0, len(text) - 1))
+    other = data.draw(st.sampled_from("0123456789.,[]{}e-ax"))
+    file = folder / "changed.json"
+    file.write_text(text[:at] + other + text[at + 1:])
+    if other == text[at]:
+        assert check.check(file)[1] == 0
+    else:
+        try:
+            read = json.loads(file.read_text())
+        except ValueError:
+            read = None
+        if read != content:  # "1.0" for "1.00" says the same
+            with pytest.raises(check.Refused):
+                check.check(file)
+
+
+@settings(max_examples=80, deadline=None)
+@given(data=st.data())
+def test_no_forged_tree_proves_a_limit_that_a_selection_is_below(
+        proof: tuple[dict[str, Any], Path], data: st.DataObject) -> None:
+    content, folder = copy.deepcopy(proof[0]), proof[1]
+    axis = content["axes"][0]
+    scores = _scores(_system(3), 5)
+    worse = sorted(scores, key=scores.__getitem__)[data.draw(st.integers(1, 8))]
+    axis["selection"], axis["limit"] = list(worse), scores[worse] * (1 - 1e-9)
+    what = data.draw(st.sampled_from(["none", "drop", "close", "more", "numbers"]))
+    at = data.draw(st.integers(0, len(axis["nodes"]) - 1))
+    if what == "drop":
+        del axis["nodes"][at]
+    elif what == "close":
+        axis["nodes"][at:] = [["closed", 0.05, data.draw(st.floats(-1e9, 1e9))]]
+    elif what == "more":
+        axis["nodes"].insert(at, ["limits", 0.05, 0.0, [[data.draw(st.integers(0, 7)),
+                                                         1e-9, data.draw(st.floats(0, 1e9))]]])
+    elif what == "numbers":
+        for node in axis["nodes"]:
+            if node[0] == "closed":
+                node[1:3] = [data.draw(st.floats(0, 1)), data.draw(st.floats(-1e6, 1e6))]
+    with pytest.raises(check.Refused):
+        _checked(content, folder)
+
+
+@pytest.mark.parametrize(("change", "said"), [
+    (lambda axis: axis.update(limit=axis["limit"] * 0.99), "too far below"),
+    (lambda axis: axis.update(limit=axis["limit"] * 1.01), "does not have the score"),
+    (lambda axis: axis.update(limit=float("nan")), "not finite"),
+    (lambda axis: axis.update(margin=-1.0), "limit, margin"),
+    (lambda axis: axis.update(selection=[0, 0]), "selection"),
+    (lambda axis: axis.update(room=99), "terms"),
+    (lambda axis: axis["control"][0].pop(), "one value for each term"),
+    (lambda axis: axis.update(nodes=[]), "ends before step 1"),
+    (lambda axis: axis["nodes"].append(["one"]), "goes on"),
+    (lambda axis: axis.update(nodes=[["guess"]]), "no step 'guess'"),
+    (lambda axis: axis.update(nodes=[["one"]]), "terms are open"),
+    (lambda axis: axis.update(nodes=[["split", 7]]), "not open"),
+    (lambda axis: axis.update(nodes=[["closed", 2.0, 0.0]]), "multiplier"),
+    (lambda axis: axis.update(nodes=[["limits", 0.0, 0.0, [[0, 0.5, -1.0]]]]), "multiplier"),
+    (lambda axis: axis["denominators"][0].__setitem__(-1, 1.0), "denominators"),
+    (lambda axis: axis.pop("nodes"), "form termsel-certificate-1"),
+])
+def test_what_does_not_hold_is_named(proof: tuple[dict[str, Any], Path], change: Any,
+                                     said: str) -> None:
+    content = copy.deepcopy(proof[0])
+    change(content["axes"][0])
+    with pytest.raises(check.Refused, match=said):
+        _checked(content, proof[1])
+
+
+def test_exact_writes_a_certificate_that_a_process_without_the_solver_checks(
+        tmp_path: Path) -> None:
+    file = tmp_path / "proof.json"
+    options = {"certificate": str(file), "degree": 3, "force_off": "line.num:X3"}
+    result = termsel.run("poly-terms", solver="exact", options=options)
+    assert result.rmse["check"] is not None
+    code = ("import sys; from termsel.check import main; status = main(sys.argv[1:]); "
+            "assert 'numpy' not in sys.modules and 'termsel.solvers' not in sys.modules; "
+            "raise SystemExit(status)")
+    done = subprocess.run([sys.executable, "-c", code, str(file)], capture_output=True, text=True,
+                          check=False)
+    assert done.returncode == 0, done.stderr
+    assert f"below {result.rmse['check'].total:.6f} px" in done.stdout
+    file.write_text(file.read_text().replace("closed", "opened", 1))
+    done = subprocess.run([sys.executable, "-m", "termsel.check", str(file)], capture_output=True,
+                          text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr == (f"{file}: refused: the checksum is not that of the content; "
+                           "write it again\n")
+
+
+@pytest.mark.parametrize(("options", "criterion", "said"), [
+    ({"certificate": "/nowhere/proof.json"}, "check-rmse", "no such folder"),
+    ({"certificate": "proof.json"}, "press", "no certificate of this problem"),
+    ({"certificate": "proof.json", "mask": "shared"}, "check-rmse", "mask=per-axis"),
+])
+def test_what_cannot_be_certified_is_refused_at_once(
+        options: dict[str, Any], criterion: str, said: str) -> None:
+    with pytest.raises(termsel.TermselError) as caught:
+        termsel.run("poly-terms", solver="exact", criterion=criterion, options=options)
+    assert said in f"{caught.value} {caught.value.hint}"
+
+
+@pytest.mark.slow
+def test_an_rfm_of_second_order_is_certified(tmp_path: Path) -> None:
+    file = tmp_path / "proof.json"
+    termsel.run("rfm-terms", solver="exact",
+                options={"order": 2, "max_terms": 6, "certificate": str(file)})
+    lines, open_ = check.check(file)
+    assert open_ == 0
+    assert lines[-1].startswith("no selection")
