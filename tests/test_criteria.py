@@ -324,6 +324,24 @@ def test_ebic_demands_redundancy() -> None:
         assert problem.evaluate(genes).violation[0] == violation
 
 
+def test_ebic_counts_only_terms_that_may_be_chosen() -> None:
+    # One term forced on, two never: 2 of the other 7 are chosen, not 3 of 10.
+    names = [str(term) for term in termsel.Polynomial3D(degree=2).terms]
+    forced = {"model": "poly3d", "options": {"degree": 2, "force_on": names[0],
+                                             "force_off": f"{names[8]},{names[9]}"}}
+    some = termsel.prepare("poly-terms", criterion="ebic", solver="exact", **forced).problem
+    every = termsel.prepare("poly-terms", criterion="ebic", model="poly3d",
+                            options={"degree": 2}).problem
+    genes = np.zeros((1, every.genome.size), dtype=bool)
+    genes[0, [0, 1, 2, 10, 11, 12]] = True
+    counted = [problem.evaluate(genes).objectives[0, 0] for problem in (some, every)]
+    gain = 2 * (math.log(math.comb(10, 3)) - math.log(math.comb(7, 2)))
+    assert counted[1] - counted[0] == pytest.approx(gain)
+    *_, proof = prove(some)
+    cost = sum(float(one.min()) for one in proof._costs())
+    assert some.evaluate(proof.front()[-1][None]).objectives[0, 0] == pytest.approx(cost)
+
+
 def test_ebic_of_a_perfect_fit_prefers_fewer_terms() -> None:
     rng = np.random.default_rng(4)
     ground = rng.uniform(-1, 1, (40, 3))

@@ -83,6 +83,26 @@ def test_figure_3() -> None:
     assert moved.tolist() == bits("110110").tolist()
 
 
+def test_section_3_3_takes_the_rate_from_similarity() -> None:
+    # Of two colonies one equals its imperialist in all genes but one, the other in one alone.
+    drawn = np.array([[0.7, 0.7, 0.7, 0.7], [0.7, 0.7, 0.7, 0.7]])
+    colonies = np.concatenate([bits("1110"), bits("0000")])
+    imperialists = np.concatenate([bits("1111"), bits("1110")])
+    rate = (colonies == imperialists).mean(axis=1, keepdims=True)
+    assert rate.tolist() == [[0.75], [0.25]]
+    assert (assimilate(colonies, imperialists, rate, drawn)
+            == np.concatenate([bits("1111"), bits("0000")])).all()
+
+
+def test_the_set_up_of_the_paper_takes_the_rate_from_similarity() -> None:
+    asked = termsel.prepare("zakaryaie-2015")
+    assert asked.solver.options["similarity"] is True
+    runs = [termsel.run("zakaryaie-2015", seed=1, generations=4,
+                        options={"similarity": similar}).history[-1] for similar in (True, False)]
+    assert runs[0] != runs[1]
+
+
+
 def test_figure_4() -> None:
     colonies = np.concatenate([bits("10001110")] * 2)
     redrawn = np.concatenate([bits("11001100")] * 2)

@@ -56,6 +56,8 @@ class Fits:
         Control features in use, points before lines; None if features are not selected.
     gene_of_term : ndarray of int, shape (k,), optional
         Terms with the same number are switched together; None if each is switched alone.
+    optional : ndarray of bool, shape (k,), optional
+        Terms that may be chosen: neither in all selections nor in none; None if all may be.
     """
 
     model: Fittable
@@ -68,6 +70,7 @@ class Fits:
     parts: tuple[IndependentPart, ...] = ()
     used: BoolArray | None = None
     gene_of_term: IntArray | None = None
+    optional: BoolArray | None = None
 
     @cached_property
     def check_errors(self) -> FloatArray:

@@ -24,9 +24,10 @@ error, whose logarithm has no meaning."""
 class Ebic(Criterion):
     """Extended Bayesian information criterion of the control residuals; not in px.
 
-    n ln(RSS / n) + k ln n + 2 gamma ln C(P, k), added up over line and sample if they are
-    independent: n equations, k terms in use of P available, RSS of the linearised, weighted
-    residuals in the scaled image unit. Plain BIC lacks the last part: the more
+    n ln(RSS / n) + k ln n + 2 gamma ln C(P, j), added up over line and sample if they are
+    independent: n equations, k terms in use, j of them chosen from the P that may be chosen, RSS
+    of the linearised, weighted residuals in the scaled image unit. Terms that are forced on are no
+    choice, and those forced off are not offered. Plain BIC lacks the last part: the more
     selections of a size there are, the better one of them fits by chance. Terms of line and
     sample that are switched together are one choice and one system with a common variance.
 
@@ -63,10 +64,12 @@ class Ebic(Criterion):
                                hint="Choose --criterion check-rmse, press or kfold.")
         genes = fits.gene_of_term
         genes = np.arange(fits.terms.shape[1]) if genes is None else genes
+        optional = np.ones(len(genes), dtype=bool) if fits.optional is None else fits.optional
         total = np.zeros(len(fits.terms))
         for parts in _chosen_together(fits.parts, genes):
             columns = np.flatnonzero(np.any([part.columns for part in parts], axis=0))
             first = columns[np.unique(genes[columns], return_index=True)[1]]
+            first = first[optional[first]]
             rss = np.sum([_rss(part, fits.coefficients[:, part.columns]) for part in parts], axis=0)
             total += self._of(rss, sum(len(part.equations.b) for part in parts),
                               fits.terms[:, columns].sum(axis=1), len(first),
@@ -76,7 +79,12 @@ class Ebic(Criterion):
     def subset_cost(self, scores: FloatArray, system: SubsetSystem) -> FloatArray:
         """Return the criterion of one part (see `Criterion.subset_cost`)."""
         (m, k), axes, sizes = system.design.shape, system.target.shape[1], np.arange(len(scores))
-        return self._of(scores, m * axes, sizes * axes, k, sizes)
+        forced = 0 if system.forced is None else int(system.forced.sum())
+        never = 0 if system.forbidden is None else int(system.forbidden.sum())
+        offered = k - forced - never
+        # Sizes that no selection has score infinitely; their choices only have to be numbers.
+        return self._of(scores, m * axes, sizes * axes, offered,
+                        np.clip(sizes - forced, 0, offered))
 
     def _of(self, rss: FloatArray, n: int, k: IntArray, offered: int,
             chosen: IntArray) -> FloatArray:

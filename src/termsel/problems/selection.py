@@ -174,7 +174,8 @@ class SelectionProblem(Problem):
             score[good] = inputs.criterion.score(Fits(
                 inputs.model, inputs.control.points, inputs.check, inputs.pixels, terms[good],
                 coefficients[good], inputs.control.lines, self._parts,
-                None if features is None else features[good], self._gene_of_term))
+                None if features is None else features[good], self._gene_of_term,
+                None if self._gene_of_term is None else self.genome.free[self._gene_of_term]))
         violation[~np.isfinite(score)] = 1.0
         score = np.minimum(np.nan_to_num(score, nan=WORST, posinf=WORST), WORST)
         return Evaluation(self._all_objectives(score, terms, features), violation)

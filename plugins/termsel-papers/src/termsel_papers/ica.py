@@ -57,12 +57,13 @@ def sizes(share: FloatArray, colonies: int) -> IntArray:
     return size
 
 
-def assimilate(colonies: BoolArray, imperialists: BoolArray, rate: float,
+def assimilate(colonies: BoolArray, imperialists: BoolArray, rate: FloatArray | float,
                drawn: FloatArray) -> BoolArray:
     """Return colonies in which genes are replaced by those of the imperialist, figure 3.
 
     In each row, shape (n, g), stand a colony and the imperialist of its empire. A gene is replaced
-    where the random number drawn for it, from (0, 1), is below the assimilation rate AR.
+    where the random number drawn for it, from (0, 1), is below the assimilation rate AR, one for
+    all or (n, 1).
     """
     return np.where(drawn < rate, imperialists, colonies)
 
@@ -223,7 +224,8 @@ class ImperialistCompetition(Solver):
     name = "ica"
     departures = (
         "The assimilation rate is the 0.5 of figure 3 for all colonies; section 3.3 computes it "
-        "from the similarity of a colony and its imperialist.",
+        "from the similarity of a colony and its imperialist (--set similarity=true, the default "
+        "of zakaryaie-2015).",
         "A colony that revolts has each gene redrawn with chance 1/2 (--set redrawn); the paper "
         "only shows an example.",
         "Infeasible countries cost more than every feasible one; the paper has none.",
@@ -234,6 +236,8 @@ class ImperialistCompetition(Solver):
                0.0, 0.5),
         Option("assimilation", 0.5, "Chance that a gene of a colony is replaced by that of its "
                "imperialist, AR.", float, 0.0, 1.0),
+        Option("similarity", False, "Take AR of each colony as the share of its genes that equal "
+               "its imperialist's, after section 3.3, in place of `assimilation`.", bool),
         Option("revolution", 0.1, "Share of colonies that revolt, P.", float, 0.0, 1.0),
         Option("redrawn", 0.5, "Chance that a gene of a revolting colony is redrawn, after figure "
                                "4.", float, 0.0, 1.0),
@@ -276,8 +280,10 @@ class ImperialistCompetition(Solver):
         o = self.options
         colonies = np.delete(np.arange(len(genes)), world.imperialists)
         shape = (len(colonies), genes.shape[1])
-        moved = assimilate(genes[colonies], genes[world.imperialists[world.empire[colonies]]],
-                           o["assimilation"], rng.random(shape))
+        mine, theirs = genes[colonies], genes[world.imperialists[world.empire[colonies]]]
+        rate = (mine == theirs).mean(axis=1, keepdims=True) if o["similarity"] else \
+            o["assimilation"]
+        moved = assimilate(mine, theirs, rate, rng.random(shape))
         moved = revolt(moved, rng.random(len(colonies)) < o["revolution"],
                        rng.random(shape) < o["redrawn"], rng.random(shape) < 0.5)
         moved = problem.genome.repair(moved, rng)

@@ -35,7 +35,7 @@ PAPERS = (
            options=with_defaults(OF_TERMS, mask="shared", max_share=1.0), solver="ica",
            # Their table 3 compares with the populations of Yavari et al. 2012.
            solver_options={"ica": {"population": 100, "imperialists": 0.1, "revolution": 0.1,
-                                   "alpha": 0.08, "assimilation": 0.5},
+                                   "alpha": 0.08, "similarity": True},
                            "ga": {"population": 50}, "pso": {"population": 30}},
            patience=PATIENCE, refined=False, source="Zakaryaie Nejad et al. 2015, table 1"),
     Recipe("yavari-2018", "Control lines by GA under an RFM of 78 terms, then its terms by "
