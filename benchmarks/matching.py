@@ -133,7 +133,7 @@ def scene(seed: int, size: int, keep: Path) -> dict[str, float]:
         lines = iterate_lines(image, roads, MODEL, {"rpc": start}, dem=dem, start=start)
         found[f"lines, {off} px"] = error(lines.result)
         if off == "30":
-            both = with_lines(best, lines.features, MODEL, {"rpc": rpc})
+            both = with_lines(best, lines.features)
             found["points and lines"] = error(both.result)
     # The last check of the rounds: with a model that is right, and with one that is wrong.
     right_model = fitted(true, CRS, rpc)

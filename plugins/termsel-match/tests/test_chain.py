@@ -140,9 +140,9 @@ def test_lines_that_contradict_the_points_are_refused(place: Any) -> None:
         both = FeatureSet(lines=lines, crs="EPSG:32633", image_size=(500, 500))
         if refused:
             with pytest.raises(TermselError, match="points and lines contradict each other"):
-                with_lines(selected, both, "rpc-drift", options)
+                with_lines(selected, both)
         else:
-            assert len(with_lines(selected, both, "rpc-drift", options)
+            assert len(with_lines(selected, both)
                        .result.features.lines) == 20
 
 

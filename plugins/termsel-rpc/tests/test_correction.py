@@ -23,6 +23,7 @@ from termsel.formats.rpc_files import rpb_text, rpc_items, rpc_txt_text
 from termsel.testing import checks
 from termsel_rpc.belief import KINDS, Belief, grid
 from termsel_rpc.correction import CANDIDATES
+from termsel_rpc.jitter import CANDIDATE as JITTERED
 from termsel_rpc.simulated import RPC_FILE
 
 pytestmark = pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
@@ -62,6 +63,29 @@ def wrong(rpc: Rpc, ground: FloatArray, width: int) -> FloatArray:
     unit = (seen - rpc.image_offset) / rpc.image_scale
     columns = np.column_stack([np.ones(len(unit)), unit])
     return np.asarray(seen + columns[:, :width] @ BIAS[:width])
+
+
+def test_jitter_is_a_candidate_that_keeps_the_rules_and_finds_it() -> None:
+    def shaken(n: int, seed: int) -> FeatureSet:
+        features = scene(n, 2, seed=seed)
+        rpc = features.rpc
+        assert isinstance(rpc, Rpc)
+        unit = (rpc.project(features.points.ground)[:, :1] - rpc.image_offset[0]) \
+            / rpc.image_scale[0]
+        image = features.points.image + np.sin(8 * unit + [0, 1]) * [2, 1.5]
+        return replace(features, points=replace(features.points, image=image))
+
+    for check in checks(JITTERED, features=[scene(3), shaken(120, 0)]):
+        check.run()
+    others = shaken(200, 1)
+    for features, most in ((shaken(120, 0), 0.65), (scene(120, 2), 3.5)):
+        fitted = termsel.fit(features, "rpc-jittered")
+        away = fitted.project(others.points.ground) - others.points.image
+        assert np.sqrt((away**2).sum(axis=1).mean()) < most
+    assert fitted.model.options["intervals"] == 2  # no more where there is no jitter
+    assert "over 2 intervals" in JITTERED.describe(fitted)
+    with pytest.raises(termsel.TermselError, match="no RPC is given"):
+        termsel.fit(replace(others, rpc=None), "rpc-jittered")
 
 
 def off(result: Result, features: FeatureSet, width: int) -> float:

@@ -87,9 +87,10 @@ def judge(
 ) -> Georeferenced:
     """Return the model of an image, by candidates that agree, and whether it is good enough.
 
-    An RPC is refined by a shift and a drift (`rpc-drift`), also that of a result. Without one, the
-    model is an affine transformation of the ground coordinates. Where the vectors cannot be used,
-    the model is by points alone.
+    An RPC, also that of a result, is refined by the plainest correction that held-out candidates
+    call for: `rpc-shift`, `rpc-drift`, `rpc-affine` or `rpc-jitter`. Without one, the model is an
+    affine transformation of the ground coordinates. Where the vectors cannot be used, the model is
+    by points alone.
 
     Parameters
     ----------
@@ -162,8 +163,7 @@ def judge(
         try:
             lines = iterate_lines(image, vectors, model, options, dem=dem, start=at,
                                   search=_SEARCH, band=matching.get("band"), seed=seed)
-            selected = with_lines(selected, lines.features, model, options, seed=seed,
-                                  out=result_folder)
+            selected = with_lines(selected, lines.features, seed=seed, out=result_folder)
         except TermselError as error:  # the points suffice
             lines, unused = None, error.what
     evidence, bounds = _evidence(image, reference, candidates, selected, dem=dem, extent=extent,

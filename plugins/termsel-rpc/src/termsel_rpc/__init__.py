@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 from termsel import DatasetSpec, hookimpl
 from termsel_rpc.correction import CANDIDATES as CORRECTIONS
 from termsel_rpc.image_space import RpcAffine, RpcDrift, RpcShift
+from termsel_rpc.jitter import CANDIDATE as JITTERED
+from termsel_rpc.jitter import RpcJitter
 from termsel_rpc.konugurthi import RECIPE as KONUGURTHI
 from termsel_rpc.konugurthi import E50PerArea
 from termsel_rpc.problem import RECIPE, Ce90
@@ -23,14 +25,14 @@ from termsel_rpc.simulated import CANDIDATES, MATCHES, candidates, matches
 if TYPE_CHECKING:
     from termsel import Candidate, Criterion, Recipe, SensorModel
 
-__all__ = ["Ce90", "E50PerArea", "PushbroomRefine", "RpcAffine", "RpcDrift", "RpcShift",
-           "candidates", "matches"]
+__all__ = ["Ce90", "E50PerArea", "PushbroomRefine", "RpcAffine", "RpcDrift",
+           "RpcJitter", "RpcShift", "candidates", "matches"]
 
 
 @hookimpl
 def termsel_models() -> Iterable[type[SensorModel]]:
     """Return the models of this package."""
-    return [RpcShift, RpcDrift, RpcAffine, PushbroomRefine]
+    return [RpcShift, RpcDrift, RpcAffine, RpcJitter, PushbroomRefine]
 
 
 @hookimpl
@@ -48,7 +50,7 @@ def termsel_problems() -> Iterable[Recipe]:
 @hookimpl
 def termsel_candidates() -> Iterable[Candidate]:
     """Return the corrections of an RPC that features have."""
-    return CORRECTIONS
+    return [*CORRECTIONS, JITTERED]
 
 
 @hookimpl

@@ -52,7 +52,7 @@ class RpcShift(Refinement):
     """
 
     name = "rpc-shift"
-    declared_options = (RPC,)
+    declared_options: ClassVar[tuple[Option, ...]] = (RPC,)
     columns: ClassVar[tuple[str, ...]] = ("1",)
 
     def __init__(self, **options: Any) -> None:

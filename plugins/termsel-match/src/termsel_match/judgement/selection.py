@@ -15,6 +15,7 @@ from termsel import FeatureSet, Fit, Points, Result, TermselError
 from termsel.io.result_folder import write_result
 from termsel_match.images.rasters import FloatArray, Mask
 from termsel_match.images.starts import turned
+from termsel_match.judgement.structures import Correction, called_for, corrections
 from termsel_match.searching import searched
 
 TOLERANCE = 2.0  # px at which a candidate counts half in the search
@@ -25,6 +26,7 @@ NEAR = 2 * TOLERANCE
 _SIGMAS = 3.5
 _LEAST_LIMIT = 0.5  # px
 _ROUNDS = 20
+_CHOICES = 2  # of the correction
 _RESAMPLES = 24  # of the control
 _WORSE = 1.1  # times the check RMSE of the points: more is not by chance
 AGREEING = ("Independent RMSE, NSSDA and ASPRS figures are of the independent candidates that "
@@ -49,6 +51,8 @@ class Selected:
         Largest distance of those that agree [px].
     points : Points
         All candidates.
+    correction : Correction
+        The model and its options.
     """
 
     result: Result
@@ -56,6 +60,7 @@ class Selected:
     independent: Mask
     limit: float
     points: Points
+    correction: Correction
 
     @property
     def share(self) -> float:
@@ -109,7 +114,8 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
     A quarter of the candidates is set aside as independent, unless some are so already. A
     steady-state GA selects m of the others so that the model agrees with as many as possible
     (problem `rpc-gcps`, criterion `agreement`). The model is then fitted to all of them that agree,
-    until they stay the same.
+    until they stay the same. Of an RPC, the correction is the plainest that held-out candidates
+    call for: a shift, a drift, affine, or smooth along the lines.
 
     Parameters
     ----------
@@ -136,31 +142,42 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
     independent = roles == "independent"
     with_roles = features.with_(points=replace(points, roles=tuple(roles)))
 
-    def fitted(used: Mask) -> Fit:
-        control = FeatureSet(replace(points.take(used), roles=()), crs=features.crs)
-        return termsel.fit(control, model, **options)
+    def fitted(correction: Correction, used: Mask) -> Fit:
+        return correction.fit(FeatureSet(points.take(used), crs=features.crs))
 
-    least = len(fitted(~independent).terms)
+    chosen = Correction(model, options)
+    least = len(fitted(chosen, ~independent).terms)
     picked = np.isin(points.ids, searched(
         "rpc-gcps", with_roles, model, {
             **options, "half_at": TOLERANCE, "max_uncovered": 0.9, "min_features": max(6, least),
             "max_features": max(6, least)}, seed=seed, criterion="agreement"))
     # A spread that a fault of the reference has made is not the spread of matching.
     most = accept if points.sigma is None else max(accept, _SIGMAS * float(np.median(points.sigma)))
-    agrees, limit, errors = np.zeros(0, dtype=bool), 0.0, _errors(fitted(picked), points)
-    for _ in range(_ROUNDS):
-        before = agrees
-        agrees, limit = _agreeing(errors, ~independent, most)
-        _require(agrees, roles, least)
-        if np.array_equal(agrees, before):
+    fit = fitted(chosen, picked)
+    for again in range(_CHOICES + 1):
+        agrees, limit = np.zeros(0, dtype=bool), 0.0
+        for _ in range(_ROUNDS):
+            before, errors = agrees, _errors(fit, points)
+            agrees, limit = _agreeing(errors, ~independent, most)
+            _require(agrees, roles, len(fit.terms) // 2 if again else least)
+            if np.array_equal(agrees, before):
+                break
+            fit = fitted(chosen, agrees)
+        # Jitter moves good candidates beyond the limit: all that are near have a say.
+        near = ~independent & (errors <= NEAR)
+        several = corrections(model, options, int(near.sum()))
+        better = called_for(several, FeatureSet(points.take(near), crs=features.crs), seed)
+        if better == chosen or again == _CHOICES:
             break
-        errors = _errors(fitted(agrees), points)
-    agrees = errors <= limit
-    _require(agrees, roles, least)
+        chosen = better
+        fit = fitted(chosen, near)
+    agrees = _errors(fit, points) <= limit
+    _require(agrees, roles, len(fit.terms) // 2)
     kept = with_roles.with_(points=with_roles.points.take(agrees))
-    result = _told(termsel.run("owdis-points", features=kept, model=model, solver="all-terms",
-                               options=dict(options), seed=seed, out=out), out)
-    return Selected(result, agrees, independent, limit, points)
+    result = _told(termsel.run("owdis-points", features=kept, model=chosen.model,
+                               solver="all-terms", options=dict(chosen.options), seed=seed,
+                               out=out), out)
+    return Selected(result, agrees, independent, limit, points, chosen)
 
 
 def _require(agrees: Mask, roles: Any, least: int) -> None:
@@ -173,8 +190,8 @@ def _require(agrees: Mask, roles: Any, least: int) -> None:
                                 "--search, or a better reference.")
 
 
-def with_lines(selected: Selected, lines: FeatureSet, model: str, options: Mapping[str, Any], *,
-               seed: int = 1, out: Path | str | None = None) -> Selected:
+def with_lines(selected: Selected, lines: FeatureSet, *, seed: int = 1,
+               out: Path | str | None = None) -> Selected:
     """Return the model fitted to the points that agree and to lines together.
 
     Points and lines weigh by their standard deviations. The candidates for check, which no fit
@@ -185,7 +202,7 @@ def with_lines(selected: Selected, lines: FeatureSet, model: str, options: Mappi
     selected : Selected
     lines : FeatureSet
         In the CRS of the points or another one.
-    model, options, seed, out
+    seed, out
         As for `select_points`; a result that is in the folder is replaced.
 
     Raises
@@ -193,6 +210,7 @@ def with_lines(selected: Selected, lines: FeatureSet, model: str, options: Mappi
     TermselError
         If the lines contradict the points.
     """
+    model, options = selected.correction.model, selected.correction.options
     features = selected.result.features
     ground = lines.lines.ground.copy()
     ground[..., :2] = turned(ground[..., :2], lines.crs, features.crs)

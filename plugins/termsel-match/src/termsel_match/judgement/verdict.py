@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from termsel import Points
+from termsel import FeatureSet, Points
 from termsel_match.images.rasters import FloatArray, Mask, grid
 from termsel_match.images.starts import Heights, turned
 from termsel_match.judgement.evidence import (
@@ -19,6 +19,7 @@ from termsel_match.judgement.evidence import (
     unsupported,
 )
 from termsel_match.judgement.selection import AGREEING, NEAR, TOLERANCE, Selected
+from termsel_match.judgement.structures import Correction
 from termsel_match.lines.rounds import Matched, rms_distance
 from termsel_match.points.candidates import Candidates
 
@@ -53,6 +54,8 @@ class Evidence:
         From the start to the candidates that agree, line and sample [px].
     pixel : float
         Size of a pixel on the ground [m].
+    along : float
+        RMS by which a correction that is smooth along the lines differs from a drift [px].
     """
 
     sigma: float
@@ -62,6 +65,7 @@ class Evidence:
     other: OtherPlace | None
     correction: FloatArray | None
     pixel: float
+    along: float
 
 
 def evidence_of(candidates: Candidates, selected: Selected, heights: Heights, shown: Mask,
@@ -97,7 +101,7 @@ def evidence_of(candidates: Candidates, selected: Selected, heights: Heights, sh
         structure(points.image[near], residuals[near], 2 * selected.limit, size,
                   np.random.default_rng([seed, 2])),
         other_place(points.image[far], residuals[far], TOLERANCE, size), correction,
-        _pixel(agree, candidates.crs))
+        _pixel(agree, candidates.crs), _along(selected, agree))
 
 
 def remarks(candidates: Candidates, selected: Selected, evidence: Evidence,
@@ -115,6 +119,10 @@ def remarks(candidates: Candidates, selected: Selected, evidence: Evidence,
         said.append(f"{found_there.count} candidates, most in {found_there.where} of the image, "
                     f"agree on another place, {_vector(found_there.away)} from where the model "
                     "sees them. Does the reference have a seam, or the ground repeat?")
+    if evidence.along > _STRUCTURE * accept:
+        said.append(f"The correction changes along the lines by {evidence.along:.2f} px (RMS, "
+                    "compared with a drift). Jitter of the attitude does so, and so do seams of "
+                    "the reference.")
     bare, where = evidence.bare
     if bare > _BARE:
         said.append(f"No candidate agrees in {100 * bare:.0f} % of what image and reference show, "
@@ -214,8 +222,8 @@ class Georeferenced:
                                             else ""),
             f"Agreeing within {chosen.limit:.2f} px: {int((agree & ~chosen.independent).sum())} of "
             f"{int((~chosen.independent).sum())} candidates for control and check",
-            f"Model: {result.model}, fitted to the {result.features.points.roles.count('control')} "
-            "for control",
+            f"Model: {chosen.correction.text}, fitted to the "
+            f"{result.features.points.roles.count('control')} for control",
             f"Covered by candidates that agree: {100 * evidence.covered:.0f} % of what image and "
             "reference show",
             f"Predicted standard deviation where the map is: at most {evidence.sigma:.2f} px",
@@ -248,6 +256,17 @@ def _matters(evidence: Evidence, accept: float) -> bool:
     """Return whether the structure of residuals is neither by chance nor too small to matter."""
     found = evidence.structure
     return found is not None and found.level <= LEVEL and found.size > _STRUCTURE * accept
+
+
+def _along(selected: Selected, agree: Points) -> float:
+    """Return the RMS by which a correction along the lines differs from a drift [px]."""
+    chosen = selected.correction
+    if chosen.model != "rpc-jitter":
+        return 0.0
+    drift = Correction("rpc-drift", {"rpc": chosen.options["rpc"]}).fit(
+        FeatureSet(agree, crs=selected.result.features.crs)).project(agree.ground)
+    away = drift - selected.result.project(agree.ground)
+    return float(np.sqrt((away**2).sum(axis=1).mean()))
 
 
 def _vector(away: tuple[float, float]) -> str:

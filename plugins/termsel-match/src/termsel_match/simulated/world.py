@@ -15,6 +15,8 @@ from termsel import FeatureSet, Points, Rpc, TermselError, fit, rpc_of
 from termsel.simulate import Angle, Pushbroom, Terrain, pushbroom_at
 from termsel_match.simulated.scenery import Bytes, FloatArray, Scenery, scenery
 
+Shakes = tuple[tuple[tuple[float, float, float], ...], ...]
+
 CRS = "EPSG:32633"
 SMALLEST, LARGEST = 200, 4000  # px along either side of an image
 
@@ -50,6 +52,8 @@ class World:
         Distance of the vendor's RPC from the truth in the middle of the image [px].
     off_nadir : float
         Of the view [deg].
+    jitter : float
+        Amplitude of a fast motion of the attitude that the vendor does not know [px].
 
     Raises
     ------
@@ -62,6 +66,7 @@ class World:
     gsd: float = 1.0
     off: float = 30.0
     off_nadir: float = 12.0
+    jitter: float = 0.0
 
     def __post_init__(self) -> None:
         if not SMALLEST <= self.size <= LARGEST:
@@ -100,7 +105,11 @@ class World:
             _LON, _LAT, height=_HEIGHT, off_nadir=self.off_nadir, look_azimuth=70.0, gsd=self.gsd,
             image_size=(self.size, self.size), altitude=681e3, inclination=98.1)
         end = still.centre[0] * still.line_period
-        shake = ((0.12 * still.ifov, 1.1 / end, 0.4),), ((0.15 * still.ifov, 0.8 / end, 2.0),)
+        shake: Shakes = (((0.12 * still.ifov, 1.1 / end, 0.4),),
+                         ((0.15 * still.ifov, 0.8 / end, 2.0),))
+        if self.jitter:
+            size = self.jitter * still.ifov
+            shake = ((*shake[0], (size, 2.0 / end, 1.0)), (*shake[1], (0.8 * size, 1.6 / end, 0.3)))
         return replace(
             still, roll=Angle((*still.roll.drift, 0.8 * still.ifov / end), shake[0]),
             pitch=Angle((*still.pitch.drift, -0.6 * still.ifov / end), shake[1]))

@@ -1,0 +1,126 @@
+"""A vendor's RPC with a smooth correction along the lines: the jitter of the attitude."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import BSpline
+
+from termsel import Control, Fit, Option, Rpc, Undetermined
+from termsel_rpc.correction import CorrectedRpc
+from termsel_rpc.image_space import RPC, RpcShift
+from termsel_rpc.refinement import FloatArray
+
+_DEGREE = 3
+_LEAST = 3  # features for each interval
+_MOST_LEVERAGE = 0.999
+
+INTERVALS = Option("intervals", 8, "Intervals of the spline over the lines of the RPC's image.",
+                   int, 2, 64)
+TRIED = (2, 4, 8, 16, 32)
+"""Numbers of intervals that are tried where the features choose."""
+
+
+class RpcJitter(RpcShift):
+    """Vendor's RPC with a smooth correction along the lines: 2 (intervals + 3) terms.
+
+    With (l, s) the RPC position of a ground point, image = (l + f(l), s + g(l)), where f and g are
+    cubic splines with equal intervals. Lines are imaged one after the other, so that any motion of
+    the attitude that the vendor did not know acts along the lines. Shift and drift are contained.
+
+    References
+    ----------
+    Splines after de Boor 1978: A practical guide to splines. For attitude jitter of scanners and
+    its size see Teshima, Iwasaki 2008: Correction of attitude fluctuation of Terra spacecraft using
+    ASTER/SWIR imagery with parallax observation. IEEE TGRS 46(1), 222-227.
+    """
+
+    name = "rpc-jitter"
+    declared_options = (RPC, INTERVALS)
+
+    @property
+    def columns(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Names of the columns: one for each spline."""
+        return tuple(f"spline{i + 1}" for i in range(int(self.options["intervals"]) + _DEGREE))
+
+    def first_order(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the RPC positions of ground points, and the splines' values there."""
+        places = self.geographic(ground)
+        assert self.scaling is not None  # required by geographic
+        seen = self.rpc.project(places)
+        values = splines(seen[:, 0], self.rpc, int(self.options["intervals"]))
+        of_both = np.einsum("ab,nc->nabc", np.eye(2), values)
+        return self.scaling.image(seen), of_both.reshape(len(seen), 2, len(self.terms))
+
+    def as_rpc(self, coefficients: FloatArray) -> Rpc | None:
+        """Return None: no RPC has such a correction."""
+        return None
+
+
+def splines(lines: FloatArray, rpc: Rpc, intervals: int) -> FloatArray:
+    """Return the values of all splines at lines, (n, intervals + 3).
+
+    They add up to 1. Beyond the lines of the RPC's image they are those of its edge.
+    """
+    step = 2 / intervals
+    knots = -1 + step * np.arange(-_DEGREE, intervals + _DEGREE + 1)
+    unit = np.clip((lines - rpc.image_offset[0]) / abs(rpc.image_scale[0]), -1, 1 - 1e-12)
+    return np.asarray(BSpline(knots, np.eye(intervals + _DEGREE), _DEGREE)(unit))
+
+
+@dataclass(frozen=True, eq=False)
+class JitteredRpc(CorrectedRpc):
+    """The RPC that features have, with as many intervals as leave-one-out calls for."""
+
+    def fit_control(self, control: Control) -> Fit:
+        """Fit the splines; the least number of intervals within a standard error of the best."""
+        rpc = control.features.rpc
+        if not isinstance(rpc, Rpc):
+            raise Undetermined("no RPC is given", hint="Give it with --rpc FILE.")
+        tried: list[tuple[Any, FloatArray]] = []
+        for intervals in TRIED:
+            if _LEAST * intervals > len(control):
+                break
+            model = RpcJitter(rpc=json.dumps(asdict(rpc)), intervals=intervals).prepared(
+                control.scaling, control.features.crs)
+            squares = _left_out(model, control)
+            if squares is not None:
+                tried.append((model, squares))
+        if not tried:
+            raise Undetermined("the features do not determine a correction along the lines",
+                               hint="Give more points, all along the lines.")
+        best = min(tried, key=lambda one: float(one[1].mean()))[1]
+        model = next(model for model, squares in tried if (squares - best).mean()
+                     <= (squares - best).std() / np.sqrt(len(squares)))
+        return self.estimator.fit(
+            model, control.features, control.scaling, np.ones(len(model.terms), dtype=bool),
+            np.ones(len(control), dtype=bool))
+
+    def describe(self, fitted: Fit) -> str:
+        """Return how many intervals there are."""
+        return (f"The points call for a correction of the vendor's RPC that changes along the "
+                f"lines, over {fitted.model.options['intervals']} intervals.")
+
+    def suspects(self, control: Control) -> None:
+        """Return None: the corrections with a prior look for blunders."""
+
+
+def _left_out(model: RpcJitter, control: Control) -> FloatArray | None:
+    """Return squared errors of the equations without their own rows; None where undetermined."""
+    equations = model.equations(control.scaling.features(control.features))
+    u, size, _ = np.linalg.svd(equations.A, full_matrices=False)
+    if size[-1] < 1e-8 * size[0]:
+        return None
+    leverage = (u**2).sum(axis=1)
+    if leverage.max() > _MOST_LEVERAGE:
+        return None
+    residuals = equations.b - u @ (u.T @ equations.b)
+    return np.asarray((residuals / (1 - leverage)) ** 2)
+
+
+CANDIDATE = JitteredRpc("rpc-jittered", "the vendor's RPC with a smooth correction along the lines",
+                        short="RPC, along lines", is_plain=True)
+"""A smooth correction along the lines."""
