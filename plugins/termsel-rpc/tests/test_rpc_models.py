@@ -64,7 +64,8 @@ def data_folder() -> Path:
 def suites() -> dict[str, tuple[Check, ...]]:
     of = {"rpc": CANDIDATES}
     found = {model.name: checks(model, options=[of], place=AROUND_RPC)
-             for model in (RpcShift, RpcDrift, RpcAffine, RpcJitter)}
+             for model in (RpcShift, RpcDrift, RpcAffine)}
+    found["rpc-jitter"] = checks(RpcJitter, options=[{**of, "intervals": 2}], place=AROUND_RPC)
     found["rpc-affine in UTM"] = checks(RpcAffine, options=[of], place=IN_UTM)
     found["pushbroom-refine"] = checks(
         PushbroomRefine, options=[{"geometry": CANDIDATES, "biases": biases}
