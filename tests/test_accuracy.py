@@ -20,7 +20,6 @@ from termsel.fits.accuracy import (
     nssda,
     predicted_by,
     predicted_rmse,
-    rmse_interval,
 )
 from termsel.fits.uncertainty import _Belief, shared_variance
 from termsel.measurements.control import Control
@@ -29,7 +28,7 @@ from termsel.measurements.features import FeatureSet, Points
 from termsel.measurements.scaling import scaling_of
 from termsel.models.polynomial import Polynomial3D
 from termsel.priors.posterior import SIZES, posterior
-from termsel.record.figures import InImage, OnGround
+from termsel.record.figures import InImage, OnGround, rmse_interval
 from termsel.simulate import simulate_scene
 
 

@@ -24,8 +24,8 @@ from termsel.cli import plot
 from termsel.cli.main import cli
 from termsel.errors import TermselError
 from termsel.files.thumbnail import thumbnail
-from termsel.fits.accuracy import rmse_interval
 from termsel.record.base import plain
+from termsel.record.figures import rmse_interval
 from termsel.report.plots import KINDS, chart, save
 from termsel.results.repeat import command, not_by_command
 

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
-from scipy.special import chdtri, stdtrit
+from scipy.special import stdtrit
 
 from termsel.errors import counted
 from termsel.fits.fit import Fit
@@ -79,17 +79,6 @@ def predicted_by(fitted: Fit, errors: FloatArray, points: int) -> Predicted:
     """Return the RMSE that held-out errors predict for a fit (see `predicted_rmse`)."""
     return predicted_rmse(errors, fitted.effective, points, shared_variance(
         fitted.model, fitted.scaled_control.take(fitted.used)))
-
-
-def rmse_interval(total: float, points: int, level: float = CONFIDENCE) -> tuple[float, float]:
-    """Return the interval of the RMSE [px] that endlessly many such points would have.
-
-    Of errors in line and sample that are independent, normal and alike, so that their squares have
-    a chi-squared distribution; `level` is the probability of the interval.
-    """
-    tail, freedom = (1 - level) / 2, 2 * points
-    return (total * float(np.sqrt(freedom / chdtri(freedom, tail))),
-            total * float(np.sqrt(freedom / chdtri(freedom, 1 - tail))))
 
 
 _Distances = TypeVar("_Distances", InImage, OnGround)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtr, stdtrit
+from scipy.special import stdtr
 
 from termsel.adjustment.equations import line_normals
 from termsel.fits.fit import Fit
@@ -18,9 +18,6 @@ NORMAL_MEDIAN = 0.6745
 
 CORRELATED = 0.95
 """Absolute correlation of two coefficients from which on they are named."""
-
-SIGNIFICANT = 0.05
-"""Chance below which a coefficient is called significant."""
 
 PARALLEL = 0.05
 """Orientation spread from which on lines fix both image axes; that of lines within 13 degrees."""
@@ -40,11 +37,6 @@ def significance(fit: Fit) -> dict[str, Significance]:
     p = 2.0 * stdtr(adjustment.redundancy, -t)
     return {name: Significance(float(t[i]), float(p[i]))
             for i, name in enumerate(fit.model.terms) if fit.terms[i] and np.isfinite(t[i])}
-
-
-def least_t(redundancy: int) -> float:
-    """Return the t from which on a coefficient is significant, for a redundancy of 1 or more."""
-    return float(stdtrit(redundancy, 1 - SIGNIFICANT / 2))
 
 
 def correlations(fit: Fit) -> Iterator[tuple[str, str, float]]:

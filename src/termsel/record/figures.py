@@ -4,12 +4,28 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
+import numpy as np
 from msgspec import Meta, field
+from scipy.special import chdtri, stdtrit
 
 from termsel.record.base import Count, Name, Positive, RecordPart, Role, Roles, Share, Size
 
 CONFIDENCE = 0.9
 """Probability of an interval."""
+
+SIGNIFICANT = 0.05
+"""Chance below which a coefficient is called significant."""
+
+
+def rmse_interval(total: float, points: int) -> tuple[float, float]:
+    """Return the interval of the RMSE [px] that endlessly many such points would have.
+
+    Of errors in line and sample that are independent, normal and alike, so that their squares have
+    a chi-squared distribution.
+    """
+    tail, freedom = (1 - CONFIDENCE) / 2, 2 * points
+    return (total * float(np.sqrt(freedom / chdtri(freedom, tail))),
+            total * float(np.sqrt(freedom / chdtri(freedom, 1 - tail))))
 
 
 class RoleRmse(RecordPart, frozen=True):
@@ -23,6 +39,11 @@ class RoleRmse(RecordPart, frozen=True):
     """Of the distances [px]."""
     n: Count
     """Number of features."""
+
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """Interval of the RMSE of endlessly many such points [px]; None without a total."""
+        return rmse_interval(self.total, self.n) if self.total else None
 
 
 class RmseByRole(RecordPart, frozen=True):
@@ -113,6 +134,11 @@ class InImage(RecordPart, frozen=True):
     ce90: Size
     """Distance that nine in ten points do not exceed."""
 
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Interval of the RMSE of endlessly many such points [px]."""
+        return rmse_interval(self.total, self.n) if self.total else (0.0, 0.0)
+
 
 class OnGround(RecordPart, frozen=True):
     """Errors of independent points on the ground, each at its height [m]."""
@@ -193,3 +219,8 @@ class AdjustmentFigures(RecordPart, frozen=True):
     """Gauss-Newton steps of a fit whose equations are not exact."""
     converged: bool | None = None
     """Whether these steps converged."""
+
+    @property
+    def least_t(self) -> float:
+        """The t from which on a coefficient is significant, for a redundancy of 1 or more."""
+        return float(stdtrit(self.redundancy, 1 - SIGNIFICANT / 2))

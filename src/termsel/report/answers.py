@@ -11,7 +11,6 @@ from collections.abc import Iterator
 
 from termsel.candidates.portfolio import EXACT
 from termsel.errors import counted
-from termsel.fits.accuracy import rmse_interval
 from termsel.fits.figures import LEAVE_ONE_OUT
 from termsel.record.base import plain
 from termsel.record.figures import Accuracy, InImage, OnGround, Predicted, RoleRmse
@@ -104,7 +103,7 @@ def statement(record: Record) -> str:
 
 def _rmse_on(accuracy: Accuracy) -> str:
     image, ground = accuracy.image, accuracy.ground
-    low, high = rmse_interval(image.total, image.n) if image.total else (0.0, 0.0)
+    low, high = image.interval
     metres = f", {rounded(ground.total)} m on the ground" if ground else ""
     return (f"RMSE {rounded(image.total)} px{metres} on {counted(image.n, 'independent point')} "
             f"(90 % interval {rounded(low)} to {rounded(high)} px).")
@@ -171,8 +170,8 @@ def _fits(record: Record) -> TableBlock:
     for name, fitted_to_check, n_terms, rmse in fits_of(record):
         figures = [_figure(rmse.control)]
         for of_role in (rmse.check, rmse.independent):
-            figures += [_figure(of_role), "{:.3f} to {:.3f}".format(
-                *rmse_interval(of_role.total, of_role.n)) if of_role.total else "-"]
+            figures += [_figure(of_role), "{:.3f} to {:.3f}".format(*of_role.interval)
+                        if of_role.interval else "-"]
         rows.append((name + " *" * fitted_to_check, str(n_terms), *figures))
         keys.append(name)
         if rmse.leave_one_out is not None:

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from typing import cast
 
 from termsel.errors import amount, counted, percent
-from termsel.fits.diagnosis import CORRELATED, SIGNIFICANT
-from termsel.record.figures import AdjustmentFigures, RoleRmse
+from termsel.fits.diagnosis import CORRELATED
+from termsel.record.figures import SIGNIFICANT, AdjustmentFigures, RoleRmse
 from termsel.record.record import Record
 from termsel.record.search import Certificate, Member, SizeRow, Strategy
 from termsel.report import sizes

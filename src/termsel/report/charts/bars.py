@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from termsel.fits.accuracy import rmse_interval
 from termsel.report.compared import THIS, fits_of, label_of
 from termsel.report.theme import (
     BLUNDER,
@@ -149,11 +148,11 @@ def fit_rows(view: View) -> list[Row]:
     rows = []
     for name, fitted, _, rmse in fits_of(view.record):
         for role in ("check", "independent"):
-            total = rmse.by_role[role].total
-            if total:
-                low, high = rmse_interval(total, rmse.by_role[role].n)
+            of_role = rmse.by_role[role]
+            if of_role.interval:
+                low, high = of_role.interval
                 # A fit's own points say little; a hollow symbol tells them.
                 note = "fitted" if role == "check" and fitted else "judged"
-                rows.append({"fit": name, "role": role, "rmse": total, "low": low, "high": high,
-                             "note": note})
+                rows.append({"fit": name, "role": role, "rmse": of_role.total, "low": low,
+                             "high": high, "note": note})
     return rows

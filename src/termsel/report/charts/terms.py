@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any
 
-from termsel.fits.diagnosis import SIGNIFICANT, least_t
+from termsel.record.figures import SIGNIFICANT
 from termsel.report.theme import (
     CHECK,
     CONTROL,
@@ -40,7 +40,7 @@ def term_bars(view: View) -> Any:
     x = alt.X("t:Q", title=title,
               scale=alt.Scale(type="log", nice=False, padding=14))
     layers = [
-        alt.Chart(data([{"t": least_t(view.record.adjustment.redundancy)}])).mark_rule(
+        alt.Chart(data([{"t": view.record.adjustment.least_t}])).mark_rule(
             strokeDash=[5, 3], color=INK, strokeWidth=1.2).encode(x="t:Q"),
         base.mark_point(filled=True, size=75, opacity=1).encode(
             x=x, shape=shape, color=alt.Color("state:N", scale=alt.Scale(
