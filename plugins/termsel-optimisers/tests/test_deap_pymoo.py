@@ -4,20 +4,14 @@
 # ruff: noqa: ARG001, ARG005
 from __future__ import annotations
 
-import copy
 import json
-import multiprocessing
-import pickle
 import pkgutil
 import random
 import sys
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from threading import Event
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -43,7 +37,6 @@ import termsel
 import termsel_optimisers
 from termsel import TermselError, search
 from termsel.cli.main import cli
-from termsel.solvers.bridges.chance import OwnChance
 from termsel.solvers.genetic.ga import GeneticAlgorithm
 from termsel.solvers.ledger import Ledger, Progress
 from termsel.testing import Check, checks, problems
@@ -124,73 +117,6 @@ def test_individuals_keep_forced_genes_whatever_the_operators_do() -> None:
     last, _ = algorithms.eaSimple(box.population(n=20), box, 0.5, 1.0, 5, verbose=False)
     genes = np.array(last)
     assert problems.kept(problem.genome, genes).all()
-
-
-def islands(box: base.Toolbox) -> list[Any]:
-    """Evolve two populations that exchange their best; operators break forced genes."""
-    random.seed(5)
-    box.register("mutate", tools.mutFlipBit, indpb=0.4)
-    islands = [box.population(n=8) for _ in range(2)]
-    for _ in range(2):
-        islands = [algorithms.eaSimple(one, box, 0.6, 0.5, 1, verbose=False)[0] for one in islands]
-        tools.migRing(islands, 2, tools.selBest)
-    return [one for island in islands for one in island]
-
-
-def _map_of_processes(start: str) -> Any:
-    return multiprocessing.get_context(start).Pool(1)
-
-
-@contextmanager
-def _map_of_dask(_start: str) -> Iterator[Any]:
-    distributed = pytest.importorskip("distributed")
-    with distributed.Client(n_workers=1, threads_per_worker=1, dashboard_address=None) as client:
-        yield SimpleNamespace(map=lambda function, *each: client.gather(
-            client.map(function, *each, pure=False)))
-
-
-@pytest.mark.parametrize(("pool", "start"), [
-    pytest.param(_map_of_processes, "fork", marks=pytest.mark.skipif(
-        "fork" not in multiprocessing.get_all_start_methods(), reason="no fork here")),
-    pytest.param(_map_of_processes, "spawn", marks=pytest.mark.slow),
-    pytest.param(_map_of_dask, "", marks=pytest.mark.slow)])
-def test_other_processes_evaluate_the_same(pool: Any, start: str) -> None:
-    problem = small(max_share=0.4, force_on="line.num:X").problem
-    alone = islands(to_deap(problem))
-    with pool(start) as several:
-        box = to_deap(problem)
-        box.register("map", several.map)
-        found = islands(box)
-    assert problems.kept(problem.genome, np.array(found)).all()
-    assert [one.fitness.values[0] for one in found] == pytest.approx(
-        problem.evaluate(np.array(found)).objectives[:, 0])
-    assert [tuple(one.objectives) for one in found] == [one.fitness.values for one in found]
-    if start:  # dask itself draws from the global random state
-        assert found == alone
-
-
-def test_toolboxes_and_individuals_survive_pickling() -> None:
-    box = to_deap(Counted(small().problem))
-    one = box.individual()
-    one.fitness.values = box.evaluate(one)
-    again = pickle.loads(pickle.dumps(one))
-    assert again == one
-    assert again.fitness == one.fitness
-    assert (again.objectives == one.objectives).all()
-    assert copy.deepcopy(again).fitness.values == one.fitness.values
-    loaded = pickle.loads(pickle.dumps(box))
-    several = [again, copy.deepcopy(one)]
-    for values in loaded.map(loaded.evaluate, several):
-        assert values == pytest.approx(one.fitness.values)
-
-
-def test_a_search_tells_who_evaluates_elsewhere() -> None:
-    task = small()
-    solver = from_deap(lambda problem: to_deap(task.problem), name="elsewhere")
-    with pytest.raises(TermselError, match=r"'elsewhere' .* evaluated nothing with the problem"):
-        search(task.problem, solver(population=10), generations=3)
-    with pytest.raises(TermselError, match="counts evaluations in its own process"):
-        pickle.dumps(Ledger(task.problem))
 
 
 def test_a_replaced_evaluation_is_called_for_each_individual() -> None:
@@ -304,7 +230,6 @@ def test_each_algorithm_of_pymoo_runs_and_repeats(algorithm: str) -> None:
     assert np.array_equal(one.genes, two.genes)
     assert np.array_equal(one.front, two.front)
     assert global_states() == before
-    assert np.random.default_rng().random() != np.random.default_rng().random()
     assert one.violation == two.violation == 0
     assert len(one.objectives) == (1 if algorithm in SINGLE else 2)
     assert bool(one.front) == (algorithm not in SINGLE)
@@ -539,25 +464,6 @@ def test_ga_is_the_batched_twin_of_deap(problem: str, options: dict[str, Any]) -
     # The test has power: with half of the generations' crossover and mutation it sees the gap.
     weak = reached(Deap(population=40, select="selRandom"))
     assert ks_2samp(batched, weak).pvalue < 0.001
-
-
-def test_random_numbers_of_other_threads_stay_their_own() -> None:
-    first, second = (OwnChance(np.random.default_rng(seed)) for seed in (1, 2))
-    before, theirs = np.random.default_rng, []
-    with ThreadPoolExecutor(1) as pool, first:
-        mine = np.random.default_rng()
-        assert np.random.default_rng() is mine
-        theirs.append(pool.submit(np.random.default_rng).result())
-        pool.submit(second.__enter__).result()
-        theirs.append(pool.submit(np.random.default_rng).result())
-        with OwnChance(np.random.default_rng(3)):
-            assert np.random.default_rng() is not mine
-        assert np.random.default_rng() is mine
-        assert np.random.default_rng(5).random() == before(5).random()
-        pool.submit(second.__exit__, None, None, None).result()
-        assert np.random.default_rng() is mine
-    assert len({id(one) for one in (mine, *theirs)}) == 3
-    assert np.random.default_rng is before
 
 
 @pytest.mark.parametrize("check", [

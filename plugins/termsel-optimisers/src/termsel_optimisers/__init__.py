@@ -18,16 +18,17 @@ from termsel import hookimpl
 
 if TYPE_CHECKING:
     from termsel import Solver
+    from termsel_optimisers.ask_tell import from_ask_tell
     from termsel_optimisers.deap_algorithms import from_deap
     from termsel_optimisers.deap_toolbox import to_deap
     from termsel_optimisers.pymoo_algorithms import from_pymoo
 
 # What is not needed for `termsel list` is not imported for it.
 __getattr__, _, _ = lazy_loader.attach(__name__, submod_attrs={
-    "deap_algorithms": ["from_deap"], "deap_toolbox": ["to_deap"],
-    "pymoo_algorithms": ["from_pymoo"]})
+    "ask_tell": ["from_ask_tell"], "deap_algorithms": ["from_deap"],
+    "deap_toolbox": ["to_deap"], "pymoo_algorithms": ["from_pymoo"]})
 
-__all__ = ["from_deap", "from_pymoo", "to_deap"]
+__all__ = ["from_ask_tell", "from_deap", "from_pymoo", "to_deap"]
 
 
 @hookimpl

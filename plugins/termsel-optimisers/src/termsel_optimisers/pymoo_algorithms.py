@@ -9,11 +9,13 @@ from math import comb
 from typing import Any, ClassVar
 
 import numpy as np
+from pymoo.algorithms.soo.nonconvex.ga import FitnessSurvival
 from pymoo.core.algorithm import Algorithm
 from pymoo.util.ref_dirs import get_reference_directions
 
 from termsel import Generation, Option, Problem, Solver, TermselError
 from termsel.problems.segments import SEGMENTS
+from termsel.solvers.bridges.chance import OwnChance
 from termsel.solvers.bridges.pareto import OPTIONS
 from termsel.solvers.bridges.pymoo_operators import operators
 from termsel.solvers.bridges.pymoo_problem import steps
@@ -159,17 +161,22 @@ def from_pymoo(algorithm: Algorithm, *, name: str | None = None) -> type[Solver]
         if reason in (_UNCONSTRAINED, _NUMBERS):
             raise TermselError(f"pymoo's {type(algorithm).__name__} {reason}",
                                hint="Choose another algorithm, such as GA or NSGA2.")
-    single = any(home.startswith("pymoo.algorithms.soo") for home in homes)
+    # The survival of MixedVariableGA, which is no module of the others, is for one.
+    single = (any(home.startswith("pymoo.algorithms.soo") for home in homes)
+              or isinstance(getattr(algorithm, "survival", None), FitnessSurvival))
     several = any(home.startswith("pymoo.algorithms.moo") for home in homes)
 
     class FromPymoo(Solver):
         __doc__ = f"{type(algorithm).__name__} of pymoo, as a user set it up."
         min_objectives = 2 if several else 1
         max_objectives = 1 if single else 8
+        segments = SEGMENTS
         runs_code_of_users = True
 
         def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
-            yield from steps(deepcopy(algorithm), problem, rng)
+            # The generator itself is as that of `pymoo.optimize.minimize` with the same seed.
+            yield from steps(deepcopy(algorithm), problem, rng,
+                             chance=OwnChance(rng.spawn(1)[0]))
 
     FromPymoo.name = name or f"{type(algorithm).__name__.lower()}-pymoo"
     return FromPymoo

@@ -8,25 +8,14 @@ import numpy as np
 from pymoo.core.crossover import Crossover
 from pymoo.core.mutation import Mutation
 from pymoo.core.problem import Problem as PymooProblem
-from pymoo.core.repair import Repair
 from pymoo.core.sampling import Sampling
 from pymoo.operators.crossover.ux import UX
 from pymoo.operators.mutation.bitflip import BitflipMutation
 
 from termsel.problems.genome import Genome
 from termsel.problems.segments import Genes
+from termsel.solvers.bridges.pymoo_problem import Keep
 from termsel.solvers.genetic.operators import crossover, mutation
-
-
-class _Keep(Repair):
-    """Forced genes and cardinality, after every operator."""
-
-    def __init__(self, genome: Genome, rng: np.random.Generator) -> None:
-        super().__init__()
-        self.genome, self.rng = genome, rng
-
-    def _do(self, problem: PymooProblem, X: Genes, **_: Any) -> Genes:
-        return self.genome.repair(X.astype(self.genome.dtype), self.rng)
 
 
 class _Start(Sampling):
@@ -77,4 +66,4 @@ def operators(genome: Genome, rate: float | None, rng: np.random.Generator) -> d
     return {"sampling": _Start(genome, rng), "crossover": UX() if bits else _Mate(genome),
             "mutation": (BitflipMutation(prob=1.0, prob_var=rate) if bits
                          else _Mutate(genome, rate)),
-            "repair": _Keep(genome, rng)}
+            "repair": Keep(genome, rng)}

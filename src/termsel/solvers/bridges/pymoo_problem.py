@@ -3,45 +3,98 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
-from copy import deepcopy
+from collections.abc import Callable, Iterator
+from copy import copy, deepcopy
 from typing import Any
 
 import numpy as np
+from pymoo.algorithms.moo.nsga3 import NSGA3
+from pymoo.algorithms.soo.nonconvex.ga_niching import NicheGA
 from pymoo.core.algorithm import Algorithm
+from pymoo.core.population import Population
 from pymoo.core.problem import Problem as PymooProblem
+from pymoo.core.repair import NoRepair, Repair
+from pymoo.core.variable import Binary, Integer, Real, Variable
 from pymoo.termination.max_gen import MaximumGenerationTermination
 
-from termsel.measurements.features import FloatArray
+from termsel.guard.faults import blamed
+from termsel.measurements.features import FloatArray, IntArray
 from termsel.problems.base import Evaluation, Problem
+from termsel.problems.genome import Genome
 from termsel.problems.segments import Bits, Genes
 from termsel.solvers.base import Generation
 from termsel.solvers.bridges.chance import OwnChance
 from termsel.solvers.budget import EVALUATIONS
 
+CHECK = "Check the algorithm and its operators."
+
+
+class Variables:
+    """The genes of a genome as variables of pymoo, in arrays or, of MixedVariableGA, in dicts."""
+
+    def __init__(self, genome: Genome) -> None:
+        self.genome = genome
+        self.kinds = [segment.dtype for segment in genome.segments for _ in range(segment.size)]
+        low, high = _bounds(genome)
+        names = [f"{segment.name}.{i}" for segment in genome.segments for i in range(segment.size)]
+        self.named = {name: _variable(kind, *ends) for name, kind, *ends in zip(
+            names, self.kinds, low.tolist(), high.tolist(), strict=True)}
+
+    def genes(self, X: Any) -> Genes:
+        """Return the genes (p, size) of variables; they may not be valid."""
+        if len(X) and isinstance(X[0], dict):
+            X = [[one[name] for name in self.named] for one in X]
+        return np.asarray(X, dtype=bool if self.genome.dtype == np.bool_ else float)
+
+    def like(self, X: Any, genes: Genes) -> Any:
+        """Return genes in the form of variables."""
+        if not (len(X) and isinstance(X[0], dict)):
+            return genes
+        return np.array([{name: kind(value) for name, kind, value in zip(
+            self.named, self.kinds, row, strict=True)} for row in genes.tolist()])
+
+
+def _variable(kind: type, low: float, high: float) -> Variable:
+    if kind is np.bool_:
+        return Binary()
+    return Real(bounds=(low, high)) if kind is np.float64 else Integer(bounds=(int(low), int(high)))
+
+
+class Keep(Repair):
+    """Types, bounds, forced genes and cardinality, after every operator."""
+
+    def __init__(self, genome: Genome, rng: np.random.Generator) -> None:
+        super().__init__()
+        self.variables, self.rng = Variables(genome), rng
+
+    def _do(self, problem: PymooProblem, X: Any, **_: Any) -> Any:
+        genes = self.variables.genes(X)
+        return self.variables.like(X, self.variables.genome.repair(genes, self.rng))
+
 
 class _Posed(PymooProblem):
     """The genes are the variables, the violation is the only constraint."""
 
-    def __init__(self, problem: Problem) -> None:
-        genome = problem.genome
-        bits = genome.dtype == np.bool_
-        low, high = (0, 1) if bits else _bounds(problem)
-        super().__init__(n_var=genome.size, n_obj=len(problem.objectives), n_ieq_constr=1,
-                         xl=low, xu=high, vtype=bool if bits else None)
-        self.problem = problem
+    def __init__(self, problem: Problem, **options: Any) -> None:
+        bits = problem.genome.dtype == np.bool_
+        low, high = (0, 1) if bits else _bounds(problem.genome)
+        super().__init__(n_var=problem.genome.size, n_obj=len(problem.objectives), n_ieq_constr=1,
+                         xl=low, xu=high, vtype=bool if bits else None, **options)
+        self.problem, self.variables = problem, Variables(problem.genome)
+        # Not as an argument: it would make the bounds dicts, which arrays cannot have.
+        self.vars = self.variables.named
 
-    def _evaluate(self, X: Genes, out: dict[str, Any], *_: Any, **__: Any) -> None:
+    def _evaluate(self, X: Any, out: dict[str, Any], *_: Any, **__: Any) -> None:
         genome = self.problem.genome
-        broken = np.zeros(len(X))
+        genes = self.variables.genes([X] if self.elementwise else X)
+        broken = np.zeros(len(genes))
         if genome.dtype == np.bool_:
-            genes: Genes = np.asarray(X, dtype=bool)
             # pymoo's own operators know of no forced genes and counts.
             broken = _broken(self.problem, genes)
         else:  # numbers are rounded to what their genes allow
-            genes = genome.repair(np.asarray(X, dtype=float), np.random.default_rng(0))
+            genes = genome.repair(genes, np.random.default_rng(0))
         evaluation = self.problem.evaluate(genes)
-        out["F"] = evaluation.objectives
+        out["F"] = evaluation.objectives[0] if self.elementwise else evaluation.objectives
         out["G"] = (evaluation.violation + broken)[:, None]
 
 
@@ -56,26 +109,31 @@ def _broken(problem: Problem, genes: Genes) -> FloatArray:
     return count
 
 
-def _bounds(problem: Problem) -> tuple[FloatArray, FloatArray]:
+def _bounds(genome: Genome) -> tuple[FloatArray, FloatArray]:
     """Return the range of each gene, shape (g,) each."""
     sides = [[np.broadcast_to(np.array(one, dtype=float), segment.size) for one in segment.limits]
-             for segment in problem.genome.segments]
+             for segment in genome.segments]
     low, high = map(np.concatenate, zip(*sides, strict=True))
     return low, high
 
 
-def to_pymoo(problem: Problem) -> PymooProblem:
+def to_pymoo(problem: Problem, *, elementwise_runner: Callable[..., Any] | None = None
+             ) -> PymooProblem:
     """Return a pymoo problem, for scripts of one's own.
 
     It evaluates a whole population at once (``elementwise=False``). The objectives are F. The
     violation is the constraint G, at most 0 where feasible; forced genes that are not kept and
     counts of genes that are out of range add to it. Variables are of the type bool where all genes
     are bits; others are numbers, rounded where they are evaluated to what their genes allow.
+    `MixedVariableGA` of pymoo gets each by its type, as ``segment.number``.
 
     Parameters
     ----------
     problem : Problem
         Such as that of a task that `termsel.prepare` returns.
+    elementwise_runner : callable, optional
+        Of `pymoo.parallelization`, such as ``StarmapParallelization(pool.starmap)``: each selection
+        is evaluated by itself, in other processes.
 
     Examples
     --------
@@ -92,7 +150,9 @@ def to_pymoo(problem: Problem) -> PymooProblem:
     >>> found.X.shape, bool(found.G[0] <= 0)
     ((12,), True)
     """
-    return _Posed(problem)
+    if elementwise_runner is None:
+        return _Posed(problem)
+    return _Posed(problem, elementwise=True, elementwise_runner=elementwise_runner)
 
 
 class _Horizon(MaximumGenerationTermination):
@@ -102,40 +162,65 @@ class _Horizon(MaximumGenerationTermination):
         return 0.0
 
 
-def steps(algorithm: Algorithm, problem: Problem, rng: np.random.Generator,
-          horizon: int | None = None) -> Iterator[Generation]:
-    """Yield the generations of a pymoo algorithm that is not yet set up; it is changed.
+class _Tournament:
+    """A comparison for tournaments whose draws between equally infeasible ones have a seed."""
 
-    What draws from the global random state or from a generator without a seed, as some of pymoo's
-    operators do, gets one of its own. The horizon is the number of generations that RVEA, which
-    adapts to how far a run is, takes for the length of it; by default those of the usual budget.
-    """
-    genome = problem.genome
-    chance = OwnChance(rng)
+    def __init__(self, compare: Callable[..., Any], rng: np.random.Generator) -> None:
+        self.compare, self.rng = compare, rng
+
+    def __call__(self, pop: Population, P: IntArray, **given: Any) -> Any:
+        violation, P = pop.get("CV")[:, 0], P.copy()
+        draws = (violation[P[:, 0]] > 0) & (violation[P] == violation[P[:, :1]]).all(axis=1)
+        # Of an individual and itself only one can be drawn.
+        P[draws] = self.rng.permuted(P[draws], axis=1)[:, :1]
+        return self.compare(pop, P, **given)
+
+
+def _begun(algorithm: Algorithm, posed: _Posed, rng: np.random.Generator, horizon: int) -> None:
+    """Set an algorithm up: its repair, its seeds, and a survival of its own."""
     # By default pymoo gives all algorithms of a class one survival, with what an earlier run left.
     if survival := getattr(algorithm, "survival", None):
         algorithm.survival = deepcopy(survival)
+    for part in (getattr(algorithm, "initialization", None), getattr(algorithm, "mating", None)):
+        # Before duplicates are told: a selection may be repaired to another one's.
+        if part is not None and isinstance(part.repair, NoRepair):
+            part.repair = Keep(posed.problem.genome, rng)
+    if isinstance(algorithm, NSGA3 | NicheGA):  # whose tournaments have a generator without a seed
+        algorithm.mating.selection = selection = copy(algorithm.mating.selection)
+        selection.func_comp = _Tournament(selection.func_comp, rng)
+    algorithm.setup(posed, termination=_Horizon(horizon))
+    algorithm.random_state = rng
+
+
+def steps(algorithm: Algorithm, problem: Problem, rng: np.random.Generator,
+          horizon: int | None = None, chance: OwnChance | None = None) -> Iterator[Generation]:
+    """Yield the generations of a pymoo algorithm that is not yet set up; it is changed.
+
+    What draws from a global random state, as some of pymoo's operators do, gets one of its own. The
+    horizon is the number of generations that RVEA, which adapts to how far a run is, takes for the
+    length of it; by default those of the usual budget. The chance is what global states give.
+    """
+    genome, posed, chance = problem.genome, _Posed(problem), chance or OwnChance(rng)
     # RVEA alone asks how long a run will be.
     expected = horizon or max(EVALUATIONS // (getattr(algorithm, "pop_size", None) or 1), 1)
-    with chance:
-        algorithm.setup(_Posed(problem), termination=_Horizon(expected))
-    algorithm.random_state = rng
+    with blamed(algorithm, "setup", CHECK), chance:
+        _begun(algorithm, posed, rng, expected)
     for index in itertools.count():
-        with chance:
+        with blamed(algorithm, "ask", CHECK), chance:
             offspring = algorithm.ask()
         if offspring is None or not len(offspring):
             return  # every offspring is a duplicate: there is nothing left to try
-        kept = offspring.get("X")
-        genes = genome.repair(kept.astype(bool if genome.dtype == np.bool_ else float), rng)
-        offspring.set("X", genes)
+        asked = offspring.get("X")
+        genes = genome.repair(posed.variables.genes(asked), rng)
+        offspring.set("X", posed.variables.like(asked, genes))
         evaluation = problem.evaluate(genes)
         offspring.set("F", evaluation.objectives)
         offspring.set("G", evaluation.violation[:, None])
         for one in offspring:  # else pymoo would evaluate them again
             one.evaluated.update({"F", "G"})
-        with chance:
+        with blamed(algorithm, "tell", CHECK), chance:
             # The repaired genes are those that survive or not.
             algorithm.tell(infills=offspring)
         people = algorithm.pop
-        yield Generation(index, people.get("X").astype(genome.dtype),
+        yield Generation(index, posed.variables.genes(people.get("X")).astype(genome.dtype),
                          Evaluation(people.get("F"), np.maximum(people.get("G")[:, 0], 0.0)))
