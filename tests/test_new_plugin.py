@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import json
 import os
 import re
@@ -9,13 +10,16 @@ import subprocess
 import sys
 import sysconfig
 import venv
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from termsel.cli.new_plugin import KINDS, package
+from termsel.plugins.registry import Registry
 
 LISTED = {"model": "models", "solver": "solvers", "problem": "problems", "criterion": "criteria",
           "objective": "objectives", "candidate": "candidates", "dataset": "datasets",
@@ -109,3 +113,35 @@ def test_nothing_is_replaced(tmp_path: Path, call: Callable[..., SimpleNamespace
     done = call("new-plugin", "mine", "--kind", "model", "--into", tmp_path / "no")
     assert done.exit_code == 2
     assert "this folder does not exist" in done.stderr
+
+
+def test_a_package_of_several_kinds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+                                    call: Callable[..., SimpleNamespace]) -> None:
+    done = call("new-plugin", "termsel-two", "--kind", "solver, criterion", "--into", tmp_path)
+    assert done.exit_code == 0, done.stderr
+    folder = tmp_path / "termsel-two"
+    assert sorted(file.name for file in folder.rglob("*.py")) == [
+        "build_wheel.py", "termsel_two_criterion.py", "termsel_two_solver.py",
+        "test_termsel_two_criterion.py", "test_termsel_two_solver.py"]
+    monkeypatch.syspath_prepend(folder)
+    build: Any = importlib.import_module("build_wheel")
+    with zipfile.ZipFile(tmp_path / build.build_wheel(tmp_path)) as wheel:
+        wheel.extractall(tmp_path / "site")
+    monkeypatch.delitem(sys.modules, "build_wheel")
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    names = Registry([point for point in importlib.metadata.entry_points(group="termsel")
+                      if point.dist.name == "termsel-two"])
+    assert "two-solver" in names.names("solvers")
+    assert "two-criterion" in names.names("criteria")
+    assert names.failures() == []
+
+
+@pytest.mark.parametrize(("kinds", "said"), [
+    ("solver,solver", "names a kind twice"), ("solver,modle", "unknown kind of plugin 'modle'"),
+    ("", "unknown kind of plugin ''"), ("solver,", "unknown kind of plugin ''")])
+def test_kinds_that_there_are_not_are_refused(kinds: str, said: str, tmp_path: Path,
+                                              call: Callable[..., SimpleNamespace]) -> None:
+    done = call("new-plugin", "termsel-two", "--kind", kinds, "--into", tmp_path)
+    assert done.exit_code == 2
+    assert said in done.stderr
+    assert not list(tmp_path.iterdir())

@@ -104,8 +104,8 @@ def test_every_hook_is_documented(hook):
 
 
 def test_every_kind_has_a_hook():
-    assert {f"termsel_{kind}" for kind in KINDS} | {"termsel_commands", "termsel_run_finished"} \
-        == set(HOOKS)
+    assert {f"termsel_{kind}" for kind in KINDS} | {
+        "termsel_commands", "termsel_observers", "termsel_run_finished"} == set(HOOKS)
 
 
 def test_a_plugin_provides_a_model(install, registry):
@@ -724,3 +724,23 @@ def test_public_names_can_be_imported():
         assert getattr(termsel, name) is not None
     with pytest.raises(AttributeError, match="attribute nonsense"):
         termsel.nonsense  # noqa: B018
+
+
+def test_observers_of_plugins_hear_of_every_run_until_they_fail(install, registry, monkeypatch,
+                                                                 capsys):
+    install("a-listener", """
+        from termsel import hookimpl
+        heard, failed = [], []
+        def fails(progress):
+            failed.append(1)
+            raise KeyError("mine")
+        @hookimpl
+        def termsel_observers(): return [lambda progress: heard.append(progress), fails]""")
+    monkeypatch.setattr("termsel.runs.run.registry", registry)
+    result = termsel.run("poly-terms", evaluations=60, options={"degree": 1, "population": 20})
+    module = sys.modules["a_listener"]
+    assert [one.evaluations for one in module.heard] == sorted(
+        one.evaluations for one in module.heard)
+    assert module.heard[-1].evaluations == result.evaluations
+    assert module.failed == [1]
+    assert capsys.readouterr().err.count("an observer failed: KeyError: 'mine'") == 1

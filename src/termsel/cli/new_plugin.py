@@ -13,7 +13,7 @@ from pathlib import Path
 import click
 
 from termsel.cli.messages import echo, say_written
-from termsel.errors import TermselError
+from termsel.errors import TermselError, unknown_name
 from termsel.version import plugin_bound
 
 KINDS = ("model", "solver", "problem", "criterion", "objective", "candidate", "dataset", "reader",
@@ -38,7 +38,8 @@ _USE = {
 
 @click.command("new-plugin")
 @click.argument("name")
-@click.option("--kind", type=click.Choice(KINDS), required=True, help="What it provides.")
+@click.option("--kind", required=True, metavar="KIND[,KIND]...",
+              help=f"What it provides, with commas between several: {', '.join(KINDS)}.")
 @click.option("--into", "parent", metavar="DIR", default=".", show_default=True,
               type=click.Path(path_type=Path), help="The folder in which the package is made.")
 def new_plugin(name: str, kind: str, parent: Path) -> None:
@@ -50,10 +51,11 @@ def new_plugin(name: str, kind: str, parent: Path) -> None:
     \b
     Examples:
       termsel new-plugin termsel-demo --kind model
+      termsel new-plugin termsel-more --kind solver,criterion
       pip install ./termsel-demo
       termsel describe demo
     """
-    texts = package(name, kind)
+    texts = package(name, *(one.strip() for one in kind.split(",")))
     folder = parent / name
     if not parent.is_dir():
         raise TermselError("this folder does not exist", file=parent, hint="Make it first.")
@@ -73,22 +75,37 @@ def new_plugin(name: str, kind: str, parent: Path) -> None:
          f"Test it:    cd {folder}; {Path(sys.executable).name} -m unittest discover tests")
 
 
-def package(name: str, kind: str) -> dict[str, str]:
-    """Return the files of a new package, by their path in it; refuse a name that cannot be."""
+def package(name: str, *kinds: str) -> dict[str, str]:
+    """Return the files of a new package, by their path in it; refuse a name that cannot be.
+
+    Of several kinds each has a module and a name of its own, such as demo-model.
+    """
+    for kind in kinds:
+        if kind not in KINDS:
+            raise unknown_name("kind of plugin", kind, KINDS)
+    if len(set(kinds)) < len(kinds):
+        raise TermselError(f"--kind {','.join(kinds)} names a kind twice", hint="Name each once.")
     module = re.sub(r"[-_.]+", "_", name).lower()
     thing = re.sub(r"[-_.]+", "-", name).lower().removeprefix("termsel-")
-    _require_free(name, module, thing, kind)
+    alone = len(kinds) == 1
+    modules = {kind: module if alone else f"{module}_{kind}" for kind in kinds}
+    names = {kind: thing if alone else f"{thing}-{kind}" for kind in kinds}
+    for kind in kinds:
+        _require_free(name, module, thing, kind, modules[kind], names[kind])
+    titles = {kind: f"The {_word(kind)} {names[kind]}" for kind in kinds}
     words = {
-        "DISTRIBUTION": name, "MODULE": module, "NAME": thing,
-        "CLASS": "".join(part.capitalize() for part in thing.split("-")),
-        "TITLE": f"The {_word(kind)} {thing}", "USE": _USE[kind].format(name=thing),
-        "BOUND": plugin_bound()}
-    test = f"test_{module}.py"
-    sources = {
-        "pyproject.toml": "pyproject.toml", "build_wheel.py": "build_wheel.py",
-        "README.md": "README.md", f"{module}.py": f"{kind}.py",
-        f"tests/{test}": f"{kind}_test.py"}
-    return {file: _filled(source, words) for file, source in sources.items()}
+        "DISTRIBUTION": name, "BOUND": plugin_bound(), "TITLE": ", ".join(titles.values()),
+        "POINTS": "".join(f'{names[kind]} = "{modules[kind]}"\n' for kind in kinds),
+        "DESCRIBED": "\n".join(f"termsel describe {names[kind]}" for kind in kinds),
+        "USE": "\n\n".join(_USE[kind].format(name=names[kind]) for kind in kinds)}
+    found = {file: _filled(file, words) for file in ("pyproject.toml", "build_wheel.py",
+                                                     "README.md")}
+    for kind in kinds:
+        own = {**words, "MODULE": modules[kind], "NAME": names[kind], "TITLE": titles[kind],
+               "CLASS": "".join(part.capitalize() for part in names[kind].split("-"))}
+        found[f"{modules[kind]}.py"] = _filled(f"{kind}.py", own)
+        found[f"tests/test_{modules[kind]}.py"] = _filled(f"{kind}_test.py", own)
+    return found
 
 
 def _word(kind: str) -> str:
@@ -100,17 +117,17 @@ def _filled(source: str, words: dict[str, str]) -> str:
     return re.sub(r"@([A-Z]+)@", lambda mark: words[mark[1]], text)
 
 
-def _require_free(name: str, module: str, thing: str, kind: str) -> None:
-    if not _NAME.fullmatch(name) or keyword.iskeyword(module) or not thing:
+def _require_free(name: str, package: str, bare: str, kind: str, module: str, thing: str) -> None:
+    if not _NAME.fullmatch(name) or keyword.iskeyword(package) or not bare:
         near = "-".join(re.findall(r"[A-Za-z0-9]+", name)).lstrip("-0123456789")
         near = near if near and not keyword.iskeyword(near) else "termsel-demo"
         raise TermselError(f"{name!r} cannot be the name of a package",
                            hint=f"Take letters, digits and hyphens, such as {near}.")
     plugins = {point.module for point in entry_points(group="termsel")}
-    if module != "termsel" and module not in plugins and find_spec(module) is not None:
+    if package != "termsel" and module not in plugins and find_spec(module) is not None:
         raise TermselError(f"Python already has a module {module!r}",
                            hint=f"Choose another name, such as termsel-{name}.")
-    if module == "termsel":
+    if package == "termsel":
         raise TermselError("this is the name of termsel itself", hint="Choose another name.")
     from termsel.plugins.commands import COMMANDS
     from termsel.plugins.kinds import KINDS as REGISTERED

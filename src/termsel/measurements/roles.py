@@ -182,7 +182,8 @@ def observe(
     if control in ("lines", "both") and not len(features.lines):
         raise TermselError(
             "the problem needs control lines and there are none",
-            hint="Give them with --lines FILE, or leave mixed=true out." if control == "both"
+            hint="Give them with --lines FILE, or choose a problem over points, without mixed=true."
+            if control == "both"
             else "Give them with --lines FILE, or choose a problem over points.")
     roles = np.array(points.roles, dtype=object)
     if how != "file":

@@ -27,7 +27,7 @@ something of its kind is needed.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
 import pluggy
@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from termsel.problems.recipes import Recipe
     from termsel.results.result import Result
     from termsel.solvers import Solver
+    from termsel.solvers.ledger import Progress
 
 PROJECT = "termsel"
 """Name of the entry-point group, and prefix of the hooks."""
@@ -179,6 +180,18 @@ def termsel_commands(cli: click.Group) -> None:
     cli : click.Group
         Takes the commands: ``cli.add_command(command)`` or ``@cli.command()``. Each plugin has
         its own group; its commands are added to those of termsel afterwards.
+    """
+
+
+@hookspec
+def termsel_observers() -> Iterable[Callable[[Progress], None]]:
+    """Return observers of every run, for a log or a display of progress.
+
+    Returns
+    -------
+    iterable of callable
+        Each takes the `Progress` of a search, as the `observers` of `termsel.run` do: after each
+        generation, and in the local refinement. One that fails is named, and not called any more.
     """
 
 

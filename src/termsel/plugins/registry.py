@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
@@ -13,6 +13,7 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from termsel.errors import TermselError, printable, unknown_name
+from termsel.guard.faults import package_of
 from termsel.options import Configurable
 from termsel.plugins.calling import call, listed
 from termsel.plugins.commands import COMMANDS
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     import click
 
     from termsel.results.result import Result
+    from termsel.solvers.ledger import Progress
 
 HEARD = 600.0
 """Seconds that a plugin may take for a finished run, such as to send it somewhere."""
@@ -188,12 +190,20 @@ class Registry:
         return (f"It comes with the package {package}, which is not installed. In a clone of "
                 f"termsel: pip install ./plugins/{package}")
 
+    def observers(self) -> list[Callable[[Progress], None]]:
+        """Return the observers of runs that plugins have; one that fails is told, and left out."""
+        hook = f"{PROJECT}_observers"
+        answers = call(hook, self._loader.slots_of(hook), listed)
+        for plugin, reason in answers.faults:
+            _warn(plugin, f"{hook}: {reason}")
+        return [_kept(plugin, observe) for plugin, observe in answers.things]
+
     def notify_run_finished(self, result: Result) -> None:
         """Give every plugin that asks for it a copy of a finished run; warn of those that fail."""
         answers = call(LISTENER, self._loader.slots_of(LISTENER), _nothing,
                        {"result": lambda _plugin: deepcopy(result)}, HEARD)
         for plugin, reason in answers.faults:
-            print(printable(f"Warning: {plugin.remark(f'{LISTENER}: {reason}')}"), file=sys.stderr)
+            _warn(plugin, f"{LISTENER}: {reason}")
 
     def _collect(self, kind: str) -> Provided:
         """Return what is provided of a kind, asking plugins once."""
@@ -261,6 +271,24 @@ def own_packages() -> dict[str, list[str]]:
     found: dict[str, list[str]] = json.loads(
         (files("termsel.plugins") / "packages.json").read_text("utf-8"))
     return found
+
+
+def _warn(plugin: Plugin, what: str) -> None:
+    print(printable(f"Warning: {plugin.remark(what)}"), file=sys.stderr)
+
+
+def _kept(plugin: Plugin, observe: Callable[[Progress], None]) -> Callable[[Progress], None]:
+    """Return an observer of a plugin that ends with its first failure, and not the run."""
+    failed = False
+
+    def observed(progress: Progress) -> None:
+        nonlocal failed
+        reason = None if failed else attempt(lambda: observe(progress), package_of(observe))[1]
+        if reason is not None:
+            failed = True
+            _warn(plugin, f"an observer failed: {reason}")
+
+    return observed
 
 
 def _nothing(_value: Any) -> list[Any]:

@@ -28,8 +28,8 @@ class Recipe:
         Names of the defaults, so that the problem's name alone runs.
     model_options : mapping
         Options of the default model that differ from the defaults of the model.
-    control : {"points", "lines"}
-        Kind of control features.
+    control : {"points", "lines", "both"}
+        Kind of control features; with both, points and lines are in one adjustment.
     options : tuple of Option
         Further settings of the problem.
     second : str
@@ -70,9 +70,9 @@ class Recipe:
     source: str = ""
 
     def __post_init__(self) -> None:
-        if self.control not in ("points", "lines"):
+        if self.control not in ("points", "lines", "both"):
             raise TermselError(f"recipe {self.name!r} has the control {self.control!r:.100}",
-                               hint="Give points or lines.")
+                               hint="Give points, lines or both.")
         other = [one for one in self.options if not isinstance(one, Option)]
         if other:
             raise TermselError(f"recipe {self.name!r} has the option {other[0]!r:.100}",

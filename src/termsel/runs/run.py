@@ -141,8 +141,7 @@ def run(
     if problem is None:
         request = replace(request, problem=problem_for(features, dataset))
     shown = notebook_observer(task.recipe.name if task else str(problem or "auto"))
-    if shown is not None:
-        observers = (*observers, shown)
+    observers = (*observers, *([] if shown is None else [shown]), *registry().observers())
     if task is None:
         if wanted(strategy, registry().taken("problems", request.problem),
                   [*request.method(), *["a budget"] * limited], unnamed=problem is None):
