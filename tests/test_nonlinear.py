@@ -186,3 +186,10 @@ def test_derivatives_that_are_wrong_fail_the_check(page: dict[str, Any]) -> None
 
     with pytest.raises(AssertionError, match=r"linearisation: .* the derivatives of project"):
         check(Wrong, place=page["PLACE"])
+
+
+def test_coefficients_that_cannot_be_shrunk_are_not(page: dict[str, Any],
+                                                    scene: termsel.FeatureSet) -> None:
+    with pytest.raises(termsel.TermselError, match="'fisheye-demo' is not linear"):
+        termsel.run("rfm-terms", features=scene, model=page["Fisheye"], solver="all-terms",
+                    options={"shrink": True})

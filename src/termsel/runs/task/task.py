@@ -162,6 +162,11 @@ def build(setup: Setup, observations: Observations, scaling: Scaling,
 
     The setup may be that of another task.
     """
+    # Shrunk are coefficients towards zero; of such a model 0 is no camera, and gave 65 px.
+    if inputs.options.get("shrink") and inputs.model.start(inputs.control) is not None:
+        raise TermselError(f"the model {inputs.model.name!r} is not linear in its terms, so its "
+                           "coefficients cannot be shrunk",
+                           hint="Leave out shrink=true, or choose another model.")
     with blamed(setup.recipe.build, "build"):
         problem = setup.recipe.build(inputs)
     require_type(setup.recipe.build, "build", problem, Problem)
