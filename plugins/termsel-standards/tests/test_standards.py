@@ -25,7 +25,7 @@ from termsel.io.result_folder import write_result
 from termsel.testing import check
 from termsel_standards import GroundErrors, errors_of, read_errors, statements_of
 from termsel_standards.stac import StacItem
-from termsel_standards.statement import class_of, distribution_of
+from termsel_standards.statement import ASPRS, class_of, distribution_of
 
 # The example of the ASPRS standards' annex on computing accuracy: five check points.
 EXAMPLE = """id,dx,dy,dz
@@ -61,7 +61,14 @@ def test_the_example_of_the_asprs_standards(tmp_path: Path) -> None:
     assert [round(one.deviation or 0, 3) for one in stated.components] == [0.108, 0.119, 0.091]
     assert [round(one.rmse, 3) for one in stated.components] == [0.102, 0.106, 0.081]
     assert round(stated.horizontal, 3) == 0.147
-    assert {one.value for one in stated.statements} == {None}  # 5 points are too few
+    few = {one.standard: one for one in stated.statements}
+    assert few["NSSDA horizontal"].value is None  # 5 points are too few
+    assert few["ASPRS horizontal"].words == (
+        f"This data set was tested as required by {ASPRS}. Although the Standards call for a "
+        "minimum of thirty (30) checkpoints, this test was performed using ONLY 5 checkpoints. "
+        "This data set was produced to meet a 15 cm RMSEH Horizontal Positional Accuracy Class. "
+        "The tested horizontal positional accuracy was found to be RMSEH = 14.7 cm using the "
+        "reduced number of checkpoints")
     # Repeated until there are enough, the points have the same RMSE, and the example's figures.
     many = read_errors(path)
     stated = statements_of(replace(
@@ -73,8 +80,17 @@ def test_the_example_of_the_asprs_standards(tmp_path: Path) -> None:
     assert by_name["NSSDA horizontal"].words == \
         "Tested 0.255 meters horizontal accuracy at 95% confidence level"
     assert round(by_name["ASPRS horizontal"].value or 0, 3) == 0.147
-    assert "for a 0.15-m RMSEH horizontal positional accuracy class" in \
-        by_name["ASPRS horizontal"].words
+    assert by_name["ASPRS horizontal"].words == (
+        f"This data set was tested to meet {ASPRS} for a 15 cm RMSEH Horizontal Positional "
+        "Accuracy Class. The tested horizontal positional accuracy was found to be RMSEH = 14.7 cm")
+    assert by_name["ASPRS vertical"].words.endswith(
+        "for a 8.2 cm RMSEV Vertical Accuracy Class. The Non-Vegetated Vertical Accuracy (NVA) was "
+        "found to be RMSEV = 8.14 cm")
+    assert "RMSE3D Three-Dimensional Positional Accuracy Class. The tested three-dimensional " \
+        "accuracy was found to be RMSE3D = 16.8 cm within the NVA tested area" in \
+        by_name["ASPRS three-dimensional"].words
+    assert "nothing says which check points are under vegetation" in \
+        by_name["ASPRS vegetated vertical"].words
 
 
 @given(st.floats(0.001, 50), st.floats(0, 50), st.floats(0, 50))
@@ -87,6 +103,27 @@ def test_the_error_of_the_survey_is_added_in_squares(size: float, plan: float, u
     assert vertical == pytest.approx(hypot(np.sqrt((values[:, 2] ** 2).mean()), up))
     assert space == pytest.approx(hypot(horizontal, vertical))
     assert stated.horizontal == pytest.approx(tested)
+
+
+def test_a_survey_of_2_cm_and_a_fit_of_1_cm_are_2_24_cm() -> None:
+    # Figures that are taught with edition 2: the root of the sum of the squares.
+    flat = np.array([[0.01, 0.0], [-0.01, 0.0]] * 15)
+    stated = statements_of(errors(flat).surveyed(0.02 / 2**0.5))
+    assert stated.statements[0].value == pytest.approx(0.0223607)
+
+
+def test_a_mean_error_above_a_quarter_of_the_class_is_named() -> None:
+    values = np.tile([[0.3, 0.01], [0.24, -0.01]], (15, 1))
+    notes = " ".join(statements_of(errors(values), 1.0).notes)
+    assert "above 25% of the RMSE of the class" in notes
+    assert "25%" not in " ".join(statements_of(errors(values), 1.1).notes)
+
+
+def test_more_check_points_are_asked_for_a_large_area() -> None:
+    places = np.random.default_rng(8).uniform(0, 60e3, (40, 2))
+    stated = statements_of(errors(np.ones((40, 2)), places=places))
+    assert "was tested to meet" in stated.statements[0].words
+    assert "ASPRS asks for 60 check points" in " ".join(stated.notes)
 
 
 @given(st.floats(1e-6, 1e5))
@@ -136,7 +173,8 @@ def test_a_shift_is_named_and_chance_is_not() -> None:
 def test_what_is_said_of_a_class_that_is_not_met() -> None:
     values = np.random.default_rng(4).normal(0, 1, (40, 2))
     words = statements_of(errors(values), 0.5).statements[0].words
-    assert "does not meet the 0.5-m RMSEH class" in words
+    assert words.startswith("not stated, as 1")
+    assert words.endswith("cm is above the 50 cm of the class")
 
 
 def test_figures_of_a_result_are_those_of_its_record(result: Result) -> None:
@@ -164,7 +202,7 @@ def test_the_command_states_and_prints_json(result: Result, tmp_path: Path) -> N
     shown = CliRunner().invoke(cli, ["accuracy", str(tmp_path / "run")])
     assert shown.exit_code == 0
     assert "NSSDA horizontal: Tested" in shown.output
-    assert "ASPRS horizontal: not stated, as there are 26 check points and 30" in shown.output
+    assert "was performed using ONLY 26" in shown.output.replace("\n    ", " ")
     as_json = CliRunner().invoke(cli, ["accuracy", str(tmp_path / "run"), "--json"])
     assert json.loads(as_json.output)["horizontal"] == pytest.approx(
         statements_of(errors_of(result)).horizontal)

@@ -14,11 +14,15 @@ from termsel.measurements.features import FloatArray
 from termsel.record.figures import OnGround
 from termsel_standards.errors import GroundErrors
 
-ASPRS = "ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2"
+ASPRS = "ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2, " \
+    "Version 2 (2024)"
+"""As statements of section 7.16 call it."""
 VERTICAL = 1.96
 """NSSDA's factor from the vertical RMSE to 95 % confidence (appendix 3-A)."""
 MOST_POINTS, AREA_STEP, POINT_STEP = 120, 1000.0, 10
 """ASPRS, table C.1: 10 points more for every 1,000 km2 above the first, 120 at most."""
+MEAN = 0.25
+"""ASPRS: largest mean error, as a share of the RMSE of the class."""
 QUADRANT, APART = 0.2, 0.1
 """NSSDA, appendix 3-C: least share of points in a quadrant, and distance over the diagonal."""
 _FEWEST = 3  # errors that a test of normality needs
@@ -155,6 +159,10 @@ def statements_of(given: GroundErrors, horizontal_class: float | None = None,
 
     Notes
     -----
+    The words are those of ASPRS, edition 2, version 2, section 7.16. With fewer than 30 check
+    points they are those for a reduced number. Of the 3D statement the part on vegetated ground is
+    left out, as nothing tells which points are there.
+
     ASPRS, edition 2, adds the error of the survey: the horizontal accuracy is the root of the sum
     of the squares of the RMSE against the check points and of the RMSE of their survey, and the
     vertical one likewise. The three-dimensional accuracy is the root of the sum of the squares of
@@ -172,9 +180,6 @@ def statements_of(given: GroundErrors, horizontal_class: float | None = None,
     vertical = components[2].rmse if axes > 2 else None
     height = None if vertical is None else hypot(vertical, survey_vertical or 0.0)
     distribution = distribution_of(given)
-    fewest = max(distribution.required, ASPRS_POINTS)
-    unknown = None if n >= fewest else \
-        f"not stated, as there are {counted(n, 'check point')} and {fewest} are needed"
     flat = "not stated, as no heights were tested"
     by_nssda = nssda(n, figures)
     few = f"{counted(n, 'independent point')}, at least {NSSDA_POINTS} needed"
@@ -183,17 +188,18 @@ def statements_of(given: GroundErrors, horizontal_class: float | None = None,
         vertical, float(np.quantile(np.abs(errors[:, 2]), 0.9)) if axes > 2 else None,
         None if vertical is None else hypot(figures.total, vertical),
         survey_horizontal, survey_vertical, distribution, (
-            _asprs("horizontal", "RMSEH", whole, horizontal_class, unknown),
-            _asprs("vertical", "RMSEV", height, vertical_class,
-                   flat if height is None else unknown),
-            _asprs("three-dimensional", "RMSE3D", None if height is None else hypot(whole, height),
-                   None, flat if height is None else unknown),
+            _asprs("horizontal", n, whole, horizontal_class),
+            _asprs("vertical", n, height, vertical_class),
+            _asprs("three-dimensional", n, None if height is None else hypot(whole, height), None),
+            Statement("ASPRS vegetated vertical", None, flat if height is None else
+                      "not stated, as nothing says which check points are under vegetation"),
             Statement("NSSDA horizontal", by_nssda.value,
                       f"not stated: {by_nssda.reason}" if by_nssda.value is None else
                       f"Tested {_size(by_nssda.value)} meters horizontal accuracy at 95% "
                       "confidence level"),
             _nssda_vertical(vertical, few if n < NSSDA_POINTS else None)),
-        tuple(_notes(given, figures.total, survey_horizontal, distribution, components)))
+        tuple(_notes(given, figures.total, survey_horizontal, distribution, components,
+                     (horizontal_class, vertical_class))))
 
 
 def _component(name: str, errors: FloatArray) -> Component:
@@ -213,19 +219,36 @@ def _survey(sigma: FloatArray) -> float | None:
     return float(np.sqrt((sigma**2).sum(axis=1).mean()))
 
 
-def _asprs(what: str, symbol: str, value: float | None, wanted: float | None,
-           unknown: str | None) -> Statement:
+_WORDS = {
+    "horizontal": ("RMSEH Horizontal Positional Accuracy Class",
+                   "tested horizontal positional accuracy was found to be RMSEH = {}"),
+    "vertical": ("RMSEV Vertical Accuracy Class",
+                 "Non-Vegetated Vertical Accuracy (NVA) was found to be RMSEV = {}"),
+    "three-dimensional": ("RMSE3D Three-Dimensional Positional Accuracy Class",
+                          "tested three-dimensional accuracy was found to be RMSE3D = {} within "
+                          "the NVA tested area")}
+"""Class and figure in the statements of ASPRS."""
+
+
+def _asprs(what: str, points: int, value: float | None, wanted: float | None) -> Statement:
+    """Return the statement of ASPRS on an accuracy [m], tested or tested by a reduced number."""
     name = f"ASPRS {what}"
-    if value is None or unknown:
-        return Statement(name, None, unknown or "")
+    if value is None:
+        return Statement(name, None, "not stated, as no heights were tested")
     met = class_of(value) if wanted is None else wanted
+    kind, found = _WORDS[what]
     if value > met:
-        return Statement(name, value, f"The tested {what} positional accuracy, {symbol} = "
-                         f"{_size(value)} m, does not meet the {_size(met)}-m {symbol} class")
+        return Statement(name, value, f"not stated, as {_centimetres(value)} is above the "
+                         f"{_centimetres(met)} of the class")
+    figure = "The " + found.format(_centimetres(value))
+    if points >= ASPRS_POINTS:
+        return Statement(name, value, f"This data set was tested to meet {ASPRS} for a "
+                         f"{_centimetres(met)} {kind}. {figure}")
     return Statement(
-        name, value, f"This data set was tested to meet {ASPRS} (2024) for a {_size(met)}-m "
-        f"{symbol} {what} positional accuracy class. The tested {what} positional accuracy was "
-        f"found to be {symbol} = {_size(value)} m")
+        name, value, f"This data set was tested as required by {ASPRS}. Although the Standards "
+        f"call for a minimum of thirty (30) checkpoints, this test was performed using ONLY "
+        f"{points} checkpoints. This data set was produced to meet a {_centimetres(met)} {kind}. "
+        f"{figure} using the reduced number of checkpoints")
 
 
 def class_of(value: float) -> float:
@@ -270,8 +293,12 @@ def distribution_of(given: GroundErrors) -> Distribution:
 
 
 def _notes(given: GroundErrors, total: float, survey: float | None, distribution: Distribution,
-           components: tuple[Component, ...]) -> list[str]:
+           components: tuple[Component, ...],
+           classes: tuple[float | None, float | None]) -> list[str]:
     notes = []
+    if ASPRS_POINTS <= len(given.ids) < distribution.required:  # with fewer the statement says it
+        notes.append(f"ASPRS asks for {distribution.required} check points for this area; this is "
+                     f"a test by {counted(len(given.ids), 'check point')}.")
     if given.blunders:
         notes.append(f"{', '.join(given.blunders)}: all other features contradict "
                      f"{'it' if len(given.blunders) == 1 else 'them'}. Look at the image before "
@@ -285,7 +312,16 @@ def _notes(given: GroundErrors, total: float, survey: float | None, distribution
     for one in components:
         if one.deviation and abs(one.mean) * len(given.ids) ** 0.5 > 3 * one.deviation:
             notes.append(f"The mean error {one.name} is not chance: it is a shift.")
+        limit = classes[one.name == "up"]
+        if limit is not None and abs(one.mean) > MEAN * limit:
+            notes.append(f"The mean error {one.name} is above {MEAN:.0%} of the RMSE of the class, "
+                         "ASPRS's limit: look for its cause.")
     return notes
+
+
+def _centimetres(value: float) -> str:
+    """Return a length [m] in the unit of the statements of ASPRS."""
+    return f"{_size(100 * value)} cm"
 
 
 def _size(value: float) -> str:
