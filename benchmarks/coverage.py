@@ -22,8 +22,8 @@ from termsel.fits.accuracy import CONFIDENCE, Predicted, predicted_by, predicted
 from termsel.measurements.control import Control
 from termsel.measurements.features import FeatureSet, FloatArray
 from termsel.simulate.catalogue import SCENES
-from termsel.simulate.maps import NAME as OLD_MAP
 from termsel.threads import one_blas_thread
+from termsel_photos.maps import NAME as OLD_MAP
 
 COUNTS = (6, 8, 12, 16, 20, 30, 40, 74)
 FIRST_SPLIT = 100

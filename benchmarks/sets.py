@@ -19,8 +19,8 @@ from termsel.io.read import read
 from termsel.measurements.features import FloatArray, Points
 from termsel.simulate import simulate_scene
 from termsel.simulate.catalogue import SCENES
-from termsel.simulate.maps import NAME as OLD_MAP
-from termsel.simulate.maps import simulate_map
+from termsel_photos import simulate_map
+from termsel_photos.maps import NAME as OLD_MAP
 
 ROOT = Path(__file__).parents[1]
 DATA = Path(os.environ.get("TERMSEL_DATA", ROOT.parent / "shared" / "data"))

@@ -17,9 +17,7 @@ from termsel.models.interpolating import Field, Field3D, ThinPlate
 from termsel.models.polynomial import (
     Affine,
     Polynomial2D,
-    Polynomial2DByAxis,
     Polynomial3D,
-    Polynomial3DByAxis,
 )
 from termsel.models.projective import DLT2D, DLT3D, Projective2D
 from termsel.models.quotient import Blocks, RationalModel
@@ -68,8 +66,6 @@ SUITES: dict[str, tuple[Check, ...]] = {
     "dlt2d": checks(DLT2D),
     "dlt3d": checks(DLT3D),
     "helmert2d": checks(Helmert2D),
-    "poly2d-by-axis": checks(Polynomial2DByAxis, options=[{}, {"line_x": 0}]),
-    "poly3d-by-axis": checks(Polynomial3DByAxis, options=[{}, {"sample_z": 3}]),
     "tps": checks(ThinPlate, options=[{}, {"smoothing": 0.0}, {"chosen_by": "gcv"}]),
     "field": checks(Field),
     "field3d": checks(Field3D),

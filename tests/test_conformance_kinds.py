@@ -13,6 +13,7 @@ import click
 import numpy as np
 import pytest
 
+import termsel
 from termsel.cli.list import list_
 from termsel.criteria import CheckRmse
 from termsel.errors import TermselError
@@ -25,7 +26,6 @@ from termsel.problems.genome import Genome
 from termsel.problems.objectives import OBJECTIVES, Objective, PopulationSelection, n_terms
 from termsel.problems.recipes import RECIPES, Recipe
 from termsel.problems.segments import Bits
-from termsel.simulate.maps import MAP
 from termsel.simulate.scenes import DATASETS
 from termsel.solvers.heuristics.yardsticks import RandomSearch
 from termsel.testing import Check, cases, check, checks
@@ -39,7 +39,8 @@ def test_built_in_problems(recipe: Recipe) -> None:
     check(recipe)
 
 
-@pytest.mark.parametrize("check", [*checks(DATASETS[0]), *checks(MAP),
+@pytest.mark.parametrize("check", [*checks(DATASETS[0]),
+                                   *checks(termsel.get("datasets", "old-map")),
                                    *checks(list_, words=["models"]),
                                    *checks(list_, words=["nothing"])],
                          ids=lambda check: check.name)

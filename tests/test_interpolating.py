@@ -18,7 +18,7 @@ from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.priors import field, posterior
 from termsel.priors.field import collocate
 from termsel.priors.thin_plate import thin_plates
-from termsel.simulate import simulate_map
+from termsel_photos import simulate_map
 
 UNITS = (1.0, 0.7)
 

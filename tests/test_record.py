@@ -25,7 +25,7 @@ from termsel.record.record import FitRecord
 from termsel.results.result import Result
 from termsel.results.same_fit import adjustment_figures, fit_of_record, fit_record
 from termsel.simulate import simulate_scene
-from termsel.simulate.maps import simulate_map
+from termsel_photos import simulate_map
 
 OLD = Path(__file__).parent / "results"
 QUICK = {"population": 20, "polish": False}

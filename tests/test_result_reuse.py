@@ -17,8 +17,8 @@ from termsel.measurements.features import FeatureSet, Points
 from termsel.results.checksums import of_record
 from termsel.results.result import Result
 from termsel.simulate import simulate_scene
-from termsel.simulate.maps import simulate_map
 from termsel.testing import example_results
+from termsel_photos import simulate_map
 
 
 @pytest.fixture(scope="module")

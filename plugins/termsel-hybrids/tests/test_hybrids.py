@@ -21,6 +21,7 @@ from termsel.models.rpc_fit import rpc_of
 from termsel.plugins.registry import registry
 from termsel.testing import Check, checks
 from termsel_hybrids import Hybrid1, Hybrid3, Multiquadric, Pointwise
+from termsel_hybrids.by_axis import Polynomial2DByAxis, Polynomial3DByAxis
 
 MODELS = ("multiquadric", "pointwise", "hybrid-1", "hybrid-3")
 
@@ -52,6 +53,8 @@ def predicted(model: SensorModel, control: Points, ground: NDArray[np.float64],
 CHECKS = {
     "multiquadric": checks(Multiquadric),
     "hybrid-3": checks(Hybrid3),
+    "poly2d-by-axis": checks(Polynomial2DByAxis, options=[{}, {"line_x": 0}]),
+    "poly3d-by-axis": checks(Polynomial3DByAxis, options=[{}, {"sample_z": 3}]),
     "hybrid-1": checks(Hybrid1, options=[{"degree": d} for d in (1, 3)]),
     "pointwise": checks(Pointwise) + checks(
         Pointwise, options=[{"local_degree": 3, "count": 12}, {"local_degree": 0}]),

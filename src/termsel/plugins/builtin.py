@@ -26,18 +26,12 @@ def termsel_models() -> Iterable[type[SensorModel]]:
     """Return the built-in sensor models."""
     from termsel.models.helmert import Helmert2D
     from termsel.models.interpolating import Field, Field3D, ThinPlate
-    from termsel.models.polynomial import (
-        Affine,
-        Polynomial2D,
-        Polynomial2DByAxis,
-        Polynomial3D,
-        Polynomial3DByAxis,
-    )
+    from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
     from termsel.models.projective import DLT2D, DLT3D, Projective2D
     from termsel.models.rational import RationalFunctions
 
     return [RationalFunctions, Polynomial2D, Polynomial3D, Affine, Projective2D, DLT2D, DLT3D,
-            Helmert2D, ThinPlate, Field, Field3D, Polynomial2DByAxis, Polynomial3DByAxis]
+            Helmert2D, ThinPlate, Field, Field3D]
 
 
 @hookimpl
@@ -91,10 +85,9 @@ def termsel_candidates() -> Iterable[Candidate]:
 @hookimpl
 def termsel_datasets() -> Iterable[DatasetSpec]:
     """Return the embedded data sets."""
-    from termsel.simulate.maps import MAP
     from termsel.simulate.scenes import DATASETS, FURTHER
 
-    return [*DATASETS, MAP, *FURTHER]
+    return [*DATASETS, *FURTHER]
 
 
 @hookimpl

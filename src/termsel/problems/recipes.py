@@ -11,7 +11,6 @@ from termsel.errors import TermselError, unknown_name
 from termsel.options import COUNT, Option
 from termsel.problems.base import Inputs, Problem
 from termsel.problems.constraints import FORCE_OPTIONS, TERM_OPTIONS
-from termsel.problems.parameters import ParameterProblem
 from termsel.problems.selection import SelectionProblem
 
 
@@ -179,12 +178,6 @@ def select_features(inputs: Inputs) -> Problem:
     return SelectionProblem(inputs, terms=False, features=True)
 
 
-def _degrees(inputs: Inputs) -> Problem:
-    own = [option.name for option in inputs.model.declared_options
-           if option.name.startswith(("line_", "sample_"))]
-    return ParameterProblem(inputs, own or ("line_x",))
-
-
 def select_both(inputs: Inputs) -> Problem:
     """Return the selection of terms and features."""
     return SelectionProblem(inputs, terms=True, features=True, mask=inputs.options["mask"])
@@ -220,7 +213,4 @@ RECIPES = (
            model="rfm", model_options={"order": 2}, dataset="ikonos-hamedan",
            control="lines", options=OF_BOTH, portfolio=True, search_first=True,
            source=YAVARI),
-    Recipe("poly-degree", "Which degree to use for line and sample in each coordinate.", _degrees,
-           model="poly3d-by-axis", dataset="ikonos-hamedan", solver="swap",
-           options=(CAP, OBJECTIVES, RECOMMEND)),
 )

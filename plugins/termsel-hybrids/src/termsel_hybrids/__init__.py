@@ -1,4 +1,4 @@
-"""Interpolating and hybrid image models of Valadan Zoej et al. 2002, as a plugin of termsel.
+"""Interpolating and hybrid image models of Valadan Zoej et al. 2002, and degrees by axis.
 
 References
 ----------
@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from termsel import Recipe, SelectionProblem, hookimpl
+from termsel_hybrids.by_axis import RECIPE, Polynomial2DByAxis, Polynomial3DByAxis
 from termsel_hybrids.hybrid1 import Hybrid1
 from termsel_hybrids.multiquadric import Hybrid3, Multiquadric
 from termsel_hybrids.pointwise import Pointwise
@@ -25,15 +26,15 @@ __all__ = ["Hybrid1", "Hybrid3", "Multiquadric", "Pointwise"]
 @hookimpl
 def termsel_models() -> Iterable[type[SensorModel]]:
     """Return the models of this package."""
-    return [Multiquadric, Pointwise, Hybrid1, Hybrid3]
+    return [Multiquadric, Pointwise, Hybrid1, Hybrid3, Polynomial2DByAxis, Polynomial3DByAxis]
 
 
 @hookimpl
 def termsel_problems() -> Iterable[Recipe]:
-    """Return the paper's hybrid model 2, which is a search rather than a model."""
+    """Return the paper's hybrid model 2, a search rather than a model, and that for degrees."""
     return [Recipe("hybrid-2", "Hybrid model 2: terms of a plane polynomial selected by a GA.",
                    _terms_of_each_axis, model="poly2d", dataset="ikonos-hamedan",
-                   source="Valadan Zoej et al. 2002, section 3.2")]
+                   source="Valadan Zoej et al. 2002, section 3.2"), RECIPE]
 
 
 def _terms_of_each_axis(inputs: Inputs) -> SelectionProblem:

@@ -1,15 +1,16 @@
-"""Photos whose lens distorts: models, a problem and a simulated photo, as a plugin of termsel."""
+"""Scanned photos and maps: models of lenses that distort, simulated scans, as a plugin."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
 from termsel import DatasetSpec, Recipe, SensorModel, hookimpl
+from termsel_photos.maps import MAP, simulate_map
 from termsel_photos.photo import PHOTO
 from termsel_photos.problem import RECIPE
 from termsel_photos.radial import Radial2D, Radial3D
 
-__all__ = ["Radial2D", "Radial3D"]
+__all__ = ["Radial2D", "Radial3D", "simulate_map"]
 
 
 @hookimpl
@@ -26,5 +27,5 @@ def termsel_problems() -> Iterable[Recipe]:
 
 @hookimpl
 def termsel_datasets() -> Iterable[DatasetSpec]:
-    """Return the simulated photo."""
-    return [PHOTO]
+    """Return the simulated photo and the simulated scan of an old map."""
+    return [PHOTO, MAP]

@@ -16,7 +16,7 @@ from termsel.candidates.portfolio import choose
 from termsel.cli.main import cli
 from termsel.measurements.control import Control
 from termsel.measurements.features import FeatureSet, FloatArray, Points
-from termsel.simulate import maps, simulate_map
+from termsel_photos import maps, simulate_map
 
 
 def total(errors: FloatArray) -> float:

@@ -19,9 +19,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.random import Generator
 
-from termsel.errors import TermselError
-from termsel.measurements.datasets import DatasetSpec
-from termsel.measurements.features import FeatureSet, FloatArray, Points, no_lines
+from termsel import DatasetSpec, FeatureSet, Points, TermselError
+from termsel.measurements.features import FloatArray, no_lines
 from termsel.measurements.roles import ASSIGNABLE
 
 NAME = "old-map"
@@ -94,7 +93,7 @@ def simulate_map(
 
     Examples
     --------
-    >>> from termsel.simulate import simulate_map
+    >>> from termsel_photos import simulate_map
     >>> scan = simulate_map(sheets=(1, 1), local=0.0)
     >>> len(scan.points), scan.image_size
     (90, (6000, 8000))
