@@ -314,9 +314,10 @@ and 26 independent points.
   independent RMSE (rank correlation {rho:.2f}), as do more terms ({fewer:.2f}).
   {worse:.0f} % of these runs are worse on independent points than the quadratic polynomial.
 
-A better search gives a worse result here. Overfitting to check points is thus proven for this
-scene, not presumed. It is why termsel's strategy [auto](honest-accuracy.md) does not minimise a
-check RMSE.
+A better search gives a worse result here. How much worse rests on the 26 independent points: with
+other points of the same scene the figure differs. Overfitting to check points is thus proven for
+this scene, not presumed. It is why termsel's strategy [auto](honest-accuracy.md) does not
+minimise a check RMSE.
 
 ## Question
 
@@ -392,7 +393,9 @@ END = """
   scenes have RFM of second order. All are simulated.
 - The cap of 16 terms an axis is part of the claim. More terms leave less redundancy.
 - The proof is one of floating-point numbers: bounds allow for rounding, but are not
-  interval arithmetic.
+  interval arithmetic. [Certificates](../explanation/certificates.md) are, and reach smaller spaces.
+- The optimum holds for the ground coordinates as scaled: another origin has
+  [another one](normalisation.md).
 - Settings that papers do not state are termsel's own; see [Papers](../explanation/papers.md).
 """
 
