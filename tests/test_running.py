@@ -296,6 +296,22 @@ def test_real_data_run_and_make_sense(name: str, data_folder) -> None:
     assert result.rmse["independent"].total < 1.1 * affine.rmse["independent"].total
 
 
+def test_libraries_imported_later_keep_to_one_thread() -> None:
+    code = """
+import sys, termsel.threads
+from threadpoolctl import threadpool_info, threadpool_limits
+termsel.threads.one_blas_thread(int)()
+assert "numpy" not in sys.modules
+import numpy
+with threadpool_limits(2, user_api="blas"):
+    found = termsel.threads.one_blas_thread(threadpool_info)()
+    print({one["num_threads"] for one in found if one["user_api"] == "blas"})
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True,
+                          check=False, timeout=60)
+    assert done.stdout == "{1}\n", done.stdout + done.stderr
+
+
 def test_linear_algebra_keeps_to_one_thread() -> None:
     def threads() -> set[int]:
         return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}

@@ -10,7 +10,7 @@ from ast import literal_eval
 from collections import Counter
 from pathlib import Path
 
-from tests.fuzz.cases import SECONDS, Outcome, prepare, run_case, unseen
+from tests.fuzz.cases import SECONDS, Outcome, run_case, unseen
 
 _CHUNK = 2500  # cases of a process, which a crash of a library would end
 _START = 120.0  # s to import and to make the files
@@ -20,7 +20,6 @@ def _work(first: int, count: int) -> int:
     """Run cases in this process, with a line for each on stdout."""
     stdout = sys.stdout
     unseen()
-    prepare()
     for seed in range(first, first + count):
         print("start", seed, file=stdout, flush=True)
         outcome = run_case(seed)

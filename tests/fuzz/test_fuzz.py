@@ -29,10 +29,10 @@ ROOT = Path(__file__).parents[2]
 CHUNK = 50
 
 
-@pytest.fixture(scope="module", autouse=True)
-def prepared() -> None:
-    """Every seed is a valid file: what is not mutated is read."""
-    cases.prepare()
+@pytest.mark.parametrize("first", range(4))
+def test_what_is_not_mutated_is_read(first: int) -> None:
+    for seed in cases.seeds()[first::4]:
+        cases.used_as_it_is(seed)
 
 
 @pytest.mark.parametrize("first", range(0, 800, CHUNK))
@@ -101,6 +101,8 @@ def test_what_is_at_fault_is_found(monkeypatch, tmp_path: Path) -> None:
     def greedy(path: Path, random: Random) -> int:
         return len(bytearray(cases.MEMORY * 2))
 
+    for seed in range(4):  # prepared with what is right
+        cases.run_case(seed)
     monkeypatch.setattr(cases, "SECONDS", 0.2)
     for use, fault in ((lose, "changed or lost"), (endless, "more than 0.2 s"),
                        (greedy, "MemoryError"), (lambda *_: 1, "exit code 1"),

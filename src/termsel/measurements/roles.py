@@ -23,6 +23,7 @@ from termsel.measurements.features import (
     no_lines,
     no_points,
 )
+from termsel.measurements.tables.tabular import unchecked
 from termsel.measurements.twins import merged, twins
 
 ASSIGNABLE = ("control", "check", "independent")
@@ -144,6 +145,8 @@ def asked_roles(off: str | None, role: str | None) -> dict[str, str]:
 
 def with_roles(features: FeatureSet, named: Mapping[str, str]) -> FeatureSet:
     """Return the features with the roles that are named; lines that are off are not among them."""
+    if not named:
+        return features
     points, lines = features.points, features.lines
     for name, role in named.items():
         if name not in features.ids:
@@ -202,7 +205,7 @@ def observe(
         roles[blank] = np.array(assigned, dtype=object)[group]
     if control == "lines":
         roles[roles == "control"] = "off"
-    return by_roles(features.with_(points=replace(points, roles=tuple(roles)),
+    return by_roles(features.with_(points=unchecked(points, roles=tuple(roles)),
                                    lines=no_lines() if control == "points" else features.lines))
 
 

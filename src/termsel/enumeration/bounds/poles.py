@@ -47,7 +47,8 @@ def node_bound(tree: Tree, d: int, limit: float) -> float:
             tree.weights[d] = -1
             return float(_dependent(tree, d))
     # A child begins with its parent's weights.
-    tree.shifted[:n] = q[d, 0, :n]
+    for i in range(n):
+        tree.shifted[i] = q[d, 0, i]
     for a in range(m):
         _solve_guard(tree, d, a, n)
         for i in range(n):
@@ -109,7 +110,8 @@ def node_bound(tree: Tree, d: int, limit: float) -> float:
         _solve_guard(tree, d, slot, n)
     if bound < tree.rss[d]:  # the parent's weights are too high; `_order` needs those of the bound
         bound, m = tree.rss[d], 0
-        tree.shifted[:n] = q[d, 0, :n]
+        for i in range(n):
+            tree.shifted[i] = q[d, 0, i]
     tree.weights[d] = m
     return float(bound)
 

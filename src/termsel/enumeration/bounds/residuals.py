@@ -107,8 +107,11 @@ def _drop(tree: Tree, d: int, place: int) -> None:
         i = tree.order[d, before]
         tree.fixed[e, i - (i > x)] = True
     # Row x, without its diagonal, is rotated with each row below it in turn (Givens).
-    row[x + 1:n] = R[d, x, x + 1:n]
-    tree.last[:] = q[d, :, x]
+    # Loops, as code that copies slices is compiled with a message about shapes, which takes 2 s.
+    for t in range(x + 1, n):
+        row[t] = R[d, x, t]
+    for j in range(r):
+        tree.last[j] = q[d, j, x]
     for i in range(x + 1, n):
         length = np.sqrt(row[i] * row[i] + R[d, i, i] * R[d, i, i])
         cosine = row[i] / length if length > 0.0 else 1.0
@@ -147,12 +150,14 @@ def _enumerate(tree: Tree, d: int, n: int, room: int, all_in_use: bool, limits: 
     write(tree, d, all_in_use)
     for i in range(n):
         column = tree.column[d, tree.cursor[i]]
-        below[i] = records.guard[column]
+        for k in range(g):
+            below[i, k] = records.guard[column, k]
         if i < p:
             used |= records.bits[column]
         else:
             bits[i - p] = records.bits[column]
-    below[n] = records.guard[len(records.guard) - 1]
+    for k in range(g):
+        below[n, k] = records.guard[len(records.guard) - 1, k]
     for i in range(p):
         length = square(work, i, n)
         if length <= tree.floors[0, 0]:
@@ -162,7 +167,9 @@ def _enumerate(tree: Tree, d: int, n: int, room: int, all_in_use: bool, limits: 
             for k in range(g):
                 below[j, k] -= work[j, n] * below[i, k]
     top = np.empty((depths, 1, count + r, n))
-    top[0, 0] = work[p:n + r, :n]
+    for c in range(count + r):
+        for t in range(n):
+            top[0, 0, c, t] = work[p + c, t]
     squares, share = np.full((depths, 1, count + 1), np.inf), np.zeros((depths, 1, count + 1, r))
     for c in range(count):
         squares[0, 0, c] = square(work, p + c, n)

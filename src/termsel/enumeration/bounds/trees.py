@@ -104,7 +104,8 @@ def write(tree: Tree, d: int, all_in_use: bool) -> None:
                 tree.cursor[place] = i
                 place += 1
     for j in range(tree.target.shape[1]):
-        tree.work[n + j, :n] = tree.target[d, j, :n]
+        for t in range(n):
+            tree.work[n + j, t] = tree.target[d, j, t]
 
 
 @_compiled
