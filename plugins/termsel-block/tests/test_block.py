@@ -18,13 +18,11 @@ from click.testing import CliRunner
 
 from termsel import FeatureSet, Points, Rpc, TermselError, read_result, read_rpc
 from termsel.cli.main import cli
-from termsel_block import folders
 from termsel_block.accuracy import in_space, independent_points, predicted, rmse
 from termsel_block.adjustment import log_bayes_factor
 from termsel_block.block import Block, BlockImage, Ties
 from termsel_block.block_file import read_block
 from termsel_block.equations import Seen, pairs, solve
-from termsel_block.folders import write_block
 from termsel_block.frame import FloatArray
 from termsel_block.joint import BlockResult, adjust
 from termsel_block.record import joined, record_of
@@ -347,46 +345,6 @@ def test_a_folder_that_is_taken_is_refused(example: Example) -> None:
                                     str(folder / "adjusted"), "--quiet"])
     assert done.exit_code == 2
     assert "there is a block in this folder already" in done.output
-
-
-def test_a_failure_while_writing_changes_nothing(
-        example: Example, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    result = adjust(read_block(example[0] / "block.toml"))
-    record = record_of(result)
-    images = [folders.image_result(result, i, record) for i in range(3)]
-    monkeypatch.setattr(folders, "image_result", lambda _, i, __: images[i])
-    write_block(result, tmp_path / "there")
-    (tmp_path / "there" / "A" / "A.RPB").write_text("mine")
-
-    def content() -> dict[str, bytes]:
-        return {str(file.relative_to(tmp_path)): file.read_bytes()
-                for file in tmp_path.rglob("*") if file.is_file()}
-
-    def second(_: BlockResult, i: int, __: Any) -> Any:
-        return images[i] if i < 2 else refused()
-
-    rename = Path.rename
-
-    def last(file: Path, target: Path) -> Path:
-        return refused() if file.parent.name == "new" and file.name == "block.json" \
-            else rename(file, target)
-
-    before = content()
-    for owner, name, fails in ((folders, "image_result", second), (folders, "page_of", refused),
-                               (Path, "rename", last)):
-        with monkeypatch.context() as patched:
-            patched.setattr(owner, name, fails)
-            for folder in ("there", "new/folder"):
-                with pytest.raises(TermselError, match="cannot write the block: No space"):
-                    write_block(result, tmp_path / folder, overwrite=True)
-                assert content() == before
-                assert not (tmp_path / "new").exists()
-    write_block(result, tmp_path / "there", overwrite=True)
-    assert content().keys() == before.keys()
-
-
-def refused(*_: object) -> Any:
-    raise OSError(28, "No space left on device")
 
 
 def test_a_block_in_plane_coordinates() -> None:

@@ -22,13 +22,16 @@ if TYPE_CHECKING:
     from termsel_block.block_file import read_block
     from termsel_block.folders import write_block
     from termsel_block.joint import BlockResult, adjust
+    from termsel_block.places import write_places
 
 # What is not needed for `termsel run` is not imported for it.
 __getattr__, _, _ = lazy_loader.attach(__name__, submod_attrs={
     "joint": ["BlockResult", "adjust"], "block": ["Block", "BlockImage", "Ties"],
-    "block_file": ["read_block"], "folders": ["write_block"]})
+    "block_file": ["read_block"], "folders": ["write_block"],
+    "places": ["write_places"]})
 
-__all__ = ["Block", "BlockImage", "BlockResult", "Ties", "adjust", "read_block", "write_block"]
+__all__ = ["Block", "BlockImage", "BlockResult", "Ties", "adjust", "read_block", "write_block",
+           "write_places"]
 
 
 @hookimpl

@@ -16,6 +16,7 @@ def add_commands(cli: click.Group) -> None:
     """Add the commands to a group."""
     cli.add_command(block)
     cli.add_command(block_example)
+    cli.add_command(block_points)
 
 
 @click.command("block")
@@ -79,6 +80,27 @@ def block_example(folder: Path, images: int, seed: int) -> None:
 
     write_example(folder, images, seed)
     click.echo(f"Next: termsel block {folder / 'block.toml'} --out {folder / 'adjusted'}")
+
+
+@click.command("block-points")
+@click.argument("folder", metavar="DIR", type=_PATH)
+@click.option("-o", "--output", metavar="FILE", type=_PATH, required=True,
+              help="File to write: .gpkg, .las or .laz.")
+@click.option("--overwrite", is_flag=True, help="Replace a file that is there.")
+def block_points(folder: Path, output: Path, overwrite: bool) -> None:
+    """Write the places of the ties of a block as a GeoPackage or a point cloud.
+
+    Each place has its standard deviations to the east, to the north and up [m], and the number of
+    images that see it. LAS needs laspy: pip install "termsel-block[las]".
+
+    \b
+    Example:
+      termsel block-points place/adjusted -o places.gpkg
+    """
+    from termsel_block.places import write_places
+
+    n = write_places(folder, output, overwrite=overwrite)
+    click.echo(f"Written: {output}, {n} places", err=True)
 
 
 @contextmanager

@@ -1,0 +1,123 @@
+"""The places of the ties of a block as a file for other programs: GeoPackage or LAS."""
+
+from __future__ import annotations
+
+import csv
+import importlib
+import io
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from termsel import TermselError, require_replaceable
+from termsel.files.atomic import private_folder, write_bytes
+from termsel.measurements.coordinates.crs import LOCAL, horizontal
+from termsel_block.folders import RECORD, TIES
+from termsel_block.frame import FloatArray
+
+_STEPS = 1e-3, 1e-8
+"""Steps of coordinates in LAS: of metres, and of degrees, which are a millimetre."""
+
+
+def write_places(folder: Path | str, target: Path | str, *, overwrite: bool = False) -> int:
+    """Write the places of the ties with their standard deviations, and return how many there are.
+
+    Parameters
+    ----------
+    folder : path-like
+        A block as `write_block` writes it.
+    target : path-like
+        A GeoPackage, by the suffix ``.gpkg``: points with heights and the columns id, sigma_east,
+        sigma_north and sigma_up [m], and images. Or a point cloud by ``.las`` or ``.laz``, with
+        the same but id. LAS needs laspy, LAZ laspy with lazrs.
+    overwrite : bool
+        Whether a file that is there may be replaced.
+
+    Raises
+    ------
+    TermselError
+        If the folder has no block, the suffix is another, a package is missing, or the file is
+        there or cannot be written.
+    """
+    folder, target = Path(folder), Path(target)
+    writers = {".gpkg": _geopackage, ".las": _cloud, ".laz": _cloud}
+    if target.suffix.lower() not in writers:
+        raise TermselError(f"the suffix {target.suffix!r} tells no format", file=target,
+                           hint=f"Known: {', '.join(writers)}.")
+    require_replaceable([target], reads=[folder / RECORD, folder / TIES], overwrite=overwrite)
+    ids, values, crs = _read(folder)
+    with private_folder() as made:
+        whole = made / f"places{target.suffix.lower()}"
+        writers[target.suffix.lower()](whole, target, ids, values, crs)
+        write_bytes(target, whole.read_bytes())
+    return len(ids)
+
+
+def _read(folder: Path) -> tuple[list[str], FloatArray, str]:
+    """Return names, the other columns (n, 7) of ties.csv, and the CRS of a block."""
+    try:
+        record = msgspec.json.decode((folder / RECORD).read_bytes(), type=dict[str, Any])
+        text = (folder / TIES).read_text(encoding="utf-8")
+    except OSError as error:
+        raise TermselError(f"there is no block in this folder: {error.strerror}", file=folder,
+                           hint="Name the folder that termsel block --out wrote.") from error
+    except msgspec.DecodeError as error:
+        raise TermselError(f"this is not the file of a block: {error}", file=folder / RECORD,
+                           hint="Run termsel block again.") from error
+    rows = list(csv.reader(io.StringIO(text)))[1:]
+    try:
+        values = np.array([row[1:] for row in rows], float).reshape(-1, 7)
+    except ValueError as error:
+        raise TermselError("this is not the table of ties that termsel block wrote",
+                           file=folder / TIES, hint="Run termsel block again.") from error
+    return [row[0] for row in rows], values, str(record.get("crs") or LOCAL)
+
+
+def _geopackage(whole: Path, target: Path, ids: list[str], values: FloatArray, crs: str) -> None:
+    """Write a layer of points."""
+    shapely = _needed("shapely", target, "termsel[gis]")
+    write = _needed("pyogrio.raw", target, "termsel[gis]").write
+    names = ["id", "sigma_east", "sigma_north", "sigma_up", "images"]
+    fields = [np.array(ids, object), *values[:, 3:6].T, values[:, 6].astype(np.int32)]
+    write(str(whole), shapely.to_wkb(shapely.points(values[:, :3])), fields, names,
+          layer="places", driver="GPKG", geometry_type="Point Z", crs=horizontal(crs) or None,
+          dataset_options={"VERSION": "1.3"})
+
+
+def _cloud(whole: Path, target: Path, _: list[str], values: FloatArray, crs: str) -> None:
+    """Write a point cloud, which has no names."""
+    laspy = _needed("laspy", target, "termsel-block[las]")
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    known = horizontal(crs)
+    degrees = False
+    if known:
+        system = _needed("pyproj", target, "termsel[gis]").CRS(known)
+        degrees = system.is_geographic
+        header.add_crs(system)
+    header.offsets = np.floor(values[:, :3].min(axis=0)) if len(values) else np.zeros(3)
+    step = _STEPS[degrees]
+    header.scales = np.array([step, step, _STEPS[0]])
+    names = ("sigma_east", "sigma_north", "sigma_up")
+    header.add_extra_dims([laspy.ExtraBytesParams(name, np.float32) for name in names]
+                          + [laspy.ExtraBytesParams("images", np.uint16)])
+    cloud = laspy.LasData(header)
+    cloud.x, cloud.y, cloud.z = values[:, :3].T
+    for name, column in zip(names, values[:, 3:6].T, strict=True):
+        cloud[name] = column.astype(np.float32)
+    cloud["images"] = values[:, 6].astype(np.uint16)
+    try:
+        cloud.write(str(whole))
+    except laspy.LaspyException as error:
+        raise TermselError(f"laspy cannot write this: {str(error).rstrip('.')}", file=target,
+                           hint="LAZ needs lazrs: pip install lazrs. Or name a .las.") from error
+
+
+def _needed(module: str, target: Path, package: str) -> Any:
+    """Import what a format requires."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise TermselError(f"this format requires {module.partition('.')[0]}", file=target,
+                           hint=f"pip install {package!r}") from error

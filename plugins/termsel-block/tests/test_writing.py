@@ -1,0 +1,125 @@
+"""Blocks as files: complete or as before, and the places of ties for other programs."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("termsel_block", reason="termsel-block is not installed: "
+                    "pip install -e plugins/termsel-block")
+
+from click.testing import CliRunner
+
+from termsel import Result, TermselError
+from termsel.cli.main import cli
+from termsel_block import folders
+from termsel_block.folders import write_block
+from termsel_block.joint import BlockResult, adjust
+from termsel_block.record import record_of
+from termsel_block.simulated import simulate_block
+
+Written = tuple[BlockResult, list[Result], Path]
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
+    """An adjusted block, the results of its images, and where it is written."""
+    result = adjust(simulate_block(3, rpcs=True, control=(4, 4), wrong=0.05, seed=1,
+                                   independent=10).block)
+    record = record_of(result)
+    images = [folders.image_result(result, i, record) for i in range(3)]
+    folder = tmp_path_factory.mktemp("block") / "adjusted"
+    with pytest.MonkeyPatch.context() as patched:  # once is enough
+        patched.setattr(folders, "image_result", lambda _, i, __: images[i])
+        write_block(result, folder)
+    return result, images, folder
+
+
+def test_a_failure_while_writing_changes_nothing(
+        written: Written, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    result, images, _ = written
+    monkeypatch.setattr(folders, "image_result", lambda _, i, __: images[i])
+    write_block(result, tmp_path / "there")
+    (tmp_path / "there" / result.block.images[0].name / "own.RPB").write_text("mine")
+
+    def content() -> dict[str, bytes]:
+        return {str(file.relative_to(tmp_path)): file.read_bytes()
+                for file in tmp_path.rglob("*") if file.is_file()}
+
+    def second(_: BlockResult, i: int, __: Any) -> Any:
+        return images[i] if i < 2 else refused()
+
+    rename = Path.rename
+
+    def last(file: Path, target: Path) -> Path:
+        return refused() if file.parent.name == "new" and file.name == "block.json" \
+            else rename(file, target)
+
+    before = content()
+    for owner, name, fails in ((folders, "image_result", second), (folders, "page_of", refused),
+                               (Path, "rename", last)):
+        with monkeypatch.context() as patched:
+            patched.setattr(owner, name, fails)
+            for folder in ("there", "new/folder"):
+                with pytest.raises(TermselError, match="cannot write the block: No space"):
+                    write_block(result, tmp_path / folder, overwrite=True)
+                assert content() == before
+                assert not (tmp_path / "new").exists()
+    write_block(result, tmp_path / "there", overwrite=True)
+    assert content().keys() == before.keys()
+
+
+def refused(*_: object) -> Any:
+    raise OSError(28, "No space left on device")
+
+
+@pytest.mark.parametrize("suffix", ["gpkg", "las"])
+def test_places_become_a_layer_or_a_point_cloud(
+        written: Written, tmp_path: Path, suffix: str) -> None:
+    adjusted, target = str(written[2]), tmp_path / f"places ü.{suffix}"
+    if suffix == "las":
+        pytest.importorskip("laspy")
+    done = CliRunner().invoke(cli, ["block-points", adjusted, "-o", str(target)])
+    assert done.exit_code == 0, done.output
+    rows = [row.split(",") for row in (written[2] / "ties.csv").read_text().splitlines()[1:]]
+    expected = np.array([row[1:] for row in rows], float)
+    if suffix == "gpkg":
+        import geopandas
+
+        layer = geopandas.read_file(target)
+        assert layer.crs.to_epsg() == 4326
+        assert list(layer.id) == [row[0] for row in rows]
+        found = np.column_stack([layer.geometry.x, layer.geometry.y, layer.geometry.z,
+                                 layer.sigma_east, layer.sigma_north, layer.sigma_up, layer.images])
+    else:
+        import laspy  # type: ignore[import-not-found, import-untyped, unused-ignore]
+
+        cloud = laspy.read(target)
+        assert cloud.header.parse_crs().to_epsg() == 4326
+        found = np.column_stack([cloud.x, cloud.y, cloud.z, *(
+            cloud[name] for name in ("sigma_east", "sigma_north", "sigma_up", "images"))])
+    np.testing.assert_allclose(found[:, :2], expected[:, :2], atol=6e-9)
+    np.testing.assert_allclose(found[:, 2:], expected[:, 2:], atol=6e-4, rtol=1e-6)
+    again = CliRunner().invoke(cli, ["block-points", adjusted, "-o", str(target)])
+    assert again.exit_code == 2
+    assert "--overwrite" in again.output
+
+
+@pytest.mark.parametrize(("folder", "target", "message"), [
+    ("none", "a.gpkg", "there is no block in this folder"), ("adjusted", "a.txt", "no format"),
+    ("adjusted", "no/a.gpkg", "no/a.gpkg"), ("adjusted", "adjusted", "no format"),
+    ("adjusted", "a.laz", "lazrs")])
+def test_places_that_cannot_be_written_are_refused(
+        written: Written, tmp_path: Path, folder: str, target: str, message: str) -> None:
+    if target == "a.laz" and (not find_spec("laspy") or find_spec("lazrs")):
+        pytest.skip("LAZ can be written")
+    done = CliRunner().invoke(cli, ["block-points", str(written[2].parent / folder), "-o",
+                                    str(tmp_path / target)])
+    assert done.exit_code == 2
+    assert message in done.output
+    assert "Traceback" not in done.output
+    assert not list(tmp_path.iterdir())
