@@ -1,4 +1,7 @@
-"""Run the benchmarks: ``python -m benchmarks [name ...]``; all of them without a name."""
+"""Run the benchmarks: ``python -m benchmarks [name ...]``; all of them without a name.
+
+``python -m benchmarks all`` makes the evidence pages instead (see `benchmarks.pages`).
+"""
 
 from __future__ import annotations
 
@@ -27,6 +30,9 @@ def duration(seconds: float | None) -> str:
 
 def main(names: list[str]) -> None:
     """Run the modules named, such as "kernels", and print one table."""
+    if names[:1] == ["all"]:
+        importlib.import_module("benchmarks.pages").main(names[1:])
+        return
     here = Path(__file__).parent
     found = sorted(path.stem for path in here.glob("bench_*.py"))
     wanted = [f"bench_{name}" for name in names] or found
