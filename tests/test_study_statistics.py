@@ -14,7 +14,6 @@ from msgspec import structs
 
 import termsel
 from termsel.studies.cells.journal import CellRecord
-from termsel.studies.shown.ioh import ioh_files
 from termsel.studies.shown.pages import latex, markdown, tables_of
 from termsel.studies.statistics.claims import claims, size_in_words
 from termsel.studies.statistics.fronts import front_figures, indicators, non_dominated
@@ -37,6 +36,7 @@ from termsel.studies.statistics.summaries import (
     targets_of,
     wilson,
 )
+from termsel_bench.ioh import ioh_files
 
 # Demšar 2006, table 6: AUC of C4.5, C4.5+m, C4.5+cf and C4.5+m+cf on 14 data sets. The paper ranks
 # the two that it prints as 0.975 as if they differed.

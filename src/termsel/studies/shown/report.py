@@ -20,7 +20,6 @@ from termsel.report.theme import require_altair, styled
 from termsel.studies.cells.images import IMAGES, folders_of
 from termsel.studies.cells.table import csv_of
 from termsel.studies.shown.figures import figures_of
-from termsel.studies.shown.ioh import ioh_files
 from termsel.studies.shown.pages import latex, markdown, tables_of
 from termsel.studies.statistics.groups import group
 from termsel.studies.study import Study
@@ -88,8 +87,8 @@ def write_outputs(study: Study, out: Path) -> list[Path]:
     """Write the tables of a study, and return which files were written.
 
     study.csv has a row a cell; study.parquet the same, where pyarrow is installed; summary.md and
-    summary.tex tables for people; ioh/ the runs for IOHprofiler; report.html a page of tables and
-    charts, and figures/ the charts, where altair is installed.
+    summary.tex tables for people; ioh/ the runs for IOHprofiler, where termsel-bench is;
+    report.html a page of tables and charts, and figures/ the charts, where altair is.
     """
     pages = {"study.csv": csv_of(study.rows, study.columns), "summary.md": markdown(study),
              "summary.tex": latex(study)}
@@ -107,7 +106,11 @@ def write_outputs(study: Study, out: Path) -> list[Path]:
         written.append(out / REPORT)
     if study.spec.strategies == ("auto",):
         return written
-    files = dict(ioh_files(group(study.rows, study.records, study.spec.measure)))
+    files: dict[str, str] = {}
+    if find_spec("termsel_bench"):
+        from termsel_bench.ioh import ioh_files
+
+        files = dict(ioh_files(group(study.rows, study.records, study.spec.measure)))
     for name, text in files.items():
         (out / "ioh" / name).parent.mkdir(parents=True, exist_ok=True)
         write_text(out / "ioh" / name, text)
