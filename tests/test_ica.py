@@ -12,10 +12,7 @@ from hypothesis import strategies as st
 import termsel
 from termsel.problems.base import Evaluation
 from termsel.solvers.base import Generation
-from termsel.solvers.proofs.exact import gap
-from termsel.testing import Check, checks, problems
-from termsel.testing.problems import Watched
-from termsel_papers.ica import (
+from termsel.solvers.heuristics.ica import (
     Empires,
     ImperialistCompetition,
     assimilate,
@@ -29,6 +26,9 @@ from termsel_papers.ica import (
     sizes,
     total_power,
 )
+from termsel.solvers.proofs.exact import gap
+from termsel.testing import Check, checks, problems
+from termsel.testing.problems import Watched
 
 
 def bits(text: str) -> np.ndarray:
