@@ -50,7 +50,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Place:
     environment = {**os.environ, "PATH": SYSTEM, "QGIS_PLUGINPATH": str(PLUGIN),
                    "QGIS_CUSTOM_CONFIG_PATH": str(folder.parent), "TERMSEL_PLACE": str(folder),
                    "TERMSEL_EXECUTABLE": str(Path(sys.executable).with_name("termsel")),
-                   "LANG": "C.UTF-8"}
+                   "LANG": "C.UTF-8", "OMP_NUM_THREADS": "1"}
     for name in ("VIRTUAL_ENV", "PYTHONHOME", "PYTHONPATH", "QT_QPA_PLATFORM"):
         environment.pop(name, None)
     return folder, environment
