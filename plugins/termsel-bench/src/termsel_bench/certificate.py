@@ -11,13 +11,14 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from termsel import Problem, TermselError
-from termsel.check import SCHEMA, checksum
+from termsel.check import SCHEMA, Refused, check, checksum
 from termsel.files.atomic import write_text
 
 FloatArray: TypeAlias = NDArray[np.float64]
@@ -26,7 +27,7 @@ Node: TypeAlias = list[Any]
 TIE = 1e-9
 """The limit is below the best score by this share: rounding may change a score by less."""
 
-MOST_NODES = 100_000
+MOST_NODES = 20_000
 """Steps of a tree at most; a larger one leaves the rest open, and says so."""
 
 _SLACK = 1e-5  # of claims, for the rounding of floating-point numbers
@@ -69,7 +70,8 @@ def certifier(path: Path, problem: Problem,
     """Return what writes the certificate of an optimum, given its genes.
 
     `rooms` are the most terms of each part of the problem. Raises TermselError at once for a
-    problem that has no certificate, or a folder that is not there.
+    problem that has no certificate, or a folder that is not there. What is written, the checker has
+    verified; TermselError says where it refuses.
     """
     parts = problem.parts()
     if not parts or any(part.score != "check" or part.system.target.shape[1] != 1
@@ -86,8 +88,19 @@ def certifier(path: Path, problem: Problem,
         axes = [axis_of(names[part.genes[0]].partition(".")[0], [names[j] for j in part.genes],
                         part.system, np.flatnonzero(genes[part.genes]).tolist(), room, part.pixels)
                 for part, room in zip(parts, rooms, strict=True)]
-        content = content_of(axes)
-        write_text(path, json.dumps(content) + "\n")
+        text = json.dumps(content_of(axes)) + "\n"
+        # Multipliers are found in floating-point numbers: only the checker knows that they hold.
+        with TemporaryDirectory() as folder:
+            made = Path(folder) / "certificate.json"
+            made.write_text(text, encoding="utf-8")
+            try:
+                check(made)
+            except Refused as refused:
+                raise TermselError(f"the tree has a step that the checker refuses: {refused}",
+                                   hint="No certificate is written. Fewer terms, such as a lower "
+                                        "order, have one; without the option the search has its "
+                                        "proof in floating-point numbers.") from refused
+        write_text(path, text)
 
     return write
 

@@ -6,6 +6,7 @@ same auxiliary file: source coordinates with rows that may be negative, which GD
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
@@ -147,8 +148,10 @@ class GcpTiff(PointsWriter):
             source = folder / "gcps.vrt"
             source.write_bytes(encoded(vrt_text(picture, folder, gcps=gcps, crs=crs)))
             try:
-                copy(source, made, driver="GTiff", compress="deflate", tiled=True,
+                # rasterio takes names in UTF-8 alone; that of the user need not be.
+                copy(source, folder / "copy.tif", driver="GTiff", compress="deflate", tiled=True,
                      sparse_ok=image is None)
+                shutil.move(folder / "copy.tif", made)
             except (RasterioError, CPLE_BaseError) as error:
                 raise TermselError(f"cannot write this file: {error}", file=path) from error
         say_by_gdal(self.name, result, used)

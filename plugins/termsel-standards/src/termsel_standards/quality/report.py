@@ -148,7 +148,7 @@ def quality_of(result: Result, title: str = "", organisation: str = "",
                       "measurements of control; the checksum is that of ids, coordinates, roles, "
                       "standard deviations and CRS as read", result.data.sha256)]
     if image is not None:
-        sources.append(Source(Path(image).name, "the image", file_sha256(Path(image))))
+        sources.append(Source(_shown(image), "the image", file_sha256(Path(image))))
     return Quality(
         title or Path(result.data.source).stem or "scene", organisation,
         datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"), horizontal(result.features.crs),
@@ -215,3 +215,8 @@ def file_sha256(path: Path) -> str:
 def decimal(value: float) -> str:
     """Return a number without an exponent, to nine significant digits."""
     return np.format_float_positional(value, 9, fractional=False, trim="0")
+
+
+def _shown(path: str | Path) -> str:
+    """Return the name of a file as text; bytes that are not UTF-8 as escapes."""
+    return Path(path).name.encode("utf-8", errors="backslashreplace").decode()
