@@ -231,7 +231,7 @@ def test_a_result_of_an_estimator_of_the_session_is_the_same_fit_again(
         session: Callable[[Candidate], None], tmp_path: Path) -> None:
     session(Structure("small", "a small model", Affine(), None, has_prior=True,
                       estimator=Shrinking(1.0 - 1e-6), contains=(
-                          "shrunken-quadratic", "shrunken-cubic", "field")))
+                          "shrunken-quadratic", "shrunken-cubic", "physical-cubic", "field")))
     scene = termsel.simulate_scene("ikonos-hamedan", n_points=24, n_lines=0)
     result = termsel.run("rfm-terms", features=scene, strategy="auto", out=tmp_path / "r")
     assert result.strategy.chosen == "small"
