@@ -1,0 +1,24 @@
+"""A physical model of line scanners in orbit, as a plugin of termsel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from termsel import Candidate, SensorModel, hookimpl
+from termsel_scanner.candidate import SCANNER
+from termsel_scanner.scanner import Scanner
+from termsel_scanner.sensors import SENSORS, Sensor
+
+__all__ = ["SENSORS", "Scanner", "Sensor"]
+
+
+@hookimpl
+def termsel_models() -> Iterable[type[SensorModel]]:
+    """Return the scanner."""
+    return [Scanner]
+
+
+@hookimpl
+def termsel_candidates() -> Iterable[Candidate]:
+    """Return the scanner that points name."""
+    return [SCANNER]

@@ -1,0 +1,78 @@
+"""The physical scanner as a candidate of auto, where the points name their sensor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from termsel import Candidate, Control, Fit, SensorModel, Undetermined
+from termsel_scanner.physical import RobustFit
+from termsel_scanner.scanner import Scanner
+
+COLUMN = "sensor"
+"""Column of a table of points that names the sensor."""
+
+FEWEST, MOST = 3, 12
+"""Numbers of points for which it is: with more, those tell as much as the physics."""
+
+
+@dataclass(frozen=True, eq=False)
+class NamedScanner(Candidate):
+    """The scanner that a column of the points names."""
+
+    def declines(self, control: Control) -> str | None:
+        """Return why no scanner is known, or the points are not for one.
+
+        A name that no sensor has is an error, which the run tells.
+        """
+        features = control.features
+        named = _sensor(control)
+        if not named:
+            return f"the points have no column {COLUMN!r} that names one sensor"
+        if len(features.lines) or not FEWEST <= len(features.points) <= MOST:
+            return f"it is for {FEWEST} to {MOST} control points, without lines"
+        if features.without_height() or features.crs in ("", "local"):
+            return "it needs heights and a CRS"
+        Scanner(sensor=named)
+        return None
+
+    def fit_control(self, control: Control) -> Fit:
+        """Fit the scanner that is named."""
+        named = _sensor(control)
+        if not named:
+            raise Undetermined("no sensor is named", hint=f"Name it in a column {COLUMN!r}.")
+        model = Scanner(sensor=named)
+        prepared = model.prepared(control.scaling, control.features.crs)
+        latitude = prepared.geographic(control.scaled.points.ground)[:, 1]
+        line = control.features.points.image[:, 0]
+        north = float((latitude - latitude.mean()) @ (line - line.mean()))
+        model = Scanner(sensor=named, track="ascending" if north > 0 else "descending")
+        return self.estimator.fit(model, control.features, control.scaling,
+                                  np.ones(len(model.terms), dtype=bool),
+                                  np.ones(len(control), dtype=bool))
+
+    def model(self, heights: bool) -> SensorModel | None:
+        """Return None: the model depends on the sensor."""
+        return None
+
+    def size(self, heights: bool) -> float:
+        """Return 0: what is known comes before what is fitted."""
+        return 0.0
+
+    def describe(self, fitted: Fit) -> str:
+        """Return whose constants were used."""
+        assert isinstance(fitted.model, Scanner)
+        return (f"The points name the sensor {fitted.model.options['sensor']}. Its constants: "
+                f"{fitted.model.source}.")
+
+
+def _sensor(control: Control) -> str:
+    """Return the one name that all points have in the column, or ""."""
+    names = set(control.features.points.attributes.get(COLUMN, ()))
+    return str(names.pop()).strip() if len(names) == 1 else ""
+
+
+SCANNER = NamedScanner("named-scanner", "the physical scanner that the points name",
+                       short="physical scanner", estimator=RobustFit(), has_prior=True,
+                       from_one=True)

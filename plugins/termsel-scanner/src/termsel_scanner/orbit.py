@@ -1,0 +1,123 @@
+"""A line scanner on a circular orbit over the turning Earth, for many cameras at once.
+
+Axes are east, north and up at a place on the ground. At the time 0 the ray to that place leaves it
+at an angle to the vertical; where it meets the orbit is the satellite.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+MAJOR, ECCENTRICITY = 6378137.0, 0.00669437999014
+GRAVITY, TURNING = 3.986004418e14, 7.292115e-5
+
+ROUNDS, STEP, CLOSE, FAR = 12, 1e-3, 1e-10, 200.0
+"""Steps of the secant method to the time at which a place is seen, the first one's length, the
+share of the camera's slope that counts as none, and the longest time [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cameras:
+    """Constants of p cameras, (p,) or (p, 3) each."""
+
+    heading: FloatArray  # of the satellite over the ground, clockwise from north [rad]
+    side: FloatArray  # slopes of the ray on the ground to the right of the track, and ahead
+    ahead: FloatArray
+    altitude: FloatArray  # above the major axis [m]
+    yaw: FloatArray  # [rad]
+    rates: FloatArray  # of roll, pitch and yaw [rad/s]
+    changes: FloatArray  # of these [rad/s^2]
+
+
+def geocentric(ground: FloatArray) -> FloatArray:
+    """Return Earth-fixed positions [m] of longitude, latitude [deg] and height [m], (n, 3)."""
+    lon, lat, height = np.radians(ground[:, 0]), np.radians(ground[:, 1]), ground[:, 2]
+    across = MAJOR / np.sqrt(1.0 - ECCENTRICITY * np.sin(lat) ** 2)
+    return np.stack([(across + height) * np.cos(lat) * np.cos(lon),
+                     (across + height) * np.cos(lat) * np.sin(lon),
+                     (across * (1.0 - ECCENTRICITY) + height) * np.sin(lat)], axis=1)
+
+
+def axes_at(lon: float, lat: float) -> FloatArray:
+    """Return east, north and up at a place [deg], as rows."""
+    a, b = np.radians([lon, lat])
+    east = np.array([-np.sin(a), np.cos(a), 0.0])
+    up = np.array([np.cos(b) * np.cos(a), np.cos(b) * np.sin(a), np.sin(b)])
+    return np.stack([east, np.cross(up, east), up])
+
+
+def heading_of(inclination: float, latitude: float, *, ascending: bool) -> float:
+    """Return the heading of an orbit over a place, clockwise from north [rad].
+
+    Relative to axes that do not turn with the Earth.
+    """
+    sine = np.clip(np.cos(np.radians(inclination)) / np.cos(np.radians(latitude)), -1.0, 1.0)
+    east = float(np.arcsin(sine))
+    return east if ascending else np.pi - east
+
+
+def seen(cameras: Cameras, target: FloatArray, place: FloatArray, axes: FloatArray) -> FloatArray:
+    """Return time [s] and slope to port of targets, shape (p, n, 2); NaN where none is seen.
+
+    The targets (n, 3) and the place (3,) are Earth-fixed [m], the axes (3, 3) are those there.
+    """
+    centre, ground = axes @ place, target @ axes.T
+    sine, cosine = np.sin(cameras.heading), np.cos(cameras.heading)
+    none = np.zeros_like(sine)
+    course = np.stack([sine, cosine, none], axis=1)
+    right = np.stack([cosine, -sine, none], axis=1)
+    ray = course * cameras.ahead[:, None] + right * cameras.side[:, None] + [0.0, 0.0, 1.0]
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    radius, along = MAJOR + cameras.altitude, ray @ centre
+    station = centre + ray * (np.sqrt(np.maximum(
+        along**2 - centre @ centre + radius**2, 0.0)) - along)[:, None]
+    outward = station / radius[:, None]
+    forward = course - outward * (course * outward).sum(axis=1, keepdims=True)
+    forward /= np.linalg.norm(forward, axis=1, keepdims=True)
+    orbit, motion = np.cross(outward, forward), np.sqrt(GRAVITY / radius**3)
+    pole = np.broadcast_to(axes[:, 2], orbit.shape)
+    # The camera looks along the ray; lines follow each other along the track, but for the yaw.
+    x = course * np.cos(cameras.yaw)[:, None] + right * np.sin(cameras.yaw)[:, None]
+    x = x - ray * (x * ray).sum(axis=1, keepdims=True)
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    frame = np.stack([x, np.cross(ray, x), -ray], axis=2)
+
+    def view(time: FloatArray) -> FloatArray:
+        turned = _turned(_turned(ground[None], pole, TURNING * time), orbit,
+                         -motion[:, None] * time) - station[:, None]
+        looked = turned @ frame
+        slopes = looked[..., :2] / looked[..., 2:]
+        roll, pitch, yaw = (cameras.rates[:, i, None] * time
+                            + cameras.changes[:, i, None] * time**2 / 2 for i in range(3))
+        return np.stack([slopes[..., 0] - pitch - yaw * slopes[..., 1],
+                         slopes[..., 1] - roll + yaw * slopes[..., 0]], axis=-1)
+
+    time = np.zeros((len(radius), len(ground)))
+    step = np.full_like(time, STEP)
+    with np.errstate(all="ignore"):
+        at = view(time)[..., 0]
+        for _ in range(ROUNDS):
+            time = np.clip(time + step, -FAR, FAR)
+            before, at = at, view(time)[..., 0]
+            change = at - before
+            step = np.where(np.abs(change) > 1e-13, -at * step / change, 0.0)
+            if np.abs(at).max(initial=0.0) < CLOSE:
+                break
+        image = np.stack([time, view(time)[..., 1]], axis=2)
+        image[~(np.abs(at) < 1e-6)] = np.nan
+    return image
+
+
+def _turned(vectors: FloatArray, axis: FloatArray, angle: FloatArray) -> FloatArray:
+    """Return vectors (., n, 3) turned about axes (p, 3) by angles (p, n) (Rodrigues)."""
+    x, y, z = axis.T
+    none = np.zeros_like(x)
+    cross = np.array([[none, z, -y], [-z, none, x], [y, -x, none]]).transpose(2, 0, 1)
+    once = vectors @ cross
+    return np.asarray(vectors + np.sin(angle)[..., None] * once
+                      + (1.0 - np.cos(angle))[..., None] * (once @ cross))

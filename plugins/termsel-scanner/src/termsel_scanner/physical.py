@@ -1,0 +1,236 @@
+"""What cameras have in common: terms with priors, a robust fit in damped steps, and its errors."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from termsel import (
+    Adjustment,
+    Equations,
+    Estimator,
+    FeatureSet,
+    Fit,
+    HeldOut,
+    Scaling,
+    SensorModel,
+    Spread,
+    TermselError,
+    Undetermined,
+    image_equations,
+)
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+NOISE = 0.7
+"""Standard deviation of a measurement, by which priors are weighed, where none is stated [px]."""
+
+STEP = 1e-4
+"""Change of a term by which image positions are differentiated."""
+
+ROUNDS, CLOSE = 100, 1e-3
+"""Most steps of a fit; it has converged where a step would gain less than this share."""
+
+HUBER = 3.0
+"""Residuals beyond so many standard deviations count by their size alone (Huber 1964)."""
+
+
+def known(scaling: Scaling | None) -> Scaling:
+    """Return the scaling of a prepared model."""
+    if scaling is None:
+        raise TermselError("the model is not prepared: its place is not known",
+                           hint="Fit it, or call its method prepared first.")
+    return scaling
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Where a fit ended."""
+
+    values: FloatArray  # (k,)
+    cost: float
+    steps: int
+    converged: bool
+
+
+class Physical(SensorModel):
+    """A camera whose terms have normal priors with the mean 0 and the standard deviation 1.
+
+    The first `free` terms have none.
+    """
+
+    terms_: ClassVar[tuple[str, ...]]
+    free: ClassVar[int] = 0
+
+    @abstractmethod
+    def starts(self) -> FloatArray:
+        """Return the values of terms (s, k) from which a fit begins."""
+
+    @abstractmethod
+    def image_of(self, values: FloatArray, ground: FloatArray) -> FloatArray:
+        """Return scaled image positions (p, n, 2) by values of terms (p, k)."""
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Names of the terms."""
+        return self.terms_
+
+    def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
+        """Return image positions of ground points, shape (..., n, 2); NaN where none is seen."""
+        values = np.reshape(coefficients, (-1, len(self.terms)))
+        return self.image_of(values, ground).reshape(
+            *np.shape(coefficients)[:-1], len(ground), 2)
+
+    def slopes(self, values: FloatArray, ground: FloatArray) -> FloatArray:
+        """Return derivatives of image positions by the terms, shape (n, 2, k)."""
+        steps = STEP * np.eye(len(values))
+        both = self.image_of(np.concatenate([values + steps, values - steps]), ground)
+        return np.moveaxis(both[:len(values)] - both[len(values):], 0, -1) / (2 * STEP)
+
+    def prior(self) -> FloatArray:
+        """Return the weights of the pseudo-observations that terms are 0, shape (k,)."""
+        weights = np.full(len(self.terms), NOISE / known(self.scaling).image_scale)
+        weights[:self.free] = 0.0
+        return weights
+
+    def start(self, features: FeatureSet) -> FloatArray:
+        """Return the solution of the robust fit to points."""
+        if not len(features.points):
+            raise TermselError(f"model {self.name!r} requires control points to start from",
+                               hint="Measure points, or choose another model.")
+        return self.solved(features).values
+
+    def equations(self, features: FeatureSet) -> Equations:
+        """Return the equations about the start."""
+        return self.linearised(features, self.start(features))
+
+    def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations:
+        """Return the equations about a solution, with those of the priors."""
+        parts = []
+        for ground in (features.points.ground, features.lines.ground.reshape(-1, 3)):
+            columns = self.slopes(coefficients, ground)
+            parts += [columns, self.image_of(coefficients[None], ground)[0]
+                      - columns @ coefficients]
+        found = image_equations(features, *parts[::2], *parts[1::2])
+        return Equations(found.A, found.b, found.feature, self.prior())
+
+    def solved(self, features: FeatureSet) -> Solution:
+        """Return the best robust fit to scaled points from all starts.
+
+        Raises Undetermined where no start sees the points.
+        """
+        ends = [one for start in self.starts() if (one := self._descend(features, start))]
+        if not ends:
+            raise Undetermined(f"model {self.name!r} finds no camera that sees the control",
+                               hint="Check the sensor, the track and the axes of the points.")
+        return min(ends, key=lambda one: one.cost)
+
+    def _descend(self, features: FeatureSet, start: FloatArray) -> Solution | None:
+        """Return where damped steps from a start end (Levenberg 1944, Marquardt 1963)."""
+        points, prior = features.points, self.prior()
+        unit = NOISE / known(self.scaling).image_scale
+        weight = np.ones((len(points), 2)) if points.sigma is None else \
+            np.median(points.sigma) / points.sigma
+        size, damping, converged, steps = prior / unit, 1e-3, False, 0
+
+        def cost(values: FloatArray) -> tuple[float, FloatArray]:
+            away = (points.image - self.image_of(values[None], points.ground)[0]) * weight / unit
+            large = np.linalg.norm(away, axis=1)
+            loss = np.where(large > HUBER, 2 * HUBER * large - HUBER**2, large**2)
+            return float(loss.sum() + ((size * values) ** 2).sum()), away
+
+        values = start
+        # Of the free terms the best values are known: the mean of what is left.
+        if self.free:
+            left = points.image - self.image_of(values[None], points.ground)[0]
+            values = values.copy()
+            values[:self.free] += left.mean(axis=0)[:self.free]
+        now, away = cost(values)
+        if not np.isfinite(now):
+            return None
+        while steps < ROUNDS and damping < 1e8:
+            turned = np.sqrt(HUBER / np.maximum(np.linalg.norm(away, axis=1), HUBER))[:, None]
+            A = (self.slopes(values, points.ground) * (turned * weight / unit)[..., None]).reshape(
+                -1, len(values))
+            if not np.isfinite(A).all():
+                return None
+            right = A.T @ (turned * away).ravel() - size**2 * values
+            normal = A.T @ A + np.diag(size**2)
+            full = np.linalg.lstsq(normal + damping * np.diag(np.diag(normal) + 1e-12), right)[0]
+            there, left = cost(values + full)
+            steps += 1
+            if not there < now:
+                damping *= 10.0
+                continue
+            converged = now - there < CLOSE * (1.0 + now)
+            values, now, away, damping = values + full, there, left, damping / 10.0
+            if converged:
+                break
+        return Solution(values, now, steps, converged or damping >= 1e8)
+
+
+@dataclass(frozen=True)
+class RobustFit(Estimator):
+    """The robust fit of a camera with priors."""
+
+    name = "camera"
+
+    def fit(self, model: Any, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+            used: BoolArray) -> Fit:
+        """Fit a camera (see `Estimator.fit`) with all its terms."""
+        ready, mine = model.prepared(scaling, control.crs), control.take(used)
+        if len(mine.lines):
+            raise Undetermined(f"model {model.name!r} takes control points alone here, and there "
+                               "are control lines", hint="Leave the lines out.")
+        scaled = scaling.features(mine)
+        found = ready.solved(scaled)
+        if not found.converged:
+            raise Undetermined(f"the fit of {model.name!r} did not converge in {found.steps} steps",
+                               hint="Measure more control, or name the sensor.")
+        equations, values = ready.linearised(scaled, found.values), found.values
+        left, effective, errors = _left_out(equations, values, len(mine.points))
+        count, unknown = round(effective), np.full(len(values), np.nan)
+        freedom = max(len(left) - effective, 1.0)
+        weight = np.ones((len(mine.points), 2)) if scaled.points.sigma is None else \
+            np.median(scaled.points.sigma) / scaled.points.sigma
+        return Fit(ready, scaling, control, np.ones(len(values), dtype=bool), used,
+                   Adjustment(values, unknown, count, len(left), count, np.nan,
+                              float(np.sqrt(left @ left / freedom)), steps=found.steps,
+                              converged=True),
+                   self, effective, HeldOut.of(errors / weight * scaling.image_scale, mine))
+
+    def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
+        """Return the mean square errors at scaled places (see `Estimator.spread`)."""
+        model, values = fitted.model, fitted.adjustment.coefficients
+        assert isinstance(model, Physical)
+        equations = model.linearised(fitted.scaled_control.take(fitted.used), values)
+        unit = NOISE / fitted.scaling.image_scale
+        noise = max(fitted.adjustment.sigma0, 0.3 * unit)
+        assert equations.prior is not None
+        # Priors keep their weight, whatever the noise turned out to be.
+        normal = equations.A.T @ equations.A / noise**2 + np.diag((equations.prior / unit) ** 2)
+        root = np.linalg.cholesky(np.linalg.pinv(normal, hermitian=True)
+                                  + 1e-14 * np.eye(len(values)))
+        factors = model.slopes(values, ground) @ root
+        return Spread((factors**2).sum(axis=2), np.full(2, noise**2), factors)
+
+
+def _left_out(equations: Equations, values: FloatArray, count: int,
+              ) -> tuple[FloatArray, float, FloatArray]:
+    """Return residuals, effective parameters and errors of points (n, 2) by all others.
+
+    To first order: P^-1 v of the rows of a point, P the part of the residuals that it leaves.
+    """
+    A, prior = equations.A, equations.prior
+    assert prior is not None
+    left = equations.b - A @ values
+    gain = A @ np.linalg.pinv(A.T @ A + np.diag(prior**2), hermitian=True) @ A.T
+    rows = np.arange(2 * count).reshape(count, 2)
+    own = np.eye(2) - gain[rows[:, :, None], rows[:, None, :]]
+    errors = np.linalg.solve(own + 1e-9 * np.eye(2), left[rows][..., None])[..., 0]
+    return left, float(np.trace(gain)), np.asarray(errors, dtype=np.float64)

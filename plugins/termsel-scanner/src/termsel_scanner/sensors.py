@@ -1,0 +1,142 @@
+"""Published constants of line scanners in orbit, and those of a file.
+
+A value that a source gives in round numbers has the uncertainty of these; see `Sensor`. Pixels are
+on the ground, looking straight down. The numbers were entered from memory of the named documents,
+and not compared with these line by line: check them before you rely on a tenth of a percent.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+from termsel import TermselError
+
+SPOT = "Spot Image, Spot satellite technical data; Spot geometry handbook, S-NT-73-12-SI (2002)"
+NRSA = "National Remote Sensing Agency, IRS-1C data user's handbook (1995)"
+KARI = "Korea Aerospace Research Institute; S.-S. Yong and S.-W. Ra, IGARSS 2004"
+CRESDA = "INPE and CAST, CBERS-1, 2 and 2B: cameras and orbit"
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """What is known of a line scanner before its points are looked at.
+
+    Parameters
+    ----------
+    altitude : float
+        Of the orbit above the equator [km].
+    inclination : float
+        Of the orbit [deg].
+    pixel : float
+        Distance of neighbouring lines and samples on the ground, straight down [m]; 0 where not
+        known.
+    side, ahead : float
+        Standard deviation of the view to the side and along the track [deg]: half of the largest.
+    forward : float
+        View along the track that is built in, ahead positive [deg].
+    source : str
+        Where the constants were published.
+    altitude_sigma : float
+        Standard deviation of the altitude [km]: orbits are 10 to 20 km higher over the poles.
+    pixel_sigma : float
+        Relative standard deviation of the pixel.
+    heading_sigma : float
+        Standard deviation of the heading [deg].
+    """
+
+    altitude: float
+    inclination: float
+    pixel: float
+    side: float
+    ahead: float
+    source: str
+    forward: float = 0.0
+    altitude_sigma: float = 8.0
+    pixel_sigma: float = 0.005
+    heading_sigma: float = 1.0
+
+
+UNKNOWN = Sensor(620.0, 97.9, 0.0, 15.0, 10.0, "none: wide enough for any scanner", 0.0, 120.0,
+                 0.3, 20.0)
+
+SENSORS: dict[str, Sensor] = {
+    "spot-1": Sensor(822.0, 98.7, 10.0, 13.5, 0.5, SPOT),
+    "spot-2": Sensor(822.0, 98.7, 10.0, 13.5, 0.5, SPOT),
+    "spot-3": Sensor(822.0, 98.7, 10.0, 13.5, 0.5, SPOT),
+    "spot-4": Sensor(822.0, 98.7, 10.0, 13.5, 0.5, SPOT),
+    "spot-5": Sensor(822.0, 98.7, 5.0, 13.5, 0.5, SPOT),
+    "irs-1c-pan": Sensor(817.0, 98.69, 5.8, 13.0, 0.5, NRSA),
+    "irs-1d-pan": Sensor(780.0, 98.6, 5.5, 13.0, 0.5, NRSA, altitude_sigma=30.0,
+                         pixel_sigma=0.04),
+    "aster-vnir": Sensor(705.0, 98.2, 15.0, 6.0, 0.5,
+                         "ERSDAC, ASTER user's guide, part I (2005): bands 1 to 3N"),
+    "aster-3b": Sensor(705.0, 98.2, 15.0, 6.0, 0.5,
+                       "ERSDAC, ASTER user's guide, part I (2005)", forward=-27.6),
+    "landsat-oli": Sensor(705.0, 98.2, 30.0, 4.0, 0.5,
+                          "USGS, Landsat 8 data users handbook, LSDS-1574 (2019)"),
+    "kompsat-1": Sensor(685.0, 98.13, 6.6, 15.0, 1.0, KARI),
+    "kompsat-2": Sensor(685.0, 98.13, 1.0, 15.0, 10.0, KARI),
+    "orbview-3": Sensor(470.0, 97.25, 1.0, 20.0, 20.0,
+                        "USGS, OrbView-3 imagery: product description (2012)"),
+    "cbers-ccd": Sensor(778.0, 98.5, 20.0, 16.0, 0.5, CRESDA),
+    "planetscope": Sensor(475.0, 97.5, 3.0, 2.0, 1.0,
+                          "Planet Labs, imagery product specifications (frames of about 1 s; as a "
+                          "line scanner it is an approximation)", altitude_sigma=25.0,
+                          pixel_sigma=0.06),
+    "hypso-1": Sensor(540.0, 97.5, 0.0, 10.0, 15.0,
+                      "M. E. Grotte et al., IEEE Trans. Geosci. Remote Sens. 60 (2022)",
+                      altitude_sigma=20.0, pixel_sigma=0.3, heading_sigma=20.0),
+}
+"""Sensors by name. The pixel is that of the panchromatic channel where there is one."""
+
+
+def sensor_named(name: str) -> Sensor:
+    """Return the sensor of a name, or of a JSON file with the fields of `Sensor`.
+
+    Raises
+    ------
+    TermselError
+        If there is neither, or a field of the file is not known, missing or no number.
+    """
+    if not name:
+        return UNKNOWN
+    if name.lower() in SENSORS:
+        return SENSORS[name.lower()]
+    path = Path(name)
+    if path.suffix != ".json":
+        raise TermselError(f"there is no sensor {name!r}",
+                           hint=f"Choose one of {', '.join(SENSORS)}, or name a JSON file.")
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        raise TermselError(f"{path} cannot be read as JSON: {error}",
+                           hint="Give a file with the fields of a sensor.") from error
+    return _checked(content, path)
+
+
+def _checked(content: object, path: Path) -> Sensor:
+    known = {one.name: one.default for one in fields(Sensor)}
+    hint = f"Fields are {', '.join(known)}; those after source may be left out."
+    if not isinstance(content, dict):
+        raise TermselError(f"{path} holds no JSON object", hint=hint)
+    for name in content:
+        if name not in known:
+            raise TermselError(f"{path} has the field {name!r}, which no sensor has", hint=hint)
+    for name in list(known)[:6]:
+        if name not in content:
+            raise TermselError(f"{path} lacks the field {name!r}", hint=hint)
+    for name, value in content.items():
+        number = isinstance(value, int | float) and not isinstance(value, bool) \
+            and abs(value) < 1e5
+        if name != "source" and (not number or (
+                value <= 0 and name not in ("pixel", "forward"))):
+            raise TermselError(f"{path}: {name} is {value!r}, which is no positive number",
+                               hint=hint)
+    if not 300 <= content["altitude"] <= 1500 or not 0 < content["inclination"] < 180 \
+            or content["pixel"] < 0 or abs(content.get("forward", 0.0)) > 60:
+        raise TermselError(f"{path}: altitude, inclination, pixel or forward is out of range",
+                           hint="They must be 300 to 1500 km, 0 to 180 deg, at least 0 m, and "
+                                "-60 to 60 deg.")
+    return Sensor(**{**content, "source": str(content["source"])})
