@@ -7,7 +7,8 @@ and in a folder of its own. The pictures of the pages are files next to them, so
 without a build; a build runs the cases too, and leaves the pictures as they are.
 Output shown is replaced by what was printed. A line ``<!-- true: EXPRESSION -->`` states in Python
 what the page says: there the name of a folder is the content of its result.json, or its study, and
-`KNOWN` has what looks further. A page that is not true any more fails the build.
+`KNOWN` has what looks further. A page that is not true any more fails the build. A page with a line
+``<!-- needs: MODULE -->`` stays as it is where that module is not installed.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import shlex
 import shutil
 import tempfile
 from contextlib import chdir, redirect_stdout
+from importlib.util import find_spec
 from io import StringIO
 from pathlib import Path
 from statistics import median
@@ -38,6 +40,7 @@ _PICTURE = re.compile(r"^```{image} pictures/(\S+)$", re.MULTILINE)
 _PLACES = re.compile(r' (?:transform|d|[xy]2?|width|height)="[^"]*"')
 _DECIMALS = re.compile(r"(\.\d)\d+")
 _UNSEEN = re.compile(r' (?:aria-[a-z]+|role|class)="[^"]*"| opacity="1"')
+_NEEDS = re.compile(r"^<!-- needs: (\w+) -->$", re.MULTILINE)
 _TRUE = re.compile(r"^<!-- true: (.+) -->$", re.MULTILINE)
 
 
@@ -83,7 +86,8 @@ def made(pages: Path = PAGES, pictures: Path | None = None) -> dict[str, str]:
         pictures.mkdir(parents=True)
     found = {}
     for page in sorted(pages.glob("*.md")):
-        if page.stem == "index":
+        needs = _NEEDS.findall(page.read_text(encoding="utf-8"))
+        if page.stem == "index" or not all(map(find_spec, needs)):
             continue
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
