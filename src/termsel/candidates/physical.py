@@ -22,7 +22,7 @@ from termsel.priors.foresight import foresee
 from termsel.priors.physics import BOX, PLACES, Solutions, marginal, of_cameras
 from termsel.priors.posterior import Posterior, polynomial_posterior
 
-FEWEST, MOST = 6, 20
+FEWEST, MOST = 6, 12
 """Numbers of points for which there is a physical prior: fewer do not tell a scanner from other
 images, and more gain hardly anything by it."""
 
