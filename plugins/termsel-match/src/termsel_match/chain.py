@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
@@ -12,9 +12,11 @@ import numpy as np
 
 from termsel import TermselError, open_dem, read_result, read_rpc, rectify, write_points_csv
 from termsel.files.atomic import write_text
-from termsel_match.images.rasters import grid, open_picture
+from termsel_match.images.masks import open_masked
+from termsel_match.images.rasters import FloatArray, GreyRaster, Mask, grid
 from termsel_match.images.starts import Start
-from termsel_match.images.warps import COVERS, open_reference
+from termsel_match.images.warps import COVERS, NotShown, open_reference, references_of
+from termsel_match.judgement.picture import draw
 from termsel_match.judgement.selection import Selected, select_points, with_lines
 from termsel_match.judgement.verdict import Evidence, Georeferenced, evidence_of, reasons, remarks
 from termsel_match.lines.rounds import iterate_lines
@@ -22,7 +24,10 @@ from termsel_match.lines.vectors import read_vectors
 from termsel_match.points.candidates import Candidates, match_points
 from termsel_match.points.given import read_candidates
 
-CANDIDATES, REPORT, RESULT = "candidates.csv", "report.txt", "result"
+Bounds = tuple[float, float, float, float]
+
+CANDIDATES, REPORT, PICTURE, RESULT = ("candidates.csv", "report.txt", "residuals.png",
+                                        "result")
 
 _SEARCH = 12.0  # px for lines, from the model of the points
 
@@ -46,7 +51,7 @@ def georeference(
     output : path-like
         The map, a cloud-optimised GeoTIFF. It is written only if the result is good enough.
     folder : path-like, optional
-        For candidates, result and report.
+        For candidates, result, report and a picture of the residuals.
     overwrite : bool
         Whether the map may replace a file.
     **judging
@@ -64,6 +69,7 @@ def georeference(
     done = judge(image, reference, dem=dem, folder=folder, **judging)
     if folder is not None:
         write_text(Path(folder) / REPORT, done.text())
+        draw(image, done.selected, Path(folder) / PICTURE)
     if not done.reasons:
         rectify(done.selected.result, image, output, dem=dem, bounds=done.bounds,
                 overwrite=overwrite)
@@ -167,7 +173,7 @@ def judge(
         except TermselError as error:  # the points suffice
             lines, unused = None, error.what
     evidence, bounds = _evidence(image, reference, candidates, selected, dem=dem, extent=extent,
-                                 seed=seed)
+                                 seed=seed, masks=matching.get("masks", ()))
     return Georeferenced(
         candidates, selected, evidence, accept, reasons(selected, evidence, accept),
         remarks(candidates, selected, evidence, accept), lines, unused, bounds)
@@ -188,19 +194,44 @@ def model_for(start: Path | str | None, image: Path) -> tuple[str, dict[str, Any
 
 def _evidence(image: Path | str, reference: Path | str | None, candidates: Candidates,
               selected: Selected, *, dem: Path | str, extent: str, seed: int,
-              ) -> tuple[Evidence, tuple[float, float, float, float] | None]:
+              masks: Sequence[Path | str]) -> tuple[Evidence, Bounds | None]:
     """Return what the candidates say, and the bounds of the map in their CRS, if any."""
     result, bounds = selected.result, None
     whole = np.ones((COVERS, COVERS), dtype=bool)
-    with open_picture(image) as picture, open_dem(Path(dem), candidates.crs) as heights:
+    with open_masked(image, None, masks) as picture, \
+            open_dem(Path(dem), candidates.crs) as heights:
         if reference is None:
             shown = picture.known_at(grid(picture.size, whole.shape)).reshape(whole.shape)
         else:
             model = Start("the model", candidates.crs, 0.0, result.project, result.locate)
-            with open_reference(reference, model, dem, picture.size) as other:
-                shown = other.shown(picture)
-                if extent == "reference":
-                    bounds = other.bounds(candidates.crs)
+            shown, outline = _shown(references_of(reference), picture, model, dem, masks,
+                                    candidates.crs)
+            if not shown.any():  # chips are smaller than what is looked at
+                shown = _near(candidates.points.image, picture.size, shown)
+            if extent == "reference":
+                bounds = outline
         evidence = evidence_of(candidates, selected, heights, shown,
                                whole if bounds is None else shown, seed)
     return evidence, bounds
+
+
+def _shown(files: list[Path], picture: GreyRaster, model: Start, dem: Path | str,
+           masks: Sequence[Path | str], crs: str) -> tuple[Mask, Bounds]:
+    """Return where an image and any reference show the ground, and the bounds of all of them."""
+    shown = np.zeros((COVERS, COVERS), dtype=bool)
+    bounds = []
+    for file in files:
+        with suppress(NotShown), open_reference(file, model, dem, picture.size,
+                                                masks=masks) as other:
+            shown |= other.shown(picture)
+            bounds.append(other.bounds(crs))
+    low, high = np.min(bounds, axis=0), np.max(bounds, axis=0)
+    return shown, (float(low[0]), float(low[1]), float(high[2]), float(high[3]))
+
+
+def _near(places: FloatArray, size: tuple[int, int], shown: Mask) -> Mask:
+    """Return which of the places spread over an image is the nearest to some place."""
+    near = shown.copy()
+    at = np.round(places / (np.array(size) - 1) * (np.array(shown.shape) - 1)).astype(int)
+    near[tuple(np.clip(at, 0, np.array(shown.shape) - 1).T)] = True
+    return near

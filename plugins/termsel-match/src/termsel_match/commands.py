@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from shlex import quote
+from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from termsel_match.matchers import Matcher
 
 _FILE = click.Path(path_type=Path)
+EVERY = 10.0
+"""Seconds between lines of progress where there is no terminal."""
 NOT_GOOD_ENOUGH = 3
 """Exit code of `auto-georeference` without a map."""
 
@@ -29,7 +32,7 @@ _START = ("Rough geometry: a file with an RPC, a folder with a result, a file of
 
 def add_commands(cli: click.Group) -> None:
     """Add the commands to a group."""
-    for command in (auto_georeference, match_example, match_lines, match_points):
+    for command in (auto_georeference, match_example, match_lines, match_points, match_ties):
         cli.add_command(command)
 
 
@@ -44,6 +47,12 @@ def reference_options(command: Callable[..., Any]) -> Callable[..., Any]:
                          help="Largest distance of a match from the start."),
             click.option("--count", metavar="N", default=200, show_default=True,
                          type=click.IntRange(12, 20000), help="Number of candidates wanted."),
+            click.option("--seconds", metavar="S", type=click.FloatRange(0, min_open=True),
+                         help="Time for the matching, which then goes on with what it has."),
+            click.option("--mask", "masks", metavar="FILE", multiple=True,
+                         help="Polygons where nothing is matched, on the ground, or in px of the "
+                              "image where they have no CRS. By default clouds and water, where "
+                              "the bands show them; 'none' for nothing."),
             click.option("--band", type=int, help="Band of the image, from 1; by default the mean "
                                                   "of all."),
             click.option("--reference-band", type=int, help="Band of the reference."),
@@ -168,6 +177,53 @@ def match_lines(image: Path, vectors: Path, iterate: bool, folder: Path | None, 
     click.echo(f"Written: {output}" + (f", {folder}" if folder is not None else ""), err=True)
     if not iterate:
         click.echo(f"Next: {next_run(options['start'], image, output)}", err=True)
+
+
+@click.command("match-ties")
+@click.argument("images", metavar="IMAGE...", nargs=-1, required=True, type=_FILE)
+@click.option("--dem", metavar="FILE", type=_FILE, required=True,
+              help="Raster of heights of the place.")
+@click.option("--search", metavar="PX", default=100.0, show_default=True,
+              type=click.FloatRange(4, 2000),
+              help="Largest distance of a tie from where both geometries see it.")
+@click.option("--count", metavar="N", default=200, show_default=True,
+              type=click.IntRange(12, 20000), help="Number of ties wanted in each pair of images.")
+@click.option("--seconds", metavar="S", type=click.FloatRange(0, min_open=True),
+              help="Time for the matching, which then goes on with what it has.")
+@click.option("--mask", "masks", metavar="FILE", multiple=True,
+              help="Polygons in px of the images where nothing is matched; see match-points.")
+@click.option("--band", type=int, help="Band of all images, from 1; by default the mean of all.")
+@click.option("--matcher", metavar="NAME", help="What finds places that look alike; by default "
+                                                "sift.")
+@click.option("--set", "settings", metavar="KEY=VALUE", multiple=True,
+              help="Option of the matcher, such as weights=FILE.")
+@click.option("--output", "-o", metavar="FILE", default="ties.csv", show_default=True,
+              type=_FILE, help="Table of ties to write.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+@click.option("--quiet", is_flag=True, help="Show no progress.")
+def match_ties(images: tuple[Path, ...], dem: Path, output: Path, overwrite: bool, quiet: bool,
+               matcher: str | None, settings: tuple[str, ...], **options: Any) -> None:
+    """Find tie points: places that two raw images or more show.
+
+    The table id,image,line,sample is what `termsel block` takes. Images are called as their files,
+    without the extension. Each needs an RPC.
+
+    \b
+    Example:
+      termsel match-ties A.tif B.tif C.tif --dem dem.tif -o ties.csv
+    """
+    from termsel_match.ties.matching import match_ties as match
+
+    refuse_output(output, overwrite, *images, dem, *options["masks"])
+    show_log()
+    with bar("match-ties", quiet) as progress:
+        ties = match(images, dem=dem, progress=progress, matcher=matcher_of(matcher, settings),
+                     **options)
+    ties.write(output)
+    click.echo(ties.text(), nl=False)
+    click.echo(f"Written: {output}", err=True)
+    click.echo("Next: name it as ties in a block.toml, and termsel block block.toml --out DIR",
+               err=True)
 
 
 @click.command("auto-georeference")
@@ -311,9 +367,20 @@ def show_log() -> None:
 
 @contextmanager
 def bar(title: str, quiet: bool) -> Iterator[Callable[[float], None] | None]:
-    """Yield what shows the share that is done, or None where nobody would see it."""
-    if quiet or not sys.stderr.isatty():
+    """Yield what shows the share that is done: a bar, or a line every ten seconds in a log."""
+    if quiet:
         yield None
         return
-    with click.progressbar(length=1000, label=title, file=sys.stderr) as shown:
-        yield lambda share: shown.update(round(1000 * share) - shown.pos)
+    if sys.stderr.isatty():
+        with click.progressbar(length=1000, label=title, file=sys.stderr) as shown:
+            yield lambda share: shown.update(round(1000 * share) - shown.pos)
+        return
+    said = monotonic()
+
+    def say(share: float) -> None:
+        nonlocal said
+        if monotonic() - said >= EVERY:
+            said = monotonic()
+            click.echo(f"{title}: {100 * share:.0f} %", err=True)
+
+    yield say

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,6 +23,7 @@ log = logging.getLogger("termsel.match")
 
 _DARK, _BRIGHT = 1.0, 99.0  # percentiles that become 0 and 255
 _LOOK = 200  # px along either side of a raster that is reduced to see where it has data
+_AREA = 15  # px along either side of an area of zeros that are no data
 _FEW = 16  # distinct pixels; fewer have no texture
 _BANDS = 16  # of which the mean is taken: more take their time, and change it little
 
@@ -37,11 +39,15 @@ class GreyRaster:
         Open.
     bands : tuple of int
         Counted from 1.
+    excluded : tuple of callable
+        Each takes line and sample of a window, its shape reduced, and the reduction; and returns
+        where it has nothing to be matched.
     """
 
     path: Path
     raster: Any
     bands: tuple[int, ...]
+    excluded: tuple[Callable[[int, int, tuple[int, int], int], Mask], ...] = ()
 
     @property
     def size(self) -> tuple[int, int]:
@@ -85,7 +91,11 @@ class GreyRaster:
                 out_shape=(len(self.bands), last[0] - first[0], last[1] - first[1]))
             values = grey.astype(np.float32).mean(axis=0)
             there = ~np.ma.getmaskarray(values) & np.isfinite(values.data)
+        if self.raster.nodatavals[self.bands[0] - 1] is None:
+            there &= ~_blank(grey.data)
         pixels[inside], known[inside] = np.where(there, values.data, 0), there
+        for excluded in self.excluded:
+            known &= ~excluded(top, left, shape, step)
         return pixels, known
 
     def known_at(self, places: FloatArray) -> Mask:
@@ -102,6 +112,15 @@ class GreyRaster:
         at = np.minimum((places[inside] - low) // step, np.array(known.shape) - 2).astype(int)
         inside[inside] = known[tuple(np.maximum(at, 0).T)]
         return np.asarray(inside)
+
+
+def _blank(values: NDArray[Any]) -> Mask:
+    """Return where all bands are exactly 0 over a whole area, as images are filled up."""
+    zero = (values == 0).all(axis=0).astype(np.uint8)
+    if not zero.any():
+        return np.zeros(zero.shape, dtype=bool)
+    return np.asarray(cv2.morphologyEx(zero, cv2.MORPH_OPEN, np.ones((_AREA, _AREA), np.uint8))
+                      > 0)
 
 
 def grid(size: tuple[int, int], shape: tuple[int, ...]) -> FloatArray:

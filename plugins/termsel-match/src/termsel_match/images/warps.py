@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +13,19 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from termsel import TermselError, open_dem
+from termsel_match.images.masks import on_the_ground
 from termsel_match.images.rasters import FloatArray, Grey, GreyRaster, Mask, grid, open_picture
 from termsel_match.images.starts import Heights, Start
 
 _MESH = 24  # px between places that are computed; those between are interpolated
 COVERS = 33
 """Places along either side of an image by which its overlap is judged."""
+_EDGE = 5  # places along either side of a reference by which its part of the image is found
 _SAME = 1.5  # ratio of pixel sizes up to which none is reduced
+
+
+class NotShown(TermselError):
+    """A reference that does not show the place of the image."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,6 +143,35 @@ class Reference:
             both &= raster.known_at(places)
         return both.reshape(COVERS, COVERS)
 
+    def footprint(self, size: tuple[int, int]) -> tuple[int, int, int, int] | None:
+        """Return the part of an image where the reference is by the start; None for none.
+
+        Parameters
+        ----------
+        size : tuple of int
+            Lines and samples of the image.
+
+        Returns
+        -------
+        tuple of int
+            Line and sample of its first pixel, lines and samples.
+        """
+        edge = self.ground(grid(self.picture.size, (_EDGE, _EDGE)))
+        x, y = self.to_map.transform(edge[:, 0], edge[:, 1], direction="INVERSE")
+        plane = np.column_stack([x, y])
+        heights = self.heights(plane) if callable(self.heights) else \
+            np.full(len(plane), self.heights)
+        seen = self.start.project(np.column_stack([plane, heights]))
+        seen = seen[np.isfinite(seen).all(axis=1)]
+        if not len(seen):
+            return None
+        low = np.maximum(np.floor(seen.min(axis=0)).astype(int), 0)
+        high = np.minimum(np.ceil(seen.max(axis=0)).astype(int) + 1, size)
+        if (high - low < _MESH).any():
+            return None
+        (top, left), (lines, samples) = low.tolist(), (high - low).tolist()
+        return top, left, lines, samples
+
     def bounds(self, crs: str) -> tuple[float, float, float, float]:
         """Return least x and y and largest x and y of the reference in a CRS."""
         from rasterio.warp import transform_bounds
@@ -174,7 +209,8 @@ def _pixels(transform: Any, x: FloatArray, y: FloatArray) -> FloatArray:
 
 @contextmanager
 def open_reference(path: Path | str, start: Start, dem: Path | str | None, size: tuple[int, int],
-                   band: int | None = None) -> Iterator[Reference]:
+                   band: int | None = None, masks: Sequence[Path | str] = (),
+                   ) -> Iterator[Reference]:
     """Open a georeferenced image and the heights of its place.
 
     Parameters
@@ -186,6 +222,8 @@ def open_reference(path: Path | str, start: Start, dem: Path | str | None, size:
         Lines and samples of the image that is to be georeferenced.
     band : int, optional
         See `open_picture`.
+    masks : sequence of path-like
+        Files of polygons where nothing is matched; those with a CRS.
 
     Raises
     ------
@@ -199,6 +237,7 @@ def open_reference(path: Path | str, start: Start, dem: Path | str | None, size:
     with ExitStack() as stack:
         picture = stack.enter_context(open_picture(path, band))
         crs = crs_of(picture)
+        picture = replace(picture, excluded=on_the_ground(masks, crs, picture.raster.transform))
         heights: list[Heights] = [
             start.height if dem is None else stack.enter_context(open_dem(Path(dem), one))
             for one in (start.crs, crs)]
@@ -212,6 +251,27 @@ def open_reference(path: Path | str, start: Start, dem: Path | str | None, size:
         reference = Reference(picture, crs, start, heights[0], heights[1], to_map)
         _require_overlap(reference, size, dem)
         yield reference
+
+
+_RASTERS = (".tif", ".tiff", ".vrt", ".jp2", ".img", ".png", ".jpg")
+
+
+def references_of(named: Path | str) -> list[Path]:
+    """Return the files of a reference: itself, or the images in a folder, by their names.
+
+    Raises
+    ------
+    TermselError
+        If a folder has no image.
+    """
+    path = Path(named)
+    if not path.is_dir():
+        return [path]
+    files = sorted(one for one in path.iterdir() if one.suffix.lower() in _RASTERS)
+    if not files:
+        raise TermselError("this folder has no image", file=path,
+                           hint=f"Give one with georeferenced images ({', '.join(_RASTERS)}).")
+    return files
 
 
 def crs_of(picture: GreyRaster) -> str:
@@ -242,7 +302,7 @@ def _require_overlap(reference: Reference, size: tuple[int, int],
         raise TermselError(what, hint="Give a DEM of the place, and the RPC of this image.")
     inside = known & ((seen >= 0) & (seen <= np.array(reference.picture.size) - 1)).all(axis=1)
     if not inside.any():
-        raise TermselError(
+        raise NotShown(
             f"the reference does not show the place of the image: by {reference.start.what} the "
             f"image is at line {_range(seen[known, 0])} and sample {_range(seen[known, 1])} of it",
             file=reference.picture.path,

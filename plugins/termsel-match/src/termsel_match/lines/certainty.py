@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import termsel
 from termsel import FeatureSet, Fit, Lines, Points, TermselError
@@ -15,6 +16,7 @@ from termsel_match.images.starts import Start, turned
 _WEAK = 3.0  # ratio of standard deviations across and along
 _HELD = 2.0  # px along the lines, beyond which the start holds the image
 _ASKED = 60  # vectors that are tried in turn, those with most lines
+_STRETCHES, _FEWEST = 8, 4  # of vectors, that are left out in turn
 UNCERTAIN = 1.0  # px by which the image may move without one vector
 
 
@@ -105,6 +107,56 @@ def most_decisive(features: FeatureSet, model: str, options: Mapping[str, Any]) 
         moved = float(np.sqrt(((without - seen) ** 2).sum(axis=1).mean()))
         moves.append(Decisive(str(name), moved))
     return max(moves, key=lambda decisive: decisive.moved)
+
+
+def left_by_tracing(features: FeatureSet, model: str, options: Mapping[str, Any]) -> float:
+    """Return the standard deviation that errors of the vectors leave in the image [px].
+
+    Errors of tracing are common to a whole stretch of a vector, so that its pieces do not average
+    them out. Stretches are left out in turn (jackknife, Tukey 1958); NaN if there are fewer than
+    four, or the others do not determine the model.
+
+    Parameters
+    ----------
+    features, model, options
+        As for `most_decisive`.
+
+    References
+    ----------
+    Tukey 1958: Bias and confidence in not-quite large samples. Annals of Mathematical Statistics
+    29, 614.
+    """
+    lines = features.lines
+    stretch = _stretches(lines)
+    count = int(stretch.max()) + 1
+    if count < _FEWEST:
+        return float("nan")
+    ground = lines.ground.reshape(-1, 3)
+    moves = []
+    for out in range(count):
+        try:
+            fitted = termsel.fit(features.with_(lines=lines.take(stretch != out)), model,
+                                 **options)
+        except TermselError:
+            return float("nan")
+        moves.append(fitted.project(ground))
+    away = np.array(moves) - np.mean(moves, axis=0)
+    return float(np.sqrt((count - 1) / count * (away**2).sum(axis=(0, 2)).mean()))
+
+
+def _stretches(lines: Lines) -> NDArray[np.intp]:
+    """Return which stretch each piece is of: vectors, or parts of them where they are few."""
+    of = lines.attributes["vector"].astype(str)
+    names, vector = np.unique(of, return_inverse=True)
+    parts = max(1, -(-_STRETCHES // len(names)))
+    if parts == 1:
+        # Many vectors: each counts, in groups that are about as many as are tried.
+        return np.asarray(np.unique(vector.ravel() % _ASKED, return_inverse=True)[1].ravel())
+    stretch = np.empty(len(of), dtype=np.intp)
+    for number in range(len(names)):
+        own = np.flatnonzero(vector.ravel() == number)
+        stretch[own] = number * parts + np.arange(len(own)) * parts // len(own)
+    return np.asarray(np.unique(stretch, return_inverse=True)[1].ravel())
 
 
 def undetermined(lines: Lines) -> str:

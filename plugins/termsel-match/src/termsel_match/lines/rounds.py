@@ -14,7 +14,13 @@ import termsel
 from termsel import FeatureSet, Fit, Lines, Result, TermselError
 from termsel_match.images.starts import Start, start_of, turned
 from termsel_match.lines.candidates import LineCandidates, match_lines, without_start
-from termsel_match.lines.certainty import Decisive, fitted_to, most_decisive, undetermined
+from termsel_match.lines.certainty import (
+    Decisive,
+    fitted_to,
+    left_by_tracing,
+    most_decisive,
+    undetermined,
+)
 from termsel_match.searching import searched
 
 _MOST = 6  # rounds
@@ -67,6 +73,8 @@ class Matched:
         Whether the last round changed next to nothing.
     decisive : Decisive
         The vector without which the image moves most.
+    tracing : float
+        Standard deviation in the image that errors of the vectors leave [px], by `left_by_tracing`.
     """
 
     candidates: LineCandidates
@@ -75,6 +83,7 @@ class Matched:
     rounds: tuple[Round, ...]
     settled: bool
     decisive: Decisive
+    tracing: float
 
     @property
     def features(self) -> FeatureSet:
@@ -90,7 +99,11 @@ class Matched:
                   for i, each in enumerate(self.rounds)]
         if not self.settled:
             table.append("The last round still changed the model.")
-        return "\n".join([*table, undetermined(self.lines), self.decisive.text()]) + "\n"
+        left = "cannot be told: there are too few lines" if np.isnan(self.tracing) else \
+            f"{self.tracing:.2f} px"
+        return "\n".join([
+            *table, undetermined(self.lines), self.decisive.text(),
+            f"Standard deviation in the image that errors of the vectors leave: {left}."]) + "\n"
 
 
 def iterate_lines(
@@ -170,7 +183,7 @@ def iterate_lines(
     result = termsel.run("owdis-lines", features=used, model=model, solver="all-terms",
                          criterion="press", options={**options, **mixed}, seed=seed, out=out)
     return Matched(candidates, lines, result, tuple(rounds), settled,
-                   most_decisive(used, model, options))
+                   most_decisive(used, model, options), left_by_tracing(used, model, options))
 
 
 def in_place(image: Path | str, vectors: Path | str, at: Start, *, dem: Path | str | None,

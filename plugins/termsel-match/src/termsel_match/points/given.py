@@ -10,7 +10,7 @@ import numpy as np
 from termsel import Points, TermselError, open_raster, read
 from termsel_match.images.rasters import open_picture
 from termsel_match.images.starts import start_of
-from termsel_match.images.warps import crs_of
+from termsel_match.images.warps import crs_of, references_of
 from termsel_match.points.asp import AspMatches
 from termsel_match.points.candidates import LEAST, Candidates
 from termsel_match.points.readers import MatchesCsv
@@ -45,7 +45,7 @@ def read_candidates(path: Path | str, image: Path | str, reference: Path | str |
     if reference is not None:
         if _in_pixels(path):
             options["reference"] = str(reference)
-        with open_picture(reference) as picture:
+        with open_picture(references_of(reference)[0]) as picture:
             crs = crs_of(picture)
     try:
         features = read(path, dem=dem, **options)

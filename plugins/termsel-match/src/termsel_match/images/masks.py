@@ -1,0 +1,238 @@
+"""Where nothing is matched: clouds, water, and polygons of a user."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from termsel import TermselError
+from termsel.formats.readers.vector import open_layer
+from termsel_match.images.rasters import FloatArray, GreyRaster, Mask, open_picture
+
+log = logging.getLogger("termsel.match")
+
+NONE = "none"
+"""Name of a mask that is none: clouds and water are looked at, too."""
+
+_LOOK = 400  # px along either side of the reduced image from which thresholds are learned
+_APART = 0.75  # of all variance, between two classes that are really two
+_BRIGHT = 1.8  # times the median of the rest: clouds
+_GREY = 0.25  # relative difference of visible bands of clouds
+_DARK = 0.6  # times the median near infrared of the rest: water
+_WIDE = 9  # px, reduced: smaller areas are roofs and shadows
+_FEW = 0.002  # part of the image, below which nothing is masked
+
+Excluded = Callable[[int, int, tuple[int, int], int], Mask]
+
+
+@contextmanager
+def open_masked(path: Path | str, band: int | None, masks: Sequence[Path | str],
+                ) -> Iterator[GreyRaster]:
+    """Open an image without what is not to be matched.
+
+    Parameters
+    ----------
+    path : path-like
+    band : int, optional
+        See `open_picture`.
+    masks : sequence of path-like
+        Files of polygons; here those without a CRS count, which are in px of the image, as x
+        (sample) and y (line, or negative, as in QGIS). Without any, clouds and water are left out
+        where the image has green and near infrared, or three visible bands. With "none" nothing is.
+
+    Raises
+    ------
+    TermselError
+        If a file cannot be read, or has no polygons.
+    """
+    with open_picture(path, band) as picture:
+        excluded = tuple(_drawn([_in_px(part) for part in shapes])
+                         for name in masks if str(name) != NONE
+                         for shapes, crs in [polygons(name)] if not crs)
+        if not masks:
+            excluded = by_bands(picture)
+        yield replace(picture, excluded=excluded)
+
+
+def polygons(path: Path | str) -> tuple[NDArray[Any], str]:
+    """Return the polygons of a file and their CRS, "" where it has none."""
+    meta, shapes, _ = open_layer(Path(path), None, ("Polygon", "MultiPolygon"), columns=[])
+    areas = np.empty(0, dtype=object) if shapes is None else \
+        shapes[(shapely.get_dimensions(shapes) == 2) & ~shapely.is_empty(shapes)]
+    if not len(areas):
+        raise TermselError("this mask has no polygons", file=path,
+                           hint="Draw areas, and save them in a layer of polygons.")
+    return shapely.force_2d(areas), str(meta["crs"] or "")
+
+
+def on_the_ground(masks: Sequence[Path | str], crs: str, transform: Any) -> tuple[Excluded, ...]:
+    """Return where a reference lies in polygons on the ground.
+
+    Parameters
+    ----------
+    masks : sequence of path-like
+        Those without a CRS are left out.
+    crs : str
+        Of the reference.
+    transform : affine.Affine
+        From its columns and rows to coordinates.
+    """
+    from pyproj import Transformer
+
+    found = []
+    for name in masks:
+        if str(name) == NONE:
+            continue
+        shapes, own = polygons(name)
+        if not own:
+            continue
+        turn = Transformer.from_crs(own, crs, always_xy=True)
+
+        def to_px(places: FloatArray, turn: Any = turn) -> FloatArray:
+            x, y = turn.transform(places[:, 0], places[:, 1])
+            return np.column_stack(~transform @ (np.asarray(x), np.asarray(y)))
+
+        found.append(_drawn([shapely.transform(shape, to_px) for shape in shapes]))
+    return tuple(found)
+
+
+def _in_px(shape: Any) -> Any:
+    """Return a polygon in columns and rows from the corner of the first pixel."""
+    places = shapely.get_coordinates(shape)
+    down = -1.0 if (places[:, 1] <= 0).all() else 1.0
+    return shapely.transform(shape, lambda xy: xy * [1.0, down])
+
+
+def _drawn(shapes: list[Any]) -> Excluded:
+    """Return where windows are in polygons, which are in columns and rows."""
+    def drawn(top: int, left: int, shape: tuple[int, int], step: int) -> Mask:
+        from rasterio.features import rasterize
+        from rasterio.transform import Affine
+
+        window = Affine(step, 0, left, 0, step, top)
+        return np.asarray(rasterize(shapes, out_shape=shape, transform=window, all_touched=True,
+                                    dtype="uint8") > 0)
+
+    return drawn
+
+
+@dataclass(frozen=True)
+class Bands:
+    """Numbers of bands, counted from 1; 0 for none."""
+
+    red: int
+    green: int
+    blue: int
+    infrared: int
+
+
+def bands_of(raster: Any) -> Bands:
+    """Return which bands of a raster show what, by what it says of them.
+
+    Four bands of which nothing is said are blue, green, red and near infrared, as of most
+    satellites.
+    """
+    said: dict[str, int] = {}
+    for index, kind, text in zip(raster.indexes, raster.colorinterp, raster.descriptions,
+                                 strict=True):
+        words = {kind.name.lower(), *(text or "").lower().replace("-", " ").split()}
+        for name, signs in (("red", {"red"}), ("green", {"green"}), ("blue", {"blue"}),
+                            ("infrared", {"nir", "infrared", "nir1"})):
+            if signs & words:
+                said.setdefault(name, index)
+    if not said and raster.count == 4:
+        return Bands(3, 2, 1, 4)
+    return Bands(*(said.get(name, 0) for name in ("red", "green", "blue", "infrared")))
+
+
+def by_bands(picture: GreyRaster) -> tuple[Excluded, ...]:
+    """Return where an image shows clouds or water, as far as its bands tell.
+
+    Water is what a threshold of (green - infrared) / (green + infrared) divides from the rest, and
+    clouds what one of the darkest visible band does; both by Otsu. Neither is taken for one unless
+    the two classes are really two.
+
+    References
+    ----------
+    Otsu 1979: A threshold selection method from gray-level histograms. IEEE Transactions on
+    Systems, Man, and Cybernetics 9(1), 62-66. McFeeters 1996: The use of the normalized difference
+    water index (NDWI). International Journal of Remote Sensing 17(7), 1425-1432.
+    """
+    bands, found = bands_of(picture.raster), []
+    step = max(1, max(picture.size) // _LOOK)
+    shape = picture.size[0] // step, picture.size[1] // step
+
+    def learned(name: str, used: tuple[int, ...], index: Callable[[FloatArray], FloatArray],
+                likely: Callable[[FloatArray, Mask, Mask], bool]) -> None:
+        part = replace(picture, bands=used)
+        values, known = read_bands(part, 0, 0, shape, step)
+        if not known.any():
+            return
+        limit, apart = otsu(index(values)[known])
+        high = known & (index(values) > limit)
+        if apart < _APART or high.mean() < _FEW or not likely(values, high, known & ~high):
+            return
+        log.info("Note: %.0f %% of the image is %s, where nothing is matched (--mask none).",
+                 100 * _wide(high).mean(), name)
+
+        def excluded(top: int, left: int, shape: tuple[int, int], step: int) -> Mask:
+            values, known = read_bands(part, top, left, shape, step)
+            return _wide(known & (index(values) > limit))
+
+        found.append(excluded)
+
+    visible = tuple(band for band in (bands.red, bands.green, bands.blue) if band)
+    if bands.green and bands.infrared:
+        def is_water(values: FloatArray, water: Mask, land: Mask) -> bool:
+            return bool(np.median(values[1][water]) < _DARK * np.median(values[1][land]))
+
+        learned("water", (bands.green, bands.infrared), lambda values: np.asarray(
+            (values[0] - values[1]) / np.maximum(values[0] + values[1], 1e-6)), is_water)
+    if len(visible) == 3:
+        def is_cloud(values: FloatArray, cloud: Mask, land: Mask) -> bool:
+            medians = np.array([np.median(value[cloud]) / max(float(np.median(value[land])), 1e-6)
+                                for value in values])
+            return bool(medians.min() > _BRIGHT
+                        and medians.max() - medians.min() < _GREY * medians.max())
+
+        learned("cloud", visible, lambda values: np.asarray(values.min(axis=0)), is_cloud)
+    return tuple(found)
+
+
+def read_bands(picture: GreyRaster, top: int, left: int, shape: tuple[int, int], step: int,
+               ) -> tuple[FloatArray, Mask]:
+    """Return the values of each band of a window, (c, lines, samples), and where all are known."""
+    parts = [replace(picture, bands=(band,), excluded=()).read(
+        top, left, shape[0] * step, shape[1] * step, step) for band in picture.bands]
+    return (np.stack([part[0] for part in parts]).astype(np.float64),
+            np.logical_and.reduce([known for _, known in parts]))
+
+
+def otsu(values: FloatArray) -> tuple[float, float]:
+    """Return the threshold that divides values best, and the part of their variance between."""
+    count, edges = np.histogram(values, 256)
+    middle, share = (edges[1:] + edges[:-1]) / 2, count / count.sum()
+    below, mean = share.cumsum(), (share * middle).cumsum()
+    total = mean[-1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        between = (total * below - mean) ** 2 / (below * (1 - below))
+    between = np.where(np.isfinite(between), between, 0)
+    best = int(between.argmax())
+    variance = float((share * (middle - total) ** 2).sum())
+    return float(edges[best + 1]), float(between[best] / variance) if variance > 0 else 0.0
+
+
+def _wide(where: Mask) -> Mask:
+    """Return areas that are wide, with what lies around them."""
+    wide = cv2.morphologyEx(where.astype(np.uint8), cv2.MORPH_OPEN,
+                            np.ones((_WIDE, _WIDE), np.uint8))
+    return np.asarray(cv2.dilate(wide, np.ones((_WIDE, _WIDE), np.uint8)) > 0)

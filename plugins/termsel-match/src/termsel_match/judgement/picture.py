@@ -1,0 +1,74 @@
+"""A picture of the candidates on the image: which agree, and by how much each is off."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from termsel import TermselError
+from termsel.files.atomic import write_bytes
+from termsel_match.images.rasters import open_picture, stretched
+from termsel_match.judgement.selection import Selected
+
+_SIDE = 1200  # px, at most
+_LONG = 40.0  # px of the picture: the arrow of a residual that nine in ten do not exceed
+_NICE = (1, 2, 5)
+_BAR = 34  # px of the legend
+# Blue, green, red, of Okabe and Ito's colours, which differ for colour-blind eyes too.
+_BLUE, _VERMILION = (233, 180, 86), (0, 94, 213)
+
+
+def draw(image: Path | str, selected: Selected, path: Path) -> None:
+    """Write the picture, as PNG.
+
+    Parameters
+    ----------
+    image : path-like
+    selected : Selected
+    path : pathlib.Path
+        It is written whole or not at all.
+
+    Raises
+    ------
+    TermselError
+        If a file cannot be read or written.
+    """
+    with open_picture(image) as picture:
+        step = max(1, -(-max(picture.size) // _SIDE))
+        grey = stretched(*picture.read(0, 0, *picture.size, step))
+    if grey is None:
+        raise TermselError("the image has no texture to be drawn", file=image,
+                           hint="Is it empty?")
+    drawn = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
+    points, good = selected.points, selected.agrees
+    residuals = (points.image - selected.result.project(points.ground))[good]
+    times = scale_of(residuals, step)
+    for place, away in zip(points.image[good], residuals, strict=True):
+        start, end = (_px(at, step) for at in (place, place + times * step * away))
+        cv2.arrowedLine(drawn, start, end, _BLUE, 2, cv2.LINE_AA, 4, 0.25)
+        cv2.circle(drawn, start, 4 << 4, _BLUE, 1, cv2.LINE_AA, 4)
+    for place in points.image[~good]:
+        at = [value >> 4 for value in _px(place, step)]
+        cv2.drawMarker(drawn, at, _VERMILION, cv2.MARKER_TILTED_CROSS, 12, 2, cv2.LINE_AA)
+    legend = np.full((_BAR, drawn.shape[1], 3), 255, dtype=np.uint8)
+    text = f"{int(good.sum())} agree (arrows: residuals x {times:g})   {int((~good).sum())} do not"
+    cv2.putText(legend, text, (8, 23), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 0, 0), 1, cv2.LINE_AA)
+    encoded, data = cv2.imencode(".png", np.concatenate([drawn, legend]))
+    assert encoded
+    write_bytes(path, data.tobytes())
+
+
+def scale_of(residuals: np.ndarray, step: int) -> float:
+    """Return by how much residuals are drawn larger, in px of the picture: 1, 2, 5, 10, ..."""
+    length = np.linalg.norm(residuals, axis=1)
+    usual = float(np.quantile(length, 0.9)) / step if len(length) else 0.0
+    wanted = _LONG / max(usual, 1e-6)
+    power = 10.0 ** np.floor(np.log10(wanted))
+    return float(max(one * power for one in _NICE if one * power <= wanted))
+
+
+def _px(place: np.ndarray, step: int) -> list[int]:
+    """Return a place as OpenCV draws it: x, y in sixteenths of a pixel."""
+    return [int(value) for value in np.round(((place[::-1] + 0.5) / step - 0.5) * 16)]

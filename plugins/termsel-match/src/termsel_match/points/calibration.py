@@ -1,0 +1,104 @@
+"""Standard deviations that are true: matches compared with their neighbours.
+
+What least squares of grey values says is the effect of noise alone. Relief, houses, aliasing and
+another light move matches, too, and by more.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.spatial import cKDTree
+
+from termsel_match.images.rasters import FloatArray, Mask
+
+_REACH = 6.0  # px of displacement within which matches are taken for the same at first
+_LEAST = 12  # matches that agree; of fewer nothing is said
+_PER_TERM = 6  # matches for each term of the surface
+_ROUNDS = 12
+_SIGMAS = 3.5
+_MEDIAN = 1.1774  # of the distance in two dimensions, in standard deviations of one
+_LEAST_LIMIT = 0.3  # px
+
+
+def smooth_part(places: FloatArray, moved: FloatArray) -> tuple[FloatArray, Mask, int] | None:
+    """Return the smooth part of displacements, which of them agree with it, and its terms.
+
+    The most common displacement comes first; then a plane, and curved surfaces as far as there are
+    enough matches, each fitted to those that agree with the one before.
+
+    Parameters
+    ----------
+    places, moved : ndarray, shape (n, 2)
+        Positions in the image, and displacements there [px].
+
+    Returns
+    -------
+    ndarray of float, shape (n, 2); ndarray of bool, shape (n,); int
+        None where fewer than 12 agree.
+    """
+    if len(places) < _LEAST:
+        return None
+    tree = cKDTree(moved)
+    groups = tree.query_ball_point(moved, _REACH)
+    largest = groups[int(np.argmax([len(group) for group in groups]))]
+    away = np.linalg.norm(moved - np.median(moved[largest], axis=0), axis=1)
+    agree, surface = away <= _REACH, np.zeros_like(moved)
+    low, high = places.min(axis=0), places.max(axis=0)
+    unit = 2 * (places - low) / np.maximum(high - low, 1e-9) - 1
+    terms = 1
+    for degree in (1, 2, 3):
+        columns = np.stack([unit[:, 0]**i * unit[:, 1]**j
+                            for i, j in product(range(degree + 1), repeat=2) if i + j <= degree],
+                           axis=1)
+        if agree.sum() < max(_LEAST, _PER_TERM * columns.shape[1]):
+            break
+        terms = columns.shape[1]
+        for _ in range(_ROUNDS):
+            before = agree
+            surface = columns @ np.linalg.lstsq(columns[agree], moved[agree], rcond=None)[0]
+            away = np.linalg.norm(moved - surface, axis=1)
+            spread = float(np.median(away[agree])) / _MEDIAN
+            agree = away <= max(_SIGMAS * spread, _LEAST_LIMIT)
+            if agree.sum() < max(_LEAST, terms) or np.array_equal(agree, before):
+                break
+    if terms == 1 or agree.sum() < max(_LEAST, _PER_TERM // 2 * terms):
+        return None
+    return surface, np.asarray(agree), terms
+
+
+def calibrated(places: FloatArray, moved: FloatArray, sigma: FloatArray) -> FloatArray:
+    """Return standard deviations with which matches that agree have a chi-square of 1, (n, 2).
+
+    In each axis they are larger by a constant variance, or smaller by a factor. Where too few
+    matches agree they stay.
+
+    Parameters
+    ----------
+    places, moved : ndarray, shape (n, 2)
+        As for `smooth_part`.
+    sigma : ndarray, shape (n, 2)
+        Of line and sample, by the noise of grey values [px].
+    """
+    found = smooth_part(places, moved)
+    if found is None:
+        return sigma
+    surface, agree, terms = found
+    squares = ((moved - surface)[agree]) ** 2
+    free = 1 - terms / agree.sum()
+    out = sigma.copy()
+    for axis in range(2):
+        own = sigma[agree, axis] ** 2
+
+        def excess(variance: float, own: FloatArray = own, axis: int = axis) -> float:
+            return float((squares[:, axis] / (own + variance)).mean() - free)
+
+        ratio = excess(0.0) + free
+        if ratio <= free:
+            out[:, axis] *= (ratio / free) ** 0.5
+        else:
+            more = brentq(excess, 0.0, 10 * float(squares[:, axis].max()) / free)
+            out[:, axis] = np.sqrt(out[:, axis] ** 2 + more)
+    return out

@@ -1,0 +1,1 @@
+"""Tie points between raw images."""

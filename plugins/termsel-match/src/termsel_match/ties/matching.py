@@ -1,0 +1,202 @@
+"""Tie points: places that two raw images or more show."""
+
+from __future__ import annotations
+
+import csv
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from io import StringIO
+from itertools import combinations
+from pathlib import Path
+from time import monotonic
+
+import numpy as np
+
+from termsel import TermselError, get, open_dem
+from termsel.files.atomic import write_text
+from termsel_match.images.masks import open_masked
+from termsel_match.images.rasters import FloatArray, GreyRaster, grid
+from termsel_match.images.starts import Start, start_of, turned
+from termsel_match.images.warps import COVERS, Reference
+from termsel_match.matchers import Matcher
+from termsel_match.points.calibration import smooth_part
+from termsel_match.points.cells import Looking, in_cells
+
+log = logging.getLogger("termsel.match")
+
+
+@dataclass(frozen=True, eq=False)
+class RawReference(Reference):
+    """A raw image, seen by the start of another one."""
+
+    own: Start
+
+    def seen(self, image: FloatArray) -> FloatArray:
+        """Return where places of the other image, (n, 2), are in this one; NaN for none."""
+        ground = self.start.locate(image, self.heights)
+        plane = turned(ground[:, :2], self.start.crs, self.own.crs)
+        places = np.array(self.own.project(np.column_stack([plane, ground[:, 2]])))
+        places[~np.isfinite(places).all(axis=1)] = np.nan
+        return places
+
+
+@dataclass(frozen=True)
+class PairOfImages:
+    """What came of two images.
+
+    Parameters
+    ----------
+    first, second : str
+    found, agree : int
+        Matches, and those that agree with their neighbours, which are ties.
+    """
+
+    first: str
+    second: str
+    found: int
+    agree: int
+
+
+@dataclass(frozen=True, eq=False)
+class MatchedTies:
+    """Ties between images.
+
+    Parameters
+    ----------
+    rows : tuple of (str, str, float, float)
+        Name of the tie and of the image, line and sample [px].
+    pairs : tuple of PairOfImages
+    """
+
+    rows: tuple[tuple[str, str, float, float], ...]
+    pairs: tuple[PairOfImages, ...]
+
+    @property
+    def count(self) -> int:
+        """Number of ties."""
+        return len({row[0] for row in self.rows})
+
+    def write(self, path: Path | str) -> None:
+        """Write a table id,image,line,sample, as `termsel block` reads it."""
+        text = StringIO()
+        table = csv.writer(text, lineterminator="\n")
+        table.writerow(("id", "image", "line", "sample"))
+        table.writerows((name, image, f"{line:.3f}", f"{sample:.3f}")
+                        for name, image, line, sample in self.rows)
+        write_text(Path(path), text.getvalue())
+
+    def text(self) -> str:
+        """Return a table of the pairs."""
+        wide = max(len(name) for pair in self.pairs for name in (pair.first, pair.second))
+        lines = [f"{'image':{wide}}  {'image':{wide}}  matches  ties"]
+        lines += [f"{pair.first:{wide}}  {pair.second:{wide}}  {pair.found:7d}  {pair.agree:4d}"
+                  for pair in self.pairs]
+        several = len(self.rows) - 2 * self.count
+        return "\n".join([*lines, f"{self.count} ties; {several} more measurements in third "
+                                  "images"]) + "\n"
+
+
+def match_ties(
+    images: Sequence[Path | str],
+    *,
+    dem: Path | str,
+    search: float = 100.0,
+    count: int = 200,
+    band: int | None = None,
+    matcher: str | Matcher | None = None,
+    seconds: float | None = None,
+    masks: Sequence[Path | str] = (),
+    progress: Callable[[float], None] | None = None,
+) -> MatchedTies:
+    """Return places that two raw images or more show.
+
+    Of each pair, the second image is resampled as the first would see it, by the rough geometry of
+    both and the heights. Matches that agree with their neighbours are ties. A tie of one place of
+    an image with two others is one tie in three images.
+
+    Parameters
+    ----------
+    images : sequence of path-like
+        Two or more, each with an RPC, or another start that it states itself.
+    dem : path-like
+        Raster of heights of the place.
+    search : float
+        Largest distance of a match from where both geometries see it [px].
+    count : int
+        Ties wanted in each pair.
+    band, matcher, seconds, masks, progress
+        As for `match_points`.
+
+    Raises
+    ------
+    TermselError
+        If an image cannot be read or has no geometry, two have one name, or no pair has ties.
+    """
+    paths = [Path(image) for image in images]
+    names = [path.stem for path in paths]
+    if len(paths) < 2:
+        raise TermselError("one image has no ties", hint="Give two images or more.")
+    for name in names:
+        if names.count(name) > 1:
+            raise TermselError(f"two images are called {name!r}",
+                               hint="Give files of different names, as a table of ties has them.")
+    starts = [_start(path) for path in paths]
+    chosen = get("matchers", matcher or "sift")
+    until = None if seconds is None else monotonic() + seconds
+    all_pairs = list(combinations(range(len(paths)), 2))
+    members: dict[tuple[int, float, float], list[tuple[int, float, float]]] = {}
+    pairs = []
+    for done, (i, j) in enumerate(all_pairs):
+        def tell(share: float, done: int = done) -> None:
+            if progress is not None:
+                progress((done + share) / len(all_pairs))
+
+        looking = Looking(chosen() if isinstance(chosen, type) else chosen, search, count, until,
+                          tell)
+        with open_masked(paths[i], band, masks) as picture, \
+                _seen_by(paths[j], starts[j], starts[i], dem, band, masks) as other:
+            if not _overlap(picture, other):
+                pairs.append(PairOfImages(names[i], names[j], 0, 0))
+                continue
+            found = in_cells(picture, other, looking)[0]
+            moved = found.second - other.seen(found.first)
+        known = np.flatnonzero(np.isfinite(moved).all(axis=1))
+        smooth = smooth_part(found.first[known], moved[known])
+        agree = known[smooth[1]] if smooth is not None else known[:0]
+        pairs.append(PairOfImages(names[i], names[j], len(moved), len(agree)))
+        for place, there in zip(found.first[agree].tolist(), found.second[agree].tolist(),
+                                strict=True):
+            members.setdefault((i, place[0], place[1]), []).append((j, there[0], there[1]))
+    rows = [(f"T{number:04d}", names[image], line, sample)
+            for number, (first, others) in enumerate(members.items(), 1)
+            for image, line, sample in (first, *others)]
+    if not rows:
+        raise TermselError("no two of the images have ties", file=paths[0],
+                           hint="Do they show the same ground? Give a larger --search, another "
+                                "--matcher, or the right --dem.")
+    return MatchedTies(tuple(rows), tuple(pairs))
+
+
+def _start(path: Path) -> Start:
+    start = start_of(None, path)
+    if start is None:
+        raise TermselError("this image has no rough geometry", file=path,
+                           hint="Put its RPC next to it, such as image.RPB.")
+    return start
+
+
+@contextmanager
+def _seen_by(path: Path, own: Start, start: Start, dem: Path | str, band: int | None,
+             masks: Sequence[Path | str]) -> Iterator[RawReference]:
+    """Open an image as another one, of a start, sees it."""
+    with open_masked(path, band, masks) as picture, open_dem(Path(dem), start.crs) as heights:
+        yield RawReference(picture, own.crs, start, heights, own.height, None, own)
+
+
+def _overlap(picture: GreyRaster, other: RawReference) -> bool:
+    seen = other.seen(grid(picture.size, (COVERS, COVERS)))
+    with np.errstate(invalid="ignore"):
+        inside = ((seen >= 0) & (seen <= np.array(other.picture.size) - 1)).all(axis=1)
+    return bool(inside.any())
