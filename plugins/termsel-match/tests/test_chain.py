@@ -84,7 +84,8 @@ def test_a_map_shows_the_ground_where_it_is(place: Any, says: Any, tmp_path: Pat
     assert record["notes"][-1] == AGREEING
     assert AGREEING in text
     assert AGREEING in " ".join((folder / "result" / "summary.txt").read_text().split())
-    assert {"candidates.csv", "report.txt", "result"} == {one.name for one in folder.iterdir()}
+    assert {one.name for one in folder.iterdir()} == {
+        "candidates.csv", "report.txt", "residuals.png", "result"}
     with rasterio.open(output) as raster, rasterio.open(place / "ortho.tif") as ortho:
         window = ortho.window(*raster.bounds)
         other = ortho.read(1, window=window, out_shape=raster.shape, boundless=True).astype(float)
