@@ -1,6 +1,6 @@
 """Every evidence page by one command: ``python -m benchmarks all [--state] [PAGE ...]``.
 
-Pages are made one after another, each by its own script. docs/evidence/made-by.json says for each
+Pages are made one after another, each by its own script. made-by.json next to them says for each
 which commit made it, by which command, and in how many seconds. A page that the present commit has
 made is left alone, so that the command resumes after an interruption. ``--state`` only says so.
 """
