@@ -104,7 +104,8 @@ def package(name: str, *kinds: str) -> dict[str, str]:
         own = {**words, "MODULE": modules[kind], "NAME": names[kind], "TITLE": titles[kind],
                "CLASS": "".join(part.capitalize() for part in names[kind].split("-"))}
         found[f"{modules[kind]}.py"] = _filled(f"{kind}.py", own)
-        found[f"tests/test_{modules[kind]}.py"] = _filled(f"{kind}_test.py", own)
+        file = f"test_{modules[kind]}.py"
+        found[f"tests/{file}"] = _filled(f"{kind}_test.py", own)
     return found
 
 
