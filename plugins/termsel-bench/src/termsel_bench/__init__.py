@@ -1,1 +1,1 @@
-"""Certificates of proofs and an open benchmark, as a plugin of termsel."""
+"""Certificates of proofs, and files of studies for IOHprofiler, for termsel."""
