@@ -241,7 +241,7 @@ def test_plugins_are_listed_with_what_is_wrong(call, with_plugins):
     (["lits", "models"], "Error: unknown command 'lits'. Did you mean 'list'? Known: "),
     (["list", "cameras"], "'cameras' is not one of 'problems', 'models'"),
     (["list", "model"], "'writers'. Did you mean 'models'?"),
-    (["new-plugin", "mine", "--kind", "modle"], "'command'. Did you mean 'model'?"),
+    (["new-plugin", "mine", "--kind", "modle"], "unknown kind of plugin 'modle'. Did you mean 'model'?"),
     (["list"], "Missing argument 'KIND'"),
     (["--colour"], "No such option"),
     (["describe", "rfn"], "Error: unknown name 'rfn'. Did you mean 'rfm'? Known: "),
@@ -315,9 +315,9 @@ def test_completion_scripts(call, name):
     ("termsel list mo", ["models"]),
     ("termsel describe owdis-l", ["owdis-lines", "owdis-lines-terms"]),
     ("termsel run --problem poly-t", ["poly-terms"]),
-    ("termsel run --model poly2", ["poly2d", "poly2d-by-axis"]),
+    ("termsel run --model poly2", ["poly2d"]),
     ("termsel run --solver all", ["all-terms"]),
-    ("termsel run --dataset old", ["old-map"]),
+    ("termsel run --dataset geo", ["geoeye-tehran"]),
 ])
 def test_commands_and_names_are_completed(call, built_in, monkeypatch, words, expected):
     monkeypatch.setenv("_TERMSEL_COMPLETE", "bash_complete")
