@@ -297,7 +297,7 @@ def test_faulty_problem(method: str, fault: Any, message: str) -> None:
 def test_faulty_columns_of_a_problem(method: str, solver: str, message: str) -> None:
     made = _made(Sound, method, _always([1]))()
     with pytest.raises(PluginFault) as caught:
-        search(made, Registry([]).get("solvers", solver)(), generations=1)
+        search(made, termsel.get("solvers", solver)(), generations=1)
     _said(caught, message, "problem")
 
 
