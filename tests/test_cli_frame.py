@@ -241,7 +241,7 @@ def test_plugins_are_listed_with_what_is_wrong(call, with_plugins):
     (["lits", "models"], "Error: unknown command 'lits'. Did you mean 'list'? Known: "),
     (["list", "cameras"], "'cameras' is not one of 'problems', 'models'"),
     (["list", "model"], "'writers'. Did you mean 'models'?"),
-    (["new-plugin", "mine", "--kind", "modle"], "unknown kind of plugin 'modle'. Did you mean 'model'?"),
+    (["new-plugin", "mine", "--kind", "modle"], "kind of plugin 'modle'. Did you mean 'model'?"),
     (["list"], "Missing argument 'KIND'"),
     (["--colour"], "No such option"),
     (["describe", "rfn"], "Error: unknown name 'rfn'. Did you mean 'rfm'? Known: "),
