@@ -267,7 +267,7 @@ def test_what_heights_may_do_is_said_without_an_exponent() -> None:
     """Some pixels less than a hundred are rounded to a hundred."""
     plan = np.random.default_rng(0).uniform(0, 5000, (20, 2))
     ground = np.column_stack([plan, np.zeros(20)])
-    both = FeatureSet(Points(tuple(map(str, range(20))), plan / 2, ground))
+    both = Control.of(FeatureSet(Points(tuple(map(str, range(20))), plan / 2, ground)), False)
     for height in np.arange(390.0, 410.0, 0.5):  # half of it is what it does, half of that in px
         other = Points(("hill",), plan[:1] / 2, np.array([[*plan[0], height]]))
         notes = list(data_notes._on_flat(both, other))
