@@ -6,7 +6,6 @@ from typing import Annotated, Literal
 
 import numpy as np
 from msgspec import Meta, field
-from scipy.special import chdtri, stdtrit
 
 from termsel.record.base import Count, Name, Positive, RecordPart, Role, Roles, Share, Size
 
@@ -23,6 +22,8 @@ def rmse_interval(total: float, points: int) -> tuple[float, float]:
     Of errors in line and sample that are independent, normal and alike, so that their squares have
     a chi-squared distribution.
     """
+    from scipy.special import chdtri  # scenes are simulated and read without it
+
     tail, freedom = (1 - CONFIDENCE) / 2, 2 * points
     return (total * float(np.sqrt(freedom / chdtri(freedom, tail))),
             total * float(np.sqrt(freedom / chdtri(freedom, 1 - tail))))
@@ -223,4 +224,6 @@ class AdjustmentFigures(RecordPart, frozen=True):
     @property
     def least_t(self) -> float:
         """The t from which on a coefficient is significant, for a redundancy of 1 or more."""
+        from scipy.special import stdtrit
+
         return float(stdtrit(self.redundancy, 1 - SIGNIFICANT / 2))
