@@ -22,9 +22,12 @@ from termsel.priors.foresight import foresee
 from termsel.priors.physics import BOX, PLACES, Solutions, marginal, of_cameras
 from termsel.priors.posterior import Posterior, polynomial_posterior
 
-FEWEST, MOST = 6, 12
+FEWEST, MOST = 6, 40
 """Numbers of points for which there is a physical prior: fewer do not tell a scanner from other
-images, and more gain hardly anything by it."""
+images, and more gain nothing by it."""
+
+CHOSEN = 12
+"""Points of control up to which auto tries it. The final fit has the check points, too."""
 
 WORSE = 1.0
 """Standard errors by which the shrunken polynomials alone must predict left-out points better to

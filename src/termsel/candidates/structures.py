@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.candidates.base import Candidate
+from termsel.candidates.base import Candidate, Judged
 from termsel.candidates.local import LIKELY, Interpolated
-from termsel.candidates.physical import Physical
+from termsel.candidates.physical import CHOSEN, Physical
 from termsel.candidates.ridge import RidgeByOrder
 from termsel.candidates.robust import Reweighted
 from termsel.candidates.selected import ForwardSelection
@@ -89,6 +89,10 @@ class _WithField(Structure):
 
 class _WithPhysics(Structure):
     """A structure with the prior of a scanner, which declines where that is not likely."""
+
+    def judge(self, control: Control) -> Judged | None:
+        """Return the candidate fitted and judged, for so few points that it gains by the prior."""
+        return super().judge(control) if len(control) <= CHOSEN else None
 
     def describe(self, fitted: Fit) -> str:
         """Return what called for the prior."""
