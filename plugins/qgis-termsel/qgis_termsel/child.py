@@ -19,8 +19,8 @@ MISSING = ("termsel was not found: run the algorithm 'Set up termsel', or state 
            "its command in the setting termsel/executable.")
 
 _REMOVED = ("PYTHONHOME", "PYTHONPATH", "PYTHONEXECUTABLE", "PYTHONSTARTUP", "QT_PLUGIN_PATH",
-            "QGIS_PREFIX_PATH", "LD_PRELOAD")
-"""What QGIS sets for its own Python, and would break another."""
+            "QGIS_PREFIX_PATH", "LD_PRELOAD", "PIP_QUIET")
+"""What QGIS sets for its own Python and would break another, and what would silence pip's log."""
 
 _GRACE = 1.0  # seconds between the request to end and the end
 _WINDOWS = sys.platform == "win32"
