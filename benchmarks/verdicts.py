@@ -1,21 +1,26 @@
 """Verdicts of `auto-georeference` on rendered places: bad ones, that must not pass, and good ones.
 
-    python -m benchmarks.verdicts [--bad 200] [--good 200] [--size 400] [--write]
+    python -m benchmarks.verdicts [--bad 200] [--good 200] [--size 400] [--jobs 1]
+                                  [--kept FILE [--seconds S]] [--write]
 
-A bad case passes if a map would be made without a remark. Writes docs/evidence/verdicts.md. Needs
-the packages termsel-match and termsel-rpc.
+A bad case passes if a map would be made without a remark. Writes docs/evidence/verdicts.md. With
+--kept, cases that the file has are not done again, and the others are added: so a run can be made
+in parts of --seconds. Needs the packages termsel-match and termsel-rpc.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import tempfile
 from collections import Counter
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from time import monotonic
 
 import numpy as np
 import rasterio
@@ -175,20 +180,45 @@ To repeat: `python -m benchmarks.verdicts --bad {len(bad)} --good {len(good)} --
 """
 
 
+def one(kind: str, seed: int, size: int, until: float) -> Verdict | None:
+    """Return the verdict on a case, in a folder of its own; None after the time."""
+    if monotonic() > until:
+        return None
+    with tempfile.TemporaryDirectory() as folder:
+        return verdict(kind, seed, size, Path(folder))
+
+
 def main() -> None:
     """Print each case and the page, or write it."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--bad", type=int, default=200)
     parser.add_argument("--good", type=int, default=200)
     parser.add_argument("--size", type=int, default=400)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--kept", type=Path)
+    parser.add_argument("--seconds", type=float, default=float("inf"))
     parser.add_argument("--write", action="store_true")
     asked = parser.parse_args()
-    kinds = [BAD[i % len(BAD)] for i in range(asked.bad)] + ["good"] * asked.good
-    cases = []
-    for seed, kind in enumerate(kinds, 1):
-        with tempfile.TemporaryDirectory() as folder:
-            cases.append(verdict(kind, seed, asked.size, Path(folder)))
-        print(cases[-1], flush=True)
+    kept = asked.kept.read_text().splitlines() if asked.kept and asked.kept.exists() else []
+    cases = [Verdict(**json.loads(line)) for line in kept]
+    done = {case.seed for case in cases}
+    # Bad cases have the seeds 1 to --bad, and good ones those after them.
+    todo = [(seed, BAD[(seed - 1) % len(BAD)] if seed <= asked.bad else "good")
+            for seed in range(1, asked.bad + asked.good + 1)]
+    # One part has some of all kinds.
+    todo.sort(key=lambda case: (case[0] - asked.bad * (case[1] == "good"), case[0]))
+    until = monotonic() + asked.seconds
+    with ProcessPoolExecutor(asked.jobs) as pool:
+        for future in as_completed([pool.submit(one, kind, seed, asked.size, until)
+                                    for seed, kind in todo if seed not in done]):
+            case = future.result()
+            if case is None:
+                continue
+            cases.append(case)
+            print(case, flush=True)
+            if asked.kept:
+                with asked.kept.open("a") as file:
+                    file.write(json.dumps(asdict(case)) + "\n")
     text = page(cases, asked.size)
     if asked.write:
         PAGE.write_text(text)

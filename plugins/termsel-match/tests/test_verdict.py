@@ -18,10 +18,12 @@ import rasterio
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.verdicts import BAD, PASSED, REFUSED, verdict
+from benchmarks.verdicts import BAD, PASSED, REFUSED, Repeated, verdict
 from termsel import FeatureSet, Points, TermselError, read, write_points_csv
 from termsel_match.chain import georeference, judge
+from termsel_match.images.rasters import open_picture
 from termsel_match.judgement.evidence import other_place, structure, unsupported
+from termsel_match.judgement.repeats import repetition
 from termsel_match.judgement.selection import select_points
 from termsel_match.simulated.world import CRS, World
 
@@ -208,6 +210,18 @@ def test_parts_without_candidates_are_named() -> None:
     assert where == "the lower part"
     shown[17:] = False  # the reference ends there, so none is expected
     assert unsupported(image[image[:, 0] < 500], shown, SIZE)[0] < 0.1
+
+
+def test_ground_that_repeats_is_told_from_other_ground(tmp_path: Path) -> None:
+    for own, least, most in ((World, 0.0, 0.4), (Repeated, 0.8, 1.0)):
+        pixels, path = own(size=300, seed=5).ortho(), tmp_path / f"{own.__name__}.tif"
+        with rasterio.open(path, "w", driver="GTiff", dtype=pixels.dtype, count=1,
+                           height=len(pixels), width=pixels.shape[1]) as raster:
+            raster.write(pixels, 1)
+        with open_picture(path) as picture:
+            distance, alike = repetition(picture)
+        assert least <= alike <= most
+    assert distance == 59  # the tile has 118 px of 0.5 m
 
 
 def test_a_file_that_is_no_table_is_refused(place: Any, tmp_path: Path) -> None:

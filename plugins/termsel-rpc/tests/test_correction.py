@@ -65,6 +65,32 @@ def wrong(rpc: Rpc, ground: FloatArray, width: int) -> FloatArray:
     return np.asarray(seen + columns[:, :width] @ BIAS[:width])
 
 
+@pytest.mark.parametrize(("model", "width"),
+                         [("rpc-shift", 1), ("rpc-drift", 2), ("rpc-affine", 3)])
+def test_sigma_of_a_correction_is_true_beyond_its_points(model: str, width: int) -> None:
+    # A free polynomial predicts some of these points a little better, and by chance. It knows
+    # nothing of the rest of the image, where it said 20 px.
+    rpc = read_rpc(RPC_FILE)
+    steps = np.linspace(-1, 1, 5)
+    places = np.stack([axis.ravel() for axis in np.meshgrid(steps, steps)], axis=1)
+    ground = rpc.locate(places * rpc.image_scale + rpc.image_offset,
+                        np.full(len(places), rpc.ground_offset[2]))
+    ratios = []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        share = rng.uniform(-1, 1, (40, 3)) * [0.3, 0.3, 0.5] - [0.5, 0.5, 0]
+        seen = rpc.locate(share[:, :2] * rpc.image_scale + rpc.image_offset,
+                          share[:, 2] * rpc.ground_scale[2] + rpc.ground_offset[2])
+        points = Points(tuple(map(str, range(40))), wrong(rpc, seen, width)
+                        + rng.normal(0, 0.3, (40, 2)), seen, sigma=np.full((40, 2), 0.3))
+        fitted = termsel.fit(FeatureSet(points, crs="EPSG:4979"), model, rpc=str(RPC_FILE))
+        away = fitted.project(ground) - wrong(rpc, ground, width)
+        sigma = fitted.sigma(ground)
+        assert sigma.max() < 1.5
+        ratios.append((away / sigma)**2)
+    assert 0.4 < np.mean(ratios) < 2.5
+
+
 def test_jitter_is_a_candidate_that_keeps_the_rules_and_finds_it() -> None:
     def shaken(n: int, seed: int) -> FeatureSet:
         features = scene(n, 2, seed=seed)

@@ -4,8 +4,9 @@ The truth is believed to be a shrunken cubic polynomial (see `termsel.priors.pos
 posterior, given the same control points, says how likely each other course of the image is
 between and beyond them. The mean square error of any fit at a place is the variance of that
 posterior there, and the square of the distance of the fit from its mean. A model of a kind that
-the polynomial does not contain, and that predicts left-out control better, is judged by the
-propagation of the noise through its own adjustment, as is one of lines or of few points. A spline
+the polynomial does not contain, and that predicts left-out control no worse than by a standard
+error, is judged by the propagation of the noise through its own adjustment, as is one of lines or
+of few points. A spline
 or a random field has a variance of its own. Where the control does not tell what a height does, the
 effect of views in general is added (`termsel.fits.extrapolation.by_heights`).
 """
@@ -63,8 +64,10 @@ def spread_of(model: Fittable, control: FeatureSet, terms: BoolArray, adjustment
         return _propagated(model, control, terms, adjustment, ground)[0] if least_squares else \
             _unknown(len(ground))
     if least_squares and model.polynomial_degree is None:
-        propagated, press = _propagated(model, control, terms, adjustment, ground)
-        if press < believed.press():
+        propagated, squares = _propagated(model, control, terms, adjustment, ground)
+        more = squares - believed.squares()
+        # Within a standard error they predict alike, and the model knows more of what is beyond.
+        if np.isfinite(more).all() and more.mean() <= more.std() / len(more)**0.5:
             return propagated
     return believed.spread(ground, image)
 
@@ -147,9 +150,9 @@ class _Belief:
         logarithm = np.log(found.square * each)
         return float(found.cells.share @ (logarithm - found.cells.share @ logarithm) ** 2)
 
-    def press(self) -> float:
-        """Return the sum of squared errors of the points, each by the others."""
-        return float((self.found.left_out.errors**2).sum())
+    def squares(self) -> FloatArray:
+        """Return the squared errors of the points (n,), each by the others."""
+        return np.asarray((self.found.left_out.errors**2).sum(axis=1))
 
 
 def _columns(ground: FloatArray, degree: int, variables: int) -> FloatArray:
@@ -161,14 +164,14 @@ def _unknown(count: int) -> Spread:
 
 
 def _propagated(model: Fittable, control: FeatureSet, terms: BoolArray, adjustment: Adjustment,
-                ground: FloatArray) -> tuple[Spread, float]:
-    """Return the noise propagated through an adjustment, and its sum of squared held-out errors.
+                ground: FloatArray) -> tuple[Spread, FloatArray]:
+    """Return the noise propagated through an adjustment, and squared held-out errors of features.
 
     Of a model that corrects predictions by its control it is that of the uncorrected ones, which
     are worse.
     """
     if not adjustment.feasible or not adjustment.redundancy > 0:
-        return _unknown(len(ground)), np.inf
+        return _unknown(len(ground)), np.full(len(control), np.inf)
     x = adjustment.coefficients
     equations = model.linearised(control, x) or model.equations(control)
     held, right = equations.take(np.ones(len(equations.b), dtype=bool), terms).held()
@@ -184,4 +187,4 @@ def _propagated(model: Fittable, control: FeatureSet, terms: BoolArray, adjustme
     along = np.linalg.solve(r.T, slopes.reshape(len(steps), -1))
     factors = adjustment.sigma0 * along.T.reshape(len(ground), 2, -1)
     return Spread((factors**2).sum(axis=2), np.full(2, adjustment.sigma0**2), factors), \
-        float(((errors / left) ** 2).sum())
+        np.bincount(equations.feature, (errors / left) ** 2, len(control))

@@ -17,6 +17,7 @@ from termsel_match.images.rasters import FloatArray, GreyRaster, Mask, grid
 from termsel_match.images.starts import Start
 from termsel_match.images.warps import COVERS, NotShown, open_reference, references_of
 from termsel_match.judgement.picture import draw
+from termsel_match.judgement.repeats import repetition
 from termsel_match.judgement.selection import Selected, select_points, with_lines
 from termsel_match.judgement.verdict import Evidence, Georeferenced, evidence_of, reasons, remarks
 from termsel_match.lines.rounds import iterate_lines
@@ -196,7 +197,7 @@ def _evidence(image: Path | str, reference: Path | str | None, candidates: Candi
               selected: Selected, *, dem: Path | str, extent: str, seed: int,
               masks: Sequence[Path | str]) -> tuple[Evidence, Bounds | None]:
     """Return what the candidates say, and the bounds of the map in their CRS, if any."""
-    result, bounds = selected.result, None
+    result, bounds, repeats = selected.result, None, (0.0, 0.0)
     whole = np.ones((COVERS, COVERS), dtype=bool)
     with open_masked(image, None, masks) as picture, \
             open_dem(Path(dem), candidates.crs) as heights:
@@ -204,29 +205,33 @@ def _evidence(image: Path | str, reference: Path | str | None, candidates: Candi
             shown = picture.known_at(grid(picture.size, whole.shape)).reshape(whole.shape)
         else:
             model = Start("the model", candidates.crs, 0.0, result.project, result.locate)
-            shown, outline = _shown(references_of(reference), picture, model, dem, masks,
+            shown, outline, repeats = _shown(references_of(reference), picture, model, dem, masks,
                                     candidates.crs)
             if not shown.any():  # chips are smaller than what is looked at
                 shown = _near(candidates.points.image, picture.size, shown)
             if extent == "reference":
                 bounds = outline
         evidence = evidence_of(candidates, selected, heights, shown,
-                               whole if bounds is None else shown, seed)
+                               whole if bounds is None else shown, seed, repeats)
     return evidence, bounds
 
 
 def _shown(files: list[Path], picture: GreyRaster, model: Start, dem: Path | str,
-           masks: Sequence[Path | str], crs: str) -> tuple[Mask, Bounds]:
-    """Return where an image and any reference show the ground, and the bounds of all of them."""
+           masks: Sequence[Path | str], crs: str) -> tuple[Mask, Bounds, tuple[float, float]]:
+    """Return where an image and any reference show the ground, and the bounds of all of them.
+
+    And at which distance the one that is most like itself is so, and how much (`repetition`).
+    """
     shown = np.zeros((COVERS, COVERS), dtype=bool)
-    bounds = []
+    bounds, repeats = [], (0.0, 0.0)
     for file in files:
         with suppress(NotShown), open_reference(file, model, dem, picture.size,
                                                 masks=masks) as other:
             shown |= other.shown(picture)
             bounds.append(other.bounds(crs))
+            repeats = max(repeats, repetition(other.picture), key=lambda one: one[1])
     low, high = np.min(bounds, axis=0), np.max(bounds, axis=0)
-    return shown, (float(low[0]), float(low[1]), float(high[2]), float(high[3]))
+    return shown, (float(low[0]), float(low[1]), float(high[2]), float(high[3])), repeats
 
 
 def _near(places: FloatArray, size: tuple[int, int], shown: Mask) -> Mask:

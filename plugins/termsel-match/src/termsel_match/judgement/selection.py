@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,6 @@ _SIGMAS = 3.5
 _LEAST_LIMIT = 0.5  # px
 _ROUNDS = 20
 _CHOICES = 2  # of the correction
-_RESAMPLES = 24  # of the control
 _WORSE = 1.1  # times the check RMSE of the points: more is not by chance
 AGREEING = ("Independent RMSE, NSSDA and ASPRS figures are of the independent candidates that "
             "agree with the model, without the others. They may be too small.")
@@ -83,24 +81,14 @@ class Selected:
         rmse = self.result.rmse["independent"]
         return float("inf") if rmse is None else rmse.total
 
-    def sigma(self, ground: FloatArray, seed: int) -> FloatArray:
+    def sigma(self, ground: FloatArray) -> FloatArray:
         """Return the standard deviation of the model at ground places, (n,) [px].
 
-        Of fits to resampled control (Efron 1979, Annals of Statistics 7, 1-26): it grows where few
-        candidates hold the model. Infinite where these do not determine it.
+        As the map of sigma has it (see `Fit.sigma`), both axes together: it grows where few
+        candidates hold the model. Infinite where it is not known.
         """
-        features, rng = self.result.features, np.random.default_rng([seed, 3])
-        control = np.flatnonzero(features.points.roles == np.array("control", dtype=object))
-        seen = []
-        for _ in range(_RESAMPLES):
-            some = np.unique(rng.choice(control, len(control)))
-            used = features.with_(points=replace(features.points.take(some), roles=()))
-            with suppress(TermselError):  # too few of them, or in one place
-                seen.append(termsel.fit(used, self.result.model, **self.result.options["model"]
-                                        ).project(ground))
-        if len(seen) < _RESAMPLES / 2:
-            return np.full(len(ground), np.inf)
-        return np.asarray(np.linalg.norm(np.std(seen, axis=0, ddof=1), axis=1))
+        sigma = np.linalg.norm(self.result.fit.sigma(ground), axis=1)
+        return np.asarray(np.where(np.isfinite(sigma), sigma, np.inf))
 
     def _of_independent(self) -> FloatArray:
         return _errors(self.result.fit, self.points)[self.independent]

@@ -18,6 +18,7 @@ from termsel_match.judgement.evidence import (
     structure,
     unsupported,
 )
+from termsel_match.judgement.repeats import ALIKE
 from termsel_match.judgement.selection import AGREEING, NEAR, TOLERANCE, Selected
 from termsel_match.judgement.structures import Correction
 from termsel_match.lines.rounds import Matched, rms_distance
@@ -56,6 +57,8 @@ class Evidence:
         Size of a pixel on the ground [m].
     along : float
         RMS by which a correction that is smooth along the lines differs from a drift [px].
+    repetition : tuple of float
+        Distance at which the reference is like itself [px of it], and how much (`repetition`).
     """
 
     sigma: float
@@ -66,10 +69,11 @@ class Evidence:
     correction: FloatArray | None
     pixel: float
     along: float
+    repetition: tuple[float, float]
 
 
 def evidence_of(candidates: Candidates, selected: Selected, heights: Heights, shown: Mask,
-                mapped: Mask, seed: int) -> Evidence:
+                mapped: Mask, seed: int, repetition: tuple[float, float]) -> Evidence:
     """Return what candidates say of the model that is fitted to some of them.
 
     Parameters
@@ -83,6 +87,8 @@ def evidence_of(candidates: Candidates, selected: Selected, heights: Heights, sh
         which of them are to be mapped.
     seed : int
         Of the permutations.
+    repetition : tuple of float
+        As the attribute of `Evidence`.
     """
     points, size, fit = candidates.points, candidates.image_size, selected.result.fit
     residuals = points.image - fit.project(points.ground)
@@ -90,7 +96,7 @@ def evidence_of(candidates: Candidates, selected: Selected, heights: Heights, sh
     near, far = away <= NEAR, (away > NEAR) & np.isfinite(away)
     places = fit.locate(grid(size, mapped.shape)[mapped.ravel()], heights)
     places = places[np.isfinite(places).all(axis=1)]
-    sigma = selected.sigma(places, seed) if len(places) else np.array([np.inf])
+    sigma = selected.sigma(places) if len(places) else np.array([np.inf])
     agree, start = points.take(selected.agrees), candidates.rough
     correction = None
     if start is not None:
@@ -101,7 +107,7 @@ def evidence_of(candidates: Candidates, selected: Selected, heights: Heights, sh
         structure(points.image[near], residuals[near], 2 * selected.limit, size,
                   np.random.default_rng([seed, 2])),
         other_place(points.image[far], residuals[far], TOLERANCE, size), correction,
-        _pixel(agree, candidates.crs), _along(selected, agree))
+        _pixel(agree, candidates.crs), _along(selected, agree), repetition)
 
 
 def remarks(candidates: Candidates, selected: Selected, evidence: Evidence,
@@ -119,6 +125,11 @@ def remarks(candidates: Candidates, selected: Selected, evidence: Evidence,
         said.append(f"{found_there.count} candidates, most in {found_there.where} of the image, "
                     f"agree on another place, {_vector(found_there.away)} from where the model "
                     "sees them. Does the reference have a seam, or the ground repeat?")
+    distance, alike = evidence.repetition
+    if alike >= ALIKE:
+        said.append(f"The reference repeats itself at a distance of {distance:.0f} of its pixels "
+                    f"(correlation {alike:.2f}). If the start is off by half of that, the map may "
+                    "be of another place.")
     if evidence.along > _STRUCTURE * accept:
         said.append(f"The correction changes along the lines by {evidence.along:.2f} px (RMS, "
                     "compared with a drift). Jitter of the attitude does so, and so do seams of "
