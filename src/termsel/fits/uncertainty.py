@@ -187,4 +187,4 @@ def _propagated(model: Fittable, control: FeatureSet, terms: BoolArray, adjustme
     along = np.linalg.solve(r.T, slopes.reshape(len(steps), -1))
     factors = adjustment.sigma0 * along.T.reshape(len(ground), 2, -1)
     return Spread((factors**2).sum(axis=2), np.full(2, adjustment.sigma0**2), factors), \
-        np.bincount(equations.feature, (errors / left) ** 2, len(control))
+        np.bincount(equations.feature, (errors / left) ** 2, len(control)).astype(np.float64)
