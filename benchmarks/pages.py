@@ -22,6 +22,7 @@ PAGES: dict[str, tuple[str, ...]] = {
     "coordinates": ("coordinates",),
     "paper-konugurthi": ("paper_tables", "konugurthi"),
     "control-features": ("control_features",),
+    "benchmark": ("open_benchmark",),
     "plan": ("plan", "--processes", "2"),
     "lines": ("lines", "--processes", "2"),
     "old-maps": ("old_maps", "--processes", "2"),

@@ -1,8 +1,8 @@
 """Auto on six kinds of cameras with few points, with and without what is known of scanners.
 
 ``python -m benchmarks.scanners --write`` makes docs/evidence/scanners.md. Images are those of
-`benchmarks.cameras`, of the ranges that took no part in choosing any constant; `--chosen` takes the
-others. The sets are those of `benchmarks.sets`.
+`termsel_bench.scenes.cameras`, of the ranges that took no part in choosing any constant; `--chosen`
+takes the others. The sets are those of `benchmarks.sets`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from functools import partial
 
 import numpy as np
 
-from benchmarks.cameras import CHOSEN, FRESH, KINDS, Ranges, image_of
 from benchmarks.sets import DERIVED, names, put, rmse_of, split
 from termsel.candidates.portfolio import Portfolio, choose
 from termsel.candidates.structures import CANDIDATES
@@ -22,6 +21,7 @@ from termsel.measurements.control import Control
 from termsel.measurements.features import FeatureSet
 from termsel.simulate.catalogue import SCENES
 from termsel.threads import one_blas_thread
+from termsel_bench.scenes.cameras import CHOSEN, FRESH, KINDS, Ranges, image_of
 
 COUNTS = (6, 8, 12)
 INDEPENDENT = 100

@@ -7,12 +7,12 @@ import pytest
 from scipy.stats import multivariate_normal
 
 import termsel
-from benchmarks.cameras import CHOSEN, image_of
 from termsel import FeatureSet, TermselError
 from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.priors import physics
 from termsel.priors.physics import FREE, Prior, Solutions
 from termsel.simulate import simulate_scene
+from termsel_bench.scenes.cameras import CHOSEN, image_of
 
 
 def solutions(rows=slice(None), seed=3, scale=1.0):

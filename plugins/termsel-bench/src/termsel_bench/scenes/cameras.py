@@ -1,17 +1,19 @@
 """Simulated images of six kinds of cameras, with points on hills.
 
 A steady satellite, an agile one that turns while it scans, a small one with an attitude of poor
-quality, an airborne line scanner, a scanned frame photo and a panoramic camera. All sizes are
-drawn; two sets of them, CHOSEN and FRESH, have other ranges: constants of the program were chosen
-on scenes of the first, and figures are of scenes of the second.
+quality, an airborne line scanner, a scanned frame photo and a panoramic camera; and a radar. All
+sizes are drawn; two sets of them, CHOSEN and FRESH, have other ranges: constants of the program
+were chosen on scenes of the first, and figures are of scenes of the second.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
+from numpy.typing import ArrayLike
 
 from termsel.errors import TermselError
 from termsel.measurements.features import FeatureSet, FloatArray, Points
@@ -20,6 +22,7 @@ from termsel.simulate.pushbroom import Angle, Pushbroom
 from termsel.simulate.wgs84 import from_ecef, to_ecef, vertical
 
 KINDS = ("steady", "agile", "cubesat", "airborne", "frame", "panoramic")
+ALL_KINDS = (*KINDS, "radar")
 
 CRS = "EPSG:4979"
 
@@ -54,7 +57,7 @@ class Turning(Pushbroom):
     course: tuple[float, float, float] = (1.0, 0.0, 0.0)  # Earth-fixed, of length 1
     speed: float = 7000.0  # of the view on the ground [m/s]
 
-    def exposure(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def exposure(self, time: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return exposure stations and rotations (see `Pushbroom.exposure`)."""
         time = np.asarray(time, dtype=np.float64)
         station = super().exposure(time)[0]
@@ -76,9 +79,9 @@ class Turning(Pushbroom):
 class Flying(Turning):
     """An aircraft that flies straight on, but for turbulence, and looks down."""
 
-    sway: tuple[Angle, Angle, Angle] = (Angle(), Angle(), Angle())  # off the course [m]
+    sway: tuple[Angle, ...] = (Angle(), Angle(), Angle())  # off the course [m]
 
-    def exposure(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def exposure(self, time: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return exposure stations and rotations (see `Pushbroom.exposure`)."""
         time = np.asarray(time, dtype=np.float64)
         aim, course = np.array(self.aim), np.array(self.course)
@@ -90,18 +93,23 @@ class Flying(Turning):
         return station, axes @ _small(self.roll(time), self.pitch(time), self.yaw(time))
 
 
-def image_of(kind: str, seed: int, ranges: Ranges, count: int) -> FeatureSet:
-    """Return so many points of a simulated image, their image positions with noise."""
+def image_of(kind: str, seed: int, ranges: Ranges, count: int,
+             measured: int | None = None) -> FeatureSet:
+    """Return so many points of a simulated image, their image positions with noise.
+
+    With `measured` only the first so many have noise; the others are where the camera sees them.
+    """
     for attempt in range(20):
-        rng = np.random.default_rng([ranges.number, KINDS.index(kind), seed, attempt])
+        rng = np.random.default_rng([ranges.number, ALL_KINDS.index(kind), seed, attempt])
         try:
-            return _image_of(kind, rng, ranges, count)
+            return _image_of(kind, rng, ranges, count, measured)
         except TermselError:  # drawn so that the place is not in view
             continue
     raise RuntimeError(f"no image of the kind {kind} was found")
 
 
-def _image_of(kind: str, rng: Generator, ranges: Ranges, count: int) -> FeatureSet:
+def _image_of(kind: str, rng: Generator, ranges: Ranges, count: int,
+              measured: int | None) -> FeatureSet:
     lines, samples = (int(n) for n in rng.integers(*ranges.size, 2))
     lon, lat = rng.uniform(-170, 170), rng.uniform(*ranges.latitude)
     pixel = float(np.exp(rng.uniform(*np.log(ranges.pixel))))
@@ -112,7 +120,8 @@ def _image_of(kind: str, rng: Generator, ranges: Ranges, count: int) -> FeatureS
     up = vertical(np.array([[lon, lat, 0.0]]))[0]
     east = _unit(np.array([-middle[1], middle[0], 0.0]))
     axes = np.stack([east, np.cross(up, east), up])
-    plan = rng.uniform(-0.8, 0.8, (40 * count, 2)) * width
+    tried = (40 if measured is None else 16) * count
+    plan = rng.uniform(-0.8, 0.8, (tried, 2)) * width
     ground = from_ecef(middle + np.pad(plan, ((0, 0), (0, 1))) @ axes)
     ground[:, 2] = relief + _heights(rng, plan / width, ranges.waves) * relief
     image = _seen(kind, rng, ranges, (lines, samples), pixel, (lon, lat, relief), axes, ground,
@@ -123,7 +132,9 @@ def _image_of(kind: str, rng: Generator, ranges: Ranges, count: int) -> FeatureS
         raise TermselError("too few points are in view")
     image, ground = image[inside][:count], ground[inside][:count]
     noise = rng.uniform(*ranges.noise)
-    image = image + noise * rng.standard_normal(image.shape)
+    added = noise * rng.standard_normal(image.shape)
+    added[measured:] = 0.0 if measured is not None else added[measured:]
+    image = image + added
     return FeatureSet(Points(tuple(map(str, range(count))), image, ground), crs=CRS,
                       image_size=(lines, samples), noise=noise)
 
@@ -134,6 +145,8 @@ def _seen(kind: str, rng: Generator, ranges: Ranges, size: tuple[int, int], pixe
     """Return where ground points are seen, (n, 2) [px]; `local` is from the middle [m], (n, 3)."""
     if kind in ("frame", "panoramic"):
         return _photo(kind, rng, size, pixel, local)
+    if kind == "radar":
+        return _radar(rng, ranges, size, pixel, place, ground)
     lon, lat, height = place
     tilt, turn = rng.uniform(*ranges.tilt), rng.choice([90.0, 270.0]) + rng.normal(0.0, 3.0)
     if kind == "agile":
@@ -157,9 +170,10 @@ def _seen(kind: str, rng: Generator, ranges: Ranges, size: tuple[int, int], pixe
     speed = 70.0 if kind == "airborne" else 7000.0 * rng.uniform(0.3, 1.1)
     period = pixel / speed
     half = size[0] * period / 2
-    common = {"inclination": sensor.inclination, "node": sensor.node, "argument": sensor.argument,
-              "n_lines": size[0], "n_samples": size[1], "line_period": period,
-              "aim": tuple(middle), "course": tuple(ahead), "speed": speed, "refraction": False}
+    common: dict[str, Any] = {
+        "inclination": sensor.inclination, "node": sensor.node, "argument": sensor.argument,
+        "n_lines": size[0], "n_samples": size[1], "line_period": period, "aim": tuple(middle),
+        "course": tuple(ahead), "speed": speed, "refraction": False}
     if kind == "airborne":
         above = size[1] * pixel / 2 / np.tan(rng.uniform(0.25, 0.5))
         sway = tuple(_shaken(rng, 1.0, half, (0.0, 3.0, 1.0), (6.0, 1.0), 1.0) for _ in range(3))
@@ -176,13 +190,38 @@ def _seen(kind: str, rng: Generator, ranges: Ranges, size: tuple[int, int], pixe
                    yaw=angles[2], **common).project(ground)
 
 
+def _radar(rng: Generator, ranges: Ranges, size: tuple[int, int], pixel: float,
+           place: tuple[float, float, float], ground: FloatArray) -> FloatArray:
+    """Return lines of zero Doppler and samples of slant range [px]; not on the ground's range."""
+    lon, lat, height = place
+    tilt = rng.uniform(20.0, 42.0)
+    orbit = pushbroom_at(lon, lat, height=height, off_nadir=tilt,
+                         look_azimuth=rng.choice([90.0, 270.0]), gsd=pixel, image_size=size,
+                         altitude=rng.uniform(*ranges.altitude),
+                         inclination=rng.uniform(*ranges.incline), refraction=False)
+    target = to_ecef(ground)
+    time = np.zeros(len(ground))
+    # The velocity is perpendicular to the ray. Its change with time is left out of Newton's step,
+    # so that each step leaves about a tenth of the error.
+    for _ in range(12):
+        before, station, after = (orbit.exposure(time + step)[0] for step in (-1e-2, 0.0, 1e-2))
+        velocity = (after - before) / 2e-2
+        time += ((target - station) * velocity).sum(axis=1) / (velocity**2).sum(axis=1)
+    distance = np.linalg.norm(target - orbit.exposure(time)[0], axis=1)
+    middle = np.linalg.norm(to_ecef(np.array([place]))[0] - orbit.exposure(np.zeros(1))[0][0])
+    seen = np.column_stack([time / orbit.line_period,
+                            (distance - middle) / (pixel * np.sin(np.radians(tilt)))])
+    return np.asarray(seen + np.array(size) / 2)
+
+
 def _photo(kind: str, rng: Generator, size: tuple[int, int], pixel: float,
            local: FloatArray) -> FloatArray:
     """Return where a frame or a panoramic camera sees places; film and scan deform a little."""
     extent = pixel * max(size)
     above = extent / (2 * np.tan(rng.uniform(0.2, 0.7)))
     focal = above / pixel
-    turned = _small(*rng.normal(0.0, 0.03, (2, 1)), np.array([rng.uniform(-np.pi, np.pi)]))[0]
+    roll, pitch = rng.normal(0.0, 0.03, (2, 1))
+    turned = _small(roll, pitch, np.array([rng.uniform(-np.pi, np.pi)]))[0]
     x, y, z = ((local - [0.0, 0.0, above]) @ turned).T
     if kind == "frame":
         ideal = focal * np.column_stack([y / z, -x / z])
@@ -193,7 +232,7 @@ def _photo(kind: str, rng: Generator, size: tuple[int, int], pixel: float,
         motion = rng.normal(0.0, 0.01) * focal * np.sin(angle)
         ideal = focal * np.column_stack([y / np.hypot(x, z) + 0.0, angle])
         ideal[:, 0] += motion
-    return ideal + np.array(size) / 2 + rng.normal(0.0, 20.0, 2)
+    return np.asarray(ideal + np.array(size) / 2 + rng.normal(0.0, 20.0, 2))
 
 
 def _shaken(rng: Generator, unit: float, half: float, drift: tuple[float, ...],
@@ -205,8 +244,6 @@ def _shaken(rng: Generator, unit: float, half: float, drift: tuple[float, ...],
 
 
 def _replaced(sensor: Pushbroom, angles: list[Angle]) -> Pushbroom:
-    from dataclasses import replace
-
     def joined(before: Angle, more: Angle) -> Angle:
         drift = np.zeros(max(len(before.drift), len(more.drift)))
         drift[:len(before.drift)] += before.drift
@@ -223,7 +260,7 @@ def _heights(rng: Generator, plan: FloatArray, waves: int) -> FloatArray:
     for _ in range(waves):
         along = rng.normal(0.0, 4.0, 2)
         total += np.sin(plan @ along + rng.uniform(0, 2 * np.pi)) * rng.uniform(0.3, 1.0)
-    return total / np.abs(total).max()
+    return np.asarray(total / np.abs(total).max())
 
 
 def _small(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> FloatArray:

@@ -1,0 +1,70 @@
+"""The open benchmark: all methods of `termsel bench` on its forty sets.
+
+``python -m benchmarks.open_benchmark --write`` makes docs/evidence/benchmark.md. Peers that are not
+installed have no result: rasterio, scikit-learn and Orthority are required for the page.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+
+from benchmarks.sets import put
+from termsel_bench.methods.base import AUTO, PEERS, Method
+from termsel_bench.protocol import Score, scores
+from termsel_bench.scenes.catalogue import SETS
+from termsel_bench.tables import NEAR, by_kind, losses
+
+METHODS = (AUTO, Method("solver", "ga"), *(Method("peer", name) for name in PEERS))
+
+HEAD = """# The open benchmark
+
+Made by `python -m benchmarks.open_benchmark --write`: forty simulated sets of nine kinds, 1,000 independent points each, without
+noise. The [datasheet](../reference/datasheet.md) has the sets, and [Compare your own method](../how-to/benchmark.md) the protocol.
+
+`auto` is what termsel does where nothing is asked; `solver ga` is the papers' search of terms with check points as fitness.
+`deap-script` and `pymoo-script` are such searches of 20 terms an axis without termsel. `gdal-polynomial` has the order that GDAL takes,
+`ransac` and `scikit-learn` are polynomials of space. All but `auto` and `orthority` ignore the RPC; all but `auto` and `solver ga` ignore
+lines.
+
+Median ratio of the RMSE to the least of each set; - where there is no result on half of the sets or more; seconds of the processor:
+"""
+
+
+def rows(columns: Sequence[str], lines: Sequence[Sequence[str]]) -> Iterator[str]:
+    """Yield a table as Markdown."""
+    yield "| " + " | ".join(columns) + " |"
+    yield "|---|" + "---:|" * (len(columns) - 1)
+    for line in lines:
+        yield "| " + " | ".join(line) + " |"
+
+
+def page(found: Sequence[Score]) -> str:
+    """Return the page."""
+    worse = losses(found, AUTO.title)
+    lost = [(mine.set_name, str(mine.control), f"{mine.rmse:.3f} ({mine.low:.3f} to {mine.high:.3f})",
+             other.method.title, f"{other.rmse:.3f} ({other.low:.3f} to {other.high:.3f})",
+             f"{mine.rmse / other.rmse:.2f}") for mine, other in worse]
+    return "\n".join([
+        HEAD, *rows(*by_kind(found)),
+        f"\n## Where auto loses\n\n`auto` loses on {len(worse)} of {len(SETS)} sets by more than "
+        f"{NEAR - 1:.0%}. Intervals of 95 % are of the independent points.\n",
+        *rows(("set", "points", "auto [px]", "best method", "its RMSE [px]", "ratio"), lost)])
+
+
+def main() -> None:
+    """Run all methods on all sets and print the page."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--write", action="store_true")
+    asked = parser.parse_args()
+    found = []
+    for one in scores(METHODS, SETS):
+        found.append(one)
+        if one.method == METHODS[-1]:
+            print(one.set_name, file=sys.stderr)
+    put("benchmark", page(found), write=asked.write)
+
+
+if __name__ == "__main__":
+    main()

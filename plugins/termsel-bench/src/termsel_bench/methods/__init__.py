@@ -1,0 +1,1 @@
+"""What the benchmark compares: termsel, methods of other packages, and scripts one would write."""

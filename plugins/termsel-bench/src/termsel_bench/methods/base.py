@@ -1,0 +1,157 @@
+"""A method by its name, and what it returns for a set."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import termsel
+from termsel import FeatureSet, Points, TermselError
+from termsel.errors import unknown_name
+from termsel.guard.faults import blamed
+from termsel.measurements.features import FloatArray
+from termsel_bench.methods import peers, scripts
+
+Projection = Callable[[FloatArray], FloatArray]
+"""Image positions [px], shape (n, 2), of ground positions, shape (n, 3)."""
+
+KINDS = ("auto", "solver", "model", "package", "peer")
+
+FUNCTION = "georeference"
+"""Function of a package that is called where none is named."""
+
+PEERS: Mapping[str, Callable[[FeatureSet, int], Projection]] = {
+    "gdal-polynomial": peers.gdal_polynomial, "gdal-tps": peers.gdal_spline,
+    "orthority": peers.orthority, "ransac": peers.ransac, "scikit-learn": peers.ridge,
+    "deap-script": scripts.by_deap, "pymoo-script": scripts.by_pymoo}
+"""Methods that termsel is compared with."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A method of the benchmark.
+
+    Parameters
+    ----------
+    kind : {"auto", "solver", "model", "package", "peer"}
+    name : str
+        Of the solver, model or peer; "module:function" of a package.
+    options : mapping
+        Options of a solver or a model by name.
+    problem : str
+        Problem of a solver; "" for that of the features.
+    """
+
+    kind: str
+    name: str
+    options: Mapping[str, str] = field(default_factory=dict)
+    problem: str = ""
+
+    @property
+    def title(self) -> str:
+        """What tables call it."""
+        more = [*filter(None, [self.problem]),
+                *(f"{name}={value}" for name, value in self.options.items())]
+        called = "auto" if self.kind == "auto" else self.name if self.kind == "peer" else \
+            f"{self.kind} {self.name}"
+        return " ".join([called, *more])
+
+    def require(self) -> None:
+        """Raise TermselError for an unknown solver, model, package or peer."""
+        if self.kind not in KINDS:
+            raise unknown_name("kind of method", self.kind, KINDS)
+        if self.kind in ("solver", "model"):
+            termsel.get(f"{self.kind}s", self.name)
+        elif self.kind == "peer" and self.name not in PEERS:
+            raise unknown_name("peer", self.name, PEERS)
+        elif self.kind == "package":
+            function_of(self.name)
+
+    def applied(self, features: FeatureSet, seed: int) -> Projection:
+        """Return the projection that a method makes of control and check points, lines and RPC.
+
+        Raises
+        ------
+        TermselError
+            If the method cannot, or code of a package fails.
+        """
+        if self.kind == "auto":
+            return termsel.run(features=features, seed=seed).project
+        if self.kind == "solver":
+            problem = self.problem or ("owdis-lines" if len(features.lines) else "poly-terms"
+                                       if features.without_height() else "rfm-terms")
+            return termsel.run(problem, features=features, solver=self.name, seed=seed,
+                               options=self.options, strategy="as-asked").project
+        if self.kind == "model":
+            # A plain fit needs no check points: it takes them as control.
+            blank = replace(features.points, roles=())
+            return termsel.fit(features.with_(points=blank), self.name, **self.options).project
+        if self.kind == "peer":
+            return PEERS[self.name](features, seed)
+        function = function_of(self.name)
+        with blamed(function, FUNCTION, "Correct the function, then repeat the command."):
+            given = function(features)
+        return _projection(given, self.name)
+
+    def positions(self, features: FeatureSet, points: Points, seed: int) -> FloatArray:
+        """Return where the method sees points of which it knows the ground, (n, 2) [px].
+
+        Raises
+        ------
+        TermselError
+            As `applied`; if positions are missing or not finite.
+        """
+        project = self.applied(features, seed)
+        with blamed(project, "project", "Correct the function, then repeat the command."):
+            seen = np.asarray(project(points.ground.copy()), dtype=np.float64)
+        if seen.shape != (len(points), 2):
+            raise TermselError(f"{self.title} returned positions of the shape {seen.shape}, "
+                               f"expected {(len(points), 2)}",
+                               hint="Return line and sample of each place.")
+        if missing := int((~np.isfinite(seen).all(axis=1)).sum()):
+            raise TermselError(f"{self.title} has no position for {missing} of {len(points)} "
+                               "places")
+        return seen
+
+
+AUTO = Method("auto", "auto")
+"""What termsel does where nothing is asked."""
+
+
+def function_of(name: str) -> Callable[[FeatureSet], Any]:
+    """Return the function of "module" or "module:function"; the module may be in this folder.
+
+    Raises
+    ------
+    TermselError
+        If there is no such module or function.
+    """
+    module, _, function = name.partition(":")
+    if (here := str(Path.cwd())) not in sys.path:  # the command `termsel` does not look there
+        sys.path.append(here)
+    try:
+        found = getattr(import_module(module), function or FUNCTION)
+    except ImportError as error:
+        raise TermselError(f"the package {module!r} cannot be imported: {error}",
+                           hint="Install it, or run the command in its folder.") from error
+    except AttributeError as error:
+        raise TermselError(f"the package {module!r} has no function {function or FUNCTION!r}",
+                           hint="Name it: --package MODULE:FUNCTION.") from error
+    if not callable(found):
+        raise TermselError(f"{name} is no function", hint="Name one: --package MODULE:FUNCTION.")
+    return found  # type: ignore[no-any-return]
+
+
+def _projection(given: Any, name: str) -> Projection:
+    project = getattr(given, "project", given)
+    if not callable(project):
+        raise TermselError(f"{name} returned {type(given).__name__}, which projects nothing",
+                           hint="Return a function of ground positions, or an object with such a "
+                                "method `project`.")
+    return project  # type: ignore[no-any-return]

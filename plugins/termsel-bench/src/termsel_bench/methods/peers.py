@@ -1,0 +1,135 @@
+"""Other packages on the sets, as their documentation has them used, where they are installed.
+
+All take points alone, control and check points alike; Orthority needs the RPC, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import Any
+
+import numpy as np
+
+from termsel import FeatureSet, Rpc, TermselError
+from termsel.errors import requires
+from termsel.measurements.features import FloatArray
+
+Projection = Callable[[FloatArray], FloatArray]
+
+_ALPHAS = np.logspace(-8, 2, 11)
+_RANSAC_PIXELS = 5.0
+
+
+def gdal_polynomial(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG001
+    """Return GDAL's polynomial of the plane; GDAL takes the order that the points allow."""
+    return _gdal(features, spline=False)
+
+
+def gdal_spline(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG001
+    """Return GDAL's thin-plate spline, which is exact at the points."""
+    return _gdal(features, spline=True)
+
+
+def _gdal(features: FeatureSet, *, spline: bool) -> Projection:
+    with requires("GDAL requires", "rasterio", "rasterio"):
+        from rasterio.control import GroundControlPoint
+        from rasterio.errors import TransformError
+        from rasterio.transform import GCPTransformer
+    given = [GroundControlPoint(row=line + 0.5, col=sample + 0.5, x=x, y=y)  # from the corner
+             for (line, sample), (x, y) in zip(features.points.image.tolist(),
+                                               features.points.ground[:, :2].tolist(),
+                                               strict=True)]
+
+    def project(ground: FloatArray) -> FloatArray:
+        with ExitStack() as stack:
+            try:
+                transformer = stack.enter_context(GCPTransformer(given, tps=spline))
+            except (TransformError, ValueError) as error:
+                raise TermselError(f"GDAL fits nothing: {error}") from error
+            return np.column_stack(transformer.rowcol(
+                ground[:, 0], ground[:, 1], op=lambda value: value)) - 0.5
+
+    return project
+
+
+def orthority(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG001
+    """Return a vendor's RPC with Orthority's refinement by shift and drift, or shift."""
+    rpc = features.rpc
+    if not isinstance(rpc, Rpc):
+        raise TermselError("Orthority refines an RPC, and the set has none")
+    with requires("Orthority requires", "orthority", "orthority"):
+        from orthority.camera import RpcCamera
+        from orthority.fit import refine_rpc
+    (line_off, sample_off), (line_scale, sample_scale) = rpc.image_offset, rpc.image_scale
+    known = {
+        "line_off": line_off, "samp_off": sample_off, "line_scale": line_scale,
+        "samp_scale": sample_scale, "height_off": rpc.ground_offset[2],
+        "height_scale": rpc.ground_scale[2], "lat_off": rpc.ground_offset[1],
+        "lat_scale": rpc.ground_scale[1], "long_off": rpc.ground_offset[0],
+        "long_scale": rpc.ground_scale[0], "line_num_coeff": list(rpc.line_numerator),
+        "line_den_coeff": list(rpc.line_denominator),
+        "samp_num_coeff": list(rpc.sample_numerator),
+        "samp_den_coeff": list(rpc.sample_denominator), "err_bias": None, "err_rand": None}
+    given = [{"ji": (sample, line), "xyz": tuple(place)} for (line, sample), place in zip(
+        features.points.image.tolist(), features.points.ground.tolist(), strict=True)]
+    # Its documentation asks for more points than terms for the drift.
+    refined = refine_rpc(known, given, "shift-drift" if len(given) > 2 else "shift")
+    size = features.image_size or (1, 1)
+    camera = RpcCamera((size[1], size[0]), refined)
+    return lambda ground: np.asarray(camera.world_to_pixel(ground.T))[::-1].T
+
+
+def ransac(features: FeatureSet, seed: int) -> Projection:
+    """Return scikit-learn's RANSAC of a polynomial: affine, or quadratic from 20 points on."""
+    with _sklearn():
+        from sklearn.linear_model import LinearRegression, RANSACRegressor
+        from sklearn.pipeline import make_pipeline
+        from sklearn.preprocessing import PolynomialFeatures, StandardScaler
+    places, degree = _places(features), 1 if len(features.points) < 20 else 2
+    terms = PolynomialFeatures(degree)
+    count = terms.fit_transform(places[:1]).shape[1]
+    _require(len(places) > count, "RANSAC", len(places))
+    model = make_pipeline(StandardScaler(), terms, RANSACRegressor(
+        LinearRegression(fit_intercept=False), min_samples=count, max_trials=500,
+        residual_threshold=2 * _RANSAC_PIXELS, random_state=seed))  # of both axes together
+    return _fitted(model, features, places)
+
+
+def ridge(features: FeatureSet, seed: int) -> Projection:
+    """Return scikit-learn's ridge polynomial; folds choose the degree and the penalty."""
+    with _sklearn():
+        from sklearn.linear_model import Ridge
+        from sklearn.model_selection import GridSearchCV, KFold
+        from sklearn.pipeline import make_pipeline
+        from sklearn.preprocessing import PolynomialFeatures, StandardScaler
+    places = _places(features)
+    _require(len(places) >= 5, "scikit-learn", len(places))
+    model = GridSearchCV(
+        make_pipeline(StandardScaler(), PolynomialFeatures(include_bias=False), Ridge()),
+        {"polynomialfeatures__degree": [1, 2, 3], "ridge__alpha": _ALPHAS},
+        scoring="neg_mean_squared_error", cv=KFold(5, shuffle=True, random_state=seed))
+    return _fitted(model, features, places)
+
+
+def _sklearn() -> Any:
+    return requires("the peer requires", "scikit-learn", "scikit-learn")
+
+
+def _fitted(model: Any, features: FeatureSet, places: FloatArray) -> Projection:
+    try:
+        model.fit(places, features.points.image)
+    except ValueError as error:
+        raise TermselError(f"scikit-learn fits nothing: {error}") from error
+    width = places.shape[1]
+    return lambda ground: np.asarray(model.predict(ground[:, :width]))
+
+
+def _places(features: FeatureSet) -> FloatArray:
+    ground = features.points.ground
+    return ground[:, :2] if np.isnan(ground).any() else ground
+
+
+def _require(enough: bool, what: str, count: int) -> None:
+    if not enough:
+        raise TermselError(f"{what} requires more than {count} points")

@@ -1,0 +1,130 @@
+"""Searches of terms as one would write them with DEAP and with pymoo, without termsel.
+
+Each selects terms of a cubic polynomial, of the plane where there are no heights, for line and
+sample: least squares at the control points, RMSE of the check points as fitness. It is the method
+of the papers (Valadan Zoej et al. 2002) in some lines.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from termsel import FeatureSet, TermselError
+from termsel.errors import requires
+from termsel.measurements.features import BoolArray, FloatArray
+
+POPULATION, GENERATIONS = 60, 40
+
+Projection = Callable[[FloatArray], FloatArray]
+
+
+class Cubic:
+    """Terms of a cubic polynomial for both axes, with control and check points."""
+
+    def __init__(self, features: FeatureSet) -> None:
+        points = features.points
+        flat = np.isnan(points.ground).any()
+        self.width = 2 if flat else 3
+        ground = points.ground[:, :self.width]
+        self.middle, self.scale = ground.mean(axis=0), np.ptp(ground, axis=0) / 2
+        self.powers = np.array([powers for powers in product(range(4), repeat=self.width)
+                                if sum(powers) <= 3])
+        control = np.array(points.roles) == "control"
+        self.control, self.check = (self.columns(points.ground[mask])
+                                    for mask in (control, ~control))
+        self.image, self.check_image = points.image[control], points.image[~control]
+        if control.sum() < 3 or not len(self.check):
+            raise TermselError(f"a search of terms requires more than {len(points)} points")
+
+    @property
+    def size(self) -> int:
+        """Number of genes."""
+        return 2 * len(self.powers)
+
+    def columns(self, ground: FloatArray) -> FloatArray:
+        """Return the terms at places."""
+        at = (ground[:, :self.width] - self.middle) / self.scale
+        return np.asarray(np.prod(at[:, None] ** self.powers, axis=2))
+
+    def solved(self, genes: BoolArray) -> FloatArray:
+        """Return coefficients, 0 for terms that are off, shape (terms, 2)."""
+        found = np.zeros((len(self.powers), 2))
+        for axis, on in enumerate(genes.reshape(2, -1)):
+            found[on, axis] = np.linalg.lstsq(self.control[:, on], self.image[:, axis],
+                                              rcond=None)[0]
+        return found
+
+    def fitness(self, genes: BoolArray) -> float:
+        """Return the check RMSE [px]; many where there are more terms than control points."""
+        if (genes.reshape(2, -1).sum(axis=1) >= len(self.image)).any():
+            return 1e6
+        errors = self.check @ self.solved(genes) - self.check_image
+        return float(np.sqrt((errors**2).sum(axis=1).mean()))
+
+    def projection(self, genes: BoolArray) -> Projection:
+        """Return what the terms that are on project."""
+        found = self.solved(genes)
+        return lambda ground: self.columns(ground) @ found
+
+
+def by_deap(features: FeatureSet, seed: int) -> Projection:
+    """Return what `deap.algorithms.eaSimple` finds."""
+    from deap import algorithms, base, tools
+
+    problem = Cubic(features)
+
+    class Fitness(base.Fitness):  # type: ignore[misc]
+        weights = (-1.0,)
+
+    class Chromosome(list):  # type: ignore[type-arg]
+        def __init__(self, bits: Any) -> None:
+            super().__init__(bits)
+            self.fitness = Fitness()
+
+    # DEAP draws from the generator of the module `random`, which others find as it was.
+    before = random.getstate()
+    random.seed(seed)
+    try:
+        box = base.Toolbox()
+        box.register("population", lambda n: [
+            Chromosome(random.randint(0, 1) for _ in range(problem.size)) for _ in range(n)])
+        box.register("evaluate", lambda one: (problem.fitness(np.array(one, dtype=bool)),))
+        box.register("mate", tools.cxUniform, indpb=0.5)
+        box.register("mutate", tools.mutFlipBit, indpb=1 / problem.size)
+        box.register("select", tools.selTournament, tournsize=3)
+        best = tools.HallOfFame(1)
+        algorithms.eaSimple(box.population(n=POPULATION), box, 0.9, 1.0, GENERATIONS,
+                            halloffame=best, verbose=False)
+    finally:
+        random.setstate(before)
+    return problem.projection(np.array(best[0], dtype=bool))
+
+
+def by_pymoo(features: FeatureSet, seed: int) -> Projection:
+    """Return what pymoo's GA with binary operators finds."""
+    with requires("the peer requires", "pymoo", "pymoo"):
+        from pymoo.algorithms.soo.nonconvex.ga import GA
+        from pymoo.core.problem import ElementwiseProblem
+        from pymoo.operators.crossover.ux import UniformCrossover
+        from pymoo.operators.mutation.bitflip import BitflipMutation
+        from pymoo.operators.sampling.rnd import BinaryRandomSampling
+        from pymoo.optimize import minimize
+    problem = Cubic(features)
+
+    class Terms(ElementwiseProblem):  # type: ignore[misc]
+        def __init__(self) -> None:
+            super().__init__(n_var=problem.size, n_obj=1, xl=0, xu=1, vtype=bool)
+
+        def _evaluate(self, x: Any, out: dict[str, Any], *_: Any, **__: Any) -> None:
+            out["F"] = problem.fitness(np.asarray(x, dtype=bool))
+
+    found = minimize(Terms(), GA(pop_size=POPULATION, sampling=BinaryRandomSampling(),
+                                 crossover=UniformCrossover(), mutation=BitflipMutation(),
+                                 eliminate_duplicates=True), ("n_gen", GENERATIONS), seed=seed,
+                     verbose=False)
+    return problem.projection(np.asarray(found.X, dtype=bool))

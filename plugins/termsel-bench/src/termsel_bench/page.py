@@ -1,0 +1,53 @@
+"""The page of a benchmark."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from termsel.report.blocks import Document, Section, TableBlock
+from termsel.version import __version__
+from termsel_bench.methods.base import AUTO
+from termsel_bench.protocol import Score
+from termsel_bench.scenes.croissant import VERSION
+from termsel_bench.tables import NEAR, best_of, by_kind, losses, ratio
+
+
+def document(scores: Sequence[Score], title: str = AUTO.title) -> Document:
+    """Return what is shown of scores; `title` is the method whose losses are listed."""
+    header, rows = by_kind(scores)
+    best = best_of(scores)
+    sets = dict.fromkeys(one.set_name for one in scores)
+    worse = losses(scores, title)
+    summary = TableBlock("Median ratio of the RMSE to the least of each set; - where the method "
+                         "has no result on half of the sets or more.", tuple(header),
+                         [tuple(row) for row in rows])
+    lost = TableBlock(
+        f"Sets where {title} loses by more than {NEAR - 1:.0%}",
+        ("set", "points", f"{title} [px]", "95 %", "best method", "best [px]", "95 %", "ratio"),
+        [(mine.set_name, str(mine.control), _px(mine.rmse), _interval(mine), other.method.title,
+          _px(other.rmse), _interval(other), f"{mine.rmse / other.rmse:.2f}")
+         for mine, other in worse])
+    every = TableBlock(
+        "All scores", ("set", "method", "points", "RMSE [px]", "95 %", "ratio", "why no result"),
+        [(one.set_name, one.method.title, str(one.control), _px(one.rmse), _interval(one),
+          _px(ratio(one, best)), one.why) for one in scores], folded=True)
+    named = any(one.method.title == title for one in scores)
+    return Document(
+        "termsel-bench", f"sets of version {VERSION}, termsel {__version__}",
+        (f"{len(rows)} methods on {len(sets)} sets. A method sees control and check points, lines, "
+         "the image's size and the RPC of a set. Independent points, which no method sees, judge "
+         "it.",),
+        (Section("Which method is best on which kind of image?", (summary,)),
+         *([Section(f"Where does {title} lose?", (
+             f"It loses on {len(worse)} of {len(sets)} sets.", *([lost] if worse else [])))]
+           if named else []),
+         Section("All scores", (every,))))
+
+
+def _px(value: float) -> str:
+    return f"{value:.3f}" if math.isfinite(value) else "-"
+
+
+def _interval(one: Score) -> str:
+    return f"{one.low:.3f} to {one.high:.3f}" if math.isfinite(one.rmse) else "-"

@@ -1,0 +1,167 @@
+"""One protocol for all methods: a set each, judged by independent points that no method sees."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from termsel import TermselError
+from termsel.errors import requires
+from termsel.threads import one_blas_thread
+from termsel_bench.methods.base import Method
+from termsel_bench.scenes.base import BenchSet
+from termsel_bench.scenes.catalogue import simulated
+from termsel_bench.scenes.real import real_set
+
+SEED = 1
+"""Seed of every method."""
+
+_RESAMPLES = 400
+_LEVEL = 0.95
+
+
+@dataclass(frozen=True)
+class Score:
+    """What a method is worth on a set.
+
+    Parameters
+    ----------
+    method : Method
+    set_name, kind : str
+    control, independent : int
+        Numbers of points: control and check points together, and those that judge.
+    rmse, low, high : float
+        RMSE of the independent points [px], and its interval of 95 % by resampling the points;
+        infinite without a result.
+    seconds : float
+        Processor time.
+    why : str
+        Why there is no result, or "".
+    """
+
+    method: Method
+    set_name: str
+    kind: str
+    control: int
+    independent: int
+    rmse: float = math.inf
+    low: float = math.inf
+    high: float = math.inf
+    seconds: float = 0.0
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class Work:
+    """A method on a set; `real` is the folder of a real set."""
+
+    method: Method
+    set_name: str
+    real: Path | None = None
+
+
+def set_of(work: Work) -> BenchSet:
+    """Return the set of some work."""
+    return simulated(work.set_name) if work.real is None else _real(work.real)
+
+
+@lru_cache(maxsize=2)
+def _real(folder: Path) -> BenchSet:
+    return real_set(folder)
+
+
+@one_blas_thread
+def score(work: Work) -> Score:
+    """Return what the method of some work is worth on its set.
+
+    Raises
+    ------
+    TermselError
+        If the set is not the frozen one, or its files are not those it declares.
+    """
+    one, method = set_of(work), work.method
+    asked = (method, one.name, one.kind, len(one.features.points), len(one.independent))
+    start = time.process_time()
+    try:
+        with _silent():
+            seen = method.positions(one.features, one.independent, SEED)
+    except TermselError as error:
+        return Score(*asked, seconds=time.process_time() - start, why=str(error).split("\n")[0])
+    seconds = time.process_time() - start
+    squares = ((seen - one.independent.image) ** 2).sum(axis=1)
+    rng = np.random.default_rng(SEED)
+    means = [squares[rng.integers(len(squares), size=len(squares))].mean()
+             for _ in range(_RESAMPLES)]
+    low, high = np.sqrt(np.quantile(means, [(1 - _LEVEL) / 2, (1 + _LEVEL) / 2]))
+    return Score(*asked, float(np.sqrt(squares.mean())), float(low), float(high), seconds)
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Keep notes on single runs off the terminal: there are hundreds."""
+    log = logging.getLogger("termsel")
+    before = log.level
+    log.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
+
+
+def scores(methods: Sequence[Method], sets: Iterable[str], real: Sequence[Path] = (), *,
+           processes: int = 1, scheduler: str = "") -> Iterator[Score]:
+    """Yield the scores of all methods, set by set, as they end.
+
+    Parameters
+    ----------
+    methods : sequence of Method
+    sets : iterable of str
+        Names of simulated sets.
+    real : sequence of Path
+        Folders of real sets.
+    processes : int
+        On this machine.
+    scheduler : str
+        Address of a dask scheduler, whose workers have the same packages; "" for none.
+
+    Raises
+    ------
+    TermselError
+        As `score`; for an unknown method; if the scheduler does not answer.
+    """
+    for method in methods:
+        method.require()
+    work = [Work(method, name) for name in sets for method in methods]
+    work += [Work(method, folder.name, folder) for folder in real for method in methods]
+    if scheduler:
+        yield from _on_cluster(work, scheduler)
+    elif processes == 1:
+        yield from map(score, work)
+    else:
+        # No fork: threads of numba and BLAS do not survive it.
+        with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
+            yield from pool.map(score, work, chunksize=len(methods))
+
+
+def _on_cluster(work: Sequence[Work], scheduler: str) -> Iterator[Score]:
+    with requires("--scheduler requires", "distributed", "distributed"):
+        from distributed import Client
+    try:
+        client = Client(scheduler, timeout=10, set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise TermselError(f"the scheduler {scheduler} does not answer",
+                           hint="Start it with `dask scheduler` and `dask worker ADDRESS`.",
+                           ) from error
+    with client:
+        for future in client.map(score, work, pure=False):
+            yield future.result()

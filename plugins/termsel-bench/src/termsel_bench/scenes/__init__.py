@@ -1,0 +1,1 @@
+"""The sets of the benchmark: simulated ones with frozen splits, and real ones of a folder."""

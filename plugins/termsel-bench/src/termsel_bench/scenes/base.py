@@ -1,0 +1,120 @@
+"""A set of the benchmark, and its text, which the checksum is of."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from termsel import FeatureSet, Lines, Points, Rpc
+from termsel.formats.rpc_files import rpc_txt_text
+from termsel.measurements.features import FloatArray
+
+INDEPENDENT = 1000
+"""Independent points of a simulated set."""
+
+PIXELS, METRES, DEGREES = 3, 3, 9
+"""Decimals of image positions, of metres and of degrees."""
+
+COEFFICIENTS = 9
+"""Decimals of coefficients of RPCs: what least squares leave differs by less between machines."""
+
+
+@dataclass(frozen=True, eq=False)
+class BenchSet:
+    """What a method sees of a set, and what it is judged by.
+
+    Parameters
+    ----------
+    name, kind : str
+    features : FeatureSet
+        Control and check points, lines, the RPC: all that a method sees.
+    independent : Points
+        Points that judge; without noise where they are simulated.
+    licence, source : str
+        Of a real set; "" of a simulated one.
+    """
+
+    name: str
+    kind: str
+    features: FeatureSet
+    independent: Points
+    licence: str = ""
+    source: str = ""
+
+    def files(self) -> dict[str, str]:
+        """Return texts by name of file: points with roles, lines, and the RPC."""
+        named = {f"{self.name}.csv": _text(
+            self.features.crs, "id,role,line,sample,x,y,z",
+            [*_rows(self.features.points, self), *_rows(self.independent, self, "independent")])}
+        lines = self.features.lines
+        if len(lines):
+            named[f"{self.name}-lines.csv"] = _text(
+                self.features.crs, "id,line1,sample1,line2,sample2,x1,y1,z1,x2,y2,z2",
+                [(name, *_numbers(image.ravel(), PIXELS),
+                  *(text for vertex in ground for text in _place(vertex, self)))
+                 for name, image, ground in zip(lines.ids, lines.image, lines.ground,
+                                                strict=True)])
+        if isinstance(self.features.rpc, Rpc):
+            named[f"{self.name}_RPC.TXT"] = rpc_txt_text(self.features.rpc)
+        return named
+
+    def checksums(self) -> dict[str, str]:
+        """Return the SHA-256 of each file by its name."""
+        return {name: hashlib.sha256(text.encode()).hexdigest()
+                for name, text in self.files().items()}
+
+    @property
+    def geographic(self) -> bool:
+        """Whether ground coordinates are degrees."""
+        return self.features.crs in ("EPSG:4979", "EPSG:4326")
+
+
+def rounded(one: BenchSet) -> BenchSet:
+    """Return the set with the decimals of its files, so that machines agree on it."""
+    def place(ground: FloatArray) -> FloatArray:
+        plane = DEGREES if one.geographic else METRES
+        return np.concatenate([ground[..., :2].round(plane), ground[..., 2:].round(METRES)], -1)
+
+    def points(some: Points) -> Points:
+        return replace(some, image=some.image.round(PIXELS), ground=place(some.ground))
+
+    lines = one.features.lines
+    features = replace(one.features, points=points(one.features.points), lines=Lines(
+        lines.ids, lines.image.round(PIXELS), place(lines.ground)))
+    if isinstance(one.features.rpc, Rpc):
+        features = replace(features, rpc=_rounded_rpc(one.features.rpc))
+    return replace(one, features=features, independent=points(one.independent))
+
+
+def _rounded_rpc(rpc: Rpc) -> Rpc:
+    def of(numbers: tuple[float, ...]) -> tuple[float, ...]:
+        return tuple(float(round(number, COEFFICIENTS)) for number in numbers)
+
+    # Offsets and scales have as many digits as a place: they come from rounded positions.
+    rounded_ones: dict[str, Any] = {name: of(value) for name, value in vars(rpc).items()
+                                    if isinstance(value, tuple)}
+    return replace(rpc, **rounded_ones)
+
+
+def _text(crs: str, header: str, rows: list[tuple[str, ...]]) -> str:
+    return "\n".join([f"# crs: {crs}", header, *(",".join(row) for row in rows)]) + "\n"
+
+
+def _rows(points: Points, one: BenchSet, role: str = "") -> Iterator[tuple[str, ...]]:
+    for name, given, image, ground in zip(points.ids, points.roles, points.image, points.ground,
+                                          strict=True):
+        yield (name, role or given, *_numbers(image, PIXELS), *_place(ground, one))
+
+
+def _place(ground: FloatArray, one: BenchSet) -> tuple[str, ...]:
+    return (*_numbers(ground[:2], DEGREES if one.geographic else METRES),
+            *("" if np.isnan(z) else f"{z:.{METRES}f}" for z in ground[2:]))
+
+
+def _numbers(values: FloatArray, decimals: int) -> tuple[str, ...]:
+    # Adding 0 removes the sign of a negative zero.
+    return tuple(f"{value + 0.0:.{decimals}f}" for value in values)

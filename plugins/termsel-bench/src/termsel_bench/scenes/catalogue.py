@@ -1,0 +1,192 @@
+"""The forty simulated sets: kinds, numbers of points, and seeds, all of them frozen."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from numpy.random import Generator
+
+import termsel
+from termsel import FeatureSet, Points, TermselError, rpc_of, simulate_scene
+from termsel.errors import requires, unknown_name
+from termsel_bench.scenes.base import INDEPENDENT, BenchSet, rounded
+from termsel_bench.scenes.cameras import FRESH, image_of
+
+METADATA = "croissant.json"
+"""File of the package with the description of all sets and their checksums."""
+
+_SEED = 7000  # the first; no constant of termsel was chosen on these
+_VENDOR = 400  # places that the vendor's RPC is fitted to
+_BIAS = (2.0, 60.0)  # px
+_NEAREST, _FARTHEST = 5.0, 60.0  # displacement of blunders [px]
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Settings of a simulated set: number of control and check points together, and what else."""
+
+    name: str
+    kind: str
+    seed: int
+    count: int
+    more: Mapping[str, Any]
+
+
+def _some(kind: str, counts: tuple[int, ...], **more: tuple[Any, ...]) -> tuple[Asked, ...]:
+    return tuple(Asked(f"{kind}-{i + 1}", kind, _SEED + i, count,
+                       {name: values[i] for name, values in more.items()})
+                 for i, count in enumerate(counts))
+
+
+SETS: Mapping[str, Asked] = {one.name: one for one in (
+    *_some("steady", (10, 14, 20, 30, 44, 64)),
+    *_some("agile", (12, 18, 26, 40, 60)),
+    *_some("frame", (10, 16, 28, 50)),
+    *_some("panoramic", (14, 22, 36, 60)),
+    *_some("radar", (10, 18, 32, 56)),
+    *_some("old-map", (16, 24, 40, 60, 90), local=(5.0, 0.0, 15.0, 5.0, 0.0),
+           joints=(6.0, 10.0, 0.0, 6.0, 0.0), sheets=((2, 2), (2, 3), (1, 1), (2, 2), (1, 1))),
+    *_some("vendor-rpc", (2, 4, 8, 16), error=("shift", "drift", "affine", "shift")),
+    *_some("matches", (40, 60, 80, 100), wrong=(0.1, 0.2, 0.3, 0.4)),
+    *_some("lines", (6, 6, 8, 8), scene=("ikonos-hamedan", "geoeye-tehran", "spot-isfahan",
+                                         "cartosat-hyderabad"),
+           n_lines=(24, 40, 60, 100), wrong_lines=(0, 3, 0, 10)),
+)}
+"""Settings of all sets by name."""
+
+QUICK = ("steady-3", "agile-2", "frame-2", "panoramic-2", "radar-2", "old-map-2", "vendor-rpc-3",
+         "matches-1", "lines-1")
+"""One set of each kind."""
+
+
+def set_names(pattern: str = "") -> list[str]:
+    """Return names of sets that contain a text, all without one.
+
+    Raises
+    ------
+    TermselError
+        If there is none.
+    """
+    names = [name for name in SETS if pattern in name]
+    if not names:
+        raise unknown_name("set", pattern, set(SETS))
+    return names
+
+
+@lru_cache(maxsize=2)
+def simulated(name: str) -> BenchSet:
+    """Return a set, simulated here and checked against its checksums.
+
+    Raises
+    ------
+    TermselError
+        For an unknown name; if the set is not the frozen one.
+    """
+    if name not in SETS:
+        raise unknown_name("set", name, set(SETS))
+    one = made(name)
+    known = checksums()
+    for file, checksum in one.checksums().items():
+        if known.get(file) != checksum:
+            raise TermselError(
+                f"the set {name}, simulated here, is not the frozen one: the checksum of {file} "
+                "differs", hint="Figures of other sets cannot be compared. Install the version of "
+                                "termsel that this termsel-bench was published with.")
+    return one
+
+
+def checksums() -> dict[str, str]:
+    """Return the frozen SHA-256 of each file by its name."""
+    described = json.loads(files("termsel_bench").joinpath(METADATA).read_text("utf-8"))
+    return {one["name"]: one["sha256"] for one in described["distribution"]}
+
+
+def made(name: str) -> BenchSet:
+    """Return a set as it is simulated here, whether it is the frozen one or not."""
+    asked = SETS[name]
+    features, independent = _MAKERS.get(asked.kind, _camera)(asked)
+    roles = tuple("control" if i % 2 == 0 else "check" for i in range(len(features.points)))
+    points = replace(features.points, roles=roles,
+                     ids=tuple(f"P{i + 1}" for i in range(len(roles))))
+    independent = replace(independent, roles=("independent",) * len(independent),
+                          ids=tuple(f"I{i + 1}" for i in range(len(independent))))
+    # How exact the measurements are is not known to a method.
+    return rounded(BenchSet(name, asked.kind, replace(features, points=points, noise=None),
+                            independent))
+
+
+def _split(scene: FeatureSet, count: int) -> tuple[FeatureSet, Points]:
+    order = np.arange(len(scene.points))
+    return (scene.with_(points=scene.points.take(order < count)),
+            scene.points.take((order >= count) & (order < count + INDEPENDENT)))
+
+
+def _camera(asked: Asked) -> tuple[FeatureSet, Points]:
+    return _split(image_of(asked.kind, asked.seed, FRESH, asked.count + INDEPENDENT, asked.count),
+                  asked.count)
+
+
+def _map(asked: Asked) -> tuple[FeatureSet, Points]:
+    with requires("sets of old maps require", "termsel_photos", "./plugins/termsel-photos"):
+        from termsel_photos import simulate_map
+
+    settings = {"seed": asked.seed, "n_points": asked.count + INDEPENDENT, **asked.more}
+    # The places are spread out in their order: which of them are control is drawn.
+    order = np.random.default_rng(asked.seed).permutation(asked.count + INDEPENDENT)
+    measured, exact = simulate_map(**settings), simulate_map(**settings, noise=0.0)
+    return (measured.with_(points=measured.points.take(order[:asked.count])),
+            exact.points.take(order[asked.count:]))
+
+
+def _lines(asked: Asked) -> tuple[FeatureSet, Points]:
+    settings = {"seed": asked.seed, "roles": (asked.count, 0, INDEPENDENT),
+                **{name: value for name, value in asked.more.items() if name != "scene"}}
+    measured = simulate_scene(asked.more["scene"], **settings)
+    exact = simulate_scene(asked.more["scene"], **settings, noise=0.0)
+    control = np.array(measured.points.roles) == "control"
+    return (measured.with_(points=measured.points.take(control)), exact.points.take(~control))
+
+
+def _matches(asked: Asked) -> tuple[FeatureSet, Points]:
+    scene = image_of("steady", asked.seed + 100, FRESH, asked.count + INDEPENDENT, asked.count)
+    features, independent = _split(scene, asked.count)
+    rng = np.random.default_rng([asked.seed, 1])
+    wrong = rng.permutation(asked.count)[:round(asked.more["wrong"] * asked.count)]
+    image = features.points.image.copy()
+    image[wrong] += _anywhere(rng, len(wrong)) * rng.uniform(_NEAREST, _FARTHEST, (len(wrong), 1))
+    return features.with_(points=replace(features.points, image=image)), independent
+
+
+def _vendor(asked: Asked) -> tuple[FeatureSet, Points]:
+    count = asked.count
+    scene = image_of("steady", asked.seed + 200, FRESH, count + INDEPENDENT + _VENDOR, count)
+    features, independent = _split(scene, count)
+    assert scene.image_size is not None
+    rng = np.random.default_rng([asked.seed, 2])
+    vendor = scene.points.take(np.arange(len(scene.points)) >= count + INDEPENDENT)
+    size = float(np.exp(rng.uniform(*np.log(_BIAS))))
+    seen = vendor.image / (np.array(scene.image_size) / 2) - 1
+    bias = np.tile(_anywhere(rng, 1), (_VENDOR, 1))
+    if asked.more["error"] == "drift":
+        bias = bias / 2 + seen[:, :1] * _anywhere(rng, 1) / 2
+    elif asked.more["error"] == "affine":
+        bias = (bias + seen @ rng.normal(0.0, 1.0, (2, 2))) / 2
+    biased = Points(vendor.ids, vendor.image + size * bias, vendor.ground)
+    rpc = rpc_of(termsel.fit(FeatureSet(biased, crs=scene.crs), "poly3d", degree=3)).rpc
+    return replace(features, rpc=rpc), independent
+
+
+def _anywhere(rng: Generator, count: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+    """Return directions of length 1, shape (count, 2)."""
+    turn = rng.uniform(0, 2 * np.pi, count)
+    return np.column_stack([np.sin(turn), np.cos(turn)])
+
+
+_MAKERS: Mapping[str, Callable[[Asked], tuple[FeatureSet, Points]]] = {
+    "old-map": _map, "vendor-rpc": _vendor, "matches": _matches, "lines": _lines}

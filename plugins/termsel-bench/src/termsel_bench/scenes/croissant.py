@@ -1,0 +1,83 @@
+"""Description of the sets as Croissant JSON-LD, with the checksum of each file.
+
+``python -m termsel_bench.scenes.croissant`` freezes the sets again: for maintainers, when a new
+version of the benchmark is published.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import termsel_bench
+from termsel.files.atomic import write_text
+from termsel_bench.scenes.base import INDEPENDENT, BenchSet
+from termsel_bench.scenes.catalogue import METADATA, SETS, made
+
+VERSION = "1.0.0"
+"""Of the sets: figures of different versions cannot be compared."""
+
+CONTEXT: dict[str, Any] = {
+    "@language": "en", "@vocab": "https://schema.org/", "sc": "https://schema.org/",
+    "cr": "http://mlcommons.org/croissant/", "rai": "http://mlcommons.org/croissant/RAI/",
+    "dct": "http://purl.org/dc/terms/", "conformsTo": "dct:conformsTo",
+    "citeAs": "cr:citeAs", "column": "cr:column", "data": {"@id": "cr:data", "@type": "@json"},
+    "dataType": {"@id": "cr:dataType", "@type": "@vocab"}, "extract": "cr:extract",
+    "field": "cr:field", "fileObject": "cr:fileObject", "fileSet": "cr:fileSet",
+    "format": "cr:format", "includes": "cr:includes", "isLiveDataset": "cr:isLiveDataset",
+    "jsonPath": "cr:jsonPath", "key": "cr:key", "md5": "cr:md5", "parentField": "cr:parentField",
+    "path": "cr:path", "recordSet": "cr:recordSet", "references": "cr:references",
+    "regex": "cr:regex", "repeated": "cr:repeated", "replace": "cr:replace",
+    "examples": {"@id": "cr:examples", "@type": "@json"}, "separator": "cr:separator",
+    "source": "cr:source", "subField": "cr:subField", "transform": "cr:transform"}
+"""The context of Croissant 1.0."""
+
+COLUMNS = {
+    "id": ("sc:Text", "name of the point"),
+    "role": ("sc:Text", "control and check are what a method sees, independent judges it"),
+    "line": ("sc:Float", "image line [px]; 0 is the centre of the first"),
+    "sample": ("sc:Float", "image sample [px]; 0 is the centre of the first"),
+    "x": ("sc:Float", "easting [m] or WGS84 longitude [deg]"),
+    "y": ("sc:Float", "northing [m] or WGS84 latitude [deg]"),
+    "z": ("sc:Float", "ellipsoidal height [m]; blank on maps")}
+"""Type and meaning of the columns of points."""
+
+
+def described(sets: Iterable[BenchSet]) -> dict[str, Any]:
+    """Return the metadata of some sets."""
+    found = list(sets)
+    return {
+        "@context": CONTEXT, "@type": "sc:Dataset", "conformsTo":
+        "http://mlcommons.org/croissant/1.0", "name": "termsel-bench", "version": VERSION,
+        "description": "Simulated ground control of images of nine kinds, to compare methods of "
+                       f"georeferencing. Each set has {INDEPENDENT:,} independent points.",
+        "license": "https://spdx.org/licenses/MIT.html", "isLiveDataset": False,
+        "creator": {"@type": "sc:Organization", "name": "The termsel developers"},
+        "citeAs": "The termsel developers, termsel-bench " + VERSION,
+        "keywords": ["georeferencing", "ground control points", "sensor models"],
+        "rai:dataCollection": "Simulated from seeds; `termsel bench --files DIR` writes the files.",
+        "rai:dataLimitations": "No set has measurements of the real world.",
+        "distribution": [
+            {"@type": "cr:FileObject", "@id": file, "name": file, "contentUrl": file,
+             "encodingFormat": "text/plain" if file.endswith(".TXT") else "text/csv",
+             "sha256": checksum} for one in found for file, checksum in one.checksums().items()],
+        "recordSet": [
+            {"@type": "cr:RecordSet", "@id": f"{one.name}/points", "name": f"{one.name}/points",
+             "description": f"Points of the set {one.name} of the kind {one.kind}.",
+             "field": [
+                 {"@type": "cr:Field", "@id": f"{one.name}/{column}", "name": column,
+                  "description": meaning, "dataType": kind,
+                  "source": {"fileObject": {"@id": f"{one.name}.csv"},
+                             "extract": {"column": column}}}
+                 for column, (kind, meaning) in COLUMNS.items()]} for one in found]}
+
+
+def freeze(path: Path) -> None:
+    """Write the metadata of all sets as they are simulated here."""
+    write_text(path, json.dumps(described(map(made, SETS)), indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    freeze(Path(str(termsel_bench.__file__)).with_name(METADATA))

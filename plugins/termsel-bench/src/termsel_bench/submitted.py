@@ -1,0 +1,133 @@
+"""Results of methods as files, and their check: the method runs again on the same sets."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from termsel import TermselError
+from termsel.errors import raised
+from termsel.version import __version__
+from termsel_bench.methods.base import KINDS, Method
+from termsel_bench.protocol import Score, scores
+from termsel_bench.scenes.catalogue import SETS, checksums
+
+SCHEMA = "termsel-bench-1"
+
+TOLERANCE = 0.01
+"""Share by which a repeated RMSE may differ: machines and versions of libraries round otherwise."""
+
+
+@dataclass(frozen=True)
+class Submitted:
+    """Results of a method: its RMSE on each set [px], None where it has none."""
+
+    path: Path
+    method: Method
+    rmse: dict[str, float | None]
+
+
+@dataclass(frozen=True)
+class Checked:
+    """What a check found: sets that were repeated, and those whose RMSE is another."""
+
+    submitted: Submitted
+    repeated: int
+    refuted: tuple[str, ...]
+    worst: float
+
+
+def texts_of(found: Sequence[Score]) -> dict[str, str]:
+    """Return the file of each method by its name; real sets are no part of it."""
+    known, files = checksums(), {}
+    for method in dict.fromkeys(one.method.title for one in found):
+        mine = [one for one in found if one.method.title == method and one.set_name in SETS]
+        if not mine:
+            continue
+        asked = mine[0].method
+        content = {
+            "schema": SCHEMA, "termsel": __version__,
+            "method": {"kind": asked.kind, "name": asked.name, "options": dict(asked.options),
+                       "problem": asked.problem},
+            "sets": {one.set_name: {
+                "sha256": known[f"{one.set_name}.csv"],
+                "rmse": round(one.rmse, 6) if math.isfinite(one.rmse) else None}
+                for one in mine}}
+        name = re.sub(r"[^A-Za-z0-9]+", "-", method).strip("-")
+        files[f"{name}.json"] = json.dumps(content, indent=1) + "\n"
+    return files
+
+
+def read_submitted(folder: Path) -> list[Submitted]:
+    """Return the results in a folder.
+
+    Raises
+    ------
+    TermselError
+        If there is none, or one is not of the form.
+    """
+    paths = sorted(folder.glob("*.json"))
+    if not paths:
+        raise TermselError(f"{folder} has no results",
+                           hint="Put the .json files there that `termsel bench --out DIR` writes.")
+    return [_read(path) for path in paths]
+
+
+def _read(path: Path) -> Submitted:
+    def refused(what: str) -> TermselError:
+        return TermselError(f"{path} {what}", hint="Write it again with `termsel bench --out DIR`.")
+
+    try:
+        said: Any = json.loads(path.read_text("utf-8"))
+        if said["schema"] != SCHEMA:
+            raise refused(f"has the schema {said['schema']!r}, expected {SCHEMA!r}")
+        asked, sets = said["method"], said["sets"]
+        method = Method(str(asked["kind"]), str(asked["name"]),
+                        {str(key): str(value) for key, value in asked["options"].items()},
+                        str(asked["problem"]))
+        rmse = {str(name): None if one["rmse"] is None else float(one["rmse"])
+                for name, one in sets.items()}
+        sums = {str(name): one["sha256"] for name, one in sets.items()}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise refused(f"is no file of results: {raised(error)}") from error
+    if method.kind not in KINDS:
+        raise refused(f"names a method of the kind {method.kind!r}")
+    known = checksums()
+    for name in rmse:
+        if name not in SETS:
+            raise refused(f"names the set {name!r}, which there is not")
+        if sums[name] != known[f"{name}.csv"]:
+            raise refused(f"is of another version of the set {name}")
+    if not rmse:
+        raise refused("has no sets")
+    return Submitted(path, method, rmse)
+
+
+def check(submitted: Submitted, pattern: str = "", *, processes: int = 1) -> Checked:
+    """Return what repeating a method on its sets, those with a text in their name, shows.
+
+    Raises
+    ------
+    TermselError
+        If the method is not installed, or none of its sets has the text.
+    """
+    names = [name for name in submitted.rmse if pattern in name]
+    if not names:
+        raise TermselError(f"{submitted.path} has no set {pattern!r}", hint="Name another.")
+    refuted, worst = [], 0.0
+    for one in scores([submitted.method], names, processes=processes):
+        said = submitted.rmse[one.set_name]
+        here = one.rmse if math.isfinite(one.rmse) else None
+        if said is None or here is None:
+            difference = 0.0 if said is here else math.inf
+        else:
+            difference = abs(here / said - 1) if said > 0 else math.inf
+        worst = max(worst, difference)
+        if not difference <= TOLERANCE:
+            refuted.append(one.set_name)
+    return Checked(submitted, len(names), tuple(refuted), worst)

@@ -1,0 +1,305 @@
+"""The benchmark: frozen sets, one protocol for all, results that are repeated."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+pytest.importorskip("termsel_bench", reason="termsel-bench is not installed: "
+                    "pip install -e plugins/termsel-bench")
+
+import termsel
+from termsel import TermselError, simulate_scene
+from termsel.cli.main import cli
+from termsel_bench.methods.base import AUTO, PEERS, Method
+from termsel_bench.methods.scripts import Cubic
+from termsel_bench.protocol import Score, Work, score
+from termsel_bench.scenes import catalogue
+from termsel_bench.scenes.base import INDEPENDENT
+from termsel_bench.scenes.catalogue import QUICK, SETS, simulated
+from termsel_bench.scenes.real import real_set
+from termsel_bench.submitted import read_submitted
+from termsel_bench.tables import best_of, losses, ratio
+
+MINE = """
+import numpy as np
+
+def georeference(features):
+    assert "independent" not in features.points.roles
+    ground, image = features.points.ground, features.points.image
+    middle = ground.mean(axis=0)
+    def columns(at):
+        return np.column_stack([np.ones(len(at)), at - middle])
+    x = np.linalg.lstsq(columns(ground), image, rcond=None)[0]
+    return lambda at: columns(at) @ x
+
+def broken(features):
+    return features.nothing
+
+def nowhere(features):
+    return lambda at: np.full((len(at), 2), np.nan)
+
+def short(features):
+    return lambda at: np.zeros((3, 2))
+"""
+
+
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    """A stranger's module in the folder of the command."""
+    (tmp_path / "stranger.py").write_text(MINE)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    return "stranger"
+
+
+def run(*words, code=0):
+    """Return what the command prints."""
+    result = CliRunner().invoke(cli, ["bench", *map(str, words)], catch_exceptions=False)
+    assert result.exit_code == code, result.output
+    return result.output
+
+
+def test_forty_sets_of_nine_kinds():
+    assert len(SETS) == 40
+    assert {one.kind for one in SETS.values()} == {SETS[name].kind for name in QUICK}
+    assert len({one.kind for one in SETS.values()}) == len(QUICK) == 9
+
+
+@pytest.mark.parametrize("name", ["steady-1", "radar-1", "old-map-1", "vendor-rpc-1", "lines-1"])
+def test_a_set_is_the_frozen_one(name):
+    one = simulated(name)
+    asked = SETS[name]
+    assert len(one.features.points) == asked.count
+    assert len(one.independent) == INDEPENDENT
+    assert set(one.features.points.roles) == {"control", "check"}
+    assert set(one.independent.roles) == {"independent"}
+    assert len(one.features.lines) == asked.more.get("n_lines", 0)
+    assert (one.features.rpc is not None) == (one.kind == "vendor-rpc")
+
+
+def test_another_set_is_refused(monkeypatch):
+    def moved(name):
+        one = made(name)
+        image = one.independent.image.copy()
+        image[17, 1] += 0.001
+        return type(one)(one.name, one.kind, one.features, type(one.independent)(
+            one.independent.ids, image, one.independent.ground, None, one.independent.roles))
+
+    made = catalogue.made
+    monkeypatch.setattr(catalogue, "made", moved)
+    simulated.cache_clear()
+    with pytest.raises(TermselError, match="not the frozen one: the checksum of frame-1.csv"):
+        simulated("frame-1")
+    simulated.cache_clear()
+
+
+def test_radar_sees_heights_by_range_alone():
+    one = simulated("radar-3")
+    at = (one.independent.ground - one.independent.ground.mean(axis=0)) \
+        / np.ptp(one.independent.ground, axis=0)
+    plane = np.column_stack([at[:, 0]**i * at[:, 1]**j for i in range(4) for j in range(4 - i)])
+    three = np.column_stack([one.independent.image, at[:, 2]])
+    line, sample, height = (three - plane @ np.linalg.lstsq(plane, three)[0]).T
+    # A higher place is nearer: its range is shorter. The line of zero Doppler stays.
+    assert abs(np.corrcoef(sample, height)[0, 1]) > 0.99
+    assert np.std(line) < 0.02 * np.std(sample)
+
+
+def test_written_files_are_those_of_the_metadata_and_are_read(tmp_path):
+    run("--files", tmp_path, "--sets", "vendor-rpc-2")
+    said = json.loads((tmp_path / "croissant.json").read_text())
+    assert {one["name"] for one in said["distribution"]} == {
+        "vendor-rpc-2.csv", "vendor-rpc-2_RPC.TXT"}
+    for one in said["distribution"]:
+        assert hashlib.sha256((tmp_path / one["name"]).read_bytes()).hexdigest() == one["sha256"]
+    points = termsel.read(tmp_path / "vendor-rpc-2.csv").points
+    one = simulated("vendor-rpc-2")
+    np.testing.assert_array_equal(points.image[:4], one.features.points.image)
+    np.testing.assert_array_equal(points.ground[4:], one.independent.ground)
+    rpc = termsel.read_rpc(tmp_path / "vendor-rpc-2_RPC.TXT")
+    np.testing.assert_allclose(rpc.project(points.ground),
+                               one.features.rpc.project(points.ground), atol=1e-6)
+
+
+def test_metadata_name_each_file_once():
+    names = list(catalogue.checksums())
+    assert len(names) == len(set(names)) == 40 + 4 + 4  # points, lines and RPCs
+
+
+def test_a_score_is_the_rmse_of_independent_points(package):
+    found = score(Work(Method("package", package), "steady-3"))
+    one = simulated("steady-3")
+    at = one.features.points.ground
+    middle = at.mean(axis=0)
+    x = np.linalg.lstsq(np.column_stack([np.ones(len(at)), at - middle]),
+                        one.features.points.image)[0]
+    there = one.independent.ground
+    errors = np.column_stack([np.ones(len(there)), there - middle]) @ x - one.independent.image
+    assert found.rmse == pytest.approx(np.sqrt((errors**2).sum(axis=1).mean()))
+    assert found.low < found.rmse < found.high < 1.2 * found.low
+
+
+def test_an_affine_package_is_the_affine_model(package):
+    model, mine = (score(Work(method, "steady-3")) for method in (
+        Method("model", "affine"), Method("package", f"{package}:georeference")))
+    assert mine.rmse == pytest.approx(model.rmse, rel=1e-6)
+
+
+@pytest.mark.parametrize(("function", "why"), [
+    ("broken", "failed in georeference"), ("nowhere", "no position for 1000 of 1000 places"),
+    ("short", "positions of the shape (3, 2)")])
+def test_a_faulty_package_has_no_result(package, function, why):
+    found = score(Work(Method("package", f"{package}:{function}"), "frame-1"))
+    assert np.isinf(found.rmse)
+    assert why in found.why
+
+
+@pytest.mark.parametrize("peer", [*PEERS])
+def test_peers_do_what_they_say(peer):
+    name = "vendor-rpc-4" if peer == "orthority" else "steady-4"
+    for module in {"gdal-polynomial": "rasterio", "gdal-tps": "rasterio", "ransac": "sklearn",
+                   "scikit-learn": "sklearn", "orthority": "orthority"}.get(peer, "numpy").split():
+        pytest.importorskip(module)
+    found = score(Work(Method("peer", peer), name))
+    assert not found.why
+    assert found.rmse < 20
+    assert found.rmse == score(Work(Method("peer", peer), name)).rmse
+
+
+def test_a_spline_of_gdal_is_exact_at_its_points():
+    pytest.importorskip("rasterio")
+    one = simulated("steady-3")
+    seen = Method("peer", "gdal-tps").positions(one.features, one.features.points, 1)
+    np.testing.assert_allclose(seen, one.features.points.image, atol=1e-4)
+
+
+def test_the_fitness_of_the_scripts_is_termsels():
+    scene = simulate_scene("irs1c-mashad", n_lines=0)
+    points = scene.points.take(np.array(scene.points.roles) != "independent")
+    problem = Cubic(scene.with_(points=points))
+    genes = np.random.default_rng(3).random(problem.size) < 0.4
+    genes[[0, len(problem.powers)]] = True
+    project = problem.projection(genes)
+    check = points.take(np.array(points.roles) == "check")
+    errors = project(check.ground) - check.image
+    assert problem.fitness(genes) == pytest.approx(np.sqrt((errors**2).sum(axis=1).mean()))
+    assert problem.fitness(np.ones(problem.size, dtype=bool)) > 1e5 or len(points) > 40
+
+
+def test_losses_and_ratios():
+    def one(method, name, rmse):
+        return Score(method, name, "steady", 10, 1000, rmse)
+
+    other = Method("model", "affine")
+    found = [one(AUTO, "a", 2.0), one(other, "a", 1.0), one(AUTO, "b", 1.0),
+             one(other, "b", float("inf")), one(AUTO, "c", 1.01), one(other, "c", 1.0)]
+    best = best_of(found)
+    assert [ratio(row, best) for row in found[:4]] == [2.0, 1.0, 1.0, float("inf")]
+    assert [(mine.set_name, rival.method) for mine, rival in losses(found, "auto")] == [("a", other)]
+
+
+def test_out_is_checked_by_recomputation(package, tmp_path):
+    out = tmp_path / "out"
+    text = run("--package", package, "--alone", "--sets", "frame", "--out", out)
+    assert "package stranger" in text
+    rows = (out / "table.csv").read_text().splitlines()
+    assert len(rows) == 1 + 4
+    assert rows[0].startswith("set,kind,method,points,independent,rmse,low,high,ratio")
+    assert "Which method is best" in (out / "index.html").read_text()
+    checked = tmp_path / "checked"
+    checked.mkdir()
+    file = checked / "mine.json"
+    file.write_bytes((out / "package-stranger.json").read_bytes())
+    assert "confirmed" in run("--check", checked)
+    said = json.loads(file.read_text())
+    said["sets"]["frame-3"]["rmse"] *= 0.9
+    file.write_text(json.dumps(said))
+    assert "refuted: frame-3" in run("--check", checked, code=2)
+    assert "confirmed" in run("--check", checked, "--sets", "frame-1")
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    (lambda said: said.pop("sets"), "is no file of results"),
+    (lambda said: said.update(schema="other"), "has the schema 'other'"),
+    (lambda said: said["sets"]["frame-1"].update(sha256="0"), "another version of the set"),
+    (lambda said: said["sets"].update(moon={"sha256": "0", "rmse": 1}), "names the set 'moon'"),
+    (lambda said: said["method"].update(kind="magic"), "a method of the kind 'magic'"),
+    (lambda said: said.update(sets={}), "has no sets"),
+    (lambda said: said["sets"]["frame-1"].update(rmse="low"), "is no file of results")])
+def test_bad_files_of_results_are_refused(tmp_path, change, message):
+    said = {"schema": "termsel-bench-1",
+            "method": {"kind": "model", "name": "affine", "options": {}, "problem": ""},
+            "sets": {"frame-1": {"sha256": catalogue.checksums()["frame-1.csv"], "rmse": 3.0}}}
+    change(said)
+    (tmp_path / "mine.json").write_text(json.dumps(said))
+    with pytest.raises(TermselError, match=message):
+        read_submitted(tmp_path)
+
+
+def test_published_results_are_of_these_sets():
+    found = read_submitted(Path(__file__).parents[1] / "results")
+    assert {one.method.title for one in found} >= {"auto", *PEERS}
+    assert all(set(one.rmse) == set(SETS) for one in found)
+
+
+def real(folder: Path, **changes) -> Path:
+    """Write a real set, with some of its declaration changed or left out."""
+    scene = simulate_scene("irs1c-mashad", n_lines=0)
+    one = folder / "mashad"
+    one.mkdir(parents=True)
+    termsel.write_points_csv(scene.points, one / "points.csv", crs=scene.crs)
+    (one / "LICENSE").write_text("Permission is hereby granted, free of charge, " * 4)
+    said = {"title": "Mashad", "kind": "steady", "crs": scene.crs, "points": "points.csv",
+            "sha256": hashlib.sha256((one / "points.csv").read_bytes()).hexdigest(),
+            "licence": "MIT", "licence_file": "LICENSE", "source": "https://example.org/mashad",
+            "commit": "3acac23f4ef1f2d5fb6fe782ef5208cd0b3af802", **changes}
+    (one / "set.json").write_text(json.dumps({k: v for k, v in said.items() if v is not None}))
+    return one
+
+
+def test_a_real_set_is_run_next_to_the_others(tmp_path):
+    one = real_set(real(tmp_path))
+    assert (len(one.features.points), len(one.independent)) == (40, 22)
+    text = run("--model", "affine", "--alone", "--sets", "frame-1", "--real", tmp_path)
+    assert "2 of 2: mashad" in text
+
+
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"licence": None}, "does not say its licence"),
+    ({"licence_file": "COPYING"}, "no file COPYING"),
+    ({"licence_file": "../../LICENSE"}, "no file"),
+    ({"source": "a friend"}, "is no address"),
+    ({"commit": "3acac23f"}, "the commit '3acac23f' is none"),
+    ({"commit": None}, "does not say its commit"),
+    ({"sha256": "0" * 64}, "not the declared one")])
+def test_a_real_set_without_licence_or_origin_is_refused(tmp_path, changes, message):
+    real(tmp_path, **changes)
+    text = run("--model", "affine", "--alone", "--sets", "frame-1", "--real", tmp_path, code=2)
+    assert message in text
+
+
+def test_a_name_is_no_text_of_a_licence(tmp_path):
+    (real(tmp_path) / "LICENSE").write_text("MIT")
+    with pytest.raises(TermselError, match="not the text of a licence"):
+        real_set(tmp_path / "mashad")
+
+
+@pytest.mark.parametrize(("words", "message"), [
+    (["--solver", "gaa"], "unknown solver 'gaa'"), (["--model", "afine"], "unknown model 'afine'"),
+    (["--package", "no_such_module"], "cannot be imported"),
+    (["--package", "json:nothing"], "no function 'nothing'"),
+    (["--sets", "moon"], "unknown set 'moon'"), (["--alone"], "no method to run"),
+    (["--set", "degree=2"], "--set is an option of no method"),
+    (["--problem", "rfm-terms"], "--problem is for solvers"),
+    (["--check", ".", "--alone", "--model", "affine"], "goes with no method")])
+def test_bad_requests_are_refused_at_once(words, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = run(*words, code=2)
+    assert message in text
+    assert "Traceback" not in text
