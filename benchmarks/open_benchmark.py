@@ -20,15 +20,18 @@ METHODS = (AUTO, Method("solver", "ga"), *(Method("peer", name) for name in PEER
 
 HEAD = """# The open benchmark
 
-Made by `python -m benchmarks.open_benchmark --write`: forty simulated sets of nine kinds, 1,000 independent points each, without
-noise. The [datasheet](../reference/datasheet.md) has the sets, and [Compare your own method](../how-to/benchmark.md) the protocol.
+Made by `python -m benchmarks.open_benchmark --write`: forty simulated sets of nine kinds, with
+1,000 independent points each, without noise. The [datasheet](../reference/datasheet.md) has the
+sets, and [Compare your own method](../how-to/benchmark.md) the protocol.
 
-`auto` is what termsel does where nothing is asked; `solver ga` is the papers' search of terms with check points as fitness.
-`deap-script` and `pymoo-script` are such searches of 20 terms an axis without termsel. `gdal-polynomial` has the order that GDAL takes,
-`ransac` and `scikit-learn` are polynomials of space. All but `auto` and `orthority` ignore the RPC; all but `auto` and `solver ga` ignore
-lines.
+`auto` is what termsel does where nothing is asked; `solver ga` is the papers' search of terms with
+check points as fitness. `deap-script` and `pymoo-script` are such searches without termsel, of 20
+terms an axis. `gdal-polynomial` has the order that GDAL takes; `ransac` and `scikit-learn` are
+polynomials of space. All but `auto` and `orthority` ignore the RPC. All but `auto` and `solver ga`
+ignore lines.
 
-Median ratio of the RMSE to the least of each set; - where there is no result on half of the sets or more; seconds of the processor:
+The table has the median ratio of the RMSE to the least of each set, and the processor's seconds.
+A dash says that a method has no result on half of the sets or more.
 """
 
 
@@ -43,14 +46,17 @@ def rows(columns: Sequence[str], lines: Sequence[Sequence[str]]) -> Iterator[str
 def page(found: Sequence[Score]) -> str:
     """Return the page."""
     worse = losses(found, AUTO.title)
-    lost = [(mine.set_name, str(mine.control), f"{mine.rmse:.3f} ({mine.low:.3f} to {mine.high:.3f})",
-             other.method.title, f"{other.rmse:.3f} ({other.low:.3f} to {other.high:.3f})",
-             f"{mine.rmse / other.rmse:.2f}") for mine, other in worse]
+    lost = [(mine.set_name, str(mine.control), _with_interval(mine), other.method.title,
+             _with_interval(other), f"{mine.rmse / other.rmse:.2f}") for mine, other in worse]
     return "\n".join([
         HEAD, *rows(*by_kind(found)),
         f"\n## Where auto loses\n\n`auto` loses on {len(worse)} of {len(SETS)} sets by more than "
-        f"{NEAR - 1:.0%}. Intervals of 95 % are of the independent points.\n",
+        f"{100 * (NEAR - 1):.0f} %. Intervals of 95 % are of the independent points.\n",
         *rows(("set", "points", "auto [px]", "best method", "its RMSE [px]", "ratio"), lost)])
+
+
+def _with_interval(one: Score) -> str:
+    return f"{one.rmse:.3f} ({one.low:.3f} to {one.high:.3f})"
 
 
 def main() -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +22,7 @@ from termsel_bench.methods.base import AUTO, PEERS, Method
 from termsel_bench.methods.scripts import Cubic
 from termsel_bench.protocol import Score, Work, score
 from termsel_bench.scenes import catalogue
-from termsel_bench.scenes.base import INDEPENDENT
+from termsel_bench.scenes.base import INDEPENDENT, BenchSet
 from termsel_bench.scenes.catalogue import QUICK, SETS, simulated
 from termsel_bench.scenes.real import real_set
 from termsel_bench.submitted import read_submitted
@@ -50,7 +52,7 @@ def short(features):
 
 
 @pytest.fixture
-def package(tmp_path, monkeypatch):
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     """A stranger's module in the folder of the command."""
     (tmp_path / "stranger.py").write_text(MINE)
     monkeypatch.chdir(tmp_path)
@@ -58,21 +60,21 @@ def package(tmp_path, monkeypatch):
     return "stranger"
 
 
-def run(*words, code=0):
+def run(*words: object, code: int = 0) -> str:
     """Return what the command prints."""
     result = CliRunner().invoke(cli, ["bench", *map(str, words)], catch_exceptions=False)
     assert result.exit_code == code, result.output
     return result.output
 
 
-def test_forty_sets_of_nine_kinds():
+def test_forty_sets_of_nine_kinds() -> None:
     assert len(SETS) == 40
     assert {one.kind for one in SETS.values()} == {SETS[name].kind for name in QUICK}
     assert len({one.kind for one in SETS.values()}) == len(QUICK) == 9
 
 
 @pytest.mark.parametrize("name", ["steady-1", "radar-1", "old-map-1", "vendor-rpc-1", "lines-1"])
-def test_a_set_is_the_frozen_one(name):
+def test_a_set_is_the_frozen_one(name: str) -> None:
     one = simulated(name)
     asked = SETS[name]
     assert len(one.features.points) == asked.count
@@ -83,8 +85,8 @@ def test_a_set_is_the_frozen_one(name):
     assert (one.features.rpc is not None) == (one.kind == "vendor-rpc")
 
 
-def test_another_set_is_refused(monkeypatch):
-    def moved(name):
+def test_another_set_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    def moved(name: str) -> BenchSet:
         one = made(name)
         image = one.independent.image.copy()
         image[17, 1] += 0.001
@@ -94,12 +96,12 @@ def test_another_set_is_refused(monkeypatch):
     made = catalogue.made
     monkeypatch.setattr(catalogue, "made", moved)
     simulated.cache_clear()
-    with pytest.raises(TermselError, match="not the frozen one: the checksum of frame-1.csv"):
+    with pytest.raises(TermselError, match=r"not the frozen one: the checksum of frame-1\.csv"):
         simulated("frame-1")
     simulated.cache_clear()
 
 
-def test_radar_sees_heights_by_range_alone():
+def test_radar_sees_heights_by_range_alone() -> None:
     one = simulated("radar-3")
     at = (one.independent.ground - one.independent.ground.mean(axis=0)) \
         / np.ptp(one.independent.ground, axis=0)
@@ -111,7 +113,7 @@ def test_radar_sees_heights_by_range_alone():
     assert np.std(line) < 0.02 * np.std(sample)
 
 
-def test_written_files_are_those_of_the_metadata_and_are_read(tmp_path):
+def test_written_files_are_those_of_the_metadata_and_are_read(tmp_path: Path) -> None:
     run("--files", tmp_path, "--sets", "vendor-rpc-2")
     said = json.loads((tmp_path / "croissant.json").read_text())
     assert {one["name"] for one in said["distribution"]} == {
@@ -122,17 +124,18 @@ def test_written_files_are_those_of_the_metadata_and_are_read(tmp_path):
     one = simulated("vendor-rpc-2")
     np.testing.assert_array_equal(points.image[:4], one.features.points.image)
     np.testing.assert_array_equal(points.ground[4:], one.independent.ground)
+    assert one.features.rpc is not None
     rpc = termsel.read_rpc(tmp_path / "vendor-rpc-2_RPC.TXT")
     np.testing.assert_allclose(rpc.project(points.ground),
                                one.features.rpc.project(points.ground), atol=1e-6)
 
 
-def test_metadata_name_each_file_once():
+def test_metadata_name_each_file_once() -> None:
     names = list(catalogue.checksums())
     assert len(names) == len(set(names)) == 40 + 4 + 4  # points, lines and RPCs
 
 
-def test_a_score_is_the_rmse_of_independent_points(package):
+def test_a_score_is_the_rmse_of_independent_points(package: str) -> None:
     found = score(Work(Method("package", package), "steady-3"))
     one = simulated("steady-3")
     at = one.features.points.ground
@@ -145,7 +148,7 @@ def test_a_score_is_the_rmse_of_independent_points(package):
     assert found.low < found.rmse < found.high < 1.2 * found.low
 
 
-def test_an_affine_package_is_the_affine_model(package):
+def test_an_affine_package_is_the_affine_model(package: str) -> None:
     model, mine = (score(Work(method, "steady-3")) for method in (
         Method("model", "affine"), Method("package", f"{package}:georeference")))
     assert mine.rmse == pytest.approx(model.rmse, rel=1e-6)
@@ -154,32 +157,32 @@ def test_an_affine_package_is_the_affine_model(package):
 @pytest.mark.parametrize(("function", "why"), [
     ("broken", "failed in georeference"), ("nowhere", "no position for 1000 of 1000 places"),
     ("short", "positions of the shape (3, 2)")])
-def test_a_faulty_package_has_no_result(package, function, why):
+def test_a_faulty_package_has_no_result(package: str, function: str, why: str) -> None:
     found = score(Work(Method("package", f"{package}:{function}"), "frame-1"))
     assert np.isinf(found.rmse)
     assert why in found.why
 
 
 @pytest.mark.parametrize("peer", [*PEERS])
-def test_peers_do_what_they_say(peer):
+def test_peers_do_what_they_say(peer: str) -> None:
     name = "vendor-rpc-4" if peer == "orthority" else "steady-4"
-    for module in {"gdal-polynomial": "rasterio", "gdal-tps": "rasterio", "ransac": "sklearn",
-                   "scikit-learn": "sklearn", "orthority": "orthority"}.get(peer, "numpy").split():
-        pytest.importorskip(module)
+    modules = {"gdal-polynomial": "rasterio", "gdal-tps": "rasterio", "ransac": "sklearn",
+                   "scikit-learn": "sklearn", "orthority": "orthority"}
+    pytest.importorskip(modules.get(peer, "numpy"))
     found = score(Work(Method("peer", peer), name))
     assert not found.why
     assert found.rmse < 20
     assert found.rmse == score(Work(Method("peer", peer), name)).rmse
 
 
-def test_a_spline_of_gdal_is_exact_at_its_points():
+def test_a_spline_of_gdal_is_exact_at_its_points() -> None:
     pytest.importorskip("rasterio")
     one = simulated("steady-3")
     seen = Method("peer", "gdal-tps").positions(one.features, one.features.points, 1)
     np.testing.assert_allclose(seen, one.features.points.image, atol=1e-4)
 
 
-def test_the_fitness_of_the_scripts_is_termsels():
+def test_the_fitness_of_the_scripts_is_termsels() -> None:
     scene = simulate_scene("irs1c-mashad", n_lines=0)
     points = scene.points.take(np.array(scene.points.roles) != "independent")
     problem = Cubic(scene.with_(points=points))
@@ -192,8 +195,8 @@ def test_the_fitness_of_the_scripts_is_termsels():
     assert problem.fitness(np.ones(problem.size, dtype=bool)) > 1e5 or len(points) > 40
 
 
-def test_losses_and_ratios():
-    def one(method, name, rmse):
+def test_losses_and_ratios() -> None:
+    def one(method: Method, name: str, rmse: float) -> Score:
         return Score(method, name, "steady", 10, 1000, rmse)
 
     other = Method("model", "affine")
@@ -201,10 +204,11 @@ def test_losses_and_ratios():
              one(other, "b", float("inf")), one(AUTO, "c", 1.01), one(other, "c", 1.0)]
     best = best_of(found)
     assert [ratio(row, best) for row in found[:4]] == [2.0, 1.0, 1.0, float("inf")]
-    assert [(mine.set_name, rival.method) for mine, rival in losses(found, "auto")] == [("a", other)]
+    lost = losses(found, "auto")
+    assert [(mine.set_name, rival.method) for mine, rival in lost] == [("a", other)]
 
 
-def test_out_is_checked_by_recomputation(package, tmp_path):
+def test_out_is_checked_by_recomputation(package: str, tmp_path: Path) -> None:
     out = tmp_path / "out"
     text = run("--package", package, "--alone", "--sets", "frame", "--out", out)
     assert "package stranger" in text
@@ -232,7 +236,8 @@ def test_out_is_checked_by_recomputation(package, tmp_path):
     (lambda said: said["method"].update(kind="magic"), "a method of the kind 'magic'"),
     (lambda said: said.update(sets={}), "has no sets"),
     (lambda said: said["sets"]["frame-1"].update(rmse="low"), "is no file of results")])
-def test_bad_files_of_results_are_refused(tmp_path, change, message):
+def test_bad_files_of_results_are_refused(
+        tmp_path: Path, change: Callable[[dict[str, Any]], None], message: str) -> None:
     said = {"schema": "termsel-bench-1",
             "method": {"kind": "model", "name": "affine", "options": {}, "problem": ""},
             "sets": {"frame-1": {"sha256": catalogue.checksums()["frame-1.csv"], "rmse": 3.0}}}
@@ -242,13 +247,13 @@ def test_bad_files_of_results_are_refused(tmp_path, change, message):
         read_submitted(tmp_path)
 
 
-def test_published_results_are_of_these_sets():
+def test_published_results_are_of_these_sets() -> None:
     found = read_submitted(Path(__file__).parents[1] / "results")
     assert {one.method.title for one in found} >= {"auto", *PEERS}
     assert all(set(one.rmse) == set(SETS) for one in found)
 
 
-def real(folder: Path, **changes) -> Path:
+def real(folder: Path, **changes: str | None) -> Path:
     """Write a real set, with some of its declaration changed or left out."""
     scene = simulate_scene("irs1c-mashad", n_lines=0)
     one = folder / "mashad"
@@ -263,7 +268,7 @@ def real(folder: Path, **changes) -> Path:
     return one
 
 
-def test_a_real_set_is_run_next_to_the_others(tmp_path):
+def test_a_real_set_is_run_next_to_the_others(tmp_path: Path) -> None:
     one = real_set(real(tmp_path))
     assert (len(one.features.points), len(one.independent)) == (40, 22)
     text = run("--model", "affine", "--alone", "--sets", "frame-1", "--real", tmp_path)
@@ -278,13 +283,14 @@ def test_a_real_set_is_run_next_to_the_others(tmp_path):
     ({"commit": "3acac23f"}, "the commit '3acac23f' is none"),
     ({"commit": None}, "does not say its commit"),
     ({"sha256": "0" * 64}, "not the declared one")])
-def test_a_real_set_without_licence_or_origin_is_refused(tmp_path, changes, message):
+def test_a_real_set_without_licence_or_origin_is_refused(
+        tmp_path: Path, changes: dict[str, str | None], message: str) -> None:
     real(tmp_path, **changes)
     text = run("--model", "affine", "--alone", "--sets", "frame-1", "--real", tmp_path, code=2)
     assert message in text
 
 
-def test_a_name_is_no_text_of_a_licence(tmp_path):
+def test_a_name_is_no_text_of_a_licence(tmp_path: Path) -> None:
     (real(tmp_path) / "LICENSE").write_text("MIT")
     with pytest.raises(TermselError, match="not the text of a licence"):
         real_set(tmp_path / "mashad")
@@ -298,7 +304,8 @@ def test_a_name_is_no_text_of_a_licence(tmp_path):
     (["--set", "degree=2"], "--set is an option of no method"),
     (["--problem", "rfm-terms"], "--problem is for solvers"),
     (["--check", ".", "--alone", "--model", "affine"], "goes with no method")])
-def test_bad_requests_are_refused_at_once(words, message, tmp_path, monkeypatch):
+def test_bad_requests_are_refused_at_once(
+        words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     text = run(*words, code=2)
     assert message in text

@@ -23,7 +23,7 @@ def document(scores: Sequence[Score], title: str = AUTO.title) -> Document:
                          "has no result on half of the sets or more.", tuple(header),
                          [tuple(row) for row in rows])
     lost = TableBlock(
-        f"Sets where {title} loses by more than {NEAR - 1:.0%}",
+        f"Sets where {title} loses by more than {100 * (NEAR - 1):.0f} %",
         ("set", "points", f"{title} [px]", "95 %", "best method", "best [px]", "95 %", "ratio"),
         [(mine.set_name, str(mine.control), _px(mine.rmse), _interval(mine), other.method.title,
           _px(other.rmse), _interval(other), f"{mine.rmse / other.rmse:.2f}")

@@ -60,7 +60,7 @@ def by_kind(scores: Sequence[Score]) -> tuple[list[str], list[list[str]]]:
                                      str(sum(value <= NEAR for value in every)),
                                      str(sum(math.isinf(value) for value in every)),
                                      f"{median(one.seconds for one in mine):.2f}"]))
-    header = ["method", *kinds, "all", f"within {NEAR - 1:.0%}", "no result", "seconds"]
+    header = ["method", *kinds, "all", f"within {100 * (NEAR - 1):.0f} %", "no result", "seconds"]
     return header, [row for _, row in sorted(rows, key=lambda pair: pair[0])]
 
 
