@@ -330,14 +330,14 @@ def test_one_run_at_a_time_works_in_a_folder(tmp_path: Path) -> None:
     refused = []
 
     def again(_progress: object) -> None:
-        for overwrite in (False, True):
+        for overwrite in (False, True)[len(refused):]:
             with pytest.raises(TermselError, match=rf"process {os.getpid()} on .* is at work in "
                                                    "this folder") as caught:
                 quick("poly-terms", out=tmp_path, overwrite=overwrite)
             refused.append(caught.value)
 
     first = quick("poly-terms", out=tmp_path, observers=[again])
-    assert refused
+    assert len(refused) == 2
     assert termsel.read_result(tmp_path).evaluations == first.evaluations
     assert {path.name for path in tmp_path.iterdir()} == {
         "result.json", "residuals.csv", "summary.txt", "points.csv"}
