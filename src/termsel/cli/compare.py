@@ -82,7 +82,7 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
     Examples:
       termsel compare study.toml --out study --workers 2
       termsel compare study.toml --dry-run
-      termsel compare --problem rfm-terms --solver ga,swap,pso --seeds 30 \\
+      termsel compare --problem rfm-terms --solver ga,ica,pso --seeds 30 \\
           --evaluations 10000 --out study
       termsel compare --points 'images/*.csv' --crs EPSG:4979 --out result
       termsel compare --status study
