@@ -14,6 +14,7 @@ import termsel
 from termsel import FeatureSet, Points
 from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.candidates.blunders import find_blunders, judge_others
+from termsel.candidates.contradictions import Test as Contradictions
 from termsel.candidates.portfolio import choose
 from termsel.candidates.shrunken import average
 from termsel.measurements.control import Control
@@ -261,3 +262,10 @@ def test_a_prediction_without_a_point_is_that_of_the_others() -> None:
     np.testing.assert_allclose(direct.errors[0], there, rtol=1e-4)
     for name in ("chance", "statistic", "spread"):
         np.testing.assert_allclose(getattr(closed, name)[19], getattr(direct, name)[0], rtol=1e-4)
+
+
+def test_an_error_says_nothing_where_its_prediction_is_as_uncertain() -> None:
+    none = np.zeros(3)
+    found = Contradictions(none, none, np.array([0.9, 4.5, 5.5]), np.array([1.0, 5.0, 5.0]), 0.3,
+                           20, none)
+    assert found.decided().tolist() == [False, False, True]

@@ -102,6 +102,29 @@ main()
 """
 
 
+UNCAUGHT_BY_MAIN = """
+import sys
+import termsel.__main__ as entry
+
+sys.excepthook = entry.report_fault
+raise KeyboardInterrupt
+"""
+
+AFTER_ITS_WORDS = """
+import atexit
+import termsel.__main__ as entry
+from termsel.cli.main import cli
+
+def answers(**_):
+    print("all that it has")
+    raise SystemExit(130)
+
+cli.main = answers
+atexit.register(print, "more")
+entry.main()
+"""
+
+
 def python(code: str, *words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True,
                           check=False, timeout=60, preexec_fn=RESTORED)
@@ -139,10 +162,15 @@ main()
 """
 
 
-@pytest.mark.parametrize("code", [UNCAUGHT, AT_THE_END, FROM_TEXT])
+@pytest.mark.parametrize("code", [UNCAUGHT, AT_THE_END, FROM_TEXT, UNCAUGHT_BY_MAIN])
 def test_ctrl_c_where_nobody_catches_it_has_the_same_exit_code(code: str) -> None:
     done = python(code)
     assert (done.returncode, done.stderr.strip()) == (130, "Interrupted.")
+
+
+def test_after_ctrl_c_python_does_no_more_than_to_print() -> None:
+    done = python(AFTER_ITS_WORDS)
+    assert (done.returncode, done.stdout) == (130, "all that it has\n")
 
 
 def test_ctrl_c_that_is_ignored_stays_so() -> None:

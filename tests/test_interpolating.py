@@ -17,6 +17,7 @@ from termsel.measurements.control import Control
 from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.priors import field, posterior
 from termsel.priors.field import collocate
+from termsel.priors.foresight import foresee
 from termsel.priors.thin_plate import thin_plates
 from termsel_photos import simulate_map
 
@@ -163,6 +164,33 @@ def test_one_solution_is_universal_kriging(monkeypatch: pytest.MonkeyPatch) -> N
                         - (there * np.linalg.solve(data, there.T).T).sum(axis=1)
                         + ((left @ inner) * left).sum(axis=1))
     np.testing.assert_allclose(found.spread(at)[0], np.stack([variance] * 2, axis=1), rtol=1e-4)
+
+
+def test_what_is_foreseen_varies_within_solutions_and_between_them() -> None:
+    """The law of total variance, with each solution by dense algebra."""
+    points, at = scattered(12), scattered(5, seed=6).ground
+    exponents = graded_exponents(2, 3)
+    order = np.array(exponents).sum(axis=1)
+    one, other = monomials(points.ground, exponents), monomials(at, exponents)
+    scales = posterior.scales_of(np.array(exponents)[order > 1])
+    found = posterior.posterior(one, points.image, order, None, scales, 12)
+    assert found is not None
+    foreseen = foresee(found, other[:, order < 2], other[:, order > 1])
+    share, precision = found.cells.share, np.zeros(len(order))
+    for axis in (0, 1):
+        means, variances = np.empty((2, len(share), 5))
+        for i, (which, noise) in enumerate(zip(
+                found.cells.which[axis], found.square / (found.freedom - 2), strict=True)):
+            group, size = divmod(which, len(posterior.SIZES))
+            precision[order > 1] = (posterior.SIZES[size] * scales[group]) ** -2.0
+            inverse = np.linalg.inv(one.T @ one + np.diag(precision))
+            means[i] = other @ inverse @ one.T @ points.image[:, axis]
+            variances[i] = noise * ((other @ inverse) * other).sum(axis=1)
+        between = share @ (means - share @ means) ** 2
+        assert (between > 0.01 * (share @ variances)).any()
+        np.testing.assert_allclose(foreseen.image[:, axis], share @ means, rtol=1e-6)
+        np.testing.assert_allclose(foreseen.variance[:, axis], share @ variances + between,
+                                   rtol=1e-6)
 
 
 @pytest.mark.parametrize(("n", "noise", "near"), [(9, 0.02, 1e-9), (40, 0.02, 1e-9),

@@ -375,5 +375,5 @@ def test_a_polynomial_with_a_correction_is_no_rpc_as_it_is() -> None:
     control = FeatureSet(Points(points.ids, image, places), crs="EPSG:4979")
     assert rpc_of(model_of("poly2d", degree=2).fit(control)).how == "exact"
     found = rpc_of(model_of("multiquadric").fit(control))
-    assert found.how != "exact"
+    assert found.how.startswith("all")  # refitted: the polynomial alone is another model
     assert 1e-3 < found.worst < 1.0
