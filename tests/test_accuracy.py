@@ -252,7 +252,7 @@ def test_standards_have_figures_only_where_their_rules_hold() -> None:
 def test_the_summary_says_why_a_standard_has_no_figure() -> None:
     text = termsel.run("rfm-terms", features=_all_points(independent=10)).summary(verbose=True)
     assert "NSSDA: no figure (10 independent points, at least 20 needed)" in text
-    assert "ASPRS 2024: no figure (10 independent points, at least 30 needed)" in text
+    assert "ASPRS 2024: no figure (10 independent points, at least 30 needed" in text
 
 
 def test_local_coordinates_have_no_metres() -> None:

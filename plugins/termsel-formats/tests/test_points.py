@@ -305,7 +305,14 @@ def test_layouts_that_pci_has_not(layout: str, tmp_path: Path) -> None:
 def test_a_binary_file_of_erdas_is_refused_by_name(tmp_path: Path) -> None:
     (tmp_path / "a.gcc").write_bytes(b"EHFA_HEADER_TAG\0\1\2\3")
     with pytest.raises(TermselError, match=r"this \.gcc file of ERDAS IMAGINE is binary"):
-        termsel.read(tmp_path / "a.gcc", format="erdas-gcps")
+        termsel.read(tmp_path / "a.gcc")
+
+
+def test_a_point_without_a_line_is_named(tmp_path: Path) -> None:
+    (tmp_path / "a.aux.xml").write_text(
+        '<PAMDataset><GCPList><GCP Pixel="1" X="2" Y="3"/></GCPList></PAMDataset>')
+    with pytest.raises(TermselError, match="a ground control point cannot be read: it has no Line"):
+        termsel.read(tmp_path / "a.aux.xml")
 
 
 def test_marks_of_pix4d_need_the_ground(tmp_path: Path) -> None:

@@ -229,6 +229,13 @@ def test_a_bad_table_is_refused_with_its_place(text: str, said: str, tmp_path: P
     assert "Traceback" not in shown.output
 
 
+def test_nobody_knows_what_the_points_of_a_table_took_part_in(tmp_path: Path) -> None:
+    path = tmp_path / "example.csv"
+    path.write_text(EXAMPLE)
+    shown = CliRunner().invoke(cli, ["accuracy", str(path)]).output
+    assert "5 check points, which must have taken no part in any choice" in shown
+
+
 def test_a_table_that_is_no_text(tmp_path: Path) -> None:
     path = tmp_path / "bad.csv"
     path.write_bytes(b"\xff\x00id,dx\n")

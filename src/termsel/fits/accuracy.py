@@ -126,14 +126,14 @@ def nssda(points: int, ground: OnGround | None) -> StandardFigure:
 
 
 def asprs(points: int, ground: OnGround | None) -> StandardFigure:
-    """Return the horizontal RMSE by ASPRS 2024."""
-    missing = _missing(points, ground, ASPRS_POINTS)
+    """Return the horizontal RMSE by ASPRS 2024, which has words of its own for fewer points."""
+    missing = _missing(points, ground, ASPRS_POINTS, "; for fewer run termsel accuracy")
     return StandardFigure(None if ground is None or missing else ground.total, missing)
 
 
-def _missing(points: int, ground: OnGround | None, fewest: int) -> str | None:
+def _missing(points: int, ground: OnGround | None, fewest: int, more: str = "") -> str | None:
     if points < fewest:
-        return f"{counted(points, 'independent point')}, at least {fewest} needed"
+        return f"{counted(points, 'independent point')}, at least {fewest} needed{more}"
     if ground is None:
         return "the errors on the ground are not known in metres"
     return None

@@ -48,18 +48,19 @@ def accuracy(source: Path, survey_sigma: float | None, survey_sigma_z: float | N
     from termsel_standards.errors import errors_of, read_errors
     from termsel_standards.statement import statements_of
 
-    errors = read_errors(source) if source.is_file() and source.suffix != ".json" \
-        else errors_of(read_result(source))
+    table = source.is_file() and source.suffix != ".json"
+    errors = read_errors(source) if table else errors_of(read_result(source))
     stated = statements_of(errors.surveyed(survey_sigma, survey_sigma_z), horizontal, vertical)
     if as_json:
         click.echo(msgspec.json.format(msgspec.json.encode(stated), indent=2))
     else:
-        click.echo("\n".join(_text(stated)))
+        click.echo("\n".join(_text(
+            stated, "which must have taken" if table else "which took")))
 
 
-def _text(stated: Statements) -> Iterator[str]:
+def _text(stated: Statements, took: str) -> Iterator[str]:
     points = stated.distribution.points
-    yield f"{stated.source}: {points} check points, which took no part in any choice"
+    yield f"{stated.source}: {points} check points, {took} no part in any choice"
     yield ""
     yield f"{'':8}{'mean':>10}{'std':>10}{'RMSE':>10}{'95 %':>10}{'largest':>10}  normal"
     for one in stated.components:

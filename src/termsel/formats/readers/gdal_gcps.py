@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +35,9 @@ class GdalGcps(Reader):
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True for a VRT, or a file that begins as the usual rasters do."""
         text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
-        return text.startswith(b"<VRTDataset") or head.startswith(_MAGIC)
+        # ERDAS IMAGINE has tables of points, .gcc, in the form of its images.
+        return text.startswith(b"<VRTDataset") or (
+            head.startswith(_MAGIC) and path.suffix.lower() != ".gcc")
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name the file."""
@@ -46,19 +49,24 @@ class GdalGcps(Reader):
             raise TermselError("this raster has no ground control points", file=path,
                                hint="Check with gdalinfo. If the points are in a separate file, "
                                     "give that file.")
-        ground = np.array([[gcp.x, gcp.y, np.nan if gcp.z is None else gcp.z] for gcp in gcps])
-        if not np.nan_to_num(ground[:, 2]).any():
-            ground[:, 2] = np.nan
-        image = np.array([[gcp.row, gcp.col] for gcp in gcps], dtype=np.float64)
-        if self.options["gcp_origin"] == "corner":
-            image -= 0.5
-        ids = [str(gcp.id or "").strip() for gcp in gcps]
-        if len({*ids} - {""}) < len(ids):
-            ids = [f"P{i + 1}" for i in range(len(gcps))]
-        try:
-            points = Points(tuple(ids), image, ground)
-        except TermselError as error:
-            raise located(error, path) from error
+        corner = 0.5 if self.options["gcp_origin"] == "corner" else 0.0
+        points = points_of(path, [str(gcp.id or "") for gcp in gcps], [
+            (gcp.row - corner, gcp.col - corner, gcp.x, gcp.y, np.nan if gcp.z is None else gcp.z)
+            for gcp in gcps])
         epsg = crs.to_epsg() if crs else None
         wkt = crs.to_wkt() if crs else ""
         return FeatureSet(points, crs=wkt if epsg is None else f"EPSG:{epsg}", image_size=size)
+
+
+def points_of(path: Path, ids: Sequence[str], rows: Sequence[Sequence[float]]) -> Points:
+    """Return GCPs as points, of rows of line, sample, x, y and z; heights all 0 are unknown."""
+    table = np.array(rows, dtype=np.float64)
+    if not np.nan_to_num(table[:, 4]).any():
+        table[:, 4] = np.nan
+    names = [name.strip() for name in ids]
+    if len({*names} - {""}) < len(names):
+        names = [f"P{i}" for i in range(1, len(names) + 1)]
+    try:
+        return Points(tuple(names), table[:, :2], table[:, 2:])
+    except TermselError as error:
+        raise located(error, path) from error

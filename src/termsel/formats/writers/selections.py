@@ -18,7 +18,7 @@ from termsel.formats.readers.csv_tables import line_columns, point_columns, tabl
 from termsel.formats.vrt import IMAGE, picture_for, vrt_text
 from termsel.measurements.coordinates.crs import LOCAL, horizontal, normalise, to_wgs84
 from termsel.measurements.coordinates.utm import for_warping
-from termsel.measurements.features import BoolArray, FloatArray
+from termsel.measurements.features import BoolArray, FloatArray, Points
 from termsel.options import Option
 from termsel.results.result import Result
 
@@ -46,6 +46,18 @@ def _used(result: Result) -> set[str]:
 def _chosen(result: Result) -> BoolArray:
     """Return which of all points are in the adjustment."""
     return np.isin(result.features.points.ids, list(_used(result)))
+
+
+def chosen_points(result: Result) -> Points:
+    """Return the points in the adjustment."""
+    return result.features.points.take(_chosen(result))
+
+
+def gcps_of(result: Result) -> tuple[Points, Points, str]:
+    """Return the chosen points as measured, as GCPs with heights, and the CRS of these as WKT."""
+    used = chosen_points(result)
+    ground, crs = for_warping(used.ground, result.features.crs)
+    return used, replace(used, ground=np.nan_to_num(ground)), crs
 
 
 def _errors(result: Result) -> FloatArray:
@@ -82,7 +94,7 @@ class QgisPointsWriter(SelectionWriter):
         declared = [f"#CRS: {wkt(crs)}"] if crs else []
         write_text(path, "\n".join([
             *declared, "mapX,mapY,sourceX,sourceY,enable,dX,dY,residual", *rows, ""]))
-        used = points.take(_chosen(result))
+        used = chosen_points(result)
         say_nearest(self.name, result.fit, used.ground[:, :2], used.image, QGIS,
                     "where QGIS has the transformation type {}")
 
@@ -141,9 +153,7 @@ class GcpVrt(SelectionWriter):
     def write(self, result: Result, path: Path) -> None:
         """Write a VRT with a list of GCPs."""
         _require_accepted(self, result, path, _NO_POINTS)
-        points = result.features.points.take(_chosen(result))
-        ground, crs = for_warping(points.ground, result.features.crs)
-        gcps = replace(points, ground=np.nan_to_num(ground))
+        points, gcps, crs = gcps_of(result)
         write_text(path, vrt_text(picture_for(result, self.options["image"]), path.parent,
                                   gcps=gcps, crs=crs))
         say_nearest(self.name, result.fit, points.ground[:, :2], points.image, GDALWARP,

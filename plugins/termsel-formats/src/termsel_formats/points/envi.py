@@ -16,6 +16,7 @@ import numpy as np
 from termsel import FeatureSet, Option, Reader, TermselError
 from termsel.formats.base import image_of, read_text
 from termsel.formats.readers.table import Table
+from termsel_formats.points.common import utm
 
 _COLUMNS = {
     4: ("x", "y", "sample", "line"),
@@ -114,7 +115,5 @@ def _crs(projection: str) -> str:
         return ""
     if parts[0].startswith("geographic"):
         return "EPSG:4326"
-    utm = re.search(r"^utm,\s*(\d{1,2}),\s*(north|south)", projection.strip(), re.IGNORECASE)
-    if utm is None or not 1 <= int(utm[1]) <= 60:
-        return ""
-    return f"EPSG:32{'6' if utm[2].lower() == 'north' else '7'}{int(utm[1]):02d}"
+    found = re.search(r"^utm,\s*(\d{1,2}),\s*(north|south)", projection.strip(), re.IGNORECASE)
+    return "" if found is None else utm(int(found[1]), found[2].lower() == "south")

@@ -17,7 +17,8 @@ from termsel import FeatureSet, Reader, Result, TermselError
 from termsel.files.atomic import write_text
 from termsel.formats.base import read_text
 from termsel.formats.readers.table import Table
-from termsel_formats.points.written import PointsWriter, chosen, say_points
+from termsel.formats.writers.selections import chosen_points
+from termsel_formats.points.written import PointsWriter, say_points
 
 _COLUMNS = {"point id": "id", "x input": "sample", "y input": "line", "x ref": "x", "y ref": "y",
             "z ref": "z", "type": "role"}
@@ -96,7 +97,7 @@ class ErdasGcpsWriter(PointsWriter):
     def write(self, result: Result, path: Path) -> None:
         """Write the table."""
         self.require(result, path)
-        points = chosen(result)
+        points = chosen_points(result)
         rows = ["Point #\tPoint ID\tX Input\tY Input\tX Ref.\tY Ref.\tZ Ref.\tType"]
         for i, (name, (line, sample), (x, y, z), role) in enumerate(zip(
                 points.ids, points.image.tolist(), points.ground.tolist(), points.roles,

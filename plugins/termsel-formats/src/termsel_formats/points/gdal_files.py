@@ -7,7 +7,6 @@ same auxiliary file: source coordinates with rows that may be negative, which GD
 from __future__ import annotations
 
 import shutil
-from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 from xml.etree import ElementTree
@@ -15,13 +14,14 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from termsel import FeatureSet, Option, Points, Reader, Result, TermselError
+from termsel import FeatureSet, Option, Reader, Result, TermselError
 from termsel.files.atomic import atomic_path, encoded, private_folder, write_text
-from termsel.formats.base import located, read_text
+from termsel.formats.readers.gdal_gcps import points_of
 from termsel.formats.vrt import picture_for, vrt_text
+from termsel.formats.writers.selections import gcps_of
 from termsel.measurements.coordinates.crs import normalise
-from termsel.measurements.coordinates.utm import for_warping
-from termsel_formats.points.written import CORNER, IMAGE, PointsWriter, chosen, say_by_gdal
+from termsel_formats.points.common import CORNER, what_lacks, xml_root
+from termsel_formats.points.written import IMAGE, PointsWriter, say_by_gdal
 
 _HINT = "Write it again with GDAL or ArcGIS, or give another file."
 
@@ -38,32 +38,18 @@ class PamGcps(Reader):
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name the file and the point."""
-        text = read_text(path)
-        if "<!DOCTYPE" in text or "<!ENTITY" in text:
-            raise TermselError("an XML file with a document type is not read", file=path,
-                               hint=_HINT)
-        try:
-            root = ElementTree.fromstring(text)
-        except ElementTree.ParseError as error:
-            raise TermselError(f"this is not XML: {error}", file=path, hint=_HINT) from error
+        root = xml_root(path, _HINT)
         try:
             ids, rows, crs = _of_gdal(root) or _of_arcgis(root) or ([], [], "")
         except (KeyError, ValueError) as error:
-            raise TermselError(f"a ground control point cannot be read: {error}", file=path,
-                               hint=_HINT) from error
+            raise TermselError(f"a ground control point cannot be read: {what_lacks(error)}",
+                               file=path, hint=_HINT) from error
         if not rows:
             raise TermselError("this file has no ground control points", file=path,
                                hint="Check the image with gdalinfo.")
-        table = np.array(rows)
-        ground = table[:, 2:]
-        if not np.nan_to_num(ground[:, 2]).any():
-            ground[:, 2] = np.nan  # of files in which heights cannot be left out
-        if len({*ids} - {""}) < len(ids):
-            ids = [f"P{i}" for i in range(1, len(rows) + 1)]
-        try:
-            return FeatureSet(Points(tuple(ids), table[:, 1::-1] - CORNER, ground), crs=_known(crs))
-        except TermselError as error:
-            raise located(error, path) from error
+        return FeatureSet(points_of(path, ids, [
+            (line - CORNER, sample - CORNER, *place) for sample, line, *place in rows]),
+            crs=_known(crs))
 
 
 _Found = tuple[list[str], list[list[float]], str]
@@ -74,7 +60,7 @@ def _of_gdal(root: ElementTree.Element) -> _Found | None:
     if found is None:
         return None
     gcps = found.findall("GCP")
-    return ([one.get("Id", "").strip() for one in gcps],
+    return ([one.get("Id", "") for one in gcps],
             [[float(one.get(key, "nan") if key == "Z" else one.attrib[key])
               for key in ("Pixel", "Line", "X", "Y", "Z")] for one in gcps],
             found.get("Projection", ""))
@@ -114,7 +100,7 @@ class PamGcpsWriter(PointsWriter):
     def write(self, result: Result, path: Path) -> None:
         """Write the points."""
         self.require(result, path)
-        used, gcps, crs = _gcps(result)
+        used, gcps, crs = gcps_of(result)
         rows = [f'    <GCP Id={quoteattr(name)} Info="" Pixel="{sample + CORNER!r}" '
                 f'Line="{line + CORNER!r}" X="{x!r}" Y="{y!r}" Z="{z!r}"/>'
                 for name, (line, sample), (x, y, z) in zip(
@@ -141,7 +127,7 @@ class GcpTiff(PointsWriter):
         from rasterio.errors import RasterioError
         from rasterio.shutil import copy
 
-        used, gcps, crs = _gcps(result)
+        used, gcps, crs = gcps_of(result)
         image = self.options["image"]
         picture = picture_for(result, None if image is None else Path(image).absolute())
         with private_folder() as folder, atomic_path(path) as made:
@@ -155,10 +141,3 @@ class GcpTiff(PointsWriter):
             except (RasterioError, CPLE_BaseError) as error:
                 raise TermselError(f"cannot write this file: {error}", file=path) from error
         say_by_gdal(self.name, result, used)
-
-
-def _gcps(result: Result) -> tuple[Points, Points, str]:
-    """Return the points as measured, as GCPs with heights, and the CRS of these as WKT."""
-    used = chosen(result)
-    ground, crs = for_warping(used.ground, result.features.crs)
-    return used, replace(used, ground=np.nan_to_num(ground)), crs

@@ -16,15 +16,9 @@ from termsel import FeatureSet, Option, Reader, Result, TermselError
 from termsel.files.atomic import write_text
 from termsel.formats.base import read_text
 from termsel.formats.readers.table import Table
-from termsel_formats.points.written import (
-    CORNER,
-    IMAGE,
-    PointsWriter,
-    chosen,
-    image_name,
-    on_wgs84,
-    say_by_gdal,
-)
+from termsel.formats.writers.selections import chosen_points
+from termsel_formats.points.common import CORNER, utm
+from termsel_formats.points.written import IMAGE, PointsWriter, image_name, on_wgs84, say_by_gdal
 
 _TITLE = re.compile(rb"^\s*!table", re.IGNORECASE)
 _RASTER = re.compile(rb"Type\s+\"RASTER\"", re.IGNORECASE)
@@ -84,9 +78,9 @@ def _crs(text: str) -> str:
         return ""
     zone = round((lon + 183.0) / 6.0)
     if parts[0] != "8" or parts[2] not in ("m", "7") or (lat, scale, east) != (0, 0.9996, 500000) \
-            or lon != 6 * zone - 183 or not 1 <= zone <= 60 or north not in (0.0, 1e7):
+            or lon != 6 * zone - 183 or north not in (0.0, 1e7):
         return ""
-    return f"EPSG:32{7 if north else 6}{zone:02d}"
+    return utm(zone, north > 0)
 
 
 class MapInfoTabWriter(PointsWriter):
@@ -103,7 +97,7 @@ class MapInfoTabWriter(PointsWriter):
     def write(self, result: Result, path: Path) -> None:
         """Write the table."""
         self.require(result, path)
-        used = chosen(result)
+        used = chosen_points(result)
         points, zone = on_wgs84(used, result.features.crs)
         system, unit = 'Projection 1, 104', "degree"
         if zone is not None:

@@ -14,17 +14,11 @@ import numpy as np
 
 from termsel import FeatureSet, Option, Points, Reader, Result, TermselError
 from termsel.files.atomic import write_text
-from termsel.formats.base import IMAGE_NAME, image_of, located, read_text
-from termsel.formats.writers.selections import wkt
+from termsel.formats.base import IMAGE_NAME, image_of, located
+from termsel.formats.writers.selections import chosen_points, wkt
 from termsel.measurements.coordinates.crs import horizontal, normalise
-from termsel_formats.points.written import (
-    CORNER,
-    IMAGE,
-    PointsWriter,
-    chosen,
-    image_name,
-    say_points,
-)
+from termsel_formats.points.common import CORNER, what_lacks, xml_root
+from termsel_formats.points.written import IMAGE, PointsWriter, image_name, say_points
 
 _HINT = "Export the markers from Metashape again, as XML."
 
@@ -42,12 +36,8 @@ class MetashapeMarkers(Reader):
 
     def read(self, path: Path) -> FeatureSet:
         """Return the markers that a camera sees; errors name file and marker."""
-        text = read_text(path)
-        if "<!DOCTYPE" in text or "<!ENTITY" in text:
-            raise TermselError("an XML file with a document type is not read", file=path,
-                               hint=_HINT)
+        root = xml_root(path, _HINT)
         try:
-            root = ElementTree.fromstring(text)
             cameras = {one.attrib["id"]: one.get("label", one.attrib["id"])
                        for one in root.iter("camera") if "id" in one.attrib}
             places = [(one.attrib["marker_id"], seen.attrib["camera_id"],
@@ -59,10 +49,8 @@ class MetashapeMarkers(Reader):
             ground = {one.attrib["id"]: [float(known.get(axis, "nan")) for axis in "xyz"]
                       for one in root.iter("marker") if "id" in one.attrib
                       for known in one.findall("reference") if known.get("x") is not None}
-        except ElementTree.ParseError as error:
-            raise TermselError(f"this is not XML: {error}", file=path, hint=_HINT) from error
         except (KeyError, ValueError) as error:
-            raise TermselError(f"a marker cannot be read: {error}", file=path,
+            raise TermselError(f"a marker cannot be read: {what_lacks(error)}", file=path,
                                hint=_HINT) from error
         if not places or not ground:
             raise TermselError("this file has no markers with places in images and on the ground",
@@ -98,7 +86,7 @@ class MetashapeMarkersWriter(PointsWriter):
     def write(self, result: Result, path: Path) -> None:
         """Write the markers."""
         self.require(result, path)
-        points = chosen(result)
+        points = chosen_points(result)
         root = ElementTree.Element("document", version="1.2.0")
         chunk = ElementTree.SubElement(root, "chunk", label="Chunk 1", enabled="true")
         cameras = ElementTree.SubElement(chunk, "cameras")

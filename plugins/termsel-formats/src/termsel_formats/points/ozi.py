@@ -17,15 +17,9 @@ from termsel import FeatureSet, Option, Reader, Result, TermselError
 from termsel.files.atomic import write_text
 from termsel.formats.base import read_text
 from termsel.formats.readers.table import Table
-from termsel_formats.points.written import (
-    CORNER,
-    IMAGE,
-    PointsWriter,
-    chosen,
-    image_name,
-    on_wgs84,
-    say_by_gdal,
-)
+from termsel.formats.writers.selections import chosen_points
+from termsel_formats.points.common import CORNER, utm
+from termsel_formats.points.written import IMAGE, PointsWriter, image_name, on_wgs84, say_by_gdal
 
 _TITLE = b"OziExplorer Map Data File"
 _POINT = re.compile(r"\s*Point(\d+)\s*,\s*xy\s*,", re.IGNORECASE)
@@ -99,8 +93,8 @@ def _crs(datum: str, kinds: set[str], zones: set[tuple[str, str]]) -> str:
     if len(zones) > 1:
         return ""
     zone, side = next(iter(zones))
-    known = zone.isdecimal() and 1 <= int(zone) <= 60 and side.upper() in ("N", "S")
-    return f"EPSG:32{6 if side.upper() == 'N' else 7}{int(zone):02d}" if known else ""
+    known = zone.isdecimal() and side.upper() in ("N", "S")
+    return utm(int(zone), side.upper() == "S") if known else ""
 
 
 class OziMapWriter(PointsWriter):
@@ -118,12 +112,12 @@ class OziMapWriter(PointsWriter):
 
     def accepts(self, result: Result) -> bool:
         """Return True for 30 control points or fewer in a CRS of the Earth."""
-        return super().accepts(result) and len(chosen(result)) <= _MOST
+        return super().accepts(result) and len(chosen_points(result)) <= _MOST
 
     def write(self, result: Result, path: Path) -> None:
         """Write the map."""
         self.require(result, path)
-        used = chosen(result)
+        used = chosen_points(result)
         points, zone = on_wgs84(used, result.features.crs)
         rows = [_row(i, line + CORNER, sample + CORNER, x, y, zone)
                 for i, ((line, sample), (x, y, _)) in enumerate(zip(

@@ -21,7 +21,9 @@ from termsel import FeatureSet, Option, Reader, Result, TermselError
 from termsel.files.atomic import write_text
 from termsel.formats.base import read_text
 from termsel.formats.readers.table import Table
-from termsel_formats.points.written import CORNER, PointsWriter, chosen, say_points
+from termsel.formats.writers.selections import chosen_points
+from termsel_formats.points.common import CORNER
+from termsel_formats.points.written import PointsWriter, say_points
 
 _FIELD = re.compile(r'"([^"]*)"|([^\s,]+)')
 _TOKEN = re.compile(r"ID|I|e[PLXYZ]|[PLXYZES]")
@@ -129,7 +131,7 @@ class PciGcpWriter(PointsWriter):
     def write(self, result: Result, path: Path) -> None:
         """Write the text."""
         self.require(result, path)
-        points = chosen(result)
+        points = chosen_points(result)
         heights = not np.isnan(points.ground[:, 2]).any()
         status = {role: letter for letter, role in _ROLES.items()}
         rows = []

@@ -22,15 +22,10 @@ from termsel import FeatureSet, Option, Reader, Result, TermselError
 from termsel.files.atomic import atomic_path, encoded, write_text
 from termsel.formats.base import IMAGE_NAME, image_of, read_text
 from termsel.formats.readers.table import Table
+from termsel.formats.writers.selections import chosen_points
 from termsel.measurements.coordinates.crs import is_geographic
-from termsel_formats.points.written import (
-    CORNER,
-    IMAGE,
-    PointsWriter,
-    chosen,
-    image_name,
-    say_points,
-)
+from termsel_formats.points.common import CORNER
+from termsel_formats.points.written import IMAGE, PointsWriter, image_name, say_points
 
 _MARK = re.compile(rb"\s*[^,\r\n]+\.(?:jpe?g|tiff?|png|dng|rjpg|raw)\s*,[^,\r\n]+,"
                    rb"\s*[-+.\d][^,\r\n]*,\s*[-+.\d][^,\r\n]*(?:,\s*[\d.][^,\r\n]*)?\s*$",
@@ -131,7 +126,7 @@ class Pix4dMarksWriter(PointsWriter):
     def write(self, result: Result, path: Path) -> None:
         """Write both files."""
         self.require(result, path)
-        points = chosen(result)
+        points = chosen_points(result)
         image = image_name(self.options["image"], path).replace(",", "_")
         swapped = is_geographic(result.features.crs)
         marks, places = [], []

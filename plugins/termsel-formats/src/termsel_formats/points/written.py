@@ -12,16 +12,13 @@ from termsel import Option, Result, TermselError, Writer
 from termsel.formats.deviation import GDALWARP, say_nearest
 from termsel.measurements.coordinates.crs import LOCAL, horizontal, to_wgs84
 from termsel.measurements.features import Points
+from termsel_formats.points.common import utm
 
 log = logging.getLogger("termsel.formats")
 
-CORNER = 0.5
-"""From the centre of the first pixel to its outer corner, where GDAL and others count from."""
-
 IMAGE = Option("image", None, "The image; its name is written into the file.")
 
-_UTM = {f"EPSG:32{6 + south}{zone:02d}": (zone, bool(south))
-        for south in (0, 1) for zone in range(1, 61)}
+_UTM = {utm(zone, south): (zone, south) for south in (False, True) for zone in range(1, 61)}
 
 
 class PointsWriter(Writer):
@@ -38,12 +35,6 @@ class PointsWriter(Writer):
         if not self.accepts(result):
             raise TermselError(f"this result cannot be written as {self.name}", file=path,
                                hint=f"The format requires {self.needs}.")
-
-
-def chosen(result: Result) -> Points:
-    """Return the points in the adjustment."""
-    used = {residual.id for residual in result.residuals if residual.used}
-    return result.features.points.take([name in used for name in result.features.points.ids])
 
 
 def on_wgs84(points: Points, crs: str) -> tuple[Points, tuple[int, bool] | None]:
