@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,9 @@ from termsel_match.commands import match_example, match_points
 from termsel_match.images import overview
 from termsel_match.points.candidates import Candidates
 from termsel_match.points.candidates import match_points as match
+from termsel_match.simulated.scenery import Scenery
+from termsel_match.simulated.world import World
+from termsel_match.simulated.world_files import write_world
 
 CHECKS = (*checks(match_points, words=["none.tif", "--reference", "none.tif"]),
           *checks(match_example, words=["/dev/null"]))
@@ -62,12 +67,40 @@ def test_most_candidates_are_right_to_a_third_of_a_pixel(place: Any, found: Cand
     assert found.start == "the RPC of image.tif"
 
 
+def chi_squares(place: Any, found: Candidates) -> Any:
+    """Return the mean squared errors of lines and of samples by their variances, of right ones."""
+    points = found.points
+    assert points.sigma is not None
+    errors = points.image - place.world.camera.project(place.geographic(points.ground, found.crs))
+    away = np.linalg.norm(errors, axis=1)
+    right = away <= 3.5 * np.median(away[away < 2]) / 1.1774
+    assert right.mean() > 0.75
+    return (errors[right] ** 2 / points.sigma[right] ** 2).mean(axis=0)
+
+
 def test_their_standard_deviations_hold(place: Any, found: Candidates) -> None:
-    errors = place.errors(found.points, found.crs)
-    assert found.points.sigma is not None
-    sigma = np.linalg.norm(found.points.sigma, axis=1)
-    right = errors < 1
-    assert 0.5 < np.sqrt((errors[right] ** 2 / sigma[right] ** 2).mean()) < 2
+    assert (np.abs(np.log(chi_squares(place, found))) < np.log(1.6)).all()
+
+
+@pytest.mark.parametrize("texture", ["moon", "gravel"])
+def test_their_standard_deviations_hold_on_photographs(place: Any, texture: str,
+                                                       tmp_path: Path) -> None:
+    photographs = pytest.importorskip("skimage.data", reason="needs photographs of scikit-image")
+
+    class Covered(World):
+        @cached_property
+        def ground(self) -> Scenery:
+            own = super().ground
+            pixels = cv2.resize(getattr(photographs, texture)().astype(np.float32),
+                                own.buildings.shape[::-1], interpolation=cv2.INTER_CUBIC)
+            bright = np.clip(120 + 35 * (pixels - pixels.mean()) / pixels.std(), 10, 245)
+            return replace(own, days=(bright.astype(np.uint8),) * 2,
+                           buildings=np.zeros_like(own.buildings))
+
+    covered = replace(place, world=Covered(size=500, seed=3), folder=tmp_path / "place")
+    write_world(covered.world, covered.folder)
+    found = match(covered / "image.tif", covered / "ortho.tif", dem=covered / "dem.tif", count=150)
+    assert (np.abs(np.log(chi_squares(covered, found))) < np.log(1.6)).all()
 
 
 def test_they_are_spread_over_the_image_and_have_scores(found: Candidates) -> None:

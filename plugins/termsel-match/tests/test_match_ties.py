@@ -105,7 +105,7 @@ def test_standard_deviations_are_those_of_matches_that_agree() -> None:
     sigma = np.full((300, 2), 0.2)
     found = smooth_part(places, moved)
     assert found is not None
-    assert np.abs(found[0] - (moved - noise))[80:].max() < 0.2
+    assert np.abs(found[0] - (moved - noise))[80:].max() < 0.3
     out = calibrated(places, moved, sigma)
     assert np.allclose(np.median(out, axis=0), [0.3, 0.15], rtol=0.15)
     few = slice(0, 8)

@@ -17,6 +17,8 @@ from termsel_match.images.rasters import FloatArray, Mask
 _REACH = 6.0  # px of displacement within which matches are taken for the same at first
 _LEAST = 12  # matches that agree; of fewer nothing is said
 _PER_TERM = 6  # matches for each term of the surface
+_DEGREES = ((1, 1), (2, 2), (3, 3), (3, 6))
+"""Of the surface, and along the lines, where attitude moves an image faster."""
 _ROUNDS = 12
 _SIGMAS = 3.5
 _MEDIAN = 1.1774  # of the distance in two dimensions, in standard deviations of one
@@ -27,7 +29,8 @@ def smooth_part(places: FloatArray, moved: FloatArray) -> tuple[FloatArray, Mask
     """Return the smooth part of displacements, which of them agree with it, and its terms.
 
     The most common displacement comes first; then a plane, and curved surfaces as far as there are
-    enough matches, each fitted to those that agree with the one before.
+    enough matches, the last of them for jitter, each fitted to those that agree with the one
+    before.
 
     Parameters
     ----------
@@ -49,10 +52,10 @@ def smooth_part(places: FloatArray, moved: FloatArray) -> tuple[FloatArray, Mask
     low, high = places.min(axis=0), places.max(axis=0)
     unit = 2 * (places - low) / np.maximum(high - low, 1e-9) - 1
     terms = 1
-    for degree in (1, 2, 3):
+    for degree, along in _DEGREES:
         columns = np.stack([unit[:, 0]**i * unit[:, 1]**j
-                            for i, j in product(range(degree + 1), repeat=2) if i + j <= degree],
-                           axis=1)
+                            for i, j in product(range(along + 1), range(degree + 1))
+                            if i + j <= degree or not j], axis=1)
         if agree.sum() < max(_LEAST, _PER_TERM * columns.shape[1]):
             break
         terms = columns.shape[1]
