@@ -138,7 +138,9 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
     picked = np.isin(points.ids, searched(
         "rpc-gcps", with_roles, model, {
             **options, "half_at": TOLERANCE, "max_uncovered": 0.9, "min_features": max(6, least),
-            "max_features": max(6, least)}, seed=seed, criterion="agreement"))
+            "max_features": max(6, least),
+            # The fit to all that agree comes next, and needs no better place to begin.
+            "polish": False}, seed=seed, criterion="agreement"))
     # A spread that a fault of the reference has made is not the spread of matching.
     most = accept if points.sigma is None else max(accept, _SIGMAS * float(np.median(points.sigma)))
     fit = fitted(chosen, picked)
