@@ -31,7 +31,7 @@ from termsel.problems.selection import SelectionProblem
 from termsel.solvers.base import Generation, Solver
 from termsel.solvers.ledger import BudgetSpent, Ledger
 from termsel.solvers.search import search
-from termsel.testing.problems import Toy, Watched, kept, trap, twelve_terms
+from termsel.testing.problems import Toy, Watched, trap, twelve_terms
 from termsel.testing.scenes import imaged, random_coefficients
 
 # The same examples every time: a failure in a test of figures must not depend on luck.
@@ -445,13 +445,13 @@ def test_repaired_genes_keep_the_rules(genome: Genome, n: int, seed: int) -> Non
     genes = rng.random((n, genome.size)) < rng.random()
     before = genes.copy()
     repaired = genome.repair(genes, rng)
-    assert kept(genome, repaired).all()
+    assert genome.keeps(repaired).all()
     np.testing.assert_array_equal(genes, before)
-    np.testing.assert_array_equal(repaired[kept(genome, genes)], genes[kept(genome, genes)])
+    np.testing.assert_array_equal(repaired[genome.keeps(genes)], genes[genome.keeps(genes)])
     np.testing.assert_array_equal(genome.repair(repaired, rng), repaired)
     drawn = genome.random(rng, n)
     assert drawn.shape == (n, genome.size)
-    assert kept(genome, drawn).all()
+    assert genome.keeps(drawn).all()
     first, second = (genome.random(np.random.default_rng(seed), n) for _ in range(2))
     np.testing.assert_array_equal(first, second)
 

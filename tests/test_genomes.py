@@ -13,6 +13,7 @@ import termsel
 from termsel import (
     Bits,
     Categories,
+    CustomSegment,
     Genome,
     Integers,
     Permutation,
@@ -27,7 +28,7 @@ from termsel.solvers.genetic.operators import crossover, from_keys, mutation, n_
 from termsel.solvers.heuristics.swap import neighbours
 from termsel.solvers.ledger import Ledger
 from termsel.solvers.search import search
-from termsel.testing.problems import Toy, kept
+from termsel.testing.problems import Even, Toy
 
 
 def labels(letter: str, n: int) -> tuple[str, ...]:
@@ -51,6 +52,8 @@ def segment(draw: st.DrawFn, name: str) -> AnySegment:
         return Categories(name, own, labels("choice", draw(st.integers(1, 4))))
     if kind is Permutation:
         return Permutation(name, own)
+    if kind is CustomSegment:
+        return Even(name, own)
     return Subset(name, own, draw(st.integers(0, n)))
 
 
@@ -67,7 +70,7 @@ def genomes(draw: st.DrawFn) -> Genome:
 
 def valid(genome: Genome, genes: Genes) -> None:
     assert genome.fault(genes) is None
-    assert kept(genome, genes).all()
+    assert genome.keeps(genes).all()
 
 
 @given(genomes(), st.integers(0, 2**32 - 1), st.floats(0, 1))

@@ -67,6 +67,7 @@ from .problems.base import Inputs as Inputs
 from .problems.base import Problem as Problem
 from .problems.base import Selection as Selection
 from .problems.coverage import uncovered_share as uncovered_share
+from .problems.custom_segment import CustomSegment as CustomSegment
 from .problems.genome import Genome as Genome
 from .problems.objectives import Objective as Objective
 from .problems.objectives import PopulationSelection as PopulationSelection

@@ -116,7 +116,7 @@ def test_individuals_keep_forced_genes_whatever_the_operators_do() -> None:
     random.seed(2)
     last, _ = algorithms.eaSimple(box.population(n=20), box, 0.5, 1.0, 5, verbose=False)
     genes = np.array(last)
-    assert problems.kept(problem.genome, genes).all()
+    assert problem.genome.keeps(genes).all()
 
 
 def test_a_replaced_evaluation_is_called_for_each_individual() -> None:
@@ -354,7 +354,7 @@ def test_forced_genes_are_kept_by_algorithms_of_ones_own() -> None:
                                  mutation=BitflipMutation()))
     problem = problems.bound()
     found = search(problem, mine(), generations=5)
-    assert problems.kept(problem.genome, found.genes[None]).all()
+    assert problem.genome.keeps(found.genes[None]).all()
 
 
 @pytest.mark.parametrize(("options", "said"), [

@@ -78,7 +78,7 @@ def test_other_processes_evaluate_the_same(pool: Any, start: str) -> None:
         box = to_deap(problem)
         box.register("map", several.map)
         found = islands(box)
-    assert problems.kept(problem.genome, np.array(found)).all()
+    assert problem.genome.keeps(np.array(found)).all()
     assert [one.fitness.values[0] for one in found] == pytest.approx(
         problem.evaluate(np.array(found)).objectives[:, 0])
     assert [tuple(one.objectives) for one in found] == [one.fitness.values for one in found]
@@ -133,7 +133,7 @@ def test_variables_of_all_types_evolve_by_their_types() -> None:
     first, found, again = (search(problem, mine(), seed=1, generations=n) for n in (1, 25, 25))
     assert np.array_equal(found.genes, again.genes)
     assert found.objectives[0] < first.objectives[0]
-    assert problems.kept(problem.genome, found.genes[None]).all()
+    assert problem.genome.keeps(found.genes[None]).all()
     script = minimize(termsel.to_pymoo(problem), MixedVariableGA(pop_size=20), ("n_gen", 10),
                       seed=1)
     assert script.X["integers.0"] == int(script.X["integers.0"])
@@ -199,7 +199,7 @@ def test_an_optimiser_that_asks_and_tells_is_a_solver() -> None:
     one, two = (search(problem, mine(), seed=3) for _ in range(2))
     assert (one.evaluations, one.generations) == (120, 39)  # it ended by itself
     assert np.array_equal(one.genes, two.genes)
-    assert problems.kept(problem.genome, one.genes[None]).all()
+    assert problem.genome.keeps(one.genes[None]).all()
     first, *_, last = [step.best for step in one.history if step.best is not None]
     assert last < first
     assert termsel.run("poly-terms", solver=mine, evaluations=60, options={"degree": 2}).feasible

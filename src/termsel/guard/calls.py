@@ -58,7 +58,7 @@ class Guarded:
                 cached.__set_name__(cls, name)
                 setattr(cls, name, cached)
             elif callable(method) and not isinstance(method, type):
-                wrapped = _iterated if name == "generations" else _guarded
+                wrapped = _iterated if name in ("generations", "moves", "steps") else _guarded
                 setattr(cls, name, wrapped(name, method, check))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -135,6 +135,13 @@ def _parts_fault(_problem: Problem, value: Any) -> str | None:
         else f"returned {value!r:.200}; expected a tuple of EnumerablePart"
 
 
+def _moves_fault(problem: Problem, value: Any, *_args: Any) -> str | None:
+    if fault := problem.genome.fault(value):
+        return f"yields {fault}"
+    return None if problem.genome.keeps(value).all() else (
+        "yields genes in which forced ones are switched, or too few or too many are on")
+
+
 def _design_fault(problem: Problem, value: Any) -> str | None:
     return of_shape(value, (-1, problem.genome.size))
 
@@ -145,7 +152,7 @@ class Problem(Guarded, ABC):
     kind = "problem"
     guards: ClassVar[Mapping[str, Check | None]] = {
         "evaluate": evaluation_fault, "decode": _selection_fault, "parts": _parts_fault,
-        "design": _design_fault}
+        "design": _design_fault, "moves": _moves_fault}
 
     genome: Genome
     """The genes, which `Genome.random` draws and `Genome.repair` corrects."""
@@ -171,6 +178,21 @@ class Problem(Guarded, ABC):
     @abstractmethod
     def decode(self, genes: Genes) -> Selection:
         """Return what one chromosome, shape (genome.size,), selects."""
+
+    def moves(self, _genes: Genes) -> Iterator[Genes]:
+        """Yield individuals that a local refinement tries before the neighbours of each segment.
+
+        Parameters
+        ----------
+        genes : ndarray, shape (genome.size,)
+            What is to be improved.
+
+        Yields
+        ------
+        ndarray, shape (n, genome.size)
+            Valid ones (see `Genome.repair`), of any number. By default there are none.
+        """
+        return iter(())
 
     def parts(self) -> tuple[EnumerablePart, ...]:
         """Return independent parts whose costs add up to a monotone function of the objective.
@@ -218,6 +240,10 @@ class ProblemAround(Problem):
     def decode(self, genes: Genes) -> Selection:
         """Return the selection of the inner problem."""
         return self.inner.decode(genes)
+
+    def moves(self, genes: Genes) -> Iterator[Genes]:
+        """Return the moves of the inner problem."""
+        return self.inner.moves(genes)
 
     def parts(self) -> tuple[EnumerablePart, ...]:
         """Return the parts of the inner problem."""

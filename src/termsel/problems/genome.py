@@ -21,7 +21,7 @@ class Genome:
 
     Parameters
     ----------
-    segments : iterable of Bits, Integers, Reals, Categories, Permutation or Subset
+    segments : iterable of Bits, Integers, Reals, Categories, Permutation, Subset or CustomSegment
         With names that differ.
     on, off : iterable of str
         Labels of `Bits` or a `Subset` that are always on, or always off.
@@ -100,6 +100,15 @@ class Genome:
             part = genes[:, self._slices[segment.name]]
             found[:, where] = segment.mask(part)
         return found
+
+    def keeps(self, genes: Genes) -> BoolArray:
+        """Return which individuals keep forced genes and cardinality, shape (p,)."""
+        chosen = self.chosen(genes)
+        good = chosen[:, self.on].all(axis=1) & ~chosen[:, self.off].any(axis=1)
+        for segment, where in self._switched():
+            count = chosen[:, where].sum(axis=1)
+            good &= (count >= segment.minimum) & (count <= segment.most)
+        return np.asarray(good)
 
     def part(self, genes: Genes, name: str) -> Genes:
         """Return the genes of one segment in its own dtype, shape (p, segment's size)."""

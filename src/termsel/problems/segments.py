@@ -7,45 +7,15 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from termsel.errors import TermselError
 from termsel.measurements.features import BoolArray, FloatArray, select
-
-Genes = NDArray[Any]
-"""Chromosomes, one a row, in the dtype of their genome."""
-
-
-@dataclass(frozen=True)
-class _Named:
-    """A segment with a gene for each label; by default the number of one of the labels."""
-
-    name: str
-    labels: tuple[str, ...]
-
-    dtype: ClassVar[type] = np.intp
-
-    @property
-    def size(self) -> int:
-        """Number of genes."""
-        return len(self.labels)
-
-    @property
-    def limits(self) -> tuple[Any, Any]:
-        """Least and greatest number that a gene may be, of all or of each."""
-        return 0, len(self.labels) - 1
-
-    def repaired(self, genes: Genes) -> Genes:
-        """Return the nearest valid genes."""
-        return np.asarray(np.clip(np.rint(genes), *self.limits).astype(np.intp))
-
-    def value(self, genes: Genes) -> Any:
-        """Return the labels that the genes number, in the order of the genes."""
-        return tuple(self.labels[int(i)] for i in genes)
+from termsel.problems.custom_segment import CustomSegment, Named
+from termsel.problems.custom_segment import Genes as Genes
 
 
 @dataclass(frozen=True)
-class _Bounded(_Named):
+class _Bounded(Named):
     """A segment whose genes are numbers between bounds of their own."""
 
     low: Any
@@ -86,7 +56,7 @@ class _Bounded(_Named):
 
 
 @dataclass(frozen=True)
-class Bits(_Named):
+class Bits(Named):
     """Genes that are on or off.
 
     Parameters
@@ -201,7 +171,7 @@ class Reals(_Bounded):
 
 
 @dataclass(frozen=True)
-class Categories(_Named):
+class Categories(Named):
     """Genes that each take one of several values without an order.
 
     Parameters
@@ -242,7 +212,7 @@ class Categories(_Named):
 
 
 @dataclass(frozen=True)
-class Permutation(_Named):
+class Permutation(Named):
     """An order of things: every number from 0 to n - 1 once.
 
     Parameters
@@ -267,7 +237,7 @@ class Permutation(_Named):
 
 
 @dataclass(frozen=True)
-class Subset(_Named):
+class Subset(Named):
     """m of n things: m different numbers below n, ascending.
 
     `Genome.repair` replaces numbers that occur twice.
@@ -334,9 +304,10 @@ class Subset(_Named):
 Segment = Bits
 """Earlier name of `Bits`."""
 
-AnySegment = Bits | Integers | Reals | Categories | Permutation | Subset
+AnySegment = Bits | Integers | Reals | Categories | Permutation | Subset | CustomSegment
 
-SEGMENTS: tuple[type[AnySegment], ...] = (Bits, Integers, Reals, Categories, Permutation, Subset)
+SEGMENTS: tuple[type[AnySegment], ...] = (Bits, Integers, Reals, Categories, Permutation, Subset,
+                                          CustomSegment)
 """All types of segments."""
 
 

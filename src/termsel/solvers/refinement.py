@@ -10,7 +10,7 @@ from termsel.errors import TermselError
 from termsel.problems.base import Evaluation
 from termsel.record.search import Polish
 from termsel.solvers.base import Generation
-from termsel.solvers.heuristics.swap import climb, neighbours
+from termsel.solvers.heuristics.swap import climb, moves
 from termsel.solvers.ledger import BudgetSpent, Ledger, Progress
 
 POLISH_SHARE = 3
@@ -78,7 +78,7 @@ def _widen(ledger: Ledger, most: int) -> None:
             return
         for genes in new:
             seen.add(genes.tobytes())
-            for around in neighbours(genes, ledger.genome):
+            for around in moves(genes, ledger):
                 if ledger.count + len(around) > most:
                     return
                 ledger.evaluate(around)

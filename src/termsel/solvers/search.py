@@ -247,11 +247,11 @@ def require_able(problem: Problem, solver: Solver,
     wanted = len(problem.objectives)
     types = {type(segment) for segment in problem.genome.segments}
     many = solver.min_objectives <= wanted <= solver.max_objectives
-    if many and types <= set(solver.segments):
+    if many and _handles(solver, types):
         return
     able = [other.name for other in others()
             if other.min_objectives <= wanted <= other.max_objectives
-            and types <= set(other.segments)]
+            and _handles(other, types)]
     itself = solver.name in able  # with other options
     able = [name for name in able if name != solver.name]
     hints = [f"Choose one of: {', '.join(able)}."] if able else []
@@ -262,11 +262,15 @@ def require_able(problem: Problem, solver: Solver,
         raise TermselError(
             f"solver {solver.name!r} cannot handle {wanted} objective{'s' if wanted > 1 else ''}: "
             f"{', '.join(problem.objectives)}", hint=others_hint)
-    segment = next(s for s in problem.genome.segments if type(s) not in solver.segments)
+    segment = next(s for s in problem.genome.segments if not isinstance(s, tuple(solver.segments)))
     handled = ", ".join(one.__name__ for one in solver.segments)
     raise TermselError(
         f"solver {solver.name!r} handles genes of the type {handled}; those of {segment.name!r} "
         f"are {type(segment).__name__}", hint=others_hint)
+
+
+def _handles(solver: Solver | type[Solver], types: Iterable[type]) -> bool:
+    return all(issubclass(one, tuple(solver.segments)) for one in types)
 
 
 def _require_declared(problem: Problem) -> None:

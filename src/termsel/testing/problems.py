@@ -15,6 +15,7 @@ from termsel.problems.segments import (
     AnySegment,
     Bits,
     Categories,
+    CustomSegment,
     Genes,
     Integers,
     Permutation,
@@ -85,20 +86,9 @@ def require_genes(genome: Genome, genes: object, who: str) -> None:
     fault = genome.fault(genes)
     require(fault is None, f"{who} {fault}")
     assert isinstance(genes, np.ndarray)
-    require(kept(genome, genes).all(),
+    require(genome.keeps(genes).all(),
             f"{who} genes in which forced ones are switched, or too few or too many of a segment "
             "are on; send them through problem.genome.repair()")
-
-
-def kept(genome: Genome, genes: Genes) -> BoolArray:
-    """Return which individuals keep forced genes and cardinality, shape (p,)."""
-    chosen = genome.chosen(genes)
-    good = chosen[:, genome.on].all(axis=1) & ~chosen[:, genome.off].any(axis=1)
-    for segment, where in zip(genome.segments, genome.label_slices().values(), strict=True):
-        if isinstance(segment, Bits | Subset):
-            count = chosen[:, where].sum(axis=1)
-            good &= (count >= segment.minimum) & (count <= segment.most)
-    return np.asarray(good)
 
 
 def twelve_terms() -> SelectionProblem:
@@ -158,6 +148,19 @@ def two_aims(size: int = SIZE) -> Toy:
         np.zeros(len(genes))), ("off", "on"))
 
 
+class Even(CustomSegment):
+    """Even numbers from 0 to 8, as an example of genes of one's own."""
+
+    @property
+    def limits(self) -> tuple[int, int]:
+        """Least and greatest number."""
+        return 0, 8
+
+    def repaired(self, genes: Genes) -> Genes:
+        """Return the nearest even numbers."""
+        return np.asarray(2 * np.clip(np.rint(genes / 2), 0, 4).astype(np.intp))
+
+
 def typed(types: Iterable[type[AnySegment]]) -> Toy:
     """Return a problem with a segment of each type: the sum of the squares of all genes."""
     made: dict[type[AnySegment], AnySegment] = {
@@ -166,7 +169,8 @@ def typed(types: Iterable[type[AnySegment]]) -> Toy:
         Reals: Reals("reals", numbered("r", 2), -1.5, 2.5),
         Categories: Categories("categories", numbered("c", 2), ("x", "y", "z")),
         Permutation: Permutation("permutation", numbered("p", 5)),
-        Subset: Subset("subset", numbered("s", 8), 3)}
+        Subset: Subset("subset", numbered("s", 8), 3),
+        CustomSegment: Even("even", numbered("e", 3))}
     segments = [made[one] for one in types]
     # Of `Bits` and a `Subset` one label is forced on and one off.
     switched = [one for one in segments if isinstance(one, Bits | Subset)]
@@ -187,7 +191,7 @@ def optimum(problem: Problem) -> float:
     genome = problem.genome
     # All selections that keep forced genes and cardinality are evaluated.
     everything = (np.arange(2**genome.size)[:, None] >> np.arange(genome.size)) & 1 > 0
-    found = problem.evaluate(everything[kept(genome, everything)])
+    found = problem.evaluate(everything[genome.keeps(everything)])
     return float(found.objectives[found.violation == 0, 0].min())
 
 

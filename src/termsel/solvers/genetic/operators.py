@@ -17,6 +17,7 @@ from termsel.problems.segments import (
     AnySegment,
     Bits,
     Categories,
+    CustomSegment,
     Genes,
     Integers,
     Permutation,
@@ -82,6 +83,8 @@ def _crossed(segment: AnySegment, one: Genes, other: Genes,
             both = np.stack([one, other], axis=1).reshape(2 * len(one), segment.m)
             children = set_crossover(both, 1.0, rng)
             return children[::2], children[1::2]
+        case CustomSegment():
+            return segment.crossed(one, other, rng)
         case _:
             swap = rng.random(one.shape) < 0.5
             return np.where(swap, other, one), np.where(swap, one, other)
@@ -127,6 +130,8 @@ def _mutated(segment: AnySegment, genes: Genes, probability: float,
         case Subset():
             return replace_one(genes.astype(np.intp), len(segment.labels),
                                min(probability * segment.m, 1.0), rng)
+        case CustomSegment():
+            return segment.mutated(genes, probability, rng)
 
 
 def _polynomial(segment: Integers | Reals, genes: Genes, probability: float,
@@ -251,6 +256,8 @@ def steps(segment: AnySegment, genes: Genes) -> Iterator[Genes]:
             others = np.setdiff1d(np.arange(len(segment.labels)), genes)
             for i in range(n):
                 yield np.sort(_with(genes, i, others), axis=1)
+        case CustomSegment():
+            yield from segment.steps(genes)
         case Bits():  # see `swap.neighbours`
             raise TypeError("the neighbours of bits depend on their cardinality")
 
@@ -289,6 +296,8 @@ def _keys_of(segment: AnySegment) -> int:
             return segment.size * len(segment.choices)
         case Subset():
             return len(segment.labels)
+        case CustomSegment():
+            return segment.keys
         case _:
             return segment.size
 
@@ -312,3 +321,5 @@ def _unlocked(segment: AnySegment, keys: FloatArray) -> Genes:
         case Subset():
             chosen: IntArray = np.argsort(-keys, axis=1)[:, :segment.m]
             return np.sort(chosen, axis=1)
+        case CustomSegment():
+            return segment.unlocked(keys)

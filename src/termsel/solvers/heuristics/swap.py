@@ -19,6 +19,12 @@ BATCH = 2000
 fit into memory."""
 
 
+def moves(genes: Genes, problem: Problem) -> Iterator[Genes]:
+    """Yield the moves of a problem of its own, then all `neighbours`."""
+    yield from problem.moves(genes)
+    yield from neighbours(genes, problem.genome)
+
+
 def neighbours(genes: Genes, genome: Genome) -> Iterator[Genes]:
     """Yield all valid individuals one step away, in batches (n, size) of up to BATCH.
 
@@ -101,7 +107,7 @@ def descend(problem: Problem, genes: Genes, evaluation: Evaluation, index: int =
         yield Generation(index, genes, evaluation)
         index += 1
         better = False
-        for around in neighbours(genes[0], problem.genome):
+        for around in moves(genes[0], problem):
             judged = problem.evaluate(around)
             # The first batch with a better one is enough: further ones may be very many.
             if _rank(judged.take(judged.order()[:1])) < _rank(evaluation):
