@@ -90,7 +90,7 @@ def section(kind: str, entry: Entry) -> Iterator[str]:
 
 def description(kind: str, entry: Entry) -> str:
     """Return the paragraphs of a docstring, or the summary of what has none."""
-    if kind in ("problems", "objectives", "candidates"):
+    if kind in ("problems", "objectives", "candidates", "splits", "sections", "measures"):
         return entry.summary
     thing = entry.object
     text = inspect.cleandoc((thing if isinstance(thing, type) else type(thing)).__doc__ or "")

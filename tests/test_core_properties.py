@@ -18,8 +18,9 @@ from termsel.criteria import CheckRmse
 from termsel.errors import TermselError
 from termsel.measurements.coordinates.places import spatial_order
 from termsel.measurements.features import ROLES, BoolArray, FeatureSet, FloatArray, Lines, Points
-from termsel.measurements.roles import ASSIGNABLE, assign
+from termsel.measurements.roles import assign
 from termsel.measurements.scaling import scaling_of
+from termsel.measurements.splits import ASSIGNABLE, SPLITS
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
 from termsel.models.quotient import Blocks, RationalModel
@@ -228,17 +229,26 @@ def test_scaling_without_heights(n: int, seed: int) -> None:
 # Roles
 
 
+BY_NAME = {one.name: one for one in SPLITS}
+
+
+def _somewhere(xy: FloatArray) -> Points:
+    n = len(xy)
+    return Points(tuple(f"P{i}" for i in range(n)), np.zeros((n, 2)),
+                  np.column_stack([xy, np.zeros(n)]))
+
+
 @given(st.integers(0, 150), seeds, st.sampled_from(["stratified", "random"]),
        st.tuples(st.floats(0.05, 1), st.floats(0, 1), st.floats(0, 1)))
 def test_every_point_gets_a_role_by_share(n: int, seed: int, how: str,
                                           fractions: tuple[float, float, float]) -> None:
-    xy = np.random.default_rng(seed).uniform(0, 1e4, (n, 2))
-    roles = assign(xy, how=how, fractions=fractions, rng=np.random.default_rng(seed))
+    some, split = _somewhere(np.random.default_rng(seed).uniform(0, 1e4, (n, 2))), BY_NAME[how]
+    roles = assign(some, split=split, fractions=fractions, rng=np.random.default_rng(seed))
     assert len(roles) == n
     assert set(roles) <= set(ASSIGNABLE)
     for role, share in zip(ASSIGNABLE, np.array(fractions) / sum(fractions), strict=True):
         assert abs(roles.count(role) - share * n) < 1 + 1e-9
-    assert roles == assign(xy, how=how, fractions=fractions, rng=np.random.default_rng(seed))
+    assert roles == assign(some, split=split, fractions=fractions, rng=np.random.default_rng(seed))
 
 
 @given(st.integers(6, 12), seeds)
@@ -246,7 +256,7 @@ def test_each_role_covers_all_quadrants(side: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     xy = np.stack(np.meshgrid(np.arange(side), np.arange(side)), -1).reshape(-1, 2) + 0.5
     xy = xy + rng.uniform(-0.4, 0.4, xy.shape)
-    roles = np.array(assign(xy, rng=rng))
+    roles = np.array(assign(_somewhere(xy), rng=rng))
     quadrant = (xy > side / 2) @ [1, 2]
     for role in ASSIGNABLE:
         assert set(quadrant[roles == role]) == {0, 1, 2, 3}
@@ -260,7 +270,7 @@ def test_spatial_order_names_every_point_once(xy: FloatArray) -> None:
 @given(st.tuples(*[st.sampled_from([-1.0, 0.0, np.nan, np.inf])] * 3))
 def test_fractions_that_share_nothing_out(fractions: tuple[float, float, float]) -> None:
     with pytest.raises(TermselError, match="do not assign the points"):
-        assign(np.zeros((3, 2)), fractions=fractions, rng=np.random.default_rng(1))
+        assign(_somewhere(np.eye(3, 2)), fractions=fractions, rng=np.random.default_rng(1))
 
 
 # Equations

@@ -22,6 +22,7 @@ from termsel.measurements.coordinates.plausible import check_ground
 from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points
 from termsel.measurements.roles import by_roles, observe
 from termsel.measurements.scaling import scaling_of
+from termsel.measurements.splits import SPLITS
 from termsel.models.poles import pole_violation
 from termsel.models.polynomial import Affine
 from termsel.models.rational import RationalFunctions
@@ -66,8 +67,8 @@ def test_unknown_deviations_are_the_median_known_one() -> None:
 @pytest.mark.parametrize("how", ["file", "stratified", "random"])
 def test_points_that_are_off_stay_off_however_roles_are_assigned(how: str) -> None:
     given = points(12, roles=("off", "control", "check", "independent") * 3)
-    rng = np.random.default_rng(0)
-    seen = observe(FeatureSet(given), how=how, rng=rng)
+    rng, named = np.random.default_rng(0), {one.name: one for one in SPLITS}
+    seen = observe(FeatureSet(given), split=named.get(how), rng=rng)
     assert seen.off == ("P0", "P4", "P8")
     assert (seen.features.points.roles == given.roles) == (how == "file")
 

@@ -39,6 +39,7 @@ from .measurements.features import FeatureSet as FeatureSet
 from .measurements.features import Lines as Lines
 from .measurements.features import Points as Points
 from .measurements.scaling import Scaling as Scaling
+from .measurements.splits import Split as Split
 from .models import DLT2D as DLT2D
 from .models import DLT3D as DLT3D
 from .models import Affine as Affine
@@ -83,6 +84,11 @@ from .problems.segments import Reals as Reals
 from .problems.segments import Segment as Segment
 from .problems.segments import Subset as Subset
 from .problems.selection import SelectionProblem as SelectionProblem
+from .report.blocks import Code as Code
+from .report.blocks import Note as Note
+from .report.blocks import TableBlock as TableBlock
+from .results.extras import Measure as Measure
+from .results.extras import ReportSection as ReportSection
 from .results.result import Result as Result
 from .runs.fit import fit as fit
 from .runs.judgement.assess import assess as assess

@@ -54,9 +54,12 @@ from termsel.options import MOST_RUNS
 @click.option("--export", "exports", metavar="FORMAT", multiple=True,
               shell_complete=complete("writers"),
               help="With the strategy auto, export each image's model; may be repeated.")
-@click.option("--measure", type=click.Choice(["fitness", "check", "independent"]),
-              help="What methods are compared by. By default the fitness where those of a problem "
-                   "differ in the solver alone, else the RMSE on independent points.")
+@click.option("--measures", metavar="NAMES", shell_complete=complete("measures"),
+              help="Figures of plugins, a column each, with commas between several.")
+@click.option("--measure", metavar="NAME",
+              help="What methods are compared by: fitness, check, independent, or one of "
+                   "--measures. By default the fitness where those of a problem differ in the "
+                   "solver alone, else the RMSE on independent points.")
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path),
               help="Folder of the journal and the tables. The same command goes on where an "
                    "earlier one stopped.")
@@ -164,7 +167,8 @@ def _keys_of(given: dict[str, Any]) -> dict[str, Any]:
               if given[name] is not None}
     more = {"budget": budget, "options": parse_settings(given["settings"]),
             "exports": list(given["exports"]), "seeds": given["seeds"],
-            "splits": given["splits"], "measure": given["measure"]}
+            "splits": given["splits"], "measure": given["measure"],
+            "measures": [word.strip() for word in (given["measures"] or "").split(",") if word]}
     return {**keys, **{key: value for key, value in more.items() if value}}
 
 

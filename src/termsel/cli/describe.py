@@ -113,11 +113,19 @@ def _describe_criterion(entry: Entry) -> None:
     _options(entry.object.declared_options)
 
 
-def _describe_objective(entry: Entry) -> None:
+def _describe_function(entry: Entry) -> None:
+    one, (made_by, use) = entry.object, _FUNCTIONS[type(entry.object).__name__]
     # The docstring's first line says what the function returns; the summary says what that is.
-    more = (inspect.getdoc(entry.object.score) or "").partition("\n")[2].strip("\n")
+    more = (inspect.getdoc(getattr(one, made_by)) or "").partition("\n")[2].strip("\n")
     echo(f"\n{entry.summary}" + f"\n\n{more}" * bool(more))
-    echo(f"\nUse it with --set objectives={entry.name}, next to the criterion.")
+    echo(f"\n{use.format(entry.name)}")
+
+
+_FUNCTIONS = {
+    "Objective": ("score", "Use it with --set objectives={}, next to the criterion."),
+    "Split": ("assign", "Use it with --set roles={}."),
+    "ReportSection": ("blocks", "It is in every report and summary.txt."),
+    "Measure": ("compute", "Use it with termsel compare --measures {}.")}
 
 
 def _describe_candidate(entry: Entry) -> None:
@@ -147,7 +155,8 @@ def _describe_format(entry: Entry) -> None:
 
 _DESCRIBE: dict[str, Callable[[Entry], None]] = {
     "problems": _describe_problem, "models": _describe_model, "solvers": _describe_solver,
-    "criteria": _describe_criterion, "objectives": _describe_objective,
+    "criteria": _describe_criterion, "objectives": _describe_function,
+    "splits": _describe_function, "sections": _describe_function, "measures": _describe_function,
     "candidates": _describe_candidate, "datasets": _describe_dataset}
 
 

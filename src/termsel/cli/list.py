@@ -15,8 +15,8 @@ from termsel.plugins.kinds import KINDS
 def list_(kind: str, as_json: bool) -> None:
     """List what can be asked for by name.
 
-    KIND is problems, models, solvers, criteria, objectives, candidates, datasets, readers or
-    writers.
+    KIND is problems, models, solvers, criteria, objectives, candidates, datasets, splits, sections,
+    measures, readers or writers.
 
     \b
     Examples:

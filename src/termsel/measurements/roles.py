@@ -8,25 +8,23 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from termsel.errors import TermselError, unknown_name
 from termsel.measurements.control import Control, carriers
 from termsel.measurements.coordinates.longitudes import without_jump
-from termsel.measurements.coordinates.places import spatial_order
 from termsel.measurements.features import (
     ROLES,
     FeatureSet,
-    FloatArray,
     Lines,
     Points,
     no_lines,
     no_points,
 )
+from termsel.measurements.splits import ASSIGNABLE as ASSIGNABLE
+from termsel.measurements.splits import STRATIFIED, Split
 from termsel.measurements.tables.tabular import unchecked
 from termsel.measurements.twins import merged, twins
 
-ASSIGNABLE = ("control", "check", "independent")
 THIRDS = (1 / 3, 1 / 3, 1 / 3)
 _NUMBER = re.compile(r"([0-9]+)")
 
@@ -88,38 +86,26 @@ class Observations:
 
 
 def assign(
-    xy: ArrayLike,
+    points: Points,
     *,
-    how: str = "stratified",
+    split: Split = STRATIFIED,
     fractions: Sequence[float] = THIRDS,
+    lines: bool = False,
     rng: np.random.Generator,
 ) -> tuple[str, ...]:
-    """Assign the roles control, check and independent to points (n, 2), on the ground or image.
+    """Assign the roles control, check and independent to points, by their places on the ground.
 
-    "stratified" gives neighbouring points different roles, so that each role covers the scene;
-    "random" draws without regard to place. Shares of control, check and independent points are
-    scaled to a sum of one. Raises TermselError for negative ones, or none of control.
+    Shares of control, check and independent points are scaled to a sum of one; where lines are the
+    control, that of control is 0. Raises TermselError for negative ones, or where none is left.
     """
-    shares = np.asarray(fractions, dtype=np.float64)
-    if shares.shape != (3,) or not np.isfinite(shares).all() or (shares < 0).any() or not shares[0]:
+    shares = np.array((0.0, *fractions[1:]) if lines else fractions, dtype=np.float64)
+    if shares.shape != (3,) or not np.isfinite(shares).all() or (shares < 0).any() \
+            or not shares[int(lines)]:
         raise TermselError(f"fractions {list(fractions)} do not assign the points",
                            hint="Give three numbers: control (above 0), check, independent.")
-    xy = np.asarray(xy, dtype=np.float64)
-    n = len(xy)
     shares = shares / shares.max()  # the sum of huge ones is infinite
-    shares = shares / shares.sum()
-    order = rng.permutation(n) if how == "random" else spatial_order(xy)
-    # Each place in the order goes to the role that lags most behind its share; among roles
-    # that lag alike the draw decides, so that different seeds give different splits.
-    given = np.zeros(3)
-    roles = np.empty(n, dtype=object)
-    for place, i in enumerate(order):
-        lag = shares * (place + 1) - given
-        lag = np.where(shares > 0, lag + rng.uniform(0.0, 0.5, 3), -np.inf)
-        role = int(np.argmax(lag))
-        given[role] += 1
-        roles[i] = ASSIGNABLE[role]
-    return tuple(roles)
+    # By the ground, so that what an independent point's image coordinates are changes no role.
+    return split.roles(points.ids, points.ground, shares / shares.sum(), rng)
 
 
 def asked_roles(off: str | None, role: str | None) -> dict[str, str]:
@@ -164,18 +150,18 @@ def observe(
     features: FeatureSet,
     *,
     control: str = "points",
-    how: str = "file",
+    split: Split | None = None,
     fractions: Sequence[float] = THIRDS,
     rng: np.random.Generator,
 ) -> Observations:
     """Give every measured feature its role; in the order of ids, with longitudes that do not jump.
 
     `control`, "points", "lines" or "both", says which features are control; with lines control
-    points stay out. How "file" keeps the roles of the file and assigns the blank ones by
-    stratification; "stratified" and "random" disregard the file's roles, except "off". Twins that
-    are assigned share a role. Fractions are those of control, check and independent among the
-    points that are assigned; with control from lines alone, all become check and independent
-    points. Raises TermselError if the control that is required is not there.
+    points stay out. Without a split the roles of the file stay, and blank ones are stratified; a
+    split disregards the file's roles, except "off". Twins that are assigned share a role. Fractions
+    are those of control, check and independent among the points that are assigned; with control
+    from lines alone, all become check and independent points. Raises TermselError if the control
+    that is required is not there.
     """
     features = without_jump(in_order(features))
     points = features.points
@@ -189,7 +175,7 @@ def observe(
             if control == "both"
             else "Give them with --lines FILE, or choose a problem over points.")
     roles = np.array(points.roles, dtype=object)
-    if how != "file":
+    if split is not None:
         roles[roles != "off"] = ""
     labels = twins(points.ground)
     given = {label: role for label, role in zip(labels, roles, strict=True)
@@ -198,10 +184,9 @@ def observe(
         roles[i] = given.get(labels[i], "")
     blank = np.flatnonzero(roles == "")
     if blank.size:
-        shares = (0.0, *fractions[1:]) if control == "lines" else tuple(fractions)
-        # By the ground, so that what an independent point's image coordinates are changes no role.
         _, first, group = np.unique(labels[blank], return_index=True, return_inverse=True)
-        assigned = _assign_blank(points.ground[blank[first], :2], shares, how, rng)
+        assigned = assign(points.take(blank[first]), split=split or STRATIFIED,
+                          fractions=fractions, lines=control == "lines", rng=rng)
         roles[blank] = np.array(assigned, dtype=object)[group]
     if control == "lines":
         roles[roles == "control"] = "off"
@@ -249,17 +234,6 @@ def check_as_control(observations: Observations) -> Observations:
     roles = tuple("control" if role == "check" else role for role in points.roles)
     return Observations(observations.features.with_(points=replace(points, roles=roles)),
                         observations.together, no_points(), observations.independent)
-
-
-def _assign_blank(xy: FloatArray, shares: Sequence[float], how: str,
-               rng: np.random.Generator) -> tuple[str, ...]:
-    how = "stratified" if how == "file" else how
-    if shares[0] > 0:
-        return assign(xy, how=how, fractions=shares, rng=rng)
-    # Lines are the control: the points become check and independent.
-    as_control = {"control": "check", "check": "independent"}
-    drawn = assign(xy, how=how, fractions=(shares[1], shares[2], 0.0), rng=rng)
-    return tuple(as_control[role] for role in drawn)
 
 
 def parsed_shares(text: str, needs_check: bool) -> tuple[float, ...]:

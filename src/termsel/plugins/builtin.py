@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from termsel.criteria import Criterion
     from termsel.formats.base import Reader, Writer
     from termsel.measurements.datasets import DatasetSpec
+    from termsel.measurements.splits import Split
     from termsel.models import SensorModel
     from termsel.problems.objectives import Objective
     from termsel.problems.recipes import Recipe
@@ -89,6 +90,14 @@ def termsel_datasets() -> Iterable[DatasetSpec]:
     from termsel.simulate.scenes import DATASETS, FURTHER
 
     return [*DATASETS, *FURTHER]
+
+
+@hookimpl
+def termsel_splits() -> Iterable[Split]:
+    """Return the built-in splits."""
+    from termsel.measurements.splits import SPLITS
+
+    return SPLITS
 
 
 @hookimpl

@@ -39,10 +39,12 @@ if TYPE_CHECKING:
     from termsel.criteria import Criterion
     from termsel.formats.base import Reader, Writer
     from termsel.measurements.datasets import DatasetSpec
+    from termsel.measurements.splits import Split
     from termsel.models import SensorModel
     from termsel.options import Configurable
     from termsel.problems.objectives import Objective
     from termsel.problems.recipes import Recipe
+    from termsel.results.extras import Measure, ReportSection
     from termsel.results.result import Result
     from termsel.solvers import Solver
     from termsel.solvers.ledger import Progress
@@ -142,6 +144,39 @@ def termsel_datasets() -> Iterable[DatasetSpec]:
     -------
     iterable of DatasetSpec
         Each with a `name` as in ``--dataset``; its `load` is called when the data are needed.
+    """
+
+
+@hookspec
+def termsel_splits() -> Iterable[Split]:
+    """Return ways to assign the roles control, check and independent.
+
+    Returns
+    -------
+    iterable of Split
+        Each with a `name` as in ``--set roles=NAME``.
+    """
+
+
+@hookspec
+def termsel_sections() -> Iterable[ReportSection]:
+    """Return sections of reports, which follow those of termsel.
+
+    Returns
+    -------
+    iterable of ReportSection
+        One that fails is a note in its section, and the rest of the report stays as it is.
+    """
+
+
+@hookspec
+def termsel_measures() -> Iterable[Measure]:
+    """Return figures of results, which studies have as columns.
+
+    Returns
+    -------
+    iterable of Measure
+        Each with a `name` as in ``termsel compare --measures NAME``.
     """
 
 

@@ -105,6 +105,9 @@ KINDS = {
     "matchers": Kind("matcher", "termsel_match.matchers", "Matcher", tried=True,
                      suite="termsel_match.testing"),
     "datasets": Kind("data set", "termsel.measurements.datasets", "DatasetSpec"),
+    "splits": Kind("split", "termsel.measurements.splits", "Split"),
+    "sections": Kind("section", "termsel.results.extras", "ReportSection"),
+    "measures": Kind("measure", "termsel.results.extras", "Measure"),
     "readers": Kind("reader", "termsel.formats.base", "Reader", tried=True),
     "writers": Kind("writer", "termsel.formats.base", "Writer", tried=True),
 }

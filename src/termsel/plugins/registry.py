@@ -20,6 +20,7 @@ from termsel.plugins.commands import COMMANDS
 from termsel.plugins.hookspecs import PROJECT
 from termsel.plugins.kinds import KINDS, summary
 from termsel.plugins.loading import LISTENER, Loader, Plugin, Remark, Slot, attempt, canonical
+from termsel.results.extras import sources
 
 if TYPE_CHECKING:
     import click
@@ -271,6 +272,9 @@ def own_packages() -> dict[str, list[str]]:
     found: dict[str, list[str]] = json.loads(
         (files("termsel.plugins") / "packages.json").read_text("utf-8"))
     return found
+
+
+sources.append(lambda: [entry.object for entry in registry().entries("sections")])
 
 
 def _warn(plugin: Plugin, what: str) -> None:

@@ -10,8 +10,9 @@ import numpy as np
 
 from termsel.errors import TermselError
 from termsel.measurements.features import BoolArray, FloatArray, select
-from termsel.problems.custom_segment import CustomSegment, Named
+from termsel.problems.custom_segment import CustomSegment as CustomSegment
 from termsel.problems.custom_segment import Genes as Genes
+from termsel.problems.custom_segment import Named
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,8 @@ from termsel.report.verdict import contradicting, verdict_table
 from termsel.report.view import View
 
 
-def document(record: Record, view: View | None = None, picture: str = "") -> Document:
+def document(record: Record, view: View | None = None, picture: str = "",
+             further: tuple[Section, ...] = ()) -> Document:
     """Return what is shown of a result.
 
     Parameters
@@ -45,19 +46,22 @@ def document(record: Record, view: View | None = None, picture: str = "") -> Doc
         What charts show, for a page.
     picture : str
         The image, smaller, as a data URL.
+    further : tuple of Section
+        Those of plugins.
     """
     # The strategy auto answers, whatever the problem; without one asked for there is none.
     title = record.data.source if record.strategy else f"{record.data.source}: {record.problem}"
     return Document(
         title, _made_by(record),
         (*opening(record), *_fitted_in(record)),
-        tuple(Section(title, blocks) for title, answer in (
+        (*(Section(title, blocks) for title, answer in (
             ("How accurate is it?", _accuracy(record)),
             ("Is it better than plain structures?", _compared(record, view)),
             ("Which points or lines are bad?", _bad(record, view, picture)),
             ("Where is the model weak?", _weak(view)),
             ("What was selected, and why?", selected(record, view, picture)),
-            ("How is it repeated?", _repeated(record, view))) if (blocks := tuple(answer))))
+            ("How is it repeated?", _repeated(record, view))) if (blocks := tuple(answer))),
+         *further))
 
 
 def _fitted_in(record: Record) -> Iterator[Block]:

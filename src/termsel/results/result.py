@@ -53,6 +53,7 @@ from termsel.report.page import page
 from termsel.report.plots import Plots
 from termsel.report.text import text_of
 from termsel.results.checksums import SEALS, checksums_of
+from termsel.results.extras import further_sections
 from termsel.results.same_fit import adjustment_figures, fit_record, least_squares_of
 from termsel.results.shown import Shown
 
@@ -362,7 +363,8 @@ class Result(Glance):
         if image is not None:
             picture, size = thumbnail(image, self.features.image_size)
             shown = self.of_image(size)
-        write_text(path, page(document(shown.view.record, shown.view, picture)))
+        write_text(path, page(document(shown.view.record, shown.view, picture,
+                                       further_sections(self))))
 
     def summary(self, *, verbose: bool = False) -> str:
         """Return the answer, how good it is and what it is worth, as text.
@@ -372,7 +374,8 @@ class Result(Glance):
         verbose : bool
             Whether to return all of it, as summary.txt has it: every table, term and proof.
         """
-        text = text_of(document(self.record), whole=verbose, titled=False)
+        text = text_of(document(self.record, further=further_sections(self) if verbose else ()),
+                       whole=verbose, titled=False)
         return text if verbose else f"{text}\n{_SHORTENED}\n"
 
     def _glance(self) -> tuple[str, Mapping[str, str]]:

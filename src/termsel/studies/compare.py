@@ -65,7 +65,8 @@ def compare(
         more shows the progress.
     **keys
         Keys of a study file, in place of `study` or of what it says: problems, models, solvers,
-        criteria, strategies, data, seeds, splits, budget, options, exports, measure, title.
+        criteria, strategies, data, seeds, splits, budget, options, exports, measure,
+        measures, title.
         Problems, models, solvers and criteria may be objects, as in `run`; data may be a mapping
         of feature sets by name.
 

@@ -73,12 +73,13 @@ class Study(Glance):
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of the columns of `rows`."""
-        return columns_of(self.spec.strategies)
+        return columns_of(self.spec.strategies, self.spec.measures)
 
     @cached_property
     def rows(self) -> Rows:
         """One row a cell; of the strategy auto alone the worst first."""
-        return Rows(rows_of(self.cells, self.records, self.spec.strategies), self.columns)
+        return Rows(rows_of(self.cells, self.records, self.spec.strategies,
+                            self.spec.measures), self.columns)
 
     def to_pandas(self) -> pd.DataFrame:
         """Return the rows as a table of pandas (see `Rows.to_pandas`)."""

@@ -17,10 +17,12 @@ from termsel.testing import (
     datasets,
     models,
     objectives,
+    of_results,
     plugins,
     problem_suite,
     readers,
     solvers,
+    splits,
     writers,
 )
 from termsel.testing.cases import Check, Suite, assemble, run_all
@@ -33,6 +35,9 @@ SUITES: dict[str, Suite] = {
     "problems": problem_suite.SUITE,
     "candidates": candidates.SUITE,
     "datasets": datasets.SUITE,
+    "splits": splits.SUITE,
+    "sections": of_results.SECTIONS,
+    "measures": of_results.MEASURES,
     "readers": readers.SUITE,
     "writers": writers.SUITE,
     "commands": commands.SUITE,
@@ -49,9 +54,9 @@ def checks(thing: Any, *, expected_failures: Mapping[str, str] | None = None,
     ----------
     thing : object
         What a hook returns: a class of models, solvers, criteria, readers or writers, or an object
-        of one with the options to check it with; a `Recipe`, `DatasetSpec`, `Objective` or
-        `Candidate`. Or a `Problem`, or what makes one; a ``click.Command``; the name of an
-        installed package.
+        of one with the options to check it with; a `Recipe`, `DatasetSpec`, `Objective`,
+        `Split`, `ReportSection`, `Measure` or `Candidate`. Or a `Problem`, or what makes one; a
+        ``click.Command``; the name of an installed package.
     expected_failures : mapping, optional
         Checks that it is known to fail, by name, with the reason.
     **about

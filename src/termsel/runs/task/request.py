@@ -15,6 +15,7 @@ from termsel.guard.faults import blamed, wrong
 from termsel.measurements.datasets import DatasetSpec
 from termsel.measurements.features import FeatureSet
 from termsel.measurements.roles import asked_roles, with_roles
+from termsel.measurements.splits import Split
 from termsel.models.base import SensorModel
 from termsel.models.interpolating import Interpolating
 from termsel.options import SEED, Option, by_part, resolve
@@ -27,13 +28,16 @@ from termsel.runs.task.given import class_of, second_solver, with_options
 from termsel.solvers.base import Solver
 from termsel.solvers.budget import SEARCH_OPTIONS
 
+FILE = "file"
+"""The roles of the file, in place of a split."""
+
 ALIKE = "1:1:1"
 """Shares of control, check and independent points by default."""
 
 DATA_OPTIONS = (
-    Option("roles", "file", "Roles of points: those of the file, with blank ones assigned by "
-           "place; or all assigned by place or at random.",
-           choices=("file", "stratified", "random")),
+    Option("roles", FILE, "Roles of points: those of the file, with blank ones assigned by "
+           "place; or all assigned by a split: stratified (by place), random, or one of a plugin "
+           "(termsel list splits)."),
     Option("off", None, "Ids of features that take no part, with commas between them (--off)."),
     Option("role", None, "Roles of single points, whatever the file says, as ID=ROLE with commas "
            "between them (--role)."),
@@ -133,7 +137,7 @@ class Request:
         of_search = resolve(SEARCH_OPTIONS, {"polish": own_run, **chosen["search"]})
         of_data = resolve(DATA_OPTIONS, chosen["data"])
         named = asked_roles(of_data["off"], of_data["role"])
-        if of_data["roles"] != "file" and of_data["role"]:
+        if split_of(of_data) is not None and of_data["role"]:
             raise TermselError(f"the options role and roles={of_data['roles']} exclude each other",
                                hint="Leave one of them out; off goes with both.")
         features, source = self.features, self.source
@@ -148,6 +152,13 @@ class Request:
                      printable(source or "given in Python"),
                      {"problem": of_problem, "data": of_data, "search": of_search},
                      made.get("then"), set_options, blank)
+
+
+def split_of(of_data: Mapping[str, Any]) -> Split | None:
+    """Return the split that the options of the data name; None for the roles of the file."""
+    asked: str = of_data["roles"]
+    found: Split | None = None if asked == FILE else registry().get("splits", asked)
+    return found
 
 
 def loaded(spec: DatasetSpec) -> FeatureSet:

@@ -27,7 +27,7 @@ from termsel.problems.recipes import Recipe
 from termsel.runs.task.enough import require_enough
 from termsel.runs.task.fit_crs import with_fit_crs
 from termsel.runs.task.given import objectives_of
-from termsel.runs.task.request import ALIKE, Request, Setup, require_type
+from termsel.runs.task.request import ALIKE, Request, Setup, require_type, split_of
 from termsel.solvers.base import Solver
 from termsel.solvers.search import require_able
 
@@ -117,7 +117,7 @@ def observe(setup: Setup, least: int = MIN_CONTROL) -> Observations:
     observations = assign_roles(
         setup.features,
         control="both" if setup.options["problem"].get("mixed") else recipe.control,
-        how=of_data["roles"], fractions=(1.0, 0.0, 0.0) if all_control(setup) else
+        split=split_of(of_data), fractions=(1.0, 0.0, 0.0) if all_control(setup) else
         parsed_shares(of_data["fractions"], criterion.needs_check),
         rng=np.random.default_rng(of_data["split"]))
     if _check_as(setup, observations) == "control":

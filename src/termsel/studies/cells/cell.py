@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from termsel.errors import TermselError
+from termsel.errors import TermselError, unknown_name
 from termsel.options import Configurable, Option
 from termsel.plugins.hookspecs import PROJECT
 from termsel.plugins.loading import canonical
 from termsel.plugins.registry import SESSION, own_packages, registry
+from termsel.results.extras import Measure
 from termsel.runs.auto.strategy import LEAST, wanted
 from termsel.runs.run import problem_for
 from termsel.runs.task.request import DATA_OPTIONS, Request, Setup
@@ -20,11 +21,9 @@ from termsel.runs.task.task import build, observe, scale
 from termsel.solvers.base import Solver
 from termsel.solvers.budget import SEARCH_OPTIONS
 from termsel.studies.cells.identity import made_of
+from termsel.studies.cells.table import LABELS, columns_of
 from termsel.studies.plan.data import Data, of_dataset
-from termsel.studies.plan.spec import Part, Spec
-
-LABELS = ("problem", "data", "split", "strategy", "model", "criterion", "solver", "seed")
-"""What tells the cells of a study apart, in the order in which they vary."""
+from termsel.studies.plan.spec import STRATEGIES, Part, Spec
 
 MOST_KINDS, MOST_CELLS = 1000, 500_000
 """Combinations and cells of a study. Each is checked before the first runs, in some 5 ms and 20 us.
@@ -183,6 +182,7 @@ class _Kinds:
     def _checked(self, strategy: str, parts: Mapping[str, Part | None],
                  data: list[Data]) -> _Kind:
         spec, first = self._spec, None
+        measures = _measures_of(spec)
         for one in data:
             if one.features is None:
                 continue
@@ -194,6 +194,8 @@ class _Kinds:
             if strategy == "auto":
                 made["candidates"] = made_of([entry.object
                                               for entry in registry().entries("candidates")])
+            if measures:
+                made["measures"] = made_of([one.compute for one in measures])
             chosen: Solver = request.solver
             try:
                 observations = observe(request, LEAST if strategy == "auto" else 3)
@@ -206,7 +208,7 @@ class _Kinds:
                                    "criterion": request.criterion.name},
                          chance=strategy != "auto" and (
                              chosen.uses_chance or bool(request.options["search"]["polish"])),
-                         made_of=made, others=_of_others(strategy, request))
+                         made_of=made, others=_of_others(strategy, request, measures))
         assert first is not None  # some data can be read, or there would be no study
         named = next((part for word in ("solver", "model", "criterion", "problem")
                       if (part := parts[word]) and part.path), None)
@@ -292,6 +294,8 @@ def _cell(spec: Spec, strategy: str, parts: Mapping[str, Part | None], kind: _Ki
         options["data.split"] = split
     call = {**{word: part and part.name for word, part in parts.items()}, "strategy": strategy,
             "options": options, "seed": seed, **spec.budget}
+    if spec.measures:
+        call["measures"] = list(spec.measures)
     if strategy == "auto":
         call["exports"] = list(spec.exports)
     things = {word: part.thing for word, part in parts.items() if part and part.thing}
@@ -305,17 +309,30 @@ def _cell(spec: Spec, strategy: str, parts: Mapping[str, Part | None], kind: _Ki
     return Cell(_sum(identity), labels, call, data, _sum(instance), things, kind.others)
 
 
-def _of_others(strategy: str, setup: Setup) -> bool:
+def _measures_of(spec: Spec) -> list[Measure]:
+    """Return the measures that a study names; refuse one that a column of the table hides."""
+    names = registry()
+    for i, name in enumerate(spec.measures):
+        if names.known("measures", name) is None:
+            unknown = unknown_name("measure", name, names.names("measures"))
+            raise spec.places.error(("measures", i), unknown.what, unknown.hint)
+        if name in columns_of(STRATEGIES):
+            raise spec.places.error(("measures", i), f"every study has a column {name!r}",
+                                    "Give the measure another name.")
+    return [names.get("measures", name) for name in spec.measures]
+
+
+def _of_others(strategy: str, setup: Setup, measures: Iterable[Measure]) -> bool:
     """Return whether plugins that are not termsel's, or objects from Python, take part in cells."""
     own = {PROJECT, *own_packages()}
     if strategy == "auto":  # its candidates are those of all plugins
         return any(slot.plugin.distribution not in own for slot in registry().slots)
     classes = [type(one) for one in (setup.model, setup.criterion, setup.solver, setup.then) if one]
-    entries = map(registry().origin, (setup.recipe, *classes))
+    entries = map(registry().origin, (setup.recipe, *classes, *measures))
     if any(entry is not None and entry.provided_by == SESSION for entry in entries):
         return False  # what is registered in this process has a name in no other one
-    return not own.issuperset(canonical(one.__module__.partition(".")[0])
-                              for one in (setup.recipe.build, *classes))
+    code = (setup.recipe.build, *classes, *(one.compute for one in measures))
+    return not own.issuperset(canonical(one.__module__.partition(".")[0]) for one in code)
 
 
 def _sum(content: Mapping[str, Any]) -> str:

@@ -13,8 +13,9 @@ from termsel.errors import TermselError
 from termsel.files.atomic import write_text
 from termsel.files.lock import holder
 from termsel.formats.base import located, parse_json, read_text
-from termsel.studies.cells.cell import LABELS, Cell
+from termsel.studies.cells.cell import Cell
 from termsel.studies.cells.journal import read_journal
+from termsel.studies.cells.table import LABELS
 from termsel.studies.execution.progress import StudyProgress, Tally
 from termsel.studies.plan.spec import FILES, PARTS, READING, Part, Source, Spec, spec_of
 from termsel.studies.study import Study
@@ -94,7 +95,8 @@ def table_of(spec: Spec) -> dict[str, Any]:
         "strategies": spec.strategies,
         "data": [_written(source) for source in spec.data if not source.features],
         "seeds": spec.seeds, "splits": spec.splits, "budget": spec.budget, "options": spec.options,
-        "exports": spec.exports, "measure": spec.measure}
+        "exports": spec.exports, "measure": spec.measure,
+        "measures": spec.measures}
     return {key: value for key, value in table.items() if value}
 
 

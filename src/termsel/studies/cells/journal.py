@@ -57,6 +57,7 @@ class Figures(RecordPart, frozen=True):
     excluded: int = 0
     blunders: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    measures: Mapping[str, Number] = {}
     seconds: float = 0.0
     cpu_seconds: float = 0.0
 

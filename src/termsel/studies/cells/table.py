@@ -8,8 +8,10 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from termsel.studies.cells.cell import LABELS
 from termsel.studies.cells.journal import CellRecord
+
+LABELS = ("problem", "data", "split", "strategy", "model", "criterion", "solver", "seed")
+"""What tells the cells of a study apart, in the order in which they vary."""
 
 WAITING = "waiting"
 """State of a cell that is not finished."""
@@ -26,22 +28,22 @@ TIMES = ("seconds", "cpu_seconds")
 Row = dict[str, Any]
 
 
-def columns_of(strategies: Sequence[str]) -> tuple[str, ...]:
+def columns_of(strategies: Sequence[str], measures: Sequence[str] = ()) -> tuple[str, ...]:
     """Return the columns of a study's table."""
     return (*LABELS, "state", "reason", *(_AUTO if "auto" in strategies else ()),
-            *(_SEARCH if "as-asked" in strategies else ()), *_BOTH, *_LAST)
+            *(_SEARCH if "as-asked" in strategies else ()), *_BOTH, *measures, *_LAST)
 
 
 def rows_of(cells: Mapping[str, Mapping[str, Any]], records: Mapping[str, CellRecord],
-            strategies: Sequence[str]) -> list[Row]:
+            strategies: Sequence[str], measures: Sequence[str] = ()) -> list[Row]:
     """Return one row a cell, waiting without a record, in order; of auto alone worst first."""
-    columns = columns_of(strategies)
+    columns = columns_of(strategies, measures)
     rows = []
     for key, labels in cells.items():
         record = records.get(key)
         values = {**labels, "cell": key, "state": WAITING, "reason": ""} if record is None else {
-            **labels, **record.figures, "cell": key, "state": record.state,
-            "reason": record.reason}
+            **labels, **record.figures, **record.figures.get("measures", {}), "cell": key,
+            "state": record.state, "reason": record.reason}
         rows.append({name: values.get(name) for name in columns})
     return sorted(rows, key=_badness) if tuple(strategies) == ("auto",) else rows
 

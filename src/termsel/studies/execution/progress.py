@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from termsel.studies.cells.cell import LABELS, kind_of
+from termsel.studies.cells.cell import kind_of
 from termsel.studies.cells.journal import CellRecord
-from termsel.studies.cells.table import WAITING
+from termsel.studies.cells.table import LABELS, WAITING
 from termsel.studies.execution.work import STATES
 
 

@@ -19,8 +19,10 @@ from termsel.fits.residuals import Rmse
 from termsel.io.export import export, writer_of
 from termsel.measurements.features import BoolArray, FeatureSet
 from termsel.plugins.loading import attempt
+from termsel.plugins.registry import registry
+from termsel.results.extras import measured
 from termsel.results.result import Result
-from termsel.runs.judgement.assess import estimated, is_feasible
+from termsel.runs.judgement.assess import assessed, estimated, is_feasible
 from termsel.runs.run import run
 from termsel.runs.search.blunders_out import search_without_blunders
 from termsel.runs.task.task import Task, prepare
@@ -185,6 +187,8 @@ def _as_asked(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
         "evaluations": found.evaluations,
         "refinement_evaluations": found.polish.evaluations if found.polish else 0,
         "generations": found.generations, "notes": list(found.notes), **times}
+    if call.get("measures"):
+        figures["measures"] = _measures(cell, assessed(task, found), figures["notes"])
     front = [_member(task, genes) for genes in found.front]
     return DONE if feasible else INFEASIBLE, figures, front, {}
 
@@ -249,7 +253,22 @@ def _auto(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
             export(result, to, out / f"result{suffix}")
         files = {path.relative_to(out).as_posix(): path.read_bytes()
                  for path in sorted(out.rglob("*")) if path.is_file()}
-    return DONE, {**_figures_of(result), **trace.times()}, [], files
+    figures = {**_figures_of(result), **trace.times()}
+    if cell.call.get("measures"):
+        figures["measures"] = _measures(cell, result, figures["notes"])
+    return DONE, figures, [], files
+
+
+def _measures(cell: Cell, result: Result, notes: list[str]) -> dict[str, float | None]:
+    """Return the measures of a result that the study asks for; add a note for each that fails."""
+    found: dict[str, float | None] = {}
+    for name in cell.call["measures"]:
+        try:
+            found[name] = measured(registry().get("measures", name), result)
+        except TermselError as error:  # its fault is no failure of the run
+            found[name] = None
+            notes.append(str(error))
+    return found
 
 
 def _figures_of(result: Result) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from termsel.studies.plan.places import Places, places_of
 
 PARTS = ("problems", "models", "solvers", "criteria")
 KEYS = ("title", *PARTS, "strategies", "data", "seeds", "splits", "budget", "options", "exports",
-        "measure")
+        "measure", "measures")
 FILES = ("points", "lines", "areas", "rpc")
 READING = ("crs", "format", "dem", "columns")
 DATA_KEYS = ("dataset", *FILES, *READING, "options")
@@ -75,6 +75,7 @@ class Spec:
     options: Mapping[str, Any] = field(default_factory=dict)  # for every cell that has them
     exports: tuple[str, ...] = ()  # formats of the models of auto
     measure: str | None = None  # what methods are compared by
+    measures: tuple[str, ...] = ()  # figures of plugins, a column each
     places: Places = field(default_factory=Places)
 
 
@@ -116,9 +117,11 @@ def spec_of(table: Mapping[str, Any], places: Places | None = None) -> Spec:
         raise at.error((named[0],), f"the strategy auto chooses the method itself, and {named[0]} "
                        "are given", "Leave one of them out, or add the strategy as-asked.")
     measure = table.get("measure")
-    if measure is not None and measure not in MEASURES:
+    measures = _texts(at, ("measures",), table.get("measures", []))
+    if measure is not None and measure not in (*MEASURES, *measures):
         raise at.error(("measure",), f"there is no measure {measure!r}",
-                       f"Choose one of: {', '.join(MEASURES)}.")
+                       f"Choose one of: {', '.join((*MEASURES, *measures))}; "
+                       "or add it to measures.")
     title = table.get("title", "")
     if not isinstance(title, str):
         raise at.error(("title",), "the title is not text")
@@ -129,7 +132,8 @@ def spec_of(table: Mapping[str, Any], places: Places | None = None) -> Spec:
         seeds=_numbers(at, "seeds", table.get("seeds", 1), first=1),
         splits=_numbers(at, "splits", table.get("splits", 1), first=0),
         budget=budget, options=_options(at, ("options",), table.get("options", {})),
-        exports=_texts(at, ("exports",), table.get("exports", [])), measure=measure, places=at)
+        exports=_texts(at, ("exports",), table.get("exports", [])), measure=measure,
+        measures=measures, places=at)
 
 
 def _as_in_a_file(value: Any) -> Any:

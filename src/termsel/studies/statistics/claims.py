@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from termsel.errors import counted
 from termsel.studies.cells.table import Row
+from termsel.studies.plan.spec import MEASURES
 from termsel.studies.statistics.groups import Groups
 from termsel.studies.statistics.significance import FEWEST, SIGNIFICANCE, Comparison, effect_size
 from termsel.studies.statistics.summaries import quantiles
@@ -15,7 +16,8 @@ _SIZES = ((0.71, "large"), (0.64, "medium"), (0.56, "small"))
 
 def claims(groups: Groups, comparison: Comparison | None, rows: list[Row]) -> list[str]:
     """Return sentences on what may be claimed, and what not; with few instances no comparison."""
-    measure = f"the RMSE on {groups.measure} points"
+    measure = f"the RMSE on {groups.measure} points" if groups.measure in MEASURES \
+        else groups.measure
     if groups.measure == "fitness":
         names = " or ".join(groups.objectives)
         measure = "the fitness" + f" ({names})" * bool(names)

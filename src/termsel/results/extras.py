@@ -1,0 +1,105 @@
+"""What packages make of a result: sections of its report, measures for studies."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any
+
+from termsel.errors import TermselError
+from termsel.guard.faults import blamed, wrong
+from termsel.report.blocks import (
+    Block,
+    Code,
+    Detail,
+    Document,
+    Names,
+    Note,
+    Section,
+    Statement,
+    TableBlock,
+)
+from termsel.report.text import text_of
+
+# A result is `Any` here: `Result` itself shows these sections.
+_MOST = 1000  # blocks of a section: a generator without an end is no section
+_BLOCKS = str | Note | Detail | Statement | Code | Names | TableBlock
+
+
+@dataclass(frozen=True)
+class ReportSection:
+    """A section of reports, after those of termsel.
+
+    Parameters
+    ----------
+    name, summary : str
+    title : str
+        The heading.
+    blocks : callable
+        Takes a `Result`, returns what follows the heading: text for a paragraph, `TableBlock`,
+        `Note`, `Code`, `Names`, `Statement`, or `Detail` around one of these. Nothing leaves the
+        section out.
+    """
+
+    name: str
+    summary: str
+    title: str
+    blocks: Callable[[Any], Iterable[Block]]
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A figure of results, a column of studies; smaller is better.
+
+    Parameters
+    ----------
+    name, summary : str
+        The name is that of the column.
+    compute : callable
+        Takes a `Result`, returns a number; NaN where there is none.
+    """
+
+    name: str
+    summary: str
+    compute: Callable[[Any], float]
+
+
+sources: list[Callable[[], Iterable[ReportSection]]] = []
+"""What gives the sections of plugins: the registry, which lies above this room, adds itself."""
+
+
+def further_sections(result: Any) -> tuple[Section, ...]:
+    """Return the sections that plugins add; of one that fails, a note with the reason."""
+    made = [section_of(one, result) for source in sources for one in source()]
+    return tuple(section for section in made if section.blocks)
+
+
+def section_of(declared: ReportSection, result: Any) -> Section:
+    """Return a section of a result as it is shown; of one that fails, a note with the reason."""
+    try:
+        return _made(declared, result)
+    except TermselError as error:  # also the fault of a plugin
+        return Section(declared.title, (Note(str(error), "Not shown"),))
+
+
+def _made(declared: ReportSection, result: Any) -> Section:
+    with blamed(declared.blocks, "blocks"):
+        blocks = tuple(islice(declared.blocks(result), _MOST))
+        section = Section(declared.title, blocks)
+        if all(isinstance(getattr(one, "block", one), _BLOCKS) for one in blocks):
+            # Rows that do not fit, or are no text, show now and not in the middle of a page.
+            text_of(Document("", "", (), (section,)))
+            return section
+    other = next(one for one in blocks if not isinstance(getattr(one, "block", one), _BLOCKS))
+    raise wrong(declared.blocks, "blocks", f"returned an object of type {type(other).__name__}; "
+                "expected text, or blocks such as TableBlock and Note")
+
+
+def measured(measure: Measure, result: Any) -> float | None:
+    """Return the figure of a result, None where there is none; refuse what is no number."""
+    with blamed(measure.compute, "compute"):
+        found = measure.compute(result)
+        value = float(found)
+    return value if math.isfinite(value) else None
