@@ -6,6 +6,7 @@ calls it when it reads a page, and the tests call it to compare the page with th
 
 from __future__ import annotations
 
+import ast
 import inspect
 import json
 import re
@@ -13,11 +14,13 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import termsel.toolkit
 from termsel.cli.new_plugin import package
 from termsel.options import Option
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.registry import Entry, registry
 from termsel.record.schema import json_schema
+from termsel.rooms import ROOMS
 from termsel.runs.task.request import DATA_OPTIONS
 from termsel.solvers.budget import SEARCH_OPTIONS
 
@@ -52,6 +55,8 @@ def part(name: str) -> str:
             + ", ".join(f"`{entry.name}`" for entry in entries(kind)) + " |" for kind in KINDS)
     if what == "package":
         return _of_package(*kind.split())
+    if what == "toolkit":
+        return "\n".join(_toolkit(Path(termsel.toolkit.__file__).with_suffix(".pyi").read_text()))
     if what == "schema":
         rows = keys(json_schema())
         return "\n".join(["| key | type | meaning |", "|---|---|---|", *rows])
@@ -62,6 +67,40 @@ def part(name: str) -> str:
                 for entry in entries(kind)]
         return "\n".join(["| name | measurements | package |", "|---|---|---|", *rows])
     return "\n".join(line for entry in entries(kind) for line in section(kind, entry))
+
+
+def _toolkit(stub: str) -> Iterator[str]:
+    """Yield a section and a table for each room that the stub has names of."""
+    place, above = Path(termsel.toolkit.__file__).parent, ""
+    for node in ast.parse(stub).body:
+        assert isinstance(node, ast.ImportFrom)
+        module = str(node.module)
+        room = module.partition(".")[0]
+        if room != above:
+            above, title = room, ROOMS[room]
+            yield from ("", f"## {title[0].upper()}{title[1:]}", "", "| name | what it is |",
+                        "|---|---|")
+        for name in (alias.name for alias in node.names):
+            path = place.joinpath(*module.split("."))
+            source = path.with_suffix(".py") if path.with_suffix(".py").exists() else \
+                path / "__init__.py"
+            said = _said(ast.parse(source.read_text(encoding="utf-8")).body, name)
+            yield f"| `{name}` | {said.replace('|', chr(92) + '|')} |"
+
+
+def _said(body: list[ast.stmt], name: str) -> str:
+    """Return the first sentence on a function, class or constant of a module; "" if none."""
+    for node, after in zip(body, [*body[1:], ast.Pass()], strict=True):
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)) and node.name == name:
+            return (ast.get_docstring(node) or "").partition("\n")[0]
+        targets = node.targets if isinstance(node, ast.Assign) else [
+            node.target] if isinstance(node, ast.AnnAssign) else []
+        if any(isinstance(target, ast.Name) and target.id == name for one in targets
+               for target in (one.elts if isinstance(one, ast.Tuple) else [one])):
+            text = after.value.value if isinstance(after, ast.Expr) and isinstance(
+                after.value, ast.Constant) else ""
+            return " ".join(str(text).split())
+    return ""
 
 
 def _of_package(kind: str, file: str) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import yaml
 
-from termsel import version
+from termsel import toolkit, version
 from termsel.cli.new_plugin import package
 from termsel.plugins import registry as manager
 from termsel.plugins.registry import Registry
@@ -134,3 +134,9 @@ def test_plugins_are_listed_with_the_termsel_that_they_state(
     assert text.startswith(f"Plugin API {version.PLUGIN_API}: ")
     assert f"termsel{version.plugin_bound()}\n" in text
     assert re.search(rf"^polite +polite +1\.0 +{re.escape(shown)} *broken", text, re.MULTILINE)
+
+
+def test_every_name_of_the_toolkit_is_there() -> None:
+    assert len(toolkit.__all__) > 100
+    for name in toolkit.__all__:
+        assert getattr(toolkit, name) is not None, name

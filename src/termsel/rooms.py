@@ -8,6 +8,7 @@ from __future__ import annotations
 
 ROOMS = {
     "__main__": "entry of the command line",
+    "toolkit": "what packages build on next to the names of termsel",
     "cli": "commands, one module each",
     "check": "certificates of proofs, by integers alone; it imports no other room",
     "sklearn": "the deprecated name of the package termsel-sklearn",

@@ -15,7 +15,7 @@ from tests.lint.violations import Violation, line_at
 LINES = 400
 """Most lines of a module."""
 
-TOP = 6
+TOP = 7
 """Most modules that stand next to the rooms that are folders."""
 
 

@@ -18,6 +18,8 @@ from math import comb, isfinite
 from pathlib import Path
 from typing import Any
 
+__all__ = ["SCHEMA", "Refused", "check", "checksum"]
+
 SCHEMA = "termsel-certificate-1"
 _ONE = 1 << 256  # a matrix that is to be positive definite is in units of its inverse
 _KAPPA = 1 << 160  # weight of the squared normal equations; any is valid, a large one proves most

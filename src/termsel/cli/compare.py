@@ -12,7 +12,7 @@ from termsel.cli.bars import study_bar
 from termsel.cli.completion import complete
 from termsel.cli.messages import echo, say_written, show_messages
 from termsel.cli.options.run_options import parse_settings
-from termsel.cli.options.shared import allow_remote, progress_option
+from termsel.cli.options.shared import progress_option, remote_option
 from termsel.cli.tables import print_table
 from termsel.errors import TermselError, counted
 from termsel.interrupts import INTERRUPTED
@@ -73,7 +73,7 @@ from termsel.options import MOST_RUNS
               help="Show how far the study of a folder is.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 @progress_option
-@allow_remote
+@remote_option
 def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: str | None,
             dry_run: bool, status: Path | None, quiet: bool, **given: Any) -> None:
     """Compare problems, models and solvers over many seeds, or run many images.

@@ -9,7 +9,7 @@ import click
 from termsel.cli.completion import complete
 from termsel.cli.messages import refuse_stdout, say_written, show_messages
 from termsel.cli.options.run_options import parse_settings
-from termsel.cli.options.shared import allow_remote, final_option
+from termsel.cli.options.shared import final_option, remote_option
 
 
 @click.command()
@@ -24,7 +24,7 @@ from termsel.cli.options.shared import allow_remote, final_option
               help="An option of the format; `termsel describe FORMAT` lists them.")
 @final_option
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
-@allow_remote
+@remote_option
 def export(folder: Path, to: str, output: Path, image: str | None, dem: str | None,
            settings: tuple[str, ...], final: bool | None, overwrite: bool) -> None:
     """Write a result for GDAL, QGIS, OTB, Orthority and others.

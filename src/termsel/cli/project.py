@@ -8,7 +8,7 @@ import click
 
 from termsel.cli.messages import echo, echo_table, say_written, show_messages
 from termsel.cli.options.run_options import COLUMNS_OPTION
-from termsel.cli.options.shared import allow_remote, final_option
+from termsel.cli.options.shared import final_option, remote_option
 
 
 @click.command()
@@ -25,7 +25,7 @@ from termsel.cli.options.shared import allow_remote, final_option
               help="Table to write; stdout by default, and for -.")
 @final_option
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
-@allow_remote
+@remote_option
 def project(folder: Path, points: Path, columns: str | None, inverse: bool, dem: Path | None,
             height: float | None, output: Path | None, final: bool | None, overwrite: bool) -> None:
     """Compute image positions of ground points, or ground positions of image points.

@@ -8,7 +8,7 @@ import click
 
 from termsel.cli.bars import share_bar
 from termsel.cli.messages import refuse_stdout, say_written, show_messages
-from termsel.cli.options.shared import allow_remote, final_option, progress_option
+from termsel.cli.options.shared import final_option, progress_option, remote_option
 from termsel.errors import TermselError
 
 
@@ -34,7 +34,7 @@ from termsel.errors import TermselError
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 @click.option("--quiet", is_flag=True, help="Show no progress bar.")
 @progress_option
-@allow_remote
+@remote_option
 @click.pass_context
 def rectify(context: click.Context, folder: Path, image: Path, output: Path, dem: Path | None,
             height: float | None, crs: str | None, resolution: float | None, resampling: str,

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from termsel.cli.messages import refuse_stdout, say_written, show_messages
-from termsel.cli.options.shared import allow_remote
+from termsel.cli.options.shared import remote_option
 from termsel.errors import TermselError
 
 REPORT = "report.html"
@@ -19,7 +19,7 @@ REPORT = "report.html"
               help="The page to write; report.html in DIR by default.")
 @click.option("--image", metavar="FILE", help="The image, to be shown below the residuals.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
-@allow_remote
+@remote_option
 def report(folder: Path, output: Path | None, image: str | None, overwrite: bool) -> None:
     """Write a page about a result or a study that opens in any browser, without a connection.
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from termsel import Problem, TermselError
 from termsel.check import SCHEMA, Refused, check, checksum
-from termsel.files.atomic import write_text
+from termsel.toolkit import write_text
 
 FloatArray: TypeAlias = NDArray[np.float64]
 Node: TypeAlias = list[Any]

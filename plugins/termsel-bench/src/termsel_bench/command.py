@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from termsel.cli.messages import echo, say_written, show_messages
-from termsel.cli.options.run_options import parse_settings
-from termsel.cli.tables import json_text, print_table
-from termsel.errors import TermselError
+from termsel import TermselError
+from termsel.toolkit import echo, json_text, parse_settings, print_table, say_written, show_messages
 
 if TYPE_CHECKING:
     from termsel_bench.methods.base import Method
@@ -108,7 +106,7 @@ def _sets(pattern: str, *, quick: bool) -> list[str]:
 
 def _run(methods: Sequence[Method], names: Sequence[str], real: Path | None, processes: int,
          scheduler: str, out: Path | None, *, overwrite: bool) -> None:
-    from termsel.io.replacing import require_replaceable
+    from termsel import require_replaceable
     from termsel_bench.protocol import scores
     from termsel_bench.scenes.real import real_folders
     from termsel_bench.tables import by_kind, losses
@@ -139,8 +137,7 @@ def _run(methods: Sequence[Method], names: Sequence[str], real: Path | None, pro
 
 
 def _write(found: Sequence[Score], out: Path, title: str) -> None:
-    from termsel.files.atomic import write_text
-    from termsel.report.page import page
+    from termsel.toolkit import page, write_text
     from termsel_bench.page import document
     from termsel_bench.submitted import texts_of
     from termsel_bench.tables import csv_text
@@ -154,8 +151,8 @@ def _write(found: Sequence[Score], out: Path, title: str) -> None:
 
 
 def _write_files(folder: Path, names: Sequence[str], *, overwrite: bool) -> None:
-    from termsel.files.atomic import write_text
-    from termsel.io.replacing import require_replaceable
+    from termsel import require_replaceable
+    from termsel.toolkit import write_text
     from termsel_bench.scenes.catalogue import METADATA, simulated
     from termsel_bench.scenes.croissant import described
 

@@ -8,11 +8,8 @@ from collections.abc import Iterable, Iterator
 from itertools import chain, count
 from typing import Any
 
-from termsel.studies.cells.images import file_word
-from termsel.studies.cells.journal import CellRecord
-from termsel.studies.statistics.groups import Groups
-from termsel.studies.statistics.summaries import length
-from termsel.version import __version__
+from termsel import __version__
+from termsel.toolkit import CellRecord, Groups, file_word, length
 
 FORMAT = "0.3.5"
 """Version of the format, as IOHexperimenter numbers it."""

@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from termsel import TermselError
-from termsel.errors import requires
-from termsel.threads import one_blas_thread
+from termsel.toolkit import one_blas_thread, requires
 from termsel_bench.methods.base import Method
 from termsel_bench.scenes.base import BenchSet
 from termsel_bench.scenes.catalogue import simulated

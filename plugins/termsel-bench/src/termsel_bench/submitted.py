@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from termsel import TermselError
-from termsel.errors import raised
-from termsel.version import __version__
+from termsel import TermselError, __version__
+from termsel.toolkit import raised
 from termsel_bench.methods.base import KINDS, Method
 from termsel_bench.protocol import Score, scores
 from termsel_bench.scenes.catalogue import SETS, checksums

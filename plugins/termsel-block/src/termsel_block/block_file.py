@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 from termsel import FeatureSet, TermselError, open_raster, read, read_rpc
-from termsel.measurements.coordinates.crs import normalise
+from termsel.toolkit import normalise
 from termsel_block.block import CORRECTIONS, Block, BlockImage, Ties
 
 COLUMNS = {"id": ("id", "tie", "name", "point"), "image": ("image", "img", "scene"),

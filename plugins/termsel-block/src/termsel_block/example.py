@@ -7,7 +7,7 @@ import io
 from pathlib import Path
 
 from termsel import TermselError, write_points_csv, write_rpc
-from termsel.files.atomic import write_text
+from termsel.toolkit import write_text
 from termsel_block.simulated import simulate_block
 
 _LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"

@@ -14,8 +14,7 @@ import msgspec
 import numpy as np
 
 from termsel import FeatureSet, Points, Result, TermselError, require_replaceable, run
-from termsel.files.atomic import write_text
-from termsel.io.result_folder import write_result
+from termsel.toolkit import write_result, write_text
 from termsel_block.block import BlockImage
 from termsel_block.joint import BlockResult
 from termsel_block.page import page_of

@@ -112,7 +112,7 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
 
 def _places(block: Block) -> FloatArray:
     """Return places in the CRS of the block: of control, else of the RPCs."""
-    from termsel.measurements.coordinates.crs import transformation
+    from termsel.toolkit import transformation
 
     own = [image.features.points.ground for image in block.images if image.features is not None]
     own += [image.features.lines.ground.reshape(-1, 3) for image in block.images

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.report.pictures import picture
+from termsel.toolkit import picture
 from termsel_block.joint import BlockResult
 from termsel_block.record import BlockRecord, times_seen
 from termsel_block.summary import opening

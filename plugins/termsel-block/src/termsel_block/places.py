@@ -12,8 +12,7 @@ import msgspec
 import numpy as np
 
 from termsel import TermselError, require_replaceable
-from termsel.files.atomic import private_folder, write_bytes
-from termsel.measurements.coordinates.crs import LOCAL, horizontal
+from termsel.toolkit import LOCAL, horizontal, private_folder, write_bytes
 from termsel_block.folders import RECORD, TIES
 from termsel_block.frame import FloatArray
 

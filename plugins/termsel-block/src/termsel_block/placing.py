@@ -8,8 +8,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from termsel import TermselError
-from termsel.files.atomic import private_folder, sync
-from termsel.files.lock import locked
+from termsel.toolkit import locked, private_folder, sync
 
 
 @contextmanager

@@ -12,11 +12,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from termsel import FeatureSet, TermselError
-from termsel.plugins.registry import registry
-from termsel.runs.task.provenance import versions
-from termsel.studies.cells.cell import Cell
-from termsel.studies.execution.executors import AHEAD, DIED, Stop
-from termsel.studies.execution.work import Outcome, do, failed
+from termsel.toolkit import AHEAD, DIED, Cell, Outcome, Stop, do, failed, registry, versions
 
 if TYPE_CHECKING:
     from distributed import Client, Future

@@ -9,8 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from termsel import Blocks, Inputs, Option, ParameterProblem, Problem, RationalModel, Recipe
-from termsel.adjustment.monomials import Exponents, graded_exponents, monomial_name, monomials
-from termsel.problems.recipes import CAP, OBJECTIVES, RECOMMEND
+from termsel.toolkit import (
+    CAP,
+    OBJECTIVES,
+    RECOMMEND,
+    Exponents,
+    graded_exponents,
+    monomial_name,
+    monomials,
+)
 
 FloatArray = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from termsel import FeatureSet, Option, Points, Reader, TermselError
-from termsel.formats.base import read_text
+from termsel.toolkit import read_text
 from termsel_iiif.annotation import NAME, Map, kept, maps_of
 from termsel_iiif.viewer import kind_of
 

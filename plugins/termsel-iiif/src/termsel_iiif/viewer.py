@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from termsel.fits.fit import Fit
-from termsel.measurements.features import FloatArray
+from termsel import Fit
+from termsel.toolkit import FloatArray
 
 EARTH = 6378137.0
 """Radius of the sphere of Web Mercator [m]."""

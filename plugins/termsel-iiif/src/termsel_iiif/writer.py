@@ -8,12 +8,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from termsel import Option, Result, TermselError, Writer
-from termsel.files.atomic import write_text
-from termsel.fits.fit import Fit
-from termsel.formats.deviation import say_deviation
-from termsel.measurements.coordinates.crs import LOCAL, to_wgs84, transformation
-from termsel.measurements.features import FloatArray
+from termsel import Fit, Option, Result, TermselError, Writer
+from termsel.toolkit import LOCAL, FloatArray, say_deviation, to_wgs84, transformation, write_text
 from termsel_iiif.annotation import MASK, NAME, SOURCE, TRANSFORMATION
 from termsel_iiif.reader import CENTRE
 from termsel_iiif.viewer import (

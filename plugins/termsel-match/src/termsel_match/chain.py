@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from termsel import TermselError, open_dem, read_result, read_rpc, rectify, write_points_csv
-from termsel.files.atomic import write_text
+from termsel.toolkit import write_text
 from termsel_match.images.masks import open_masked
 from termsel_match.images.rasters import FloatArray, GreyRaster, Mask, grid
 from termsel_match.images.starts import Start

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from termsel import TermselError, get, require_replaceable
-from termsel.errors import counted
+from termsel.toolkit import counted
 
 if TYPE_CHECKING:
     from termsel_match.matchers import Matcher

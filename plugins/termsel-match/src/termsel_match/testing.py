@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from termsel.testing.cases import (
+from termsel.toolkit import (
     Case,
     Suite,
     declares,

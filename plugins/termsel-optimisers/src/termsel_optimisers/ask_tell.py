@@ -10,9 +10,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 
 from termsel import Evaluation, Generation, Problem, Solver, TermselError
-from termsel.guard.arrays import of_shape
-from termsel.guard.faults import blamed, wrong
-from termsel.problems.segments import SEGMENTS, AnySegment, Genes
+from termsel.toolkit import SEGMENTS, AnySegment, Genes, blamed, of_shape, wrong
 
 CHECK = "Check your optimiser: ask() and tell()."
 

@@ -15,9 +15,7 @@ from deap import algorithms, base, tools
 from numpy.typing import NDArray
 
 from termsel import Evaluation, Generation, Option, Problem, Solver, TermselError
-from termsel.guard.faults import blamed
-from termsel.problems.segments import SEGMENTS
-from termsel.solvers.bridges.chance import OwnChance
+from termsel.toolkit import SEGMENTS, OwnChance, blamed
 from termsel_optimisers.deap_toolbox import Individual, register, to_deap
 
 CHECK = "Check your loop, and the operators with their arguments: select, mate, mutate."

@@ -15,9 +15,7 @@ from deap import base, tools
 from numpy.typing import NDArray
 
 from termsel import Genome, Problem, TermselError
-from termsel.errors import unknown_name
-from termsel.problems.base import WORST
-from termsel.solvers.genetic.operators import crossover, mutation
+from termsel.toolkit import WORST, crossover, mutation, unknown_name
 
 
 class Fitness(base.Fitness):

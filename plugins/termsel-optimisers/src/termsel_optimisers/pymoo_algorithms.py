@@ -14,11 +14,7 @@ from pymoo.core.algorithm import Algorithm
 from pymoo.util.ref_dirs import get_reference_directions
 
 from termsel import Generation, Option, Problem, Solver, TermselError
-from termsel.problems.segments import SEGMENTS
-from termsel.solvers.bridges.chance import OwnChance
-from termsel.solvers.bridges.pareto import OPTIONS
-from termsel.solvers.bridges.pymoo_operators import operators
-from termsel.solvers.bridges.pymoo_problem import steps
+from termsel.toolkit import OPTIONS, SEGMENTS, OwnChance, operators, steps
 from termsel_optimisers.survivals import RveaSurvival, made
 
 ALGORITHMS = {

@@ -20,8 +20,7 @@ import numpy as np
 from numpy.random import Generator
 
 from termsel import DatasetSpec, FeatureSet, Points, TermselError
-from termsel.measurements.features import FloatArray, no_lines
-from termsel.measurements.roles import ASSIGNABLE
+from termsel.toolkit import ASSIGNABLE, FloatArray, no_lines
 
 NAME = "old-map"
 CRS = "EPSG:32633"

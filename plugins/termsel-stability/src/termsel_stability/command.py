@@ -10,15 +10,22 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from termsel.cli.bars import search_bar
-from termsel.cli.messages import echo, say_written, show_messages
-from termsel.cli.options.run_options import Asked, run_options
-from termsel.cli.tables import json_text, print_json, print_table
-from termsel.errors import TermselError
-from termsel.interrupts import INTERRUPTED
+from termsel import TermselError
+from termsel.toolkit import (
+    INTERRUPTED,
+    Asked,
+    echo,
+    json_text,
+    print_json,
+    print_table,
+    run_options,
+    say_written,
+    search_bar,
+    show_messages,
+)
 
 if TYPE_CHECKING:
-    from termsel.measurements.features import FeatureSet
+    from termsel import FeatureSet
     from termsel_stability.frequencies import Stability
 
 _SOLVER, _CRITERION = "all-terms", "press"
@@ -48,10 +55,8 @@ def stability(repeats: int, threshold: float, **given: Any) -> None:
     asked = Asked(**given)
     show_messages()
 
-    from termsel.files.atomic import write_text
-    from termsel.io.replacing import require_replaceable
-    from termsel.io.result_folder import claimed
-    from termsel.runs.run import problem_for
+    from termsel import require_replaceable
+    from termsel.toolkit import claimed, problem_for, write_text
     from termsel_stability import frequencies as module
 
     exported, page = asked.exported(), asked.page()
@@ -111,8 +116,7 @@ def _show(repeated: Stability) -> None:
 def _for_stable(problem: str, asked: Asked, options: Mapping[str, str],
                 off: Sequence[str]) -> dict[str, str]:
     """Return the options of a fit without some terms: not those of the searches alone."""
-    from termsel.plugins.registry import registry
-    from termsel.runs.task.request import DATA_OPTIONS
+    from termsel.toolkit import DATA_OPTIONS, registry
 
     names = registry()
     recipe = names.get("problems", problem)
@@ -129,12 +133,11 @@ def _for_stable(problem: str, asked: Asked, options: Mapping[str, str],
 def _write(repeated: Stability, exported: Mapping[str, Path], page: Path | None, problem: str,
            asked: Asked, features: FeatureSet | None, options: Mapping[str, str]) -> None:
     """Write the fit of the stable terms: its record with the frequencies, exports, its page."""
-    from termsel.io.result_folder import RECORD, write_result
-    from termsel.record.search import TermFrequencies
-    from termsel.runs import run as running
+    from termsel import run
+    from termsel.toolkit import RECORD, TermFrequencies, write_result
 
     assert asked.out is not None
-    fitted = running.run(problem, features=features, dataset=asked.dataset, source=asked.source,
+    fitted = run(problem, features=features, dataset=asked.dataset, source=asked.source,
                          model=asked.model, solver=_SOLVER, criterion=_CRITERION,
                          options=options)
     said = repeated.to_dict()

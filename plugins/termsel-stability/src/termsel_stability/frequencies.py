@@ -8,24 +8,31 @@ from typing import Any
 
 import numpy as np
 
-from termsel.errors import TermselError
-from termsel.fits.figures import Rmses, figures, in_role, rmse_record
-from termsel.fits.least_squares import fit
-from termsel.fits.residuals import Rmse
-from termsel.interrupts import answered
-from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, select
-from termsel.measurements.scaling import scaling_of
-from termsel.measurements.twins import twins
-from termsel.models.poles import guard_points, pole_violation
-from termsel.problems.segments import Bits
-from termsel.record.base import plain
-from termsel.runs.notebook import notebook_observer
-from termsel.runs.search.recommend import recommended
-from termsel.runs.task.request import Request
-from termsel.runs.task.task import Task, prepared
-from termsel.solvers.ledger import Progress
-from termsel.solvers.search import Observer, search
-from termsel.threads import one_blas_thread
+from termsel import Bits, FeatureSet, Task, TermselError, search
+from termsel.toolkit import (
+    BoolArray,
+    FloatArray,
+    LeastSquares,
+    Observer,
+    Progress,
+    Request,
+    Rmse,
+    Rmses,
+    answered,
+    figures,
+    guard_points,
+    in_role,
+    notebook_observer,
+    one_blas_thread,
+    plain,
+    pole_violation,
+    prepared,
+    recommended,
+    rmse_record,
+    scaling_of,
+    select,
+    twins,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +234,8 @@ def _fitted(task: Task, chosen: BoolArray) -> tuple[bool, dict[str, Rmse | None]
     scaling = scaling_of(both)
     if not chosen[axis == 0].any() or not chosen[axis == 1].any():
         return False, {}
-    fitted = fit(task.model, both, scaling, chosen)
+    fitted = LeastSquares().fit(task.model, both, scaling, chosen,
+                                np.ones(len(both), dtype=bool))
     guard = guard_points(scaling.features(both), scaling.points(both.points))
     if not fitted.adjustment.feasible or pole_violation(
             task.model, fitted.adjustment.coefficients[None], guard).any():

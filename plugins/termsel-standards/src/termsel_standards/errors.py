@@ -11,12 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from termsel import Result, TermselError
-from termsel.fits.accuracy import distances
-from termsel.formats.base import read_text
-from termsel.measurements.coordinates.metres import in_metres
-from termsel.measurements.features import FloatArray, Points
-from termsel.record.figures import OnGround
+from termsel import Points, Result, TermselError
+from termsel.toolkit import FloatArray, OnGround, distances, in_metres, read_text
 
 AXES = ("x", "y", "z")
 SIGMAS = tuple(f"sigma_{axis}" for axis in AXES)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from termsel import Result
-from termsel.measurements.coordinates.crs import to_wgs84
-from termsel.measurements.features import FloatArray
+from termsel.toolkit import FloatArray, to_wgs84
 
 _SIDE = 9  # places along either side of the image
 

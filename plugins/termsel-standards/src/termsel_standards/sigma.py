@@ -12,16 +12,21 @@ from typing import Any
 import numpy as np
 
 from termsel import Result, TermselError, open_raster, require_replaceable
-from termsel.files.cog import write_cog
-from termsel.fits.extrapolation import outside
-from termsel.formats.heights import surface_of
-from termsel.formats.vrt import picture_for
-from termsel.io.accuracy_tags import accuracy_tags
-from termsel.io.map_grid import MapGrid, grid_of_image, map_crs
-from termsel.measurements.coordinates.crs import horizontal, is_geographic
-from termsel.measurements.coordinates.longitudes import nearest
-from termsel.measurements.coordinates.metres import in_metres
-from termsel.measurements.features import FloatArray
+from termsel.toolkit import (
+    FloatArray,
+    MapGrid,
+    accuracy_tags,
+    grid_of_image,
+    horizontal,
+    in_metres,
+    is_geographic,
+    map_crs,
+    nearest,
+    outside,
+    picture_for,
+    surface_of,
+    write_cog,
+)
 
 log = logging.getLogger(__name__)
 

@@ -7,9 +7,15 @@ from typing import Any
 
 import click
 
-from termsel.cli.bars import share_bar
-from termsel.cli.messages import refuse_stdout, say_written, show_messages
-from termsel.cli.options.shared import allow_remote, final_option, progress_option
+from termsel.toolkit import (
+    final_option,
+    progress_option,
+    refuse_stdout,
+    remote_option,
+    say_written,
+    share_bar,
+    show_messages,
+)
 
 _PATH = click.Path(path_type=Path)
 
@@ -39,7 +45,7 @@ _PATH = click.Path(path_type=Path)
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 @click.option("--quiet", is_flag=True, help="Show no progress bar.")
 @progress_option
-@allow_remote
+@remote_option
 def sigma(folder: Path, output: Path, quiet: bool, **options: Any) -> None:
     """Write the uncertainty of a result as a raster, by the model alone.
 

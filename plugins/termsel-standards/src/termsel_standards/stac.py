@@ -9,8 +9,7 @@ from pathlib import Path, PurePath
 from typing import Any, ClassVar
 
 from termsel import Option, Result, TermselError, Writer
-from termsel.files.atomic import write_text
-from termsel.measurements.coordinates.crs import LOCAL, horizontal
+from termsel.toolkit import LOCAL, horizontal, write_text
 from termsel_standards.outline import outline_of
 from termsel_standards.quality.report import file_sha256
 

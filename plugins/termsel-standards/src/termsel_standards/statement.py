@@ -8,10 +8,15 @@ from math import ceil, floor, hypot, log10
 import numpy as np
 from scipy import stats
 
-from termsel.errors import counted
-from termsel.fits.accuracy import ASPRS_POINTS, NSSDA_POINTS, distances, nssda
-from termsel.measurements.features import FloatArray
-from termsel.record.figures import OnGround
+from termsel.toolkit import (
+    ASPRS_POINTS,
+    NSSDA_POINTS,
+    FloatArray,
+    OnGround,
+    counted,
+    distances,
+    nssda,
+)
 from termsel_standards.errors import GroundErrors
 
 ASPRS = "ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2, " \

@@ -12,7 +12,7 @@ import click
 
 from termsel.cli.completion import complete
 from termsel.cli.messages import say_written
-from termsel.cli.options.shared import Command, allow_remote, progress_option
+from termsel.cli.options.shared import Command, progress_option, remote_option
 from termsel.cli.report import REPORT
 from termsel.errors import TermselError
 from termsel.options import SEED
@@ -106,7 +106,7 @@ _OPTIONS = (
 
 def run_options(command: Command) -> Command:
     """Add the options of `Asked` to a command, but for ``--out``."""
-    command = allow_remote(command)
+    command = remote_option(command)
     for option in reversed(_OPTIONS):
         command = option(command)
     return command

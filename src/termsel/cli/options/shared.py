@@ -28,7 +28,7 @@ progress_option = click.option(
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
-def allow_remote(command: Command) -> Command:
+def remote_option(command: Command) -> Command:
     """Add ``--allow-remote``, which holds for all that the command reads."""
     return click.option(
         "--allow-remote", is_flag=True, expose_value=False, callback=_allow,

@@ -13,9 +13,7 @@ import numpy as np
 
 import termsel
 from termsel import FeatureSet, Points, TermselError
-from termsel.errors import unknown_name
-from termsel.guard.faults import blamed
-from termsel.measurements.features import FloatArray
+from termsel.toolkit import FloatArray, blamed, unknown_name
 from termsel_bench.methods import peers, scripts
 
 Projection = Callable[[FloatArray], FloatArray]

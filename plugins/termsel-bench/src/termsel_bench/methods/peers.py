@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from termsel import FeatureSet, Rpc, TermselError
-from termsel.errors import requires
-from termsel.measurements.features import FloatArray
+from termsel.toolkit import FloatArray, requires
 
 Projection = Callable[[FloatArray], FloatArray]
 

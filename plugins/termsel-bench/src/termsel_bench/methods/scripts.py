@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from termsel import FeatureSet, TermselError
-from termsel.errors import requires
-from termsel.measurements.features import BoolArray, FloatArray
+from termsel.toolkit import BoolArray, FloatArray, requires
 
 POPULATION, GENERATIONS = 60, 40
 

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from termsel import FeatureSet, Lines, Points, Rpc
-from termsel.formats.rpc_files import rpc_txt_text
-from termsel.measurements.features import FloatArray
+from termsel.toolkit import FloatArray, rpc_txt_text
 
 INDEPENDENT = 1000
 """Independent points of a simulated set."""

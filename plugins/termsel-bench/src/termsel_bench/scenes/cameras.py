@@ -15,11 +15,9 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike
 
-from termsel.errors import TermselError
-from termsel.measurements.features import FeatureSet, FloatArray, Points
-from termsel.simulate.orbit import pushbroom_at
-from termsel.simulate.pushbroom import Angle, Pushbroom
-from termsel.simulate.wgs84 import from_ecef, to_ecef, vertical
+from termsel import FeatureSet, Points, TermselError
+from termsel.simulate import Angle, Pushbroom, pushbroom_at
+from termsel.toolkit import FloatArray, from_ecef, to_ecef, vertical
 
 KINDS = ("steady", "agile", "cubesat", "airborne", "frame", "panoramic")
 ALL_KINDS = (*KINDS, "radar")

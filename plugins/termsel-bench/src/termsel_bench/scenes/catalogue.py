@@ -14,7 +14,7 @@ from numpy.random import Generator
 
 import termsel
 from termsel import FeatureSet, Points, TermselError, rpc_of, simulate_scene
-from termsel.errors import requires, unknown_name
+from termsel.toolkit import requires, unknown_name
 from termsel_bench.scenes.base import INDEPENDENT, BenchSet, rounded
 from termsel_bench.scenes.cameras import FRESH, image_of
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import termsel_bench
-from termsel.files.atomic import write_text
+from termsel.toolkit import write_text
 from termsel_bench.scenes.base import INDEPENDENT, BenchSet
 from termsel_bench.scenes.catalogue import METADATA, SETS, made
 

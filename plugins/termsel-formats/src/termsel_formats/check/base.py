@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from termsel import TermselError
-from termsel.measurements.features import FloatArray
+from termsel.toolkit import FloatArray
 
 Places = Callable[[FloatArray, FloatArray], FloatArray]
 """From line and sample (n, 2) and heights (n,) to x and y (n, 2), NaN where there are none."""

@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from termsel.cli.messages import echo, show_messages
-from termsel.cli.options.shared import final_option
-from termsel.cli.tables import print_json, print_table
+from termsel.toolkit import echo, final_option, print_json, print_table, show_messages
 
 if TYPE_CHECKING:
     from termsel_formats.check.comparison import Apart, Deviation

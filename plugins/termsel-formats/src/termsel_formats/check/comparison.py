@@ -8,9 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from termsel import Result, TermselError
-from termsel.measurements.coordinates.crs import EARTH, LOCAL, body_of, horizontal, transformation
-from termsel.measurements.coordinates.metres import in_metres
-from termsel.measurements.features import FloatArray
+from termsel.toolkit import EARTH, LOCAL, FloatArray, body_of, horizontal, in_metres, transformation
 from termsel_formats.check.base import NoAnswer, Taken
 from termsel_formats.check.gdal import outline
 from termsel_formats.check.programs import Answers, taken_by

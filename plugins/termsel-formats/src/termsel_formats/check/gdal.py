@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.measurements.features import FloatArray
+from termsel.toolkit import FloatArray
 from termsel_formats.check.base import NoAnswer, Places, Taken, answer
 
 WGS84 = "EPSG:4326"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from termsel.measurements.features import FloatArray
+from termsel.toolkit import FloatArray
 from termsel_formats.check.base import NoAnswer, Taken, answer
 from termsel_formats.check.gdal import WGS84, Header
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from termsel.files.atomic import private_folder
+from termsel.toolkit import private_folder
 from termsel_formats.check.base import NoAnswer, Taken, answer
 from termsel_formats.check.gdal import Header, level, outline, transformed
 

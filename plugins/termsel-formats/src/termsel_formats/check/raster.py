@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from termsel.files.rasters import open_raster, require_rasterio
-from termsel.measurements.features import FloatArray
+from termsel import open_raster
+from termsel.toolkit import FloatArray, require_rasterio
 from termsel_formats.check.base import Places, Taken
 from termsel_formats.check.gdal import WGS84
 

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from termsel import Result, TermselError
-from termsel.files.atomic import private_folder
-from termsel.files.rasters import require_rasterio
+from termsel.toolkit import private_folder, require_rasterio
 
 _PICTURES = (".tif", ".tiff", ".jp2", ".jpg", ".jpeg", ".png", ".ntf", ".img", ".vrt")
 _STEM = re.compile(r"(?P<stem>.+?)(?P<rest>_rpc\.txt|\.rpb|\.t(?:i?f)?w|\.tifw|\.jgw|\.pgw|\.j2w"

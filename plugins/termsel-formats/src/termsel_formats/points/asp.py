@@ -12,8 +12,7 @@ import re
 from pathlib import Path
 
 from termsel import FeatureSet, Reader, TermselError
-from termsel.formats.base import IMAGE_NAME, image_of, read_text
-from termsel.formats.readers.table import Table, is_number
+from termsel.toolkit import IMAGE_NAME, Table, image_of, is_number, read_text
 
 _GROUND = ("id", "lat", "lon", "height", "sigma_x", "sigma_y", "sigma_z")
 _IMAGE = ("image", "column", "row", "sigma_column", "sigma_row")

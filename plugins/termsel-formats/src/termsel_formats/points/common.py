@@ -6,7 +6,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from termsel import TermselError
-from termsel.formats.base import read_text
+from termsel.toolkit import read_text
 
 CORNER = 0.5
 """From the centre of the first pixel to its outer corner, where GDAL and others count from."""

@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from termsel import FeatureSet, Option, Reader, TermselError
-from termsel.formats.base import image_of, read_text
-from termsel.formats.readers.table import Table
+from termsel.toolkit import Table, image_of, read_text
 from termsel_formats.points.common import utm
 
 _COLUMNS = {

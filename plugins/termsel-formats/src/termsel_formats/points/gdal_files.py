@@ -15,11 +15,17 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from termsel import FeatureSet, Option, Reader, Result, TermselError
-from termsel.files.atomic import atomic_path, encoded, private_folder, write_text
-from termsel.formats.readers.gdal_gcps import points_of
-from termsel.formats.vrt import picture_for, vrt_text
-from termsel.formats.writers.selections import gcps_of
-from termsel.measurements.coordinates.crs import normalise
+from termsel.toolkit import (
+    atomic_path,
+    encoded,
+    gcps_of,
+    normalise,
+    picture_for,
+    points_of,
+    private_folder,
+    vrt_text,
+    write_text,
+)
 from termsel_formats.points.common import CORNER, what_lacks, xml_root
 from termsel_formats.points.written import IMAGE, PointsWriter, say_by_gdal
 

@@ -13,10 +13,16 @@ from xml.etree import ElementTree
 import numpy as np
 
 from termsel import FeatureSet, Option, Points, Reader, Result, TermselError
-from termsel.files.atomic import write_text
-from termsel.formats.base import IMAGE_NAME, image_of, located
-from termsel.formats.writers.selections import chosen_points, wkt
-from termsel.measurements.coordinates.crs import horizontal, normalise
+from termsel.toolkit import (
+    IMAGE_NAME,
+    chosen_points,
+    horizontal,
+    image_of,
+    located,
+    normalise,
+    wkt,
+    write_text,
+)
 from termsel_formats.points.common import CORNER, what_lacks, xml_root
 from termsel_formats.points.written import IMAGE, PointsWriter, image_name, say_points
 

@@ -14,10 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 from termsel import FeatureSet, Option, Reader, Result, TermselError
-from termsel.files.atomic import write_text
-from termsel.formats.base import read_text
-from termsel.formats.readers.table import Table
-from termsel.formats.writers.selections import chosen_points
+from termsel.toolkit import Table, chosen_points, read_text, write_text
 from termsel_formats.points.common import CORNER, utm
 from termsel_formats.points.written import IMAGE, PointsWriter, image_name, on_wgs84, say_by_gdal
 

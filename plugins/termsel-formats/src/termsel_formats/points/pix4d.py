@@ -19,11 +19,17 @@ from typing import ClassVar
 import numpy as np
 
 from termsel import FeatureSet, Option, Reader, Result, TermselError
-from termsel.files.atomic import atomic_path, encoded, write_text
-from termsel.formats.base import IMAGE_NAME, image_of, read_text
-from termsel.formats.readers.table import Table
-from termsel.formats.writers.selections import chosen_points
-from termsel.measurements.coordinates.crs import is_geographic
+from termsel.toolkit import (
+    IMAGE_NAME,
+    Table,
+    atomic_path,
+    chosen_points,
+    encoded,
+    image_of,
+    is_geographic,
+    read_text,
+    write_text,
+)
 from termsel_formats.points.common import CORNER
 from termsel_formats.points.written import IMAGE, PointsWriter, image_name, say_points
 

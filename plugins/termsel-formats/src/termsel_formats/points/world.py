@@ -12,11 +12,15 @@ from typing import ClassVar
 import numpy as np
 
 from termsel import FeatureSet, Option, Points, Reader, Result, TermselError, open_raster
-from termsel.files.atomic import write_text
-from termsel.formats.base import read_text
-from termsel.formats.deviation import places_of, say_deviation
-from termsel.measurements.coordinates.crs import LOCAL, horizontal
-from termsel.measurements.features import FloatArray
+from termsel.toolkit import (
+    LOCAL,
+    FloatArray,
+    horizontal,
+    places_of,
+    read_text,
+    say_deviation,
+    write_text,
+)
 from termsel_formats.points.written import PointsWriter
 
 log = logging.getLogger("termsel.formats")

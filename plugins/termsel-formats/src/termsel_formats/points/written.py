@@ -8,10 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from termsel import Option, Result, TermselError, Writer
-from termsel.formats.deviation import GDALWARP, say_nearest
-from termsel.measurements.coordinates.crs import LOCAL, horizontal, to_wgs84
-from termsel.measurements.features import Points
+from termsel import Option, Points, Result, TermselError, Writer
+from termsel.toolkit import GDALWARP, LOCAL, horizontal, say_nearest, to_wgs84
 from termsel_formats.points.common import utm
 
 log = logging.getLogger("termsel.formats")

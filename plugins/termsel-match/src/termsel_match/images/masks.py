@@ -15,7 +15,7 @@ import shapely
 from numpy.typing import NDArray
 
 from termsel import TermselError
-from termsel.formats.readers.vector import open_layer
+from termsel.toolkit import open_layer
 from termsel_match.images.rasters import FloatArray, GreyRaster, Mask, open_picture
 
 log = logging.getLogger("termsel.match")

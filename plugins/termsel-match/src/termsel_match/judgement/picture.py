@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from termsel import TermselError
-from termsel.files.atomic import write_bytes
+from termsel.toolkit import write_bytes
 from termsel_match.images.rasters import open_picture, stretched
 from termsel_match.judgement.selection import Selected
 

@@ -13,7 +13,7 @@ import shapely
 from numpy.typing import NDArray
 
 from termsel import TermselError, open_dem
-from termsel.formats.readers.vector import open_layer
+from termsel.toolkit import open_layer
 from termsel_match.images.rasters import FloatArray
 from termsel_match.images.starts import Start
 

@@ -10,8 +10,8 @@ import numpy as np
 import shapely
 
 from termsel import write_points_csv, write_rpc
-from termsel.files.atomic import new_folder
 from termsel.simulate import write_geometry
+from termsel.toolkit import new_folder
 from termsel_match.simulated.world import CRS, SPACING, World
 
 log = logging.getLogger("termsel.match")

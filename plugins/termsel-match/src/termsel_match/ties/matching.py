@@ -15,7 +15,7 @@ from time import monotonic
 import numpy as np
 
 from termsel import TermselError, get, open_dem
-from termsel.files.atomic import write_text
+from termsel.toolkit import write_text
 from termsel_match.images.masks import open_masked
 from termsel_match.images.rasters import FloatArray, GreyRaster, grid
 from termsel_match.images.starts import Start, start_of, turned

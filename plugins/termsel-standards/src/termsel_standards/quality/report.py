@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from termsel import Option, Result, TermselError
-from termsel.measurements.coordinates.crs import LOCAL, horizontal
-from termsel.record.base import plain
+from termsel.toolkit import LOCAL, horizontal, plain
 from termsel_standards.outline import outline_of
 
 RMSEP = "47"

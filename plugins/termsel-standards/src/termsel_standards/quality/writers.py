@@ -9,8 +9,7 @@ from typing import ClassVar
 import msgspec
 
 from termsel import Option, Result, Writer
-from termsel.files.atomic import write_text
-from termsel.measurements.coordinates.crs import LOCAL
+from termsel.toolkit import LOCAL, write_text
 from termsel_standards.quality.fgdc import fgdc_xml
 from termsel_standards.quality.iso import iso_xml
 from termsel_standards.quality.report import OPTIONS, Quality, quality_of
