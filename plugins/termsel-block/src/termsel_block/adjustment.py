@@ -29,6 +29,7 @@ _BENT = 3  # first steps of a stage, in which derivatives are renewed
 _TRUST = 3  # first steps, in which control keeps its weight
 _ROBUST = 2.5  # standard deviations at which a weight is a half
 _SLOPE_OVER = 10.0  # m
+_UNSEEN = 1e4  # m, the most that a step moves a tie which no image in use sees
 _SLOW = 2500  # parameters of images from which variances are estimated once in a stage
 _LEAST_SIGMA = 0.01  # px; without it data without noise would have infinite weights
 
@@ -190,6 +191,8 @@ class _Run:
             # From weights that fall at once a lone control point would never return.
             if step < _BENT:
                 self.slopes = {}
+                self.state.cameras = [camera.renewed(parameters) for camera, parameters in zip(
+                    self.state.cameras, self.state.parameters, strict=True)]
             self.step(robust, trust=robust and step < _TRUST)
             moved = self._moved()
             settled = True
@@ -221,8 +224,7 @@ class _Run:
             own.append(block + precision)
             right.append(rest - precision @ parameters.T.ravel())
         of_ties, right_of_ties = self.heights.equations(state.ties)
-        # A tie that no image sees in use must not be singular.
-        of_ties = of_ties + np.eye(3) * 1e-12
+        of_ties = of_ties + np.eye(3) * _UNSEEN**-2
         try:
             self.solved = solve(seen, own, right, of_ties, right_of_ties, self.shared)
         except (np.linalg.LinAlgError, RuntimeError) as error:
@@ -310,10 +312,11 @@ class _Run:
         self.freedom = freedom + rows - spent
         if freedom > 1:
             state.sigma_ties = max(float(np.sqrt(total / freedom)), _LEAST_SIGMA)
-        # Few points say little of their own precision: the ties' counts as four of them.
+        # Few points say little of their own precision: the ties' counts as four of them. The mean of
+        # the posterior, 2 below its redundancy, is what makes standard deviations true.
         expected = max(rows - spent, 0.0)
         state.sigma_control = float(np.sqrt(
-            (squares + _PRIOR_COUNT * state.sigma_ties**2) / (expected + _PRIOR_COUNT)))
+            (squares + _PRIOR_COUNT * state.sigma_ties**2) / (expected + _PRIOR_COUNT - 2)))
         self._variances(covariances)
         after = np.array([state.sigma_ties, state.sigma_control])
         return bool(np.abs(after / before - 1).max() < _SETTLED)
@@ -345,21 +348,23 @@ class _Run:
         state, dropped = self.state, False
         for i, (camera, covariance) in enumerate(
                 zip(state.cameras, self.solved.reduced.own(), strict=True)):
+            if len(fixed) and fixed[i]:
+                continue
             names = np.tile(camera.groups, 2)
-            keep = np.ones(len(camera.groups), bool)
-            for name in reversed(dict.fromkeys(camera.groups)):
-                if name in camera.kept or (len(fixed) and fixed[i]):
-                    continue
+            groups = [name for name in dict.fromkeys(camera.groups) if name not in camera.kept]
+            out: set[str] = set()
+            for name in reversed(groups):
                 at = np.flatnonzero(names == name)
-                mean = state.parameters[i].T.ravel()[at]
                 evidence[i][name] = log_bayes_factor(
-                    mean, covariance[np.ix_(at, at)], np.tile(state.variances[i], 2)[at])
+                    state.parameters[i].T.ravel()[at], covariance[np.ix_(at, at)],
+                    np.tile(state.variances[i], 2)[at])
                 if evidence[i][name] < AGAINST:
-                    if name == "drift" and evidence[i].get("affine", AGAINST - 1) >= AGAINST:
-                        continue  # the known corrections are nested
-                    keep &= np.array(camera.groups) != name
-            if not keep.all():
+                    out.add(name)
+                elif camera.nested:  # one can go only after all that follow it
+                    break
+            if out:
                 dropped = True
+                keep = np.array([name not in out for name in camera.groups])
                 state.cameras[i] = camera.only(keep)
                 state.parameters[i] = state.parameters[i][keep]
                 state.variances[i] = state.variances[i][keep]

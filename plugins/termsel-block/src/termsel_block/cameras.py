@@ -14,9 +14,17 @@ from termsel_block.frame import BoolArray, FloatArray, Frame
 _STEP = 1.0
 """Metres on the ground over which derivatives are taken."""
 
+DISTANCE = 700e3
+"""Metres from an imaging satellite to its ground: most are 450 to 900 km away."""
+
+_UNSURE = 0.3
+"""Relative standard deviation of that distance."""
+
 POWERS = tuple(sorted((p for p in product(range(4), repeat=3) if sum(p) + p[2] <= 3),
                       key=lambda p: (sum(p), p)))
 """Exponents of x, y and z: cubic on the plane, heights by themselves and with x and y."""
+
+_AXES = (1, 0, 0), (0, 1, 0), (0, 0, 1)
 
 _AFFINE, _QUADRATIC, _CUBIC, _RELIEF = "affine", "quadratic", "cubic", "relief"
 
@@ -39,6 +47,8 @@ class Camera(ABC):
         Groups that no evidence can drop.
     wide : frozenset of str
         Those of them whose variance stays what it was.
+    nested : bool
+        Whether a group makes sense only with all before it.
     """
 
     groups: tuple[str, ...]
@@ -46,6 +56,7 @@ class Camera(ABC):
     least: tuple[float, ...]
     kept: frozenset[str] = frozenset()
     wide: frozenset[str] = frozenset()
+    nested = False
 
     @abstractmethod
     def only(self, keep: BoolArray) -> Camera:
@@ -54,6 +65,10 @@ class Camera(ABC):
     @abstractmethod
     def first_order(self, local: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the known part (n, 2) [px] and the columns (n, m) at places of the frame."""
+
+    def renewed(self, parameters: FloatArray) -> Camera:
+        """Return the camera with a known part that suits parameters (m, 2)."""
+        return self
 
     @abstractmethod
     def area(self) -> tuple[FloatArray, FloatArray]:
@@ -86,6 +101,7 @@ class RpcCamera(Camera):
     """
 
     COLUMNS = ("shift", "drift", "affine")
+    nested = True
 
     def __init__(self, rpc: Rpc, frame: Frame, groups: Sequence[str] = COLUMNS) -> None:
         self.rpc, self.frame = rpc, frame
@@ -120,39 +136,71 @@ class PolynomialCamera(Camera):
 
     Coordinates are in half widths of the image's ground, heights too, so that the effect of a
     height is bounded as physics bounds it: a metre up moves a place in the image at most some two
-    metres along the ground. Terms of degree 2 and 3 have variances which the block's evidence
-    finds; those of degree 0 and 1 are free but for that bound.
+    metres along the ground. Terms of degree 0 and 1 are free but for that bound. From them follows
+    the perspective of a scanner some 700 km away, which is the known part: all images of a block
+    have it in common, and ties alone cannot show it. Terms of degree 2 and 3 correct it; the
+    block's evidence finds their variances.
+
+    Notes
+    -----
+    A scanner divides samples by the distance d = D + r (p - m t), with r the direction of its rays,
+    p the place, m t its own way since it saw the middle. To second order that adds
+    -s (r p - (r m) l) / D, with l and s the terms of degree 1 of line and sample. The ray is where
+    l and s do not change. Lines follow one another in time and have no such division.
     """
 
     kept = frozenset({_AFFINE, _QUADRATIC})
     wide = frozenset({_AFFINE})
 
     def __init__(self, centre: FloatArray, half_ground: float, half_image: float,
-                 middle: FloatArray, powers: Sequence[tuple[int, ...]] = POWERS) -> None:
+                 middle: FloatArray, powers: Sequence[tuple[int, ...]] = POWERS,
+                 perspective: FloatArray | None = None) -> None:
         self.centre, self.half, self.middle = centre, half_ground, middle
         self.half_image, self.powers = half_image, tuple(powers)
+        self.perspective = np.zeros((3, 3)) if perspective is None else perspective
         self.groups = tuple(_group(p) for p in powers)
+        near = _UNSURE * half_ground / DISTANCE
         spread = {_QUADRATIC: 0.003 * half_image, _CUBIC: 0.0005 * half_image,
-                  _RELIEF: 0.02 * half_image}
+                  _RELIEF: max(near, 0.003) * half_image}
+        least = {_QUADRATIC: spread[_QUADRATIC] / 7, _RELIEF: near / 2 * half_image}
         self.spread = tuple(spread.get(name, half_image * (1.0 if p[2] else 10.0))
                             for name, p in zip(self.groups, powers, strict=True))
-        self.least = tuple(spread.get(name, 0.0) / 4 if name == _QUADRATIC else 1e-4
-                           for name in self.groups)
+        self.least = tuple(least.get(name, 1e-4) for name in self.groups)
 
     def only(self, keep: BoolArray) -> PolynomialCamera:
         """Return the camera with some of its columns."""
-        return PolynomialCamera(self.centre, self.half, self.half_image, self.middle, [
-            power for power, kept in zip(self.powers, keep, strict=True) if kept])
+        return self._with([power for power, kept in zip(self.powers, keep, strict=True) if kept],
+                          self.perspective)
+
+    def renewed(self, parameters: FloatArray) -> PolynomialCamera:
+        """Return the camera with the perspective of the rays that parameters (m, 2) state."""
+        line, sample = np.stack([parameters[self.powers.index(axis)] for axis in _AXES], axis=1)
+        ray = np.cross(line, sample)
+        if abs(ray[2]) <= 1e-3 * np.linalg.norm(ray):  # of no image from above
+            return self
+        ray *= -np.sign(ray[2]) / np.linalg.norm(ray)  # downwards
+        # Where the ground that one sample sees is a line later.
+        way = np.array([sample[1], -sample[0]]) / (line[0] * sample[1] - line[1] * sample[0])
+        away = ray - (ray[:2] @ way) * line
+        return self._with(self.powers, -self.half / DISTANCE * np.outer(sample, away))
+
+    def _with(self, powers: Sequence[tuple[int, ...]], perspective: FloatArray,
+              ) -> PolynomialCamera:
+        return PolynomialCamera(self.centre, self.half, self.half_image, self.middle, powers,
+                                perspective)
 
     def area(self) -> tuple[FloatArray, FloatArray]:
         """Return middle and half widths of the ground that the coordinates fit."""
         return self.centre, np.full(2, self.half)
 
     def first_order(self, local: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the image's middle, and the monomials."""
-        x, y, z = ((local - self.centre) / self.half).T
+        """Return the image's middle with the perspective, and the monomials."""
+        place = (local - self.centre) / self.half
+        x, y, z = place.T
         columns = np.stack([x**a * y**b * z**c for a, b, c in self.powers], axis=1)
-        return np.broadcast_to(self.middle, (len(local), 2)), columns
+        image = np.tile(self.middle, (len(local), 1))
+        image[:, 1] += np.einsum("ni,ij,nj->n", place, self.perspective, place)
+        return image, columns
 
 
 def _group(power: tuple[int, ...]) -> str:

@@ -208,8 +208,8 @@ def solve(
         block = (part.columns * w[:, None]).T @ part.columns
         diagonal.append(mine + linalg.block_diag(block, block))
         right.append(aside + ((part.columns * w[:, None]).T @ part.residual).T.ravel())
-    inverse: FloatArray = np.asarray(np.linalg.inv(of_ties))
-    root = np.linalg.cholesky(inverse)
+    root = np.linalg.inv(np.linalg.cholesky(of_ties)).transpose(0, 2, 1)
+    inverse = root @ root.transpose(0, 2, 1)
     half = [np.einsum("tki,tij->tkj", c, root[part.tie])
             for c, part in zip(coupling, seen, strict=True)]
     steered = np.einsum("tji,tj->ti", root, right_of_ties)

@@ -73,11 +73,12 @@ def simulate_block(
     places, image, index = _seen_ties(sensors, n_images, n_ties, width, size, rng)
     place = image + rng.normal(0, noise, image.shape)
     count = len(places)
-    bad = rng.random(count) < wrong
-    for tie in np.flatnonzero(bad):
-        row = rng.choice(np.flatnonzero(index[:, 0] == tie))
-        turn = rng.uniform(0, 2 * np.pi)
-        place[row] += rng.uniform(5, 60) * np.array([np.sin(turn), np.cos(turn)])
+    # Of their own generator: the rest of the block is the same without them.
+    of_wrong = np.random.default_rng([seed, 1])
+    for tie in np.flatnonzero(of_wrong.random(count) < wrong):
+        row = of_wrong.choice(np.flatnonzero(index[:, 0] == tie))
+        turn = of_wrong.uniform(0, 2 * np.pi)
+        place[row] += of_wrong.uniform(5, 60) * np.array([np.sin(turn), np.cos(turn)])
     ties = Ties(tuple(f"T{i}" for i in range(count)), index[:, 0], index[:, 1], place)
     images = []
     known = _known_places(sensors, max(control, default=0), independent, width, rng)

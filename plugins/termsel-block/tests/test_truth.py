@@ -1,0 +1,87 @@
+"""Blocks against the truth: standard deviations, blunders, heights, and what is chosen."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("termsel_block", reason="termsel-block is not installed: "
+                    "pip install -e plugins/termsel-block")
+
+from termsel_block.accuracy import independent_points, rmse
+from termsel_block.frame import FloatArray
+from termsel_block.joint import BlockResult, adjust
+from termsel_block.record import record_of, times_seen
+from termsel_block.simulated import LAT, LON, Simulated, height, simulate_block
+
+
+def errors(result: BlockResult) -> FloatArray:
+    """Return the RMSE of the independent points of each image [px]."""
+    found = []
+    for i in range(len(result.block.images)):
+        points = independent_points(result, i)
+        assert points is not None
+        found.append(rmse(points.image - result.project(i, points.ground)))
+    return np.array(found)
+
+
+def chi_square(simulated: Simulated, result: BlockResult) -> float:
+    """Return the mean square of the errors of ties over their variance."""
+    away = result.adjusted.state.ties - result.frame.local(simulated.ties)
+    covariance = result.adjusted.solved.covariance_of_ties()
+    of_each = np.einsum("ti,tij,tj->t", away, np.linalg.inv(covariance), away)
+    return float(of_each[times_seen(result) > 1].mean()) / 3
+
+
+def test_images_without_geometry_know_how_uncertain_they_are() -> None:
+    """Their perspective is common to all, so that ties cannot show it."""
+    found, off = [], []
+    for seed in range(6):
+        simulated = simulate_block(3, control=(6, 6, 0), seed=seed, independent=30)
+        result = adjust(simulated.block)
+        found.append(chi_square(simulated, result))
+        off.append(errors(result)[2])
+    assert 0.5 < np.median(found) < 1.5  # 2.1 without the perspective
+    assert np.median(off) < 4.0  # px; 7 without it
+
+
+def test_a_correction_is_dropped_only_after_those_that_contain_it() -> None:
+    simulated = simulate_block(3, rpcs=True, control=(20, 0, 0), seed=11, independent=30)
+    result = adjust(simulated.block)
+    for camera in result.adjusted.state.cameras:
+        assert camera.groups == camera.COLUMNS[:len(camera.groups)]  # type: ignore[attr-defined]
+    assert errors(result).max() < 5  # 27 px with a drift but no shift
+    assert len(record_of(result).wrong_ties) < 3  # 42
+
+
+@pytest.mark.parametrize("rpcs", [True, False])
+def test_wrong_ties_cost_little(rpcs: bool) -> None:
+    """A tenth of them, and at most 15 %."""
+    ratios = []
+    for seed in range(3):
+        clean, wrong = (errors(adjust(simulate_block(
+            3, rpcs=rpcs, control=(6, 6, 0), seed=seed, independent=30, wrong=share).block))
+            for share in (0.0, 0.1))
+        ratios.append(np.sqrt((wrong**2).mean() / (clean**2).mean()))
+    assert np.mean(ratios) < 1.15
+
+
+def test_a_dem_holds_ties_that_no_image_in_use_sees(tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    n, half = 400, 0.3
+    step = 2 * half / n
+    lon, lat = LON - half + step * (np.arange(n) + 0.5), LAT + half - step * (np.arange(n) + 0.5)
+    places = np.stack(np.meshgrid(lon, lat), axis=-1).reshape(-1, 2)
+    with rasterio.open(
+            tmp_path / "dem.tif", "w", driver="GTiff", width=n, height=n, count=1,
+            dtype="float32", crs="EPSG:4979",
+            transform=rasterio.transform.from_origin(LON - half, LAT + half, step, step)) as raster:
+        raster.write(height(places).reshape(n, n).astype(np.float32), 1)
+    simulated = simulate_block(3, control=(6, 6, 0), seed=1, independent=30, wrong=0.1)
+    without = adjust(simulated.block)
+    result = adjust(replace(simulated.block, dem=tmp_path / "dem.tif"))
+    assert (times_seen(result) < 2).any()
+    assert errors(result)[2] < 1.1 * errors(without)[2]
