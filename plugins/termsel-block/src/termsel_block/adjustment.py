@@ -26,7 +26,9 @@ _CONVERGED = 1e-3  # px
 _SETTLED = 0.02  # relative change of a standard deviation
 _STEPS = 15  # of one stage at most
 _BENT = 3  # first steps of a stage, in which derivatives are renewed
-_TRUST = 3  # first steps, in which control keeps its weight
+_WIDE = (8.0, 4.0, 2.0)  # what weights are wider by in the first steps, while much is bent
+_HALVINGS = 6  # of a step at most, less one
+_TRUST = len(_WIDE)  # first steps, in which control keeps its weight
 _ROBUST = 2.5  # standard deviations at which a weight is a half
 _SLOPE_OVER = 10.0  # m
 _UNSEEN = 1e4  # m, the most that a step moves a tie which no image in use sees
@@ -72,22 +74,34 @@ class Heights:
 
     def equations(self, ties: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return what they add to the ties' normal equations, (t, 3, 3) and (t, 3)."""
-        ground = self.frame.ground(ties)
+        away, weight, height = self._away(ties)
         row = np.zeros((len(ties), 3))
         row[:, 2] = 1.0  # up is up, within the milliradians that a block is wide
-        away, weight = self.mean - ground[:, 2], np.full(len(ties), self.spread**-2)
         if self.surface is not None:
-            height = self.surface(ground[:, :2])
-            known = np.isfinite(height)
             for axis in range(2):
                 there = ties.copy()
                 there[:, axis] += _SLOPE_OVER
                 slope = (self.surface(self.frame.ground(there)[:, :2]) - height) / _SLOPE_OVER
                 row[:, axis] = np.where(np.isfinite(slope), -slope, 0.0)
-            away = np.where(known, height - ground[:, 2], away)
-            weight = np.where(known, self.sigma**-2, weight)
         return (np.einsum("t,ti,tj->tij", weight, row, row),
                 (weight * away)[:, None] * row)
+
+    def cost(self, ties: FloatArray) -> float:
+        """Return the sum of squares of how far ties (t, 3) are off, over their variances."""
+        away, weight, _ = self._away(ties)
+        return float((weight * away**2).sum())
+
+    def _away(self, ties: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return what ties lack in height, its weight, and the height of the surface."""
+        ground = self.frame.ground(ties)
+        away, weight = self.mean - ground[:, 2], np.full(len(ties), self.spread**-2)
+        height = np.full(len(ties), np.nan)
+        if self.surface is not None:
+            height = self.surface(ground[:, :2])
+            known = np.isfinite(height)
+            away = np.where(known, height - ground[:, 2], away)
+            weight = np.where(known, self.sigma**-2, weight)
+        return away, weight, height
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +166,8 @@ def adjust_block(state: State, measured: Sequence[Measured], control: Sequence[O
     report = progress or _nothing
     state.in_use = state.in_use or [np.ones(len(part.tie), bool) for part in measured]
     state.control_in_use = state.control_in_use or [np.ones(len(part), bool) for part in control]
-    steps = run.iterate(robust=True, limit=_STEPS, report=lambda s: report(0.4 * s))
+    steps = run.iterate(robust=True, limit=_STEPS, first=True,
+                        report=lambda s: report(0.4 * s))
     evidence: list[dict[str, float]] = [{} for _ in state.cameras]
     for _ in range(2):
         if not run.drop(evidence, fixed):
@@ -175,6 +190,8 @@ class _Run:
     solved: Solved
     converged = False
     freedom = np.nan
+    share = 1.0
+    """Of the last step, that was taken."""
 
     def __init__(self, state: State, measured: Sequence[Measured], control: Sequence[OwnControl],
                  heights: Heights, shared: Sequence[Shared]) -> None:
@@ -183,17 +200,19 @@ class _Run:
         self.slopes: dict[int, FloatArray] = {}
         self.large = sum(2 * len(camera.groups) for camera in state.cameras) > _SLOW
 
-    def iterate(self, *, robust: bool, limit: int, report: Callable[[float], None]) -> int:
-        """Make steps until nothing moves; return how many."""
+    def iterate(self, *, robust: bool, limit: int, report: Callable[[float], None],
+                first: bool = False) -> int:
+        """Make steps until nothing moves; return how many. The `first` take the known part anew."""
         self.converged = False
         for step in range(limit):
             report(step / limit)
             # From weights that fall at once a lone control point would never return.
             if step < _BENT:
                 self.slopes = {}
+            if first and step < _BENT:
                 self.state.cameras = [camera.renewed(parameters) for camera, parameters in zip(
                     self.state.cameras, self.state.parameters, strict=True)]
-            self.step(robust, trust=robust and step < _TRUST)
+            self.step(robust, _WIDE[step] if robust and step < _TRUST else 1.0)
             moved = self._moved()
             settled = True
             if step >= _TRUST and (not self.large or step == _TRUST):
@@ -203,8 +222,11 @@ class _Run:
                 return step + 1
         return limit
 
-    def step(self, robust: bool, trust: bool = False) -> None:
-        """Make one step of Gauss and Newton; `trust` says that control keeps its weight."""
+    def step(self, robust: bool, wide: float = 1.0) -> None:
+        """Make a step of Gauss and Newton, by weights that fall `wide` times as slowly as told.
+
+        Where that is more than 1, control keeps its weight.
+        """
         state, seen, own, right = self.state, [], [], []
         for i, (camera, mine, known) in enumerate(
                 zip(state.cameras, self.measured, self.control, strict=True)):
@@ -215,11 +237,11 @@ class _Run:
             residual = mine.place - computed
             weight = np.where(state.in_use[i], state.sigma_ties**-2, 0.0)
             if robust:
-                weight = weight * soft(np.hypot(*residual.T) / state.sigma_ties)
+                weight = weight * soft(np.hypot(*residual.T) / (wide * state.sigma_ties))
             if i not in self.slopes:
                 self.slopes[i] = camera.slopes(parameters, place, computed)
             seen.append(Seen(mine.tie, columns, self.slopes[i], residual, weight))
-            block, rest = self._of_control(i, camera, known, robust and not trust)
+            block, rest = self._of_control(i, camera, known, robust and wide == 1.0)
             precision = np.diag(np.repeat(1 / state.variances[i][None], 2, axis=0).ravel())
             own.append(block + precision)
             right.append(rest - precision @ parameters.T.ravel())
@@ -230,9 +252,34 @@ class _Run:
         except (np.linalg.LinAlgError, RuntimeError) as error:
             raise TermselError("the block is not determined by its control and ties",
                                hint="Give control to an image, or RPCs, or more ties.") from error
-        for i, step in enumerate(self.solved.steps):
-            state.parameters[i] = state.parameters[i] + step.reshape(2, -1).T
-        state.ties = state.ties + self.solved.ties
+        self._take(robust, wide)
+
+    def _take(self, robust: bool, wide: float) -> None:
+        """Take the step, or the part of it that does not make things worse."""
+        state, solved = self.state, self.solved
+        parameters, ties, before = state.parameters, state.ties, self._cost(robust, wide)
+        for halvings in range(_HALVINGS):
+            self.share = 0.5**halvings
+            state.parameters = [old + self.share * step.reshape(2, -1).T
+                                for old, step in zip(parameters, solved.steps, strict=True)]
+            state.ties = ties + self.share * solved.ties
+            if self._cost(robust, wide) <= before * (1 + _CONVERGED):
+                break
+
+    def _cost(self, robust: bool, wide: float) -> float:
+        """Return what a step makes less: twice the negative logarithm of the posterior."""
+        state = self.state
+        of_ties, of_control = self.residuals()
+        total = self.heights.cost(state.ties)
+        for i, known in enumerate(self.control):
+            total += float((state.parameters[i]**2 / state.variances[i][:, None]).sum())
+            square = (of_ties[i]**2).sum(axis=1) / state.sigma_ties**2
+            total += float((square / (1 + square / (wide * _ROBUST)**2 * robust))
+                           @ state.in_use[i])
+            square = (of_control[i] / (state.sigma_control * known.sigma))**2
+            far = square / _ROBUST**2 * (robust and wide == 1.0)
+            total += float((square / (1 + far)) @ state.control_in_use[i])
+        return total
 
     def _of_control(self, i: int, camera: Camera, known: OwnControl, robust: bool,
                     ) -> tuple[FloatArray, FloatArray]:

@@ -17,6 +17,9 @@ _STEP = 1.0
 DISTANCE = 700e3
 """Metres from an imaging satellite to its ground: most are 450 to 900 km away."""
 
+_EARTH = 6371e3
+"""Radius of the Earth [m]."""
+
 _UNSURE = 0.3
 """Relative standard deviation of that distance."""
 
@@ -135,8 +138,8 @@ class PolynomialCamera(Camera):
     """An image without any geometry: a cubic polynomial of ground coordinates with priors.
 
     Coordinates are in half widths of the image's ground, heights too, so that the effect of a
-    height is bounded as physics bounds it: a metre up moves a place in the image at most some two
-    metres along the ground. Terms of degree 0 and 1 are free but for that bound. From them follows
+    height is bounded as physics bounds it: a metre up moves a place in the image at most some one
+    metre along the ground. Terms of degree 0 and 1 are free but for that bound. From them follows
     the perspective of a scanner some 700 km away, which is the known part: all images of a block
     have it in common, and ties alone cannot show it. Terms of degree 2 and 3 correct it; the
     block's evidence finds their variances.
@@ -146,7 +149,8 @@ class PolynomialCamera(Camera):
     A scanner divides samples by the distance d = D + r (p - m t), with r the direction of its rays,
     p the place, m t its own way since it saw the middle. To second order that adds
     -s (r p - (r m) l) / D, with l and s the terms of degree 1 of line and sample. The ray is where
-    l and s do not change. Lines follow one another in time and have no such division.
+    l and s do not change. Lines follow one another in time; the rays of two of them part as radii
+    of the Earth do, which adds -l z / R.
     """
 
     kept = frozenset({_AFFINE, _QUADRATIC})
@@ -154,16 +158,16 @@ class PolynomialCamera(Camera):
 
     def __init__(self, centre: FloatArray, half_ground: float, half_image: float,
                  middle: FloatArray, powers: Sequence[tuple[int, ...]] = POWERS,
-                 perspective: FloatArray | None = None) -> None:
+                 perspective: tuple[FloatArray, FloatArray] | None = None) -> None:
         self.centre, self.half, self.middle = centre, half_ground, middle
         self.half_image, self.powers = half_image, tuple(powers)
-        self.perspective = np.zeros((3, 3)) if perspective is None else perspective
+        self.perspective = (np.zeros((3, 3)),) * 2 if perspective is None else perspective
         self.groups = tuple(_group(p) for p in powers)
         near = _UNSURE * half_ground / DISTANCE
         spread = {_QUADRATIC: 0.003 * half_image, _CUBIC: 0.0005 * half_image,
                   _RELIEF: max(near, 0.003) * half_image}
         least = {_QUADRATIC: spread[_QUADRATIC] / 7, _RELIEF: near / 2 * half_image}
-        self.spread = tuple(spread.get(name, half_image * (1.0 if p[2] else 10.0))
+        self.spread = tuple(spread.get(name, half_image * (0.5 if p[2] else 10.0))
                             for name, p in zip(self.groups, powers, strict=True))
         self.least = tuple(least.get(name, 1e-4) for name in self.groups)
 
@@ -182,10 +186,11 @@ class PolynomialCamera(Camera):
         # Where the ground that one sample sees is a line later.
         way = np.array([sample[1], -sample[0]]) / (line[0] * sample[1] - line[1] * sample[0])
         away = ray - (ray[:2] @ way) * line
-        return self._with(self.powers, -self.half / DISTANCE * np.outer(sample, away))
+        return self._with(self.powers, (-self.half / _EARTH * np.outer(line, (0, 0, 1)),
+                                        -self.half / DISTANCE * np.outer(sample, away)))
 
-    def _with(self, powers: Sequence[tuple[int, ...]], perspective: FloatArray,
-              ) -> PolynomialCamera:
+    def _with(self, powers: Sequence[tuple[int, ...]],
+              perspective: tuple[FloatArray, FloatArray]) -> PolynomialCamera:
         return PolynomialCamera(self.centre, self.half, self.half_image, self.middle, powers,
                                 perspective)
 
@@ -199,7 +204,8 @@ class PolynomialCamera(Camera):
         x, y, z = place.T
         columns = np.stack([x**a * y**b * z**c for a, b, c in self.powers], axis=1)
         image = np.tile(self.middle, (len(local), 1))
-        image[:, 1] += np.einsum("ni,ij,nj->n", place, self.perspective, place)
+        for axis, form in enumerate(self.perspective):
+            image[:, axis] += np.einsum("ni,ij,nj->n", place, form, place)
         return image, columns
 
 
