@@ -17,6 +17,7 @@ def add_commands(cli: click.Group) -> None:
     cli.add_command(block)
     cli.add_command(block_example)
     cli.add_command(block_points)
+    cli.add_command(block_select)
 
 
 @click.command("block")
@@ -66,8 +67,10 @@ def block(file: Path, folder: Path, overwrite: bool, as_json: bool, verbose: boo
 @click.argument("folder", metavar="DIR", type=_PATH)
 @click.option("--images", metavar="N", type=click.IntRange(2, 60), default=3, show_default=True,
               help="Number of images.")
+@click.option("--check", metavar="N", type=click.IntRange(0), default=0,
+              help="Points of each image that judge a selection.")
 @click.option("--seed", type=int, default=1, show_default=True)
-def block_example(folder: Path, images: int, seed: int) -> None:
+def block_example(folder: Path, images: int, check: int, seed: int) -> None:
     """Write a simulated block: images with RPCs, ties with blunders, six control points.
 
     DIR is a new folder. It gets block.toml, ties.csv, an RPC for each image, and tables of points.
@@ -78,7 +81,7 @@ def block_example(folder: Path, images: int, seed: int) -> None:
     """
     from termsel_block.example import write_example
 
-    write_example(folder, images, seed)
+    write_example(folder, images, seed, check)
     click.echo(f"Next: termsel block {folder / 'block.toml'} --out {folder / 'adjusted'}")
 
 
@@ -101,6 +104,49 @@ def block_points(folder: Path, output: Path, overwrite: bool) -> None:
 
     n = write_places(folder, output, overwrite=overwrite)
     click.echo(f"Written: {output}, {n} places", err=True)
+
+
+@click.command("block-select")
+@click.argument("file", metavar="BLOCK.toml", type=_PATH)
+@click.option("-o", "--output", metavar="FILE", type=_PATH, required=True,
+              help="Table to write: kind,image,id of the control and the ties that are selected.")
+@click.option("--solver", metavar="NAME", default="ga", show_default=True,
+              help="Any solver of one objective: ga, ica, swap, or exact for few candidates.")
+@click.option("--most", metavar="N", type=click.IntRange(1),
+              help="Most control features and ties together.")
+@click.option("--candidates", metavar="N", type=click.IntRange(2), default=100, show_default=True,
+              help="Candidates of ties: of more, as many that are well distributed.")
+@click.option("--evaluations", metavar="N", type=click.IntRange(1), help="Budget of the search.")
+@click.option("--seed", type=int, default=1, show_default=True)
+@click.option("--overwrite", is_flag=True, help="Replace a file that is there.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON alone on stdout.")
+def block_select(file: Path, output: Path, solver: str, most: int | None, candidates: int,
+                 evaluations: int | None, seed: int, overwrite: bool, as_json: bool) -> None:
+    """Select which control and which ties of a block are enough (the problem owdis-block).
+
+    Points of the images with the role check judge. Those with the role independent take no part,
+    and tell how accurate the block is with the selection.
+
+    \b
+    Example:
+      termsel block-example place --check 10
+      termsel block-select place/block.toml --most 20 -o enough.csv
+    """
+    import msgspec
+
+    from termsel import require_replaceable
+    from termsel.files.atomic import write_text
+    from termsel_block.block_file import read_block
+    from termsel_block.selecting import rows_of, select, text_of
+
+    block = read_block(file)
+    require_replaceable([output], reads=[file, *block.files], overwrite=overwrite)
+    found = select(block, solver=solver, seed=seed, evaluations=evaluations, most=most,
+                   tie_candidates=candidates)
+    write_text(output, "\n".join(rows_of(found)) + "\n")
+    click.echo(msgspec.json.encode(found.record(solver, seed)) if as_json else text_of(found),
+               nl=as_json)
+    click.echo(f"Written: {output}", err=True)
 
 
 @contextmanager

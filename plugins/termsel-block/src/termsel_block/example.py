@@ -13,7 +13,8 @@ from termsel_block.simulated import simulate_block
 _LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 
 
-def write_example(folder: Path, n_images: int = 3, seed: int = 1) -> None:
+def write_example(folder: Path, n_images: int = 3, seed: int = 1,
+                  check: int = 0) -> None:
     """Write a block of images with RPCs; the first two see six control points.
 
     Raises
@@ -24,7 +25,7 @@ def write_example(folder: Path, n_images: int = 3, seed: int = 1) -> None:
     if folder.exists():
         raise TermselError("this folder exists already", file=folder, hint="Name a new one.")
     simulated = simulate_block(n_images, rpcs=True, control=(6, 6), wrong=0.05, seed=seed,
-                               independent=30)
+                               independent=30, check=check)
     block = simulated.block
     names = [_LETTERS[i % 26] + str(i // 26 or "") for i in range(n_images)]
     try:

@@ -10,12 +10,13 @@ from functools import cached_property
 import numpy as np
 
 from termsel import TermselError, open_dem
-from termsel_block.adjustment import Adjusted, Heights, Measured, adjust_block
+from termsel_block.adjustment import adjust_block
 from termsel_block.block import Block
 from termsel_block.cameras import Camera, RpcCamera
 from termsel_block.control import OwnControl, own_control
 from termsel_block.frame import FloatArray, Frame
 from termsel_block.starts import Given, start
+from termsel_block.unknowns import Adjusted, Heights, Measured
 
 _GROUPS = {"auto": RpcCamera.COLUMNS, "none": (), "shift": ("shift",), "drift": ("shift", "drift"),
            "affine": RpcCamera.COLUMNS}

@@ -9,7 +9,7 @@ import numpy as np
 from termsel import FeatureSet, Points, Rpc, fit, rpc_of
 from termsel.simulate import Angle, Pushbroom, pushbroom_at
 from termsel_block.block import Block, BlockImage, Ties
-from termsel_block.frame import FloatArray, IntArray
+from termsel_block.frame import BoolArray, FloatArray, IntArray
 
 LON, LAT = 48.5, 34.8
 _METRES = 111_320.0
@@ -37,6 +37,7 @@ def simulate_block(
     noise: float = 0.4,
     wrong: float = 0.0,
     independent: int = 60,
+    check: int = 0,
     size: int = 12000,
     gsd: float = 2.5,
     seed: int = 0,
@@ -52,7 +53,7 @@ def simulate_block(
     n_ties : int
         Ties of each image, about.
     control : tuple of int
-        Control points of the first images; the others have none.
+        Control points of the first images; the others have none. Those of a stack are the same.
     rpcs : bool
         Whether each image has a vendor's RPC.
     bias, drift : float
@@ -63,6 +64,8 @@ def simulate_block(
         Share of ties with one wrong measurement, 5 to 60 px off.
     independent : int
         Points of each image that only judge.
+    check : int
+        Further ones that judge a selection.
     size, gsd : int and float
         Lines and samples of each image, and pixels on the ground [m].
     seed : int
@@ -81,10 +84,17 @@ def simulate_block(
         place[row] += of_wrong.uniform(5, 60) * np.array([np.sin(turn), np.cos(turn)])
     ties = Ties(tuple(f"T{i}" for i in range(count)), index[:, 0], index[:, 1], place)
     images = []
-    known = _known_places(sensors, max(control, default=0), independent, width, rng)
+    of_stacks = [max(control[k:k + 3], default=0) for k in range(0, n_images, 3)]
+    known, stack = _known_places(sensors, of_stacks, independent + check, width, rng)
     for i, sensor in enumerate(sensors):
         n = control[i] if i < len(control) else 0
-        points = _points(sensor, known, n, max(control, default=0), noise, size, rng)
+        is_control = stack >= 0
+        use = ~is_control | ((stack == i // 3) & (_rank(stack) < n))
+        points = _points(sensor, known, use, is_control, noise, size, rng)
+        judging = np.flatnonzero([role == "independent" for role in points.roles])
+        roles = np.array(points.roles, object)
+        roles[judging[:check]] = "check"
+        points = replace(points, roles=tuple(roles.tolist()))
         rpc = _vendor(sensor, bias, drift, size, rng) if rpcs else None
         images.append(BlockImage(f"I{i + 1}", FeatureSet(
             points, crs="EPSG:4979", image_size=(size, size)), rpc, size=(size, size)))
@@ -160,26 +170,32 @@ def _seen_ties(sensors: list[Pushbroom], n: int, n_ties: int, width: float, size
             np.concatenate(indices).astype(np.intp))
 
 
-def _known_places(sensors: list[Pushbroom], control: int, independent: int, width: float,
-                  rng: np.random.Generator) -> FloatArray:
-    """Return places of control, then of independent points, all over the block."""
+def _known_places(sensors: list[Pushbroom], control: list[int], independent: int, width: float,
+                  rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
+    """Return places of each stack's control, then of independent points all over the block.
+
+    With them the stack of each; -1 for independent ones.
+    """
     stacks = (len(sensors) + 2) // 3
     half = 0.46 * width / _METRES
-    places = []
-    for count, of in ((control, [0]), (independent * stacks, range(stacks))):
-        middle = np.array([_middle(stack, width) for stack in rng.choice(of, count)]).reshape(-1, 2)
-        away = rng.uniform(-half, half, (count, 2)) / [np.cos(np.radians(LAT)), 1.0]
-        places.append(np.column_stack([middle + away, height(middle + away)]))
-    return np.concatenate(places)
+    of_control = np.repeat(np.arange(len(control)), control)
+    where = np.concatenate([of_control, rng.choice(stacks, independent * stacks)])
+    middle = np.array([_middle(int(stack), width) for stack in where]).reshape(-1, 2)
+    away = rng.uniform(-half, half, middle.shape) / [np.cos(np.radians(LAT)), 1.0]
+    return (np.column_stack([middle + away, height(middle + away)]),
+            np.concatenate([of_control, np.full(independent * stacks, -1)]).astype(np.intp))
 
 
-def _points(sensor: Pushbroom, ground: FloatArray, n: int, control: int, noise: float, size: int,
-            rng: np.random.Generator) -> Points:
-    """Return the first control points, and the independent ones, that an image sees."""
+def _rank(stack: IntArray) -> IntArray:
+    """Return the number of each place within its stack."""
+    return np.array([int((stack[:k] == one).sum()) for k, one in enumerate(stack)], np.intp)
+
+
+def _points(sensor: Pushbroom, ground: FloatArray, use: BoolArray, is_control: BoolArray,
+            noise: float, size: int, rng: np.random.Generator) -> Points:
+    """Return the control and the independent points, of those in use, that an image sees."""
     image = sensor.project(ground)
-    inside = ((image >= 0) & (image <= size - 1)).all(axis=1)
-    is_control = np.arange(len(ground)) < control
-    inside &= ~is_control | (np.arange(len(ground)) < n)
+    inside = use & ((image >= 0) & (image <= size - 1)).all(axis=1)
     image = image + rng.normal(0, noise, image.shape)
     rows = np.flatnonzero(inside)
     return Points(tuple(f"{'G' if is_control[k] else 'Q'}{k}" for k in rows), image[rows],

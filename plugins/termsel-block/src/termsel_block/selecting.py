@@ -1,0 +1,347 @@
+"""Which control and which ties of a block are enough: `owdis-block`, a problem for all solvers.
+
+References
+----------
+Yavari, Valadan Zoej, Salehi 2018: An automatic optimum number of well-distributed ground control
+lines selection procedure based on genetic algorithm. ISPRS J. 139, 46-56: OWDIS of one image.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from termsel import Bits, Evaluation, Genome, Problem, Selection, Solver, TermselError, get
+from termsel.enumeration.features.walk import RowSystem
+from termsel.solvers.search import Search, search
+from termsel_block.accuracy import independent_points, rmse
+from termsel_block.block import Block, BlockImage
+from termsel_block.control import own_control
+from termsel_block.frame import BoolArray, FloatArray, IntArray
+from termsel_block.joint import BlockResult, adjust
+
+NAME = "owdis-block"
+
+_BATCH = 4_000_000  # numbers of normal matrices held at once
+_MOST_ROWS = 30_000_000  # numbers of the rows of all candidates
+
+
+@dataclass(frozen=True, eq=False)
+class Selected:
+    """What a search selected of a block.
+
+    Parameters
+    ----------
+    control : tuple of (str, str)
+        Image and id of each point or line.
+    ties : tuple of str
+    search : Search
+    check, check_of_all : float
+        RMSE of the check points with the selection and with all candidates [px], linearised.
+    result : BlockResult
+        The block adjusted with the selection alone.
+    independent, independent_of_all : float or None
+        RMSE of the independent points of all images [px], after full adjustments.
+    """
+
+    control: tuple[tuple[str, str], ...]
+    ties: tuple[str, ...]
+    search: Search
+    check: float
+    check_of_all: float
+    result: BlockResult
+    independent: float | None
+    independent_of_all: float | None
+
+    def record(self, solver: str, seed: int) -> dict[str, Any]:
+        """Return all figures, for JSON."""
+        return {"problem": NAME, "solver": solver, "seed": seed, "control": self.control,
+                "ties": self.ties, "evaluations": self.search.evaluations,
+                "certificate": self.search.certificate, "rmse": {
+                    "check": self.check, "check_of_all": self.check_of_all,
+                    "independent": self.independent,
+                    "independent_of_all": self.independent_of_all}}
+
+
+class OwdisBlock(Problem):
+    """Select control and ties of a block, so that the check points of all images are best met.
+
+    The block is adjusted with all candidates and linearised there. Control adds its rows, a tie
+    those that are left when its place is eliminated; priors are in every selection. What is a
+    blunder in the adjustment of all is no candidate.
+
+    Parameters
+    ----------
+    block : Block
+        Points with the role check judge; those with the role independent take no part.
+    tie_candidates : int
+        Of more ties, as many that are well distributed are candidates.
+    least, most : int, optional
+        Number of control features and ties together.
+    """
+
+    objectives = ("check-rmse",)
+
+    def __init__(self, block: Block, *, tie_candidates: int = 100, least: int = 1,
+                 most: int | None = None) -> None:
+        self.whole = adjust(_without_check(block))
+        self._check_design, self._check_target = _check_rows(block, self.whole)
+        ties = _spread_ties(self.whole, tie_candidates)
+        rows = [*_control_rows(self.whole), *_tie_rows(self.whole, ties)]
+        if not rows:
+            raise TermselError("the block has no control and no ties to select from")
+        labels = tuple(label for label, _, _ in rows)
+        if not 1 <= least <= (len(labels) if most is None else most):
+            raise TermselError(f"{least} to {most} of {len(labels)} candidates cannot be selected",
+                               hint="Give a smaller least number, or a larger most.")
+        self.genome = Genome([Bits("features", labels, least,
+                                   None if most is None else min(most, len(labels)))])
+        design, target = _prior_rows(self.whole)
+        self._system = RowSystem(
+            np.concatenate([design, *(part for _, part, _ in rows)]),
+            np.concatenate([target, *(part for _, _, part in rows)]),
+            np.concatenate([np.full(len(target), -1), *(
+                np.full(len(part), i) for i, (_, _, part) in enumerate(rows))]).astype(np.intp),
+            self._check_design, self._check_target, needed=1)
+        self._normal = np.stack([part.T @ part for _, part, _ in rows])
+        self._right = np.stack([part.T @ aim for _, part, aim in rows])
+        self._prior = design.T @ design, design.T @ target
+
+    def evaluate(self, genes: BoolArray) -> Evaluation:
+        """Return the RMSE of the check points [px]."""
+        genes, k = np.asarray(genes, bool), len(self._prior[1])
+        found = []
+        for first in range(0, len(genes), max(_BATCH // k**2, 1)):
+            some = genes[first:first + max(_BATCH // k**2, 1)].astype(float)
+            normal = self._prior[0] + np.tensordot(some, self._normal, 1)
+            right = self._prior[1] + some @ self._right
+            steps = np.linalg.solve(normal, right[..., None])[..., 0]
+            errors = self._check_target - steps @ self._check_design.T
+            found.append(np.sqrt(2 * (errors**2).mean(axis=1)))
+        return Evaluation(np.concatenate(found)[:, None], np.zeros(len(genes)))
+
+    def decode(self, genes: BoolArray) -> Selection:
+        """Return the names of what is selected: image:id of control, tie:id of ties."""
+        return Selection((), tuple(label for label, on in zip(self.genome.labels, genes,
+                                                              strict=True) if on))
+
+    def row_systems(self) -> tuple[RowSystem, ...]:
+        """Return the rows, which `exact` enumerates."""
+        return (self._system,)
+
+
+def select(block: Block, *, solver: str | Solver = "ga", seed: int = 1,
+           evaluations: int | None = None, least: int = 1, most: int | None = None,
+           tie_candidates: int = 100, refined: bool = True) -> Selected:
+    """Select the control and the ties of a block that are enough.
+
+    Parameters
+    ----------
+    block : Block
+    solver : str or Solver
+        Any solver of one objective, such as ga, ica, swap, or exact for few candidates.
+    seed, evaluations : int
+        As for a search.
+    refined : bool
+        Whether a local refinement follows a solver that does not end by itself.
+    least, most, tie_candidates : int
+        As for `OwdisBlock`.
+
+    Raises
+    ------
+    TermselError
+        If there are no check points, or the solver cannot search the problem.
+    """
+    problem = OwdisBlock(block, tie_candidates=tie_candidates, least=least, most=most)
+    chosen = get("solvers", solver)() if isinstance(solver, str) else solver
+    found = search(problem, chosen, seed=seed, evaluations=evaluations,
+                   polish=refined and not chosen.ends_by_itself)
+    names = problem.decode(found.genes).features
+    control = tuple((image, name) for kind, image, name in map(_parts, names) if kind == "control")
+    ties = tuple(name for kind, _, name in map(_parts, names) if kind == "tie")
+    result = adjust(_only(_without_check(block), set(control), set(ties)))
+    everything = np.ones((1, problem.genome.size), bool)
+    return Selected(control, ties, found, float(found.objectives[0]),
+                    float(problem.evaluate(everything).objectives[0, 0]), result,
+                    _independent(result), _independent(problem.whole))
+
+
+def _parts(label: str) -> tuple[str, str, str]:
+    """Return kind, image and id of a candidate by its label."""
+    kind, _, rest = label.partition(":")
+    image, _, name = rest.partition(":")
+    return (kind, image, name) if kind == "control" else (kind, "", rest)
+
+
+def _without_check(block: Block) -> Block:
+    """Return the block whose check points take no part."""
+    return replace(block, images=tuple(_with_off(image, _is_check) for image in block.images))
+
+
+def _is_check(_: str, role: str) -> bool:
+    return role == "check"
+
+
+def _with_off(image: BlockImage, is_off: Callable[[str, str], bool]) -> BlockImage:
+    """Return an image some of whose points are off."""
+    if image.features is None:
+        return image
+    points = image.features.points
+    roles = tuple("off" if is_off(name, role) else role
+                  for name, role in zip(points.ids, points.roles, strict=True))
+    return replace(image, features=replace(image.features, points=replace(points, roles=roles)))
+
+
+def _only(block: Block, control: set[tuple[str, str]], ties: set[str]) -> Block:
+    """Return a block with the selected control and ties alone."""
+    images = []
+    for image in block.images:
+        kept = _with_off(image, partial(_is_out, image.name, control))
+        if kept.features is not None:
+            kept = replace(kept, features=replace(kept.features, lines=kept.features.lines.take(
+                [(image.name, name) in control for name in kept.features.lines.ids])))
+        images.append(kept)
+    keep = np.array([name in ties for name in block.ties.names])
+    of, number = keep[block.ties.tie], np.cumsum(keep) - 1
+    measured = replace(block.ties, names=tuple(n for n in block.ties.names if n in ties),
+                       tie=number[block.ties.tie[of]], image=block.ties.image[of],
+                       place=block.ties.place[of])
+    return replace(block, images=tuple(images), ties=measured)
+
+
+def _is_out(image: str, control: set[tuple[str, str]], name: str, role: str) -> bool:
+    return role != "independent" and (image, name) not in control
+
+
+def _independent(result: BlockResult) -> float | None:
+    """Return the RMSE of the independent points of all images."""
+    errors = [points.image - result.project(i, points.ground)
+              for i in range(len(result.block.images))
+              if (points := independent_points(result, i)) is not None]
+    return rmse(np.concatenate(errors)) if errors else None
+
+
+def _placed(result: BlockResult, i: int, rows: FloatArray) -> FloatArray:
+    """Return rows of one image's parameters (n, 2m) among those of all images."""
+    slices = result.adjusted.solved.reduced.slices
+    whole = np.zeros((len(rows), slices[-1].stop))
+    whole[:, slices[i]] = rows
+    return whole
+
+
+def _check_rows(block: Block, result: BlockResult) -> tuple[FloatArray, FloatArray]:
+    """Return the rows of the check points of all images, and what they are off by [px]."""
+    design, target = [], []
+    for i, image in enumerate(block.images):
+        if image.features is None:
+            continue
+        points = image.features.points
+        points = points.take([role == "check" for role in points.roles])
+        if not len(points):
+            continue
+        columns = result.camera(i).first_order(result.frame.local(points.ground))[1]
+        design.append(_placed(result, i, np.asarray(np.kron(np.eye(2), columns), np.float64)))
+        target.append((points.image - result.project(i, points.ground)).T.ravel())
+    if not design:
+        raise TermselError("no point of the block has the role check, which judges a selection",
+                           hint="Give some points of the images the role check.")
+    return np.concatenate(design), np.concatenate(target)
+
+
+def _prior_rows(result: BlockResult) -> tuple[FloatArray, FloatArray]:
+    """Return the rows of the priors of all parameters."""
+    state = result.adjusted.state
+    sigma = np.sqrt(np.concatenate([np.tile(variances, 2) for variances in state.variances]))
+    at = np.concatenate([parameters.T.ravel() for parameters in state.parameters])
+    return np.diag(1 / sigma), -at / sigma
+
+
+def _control_rows(result: BlockResult) -> list[tuple[str, FloatArray, FloatArray]]:
+    """Return label, rows and targets of each point and line in use, in standard deviations."""
+    found, state = [], result.adjusted.state
+    for i, image in enumerate(result.block.images):
+        known = own_control(image.features, result.frame)
+        if not len(known):
+            continue
+        columns = result.camera(i).first_order(known.local)[1]
+        own: FloatArray = (known.normal[:, :, None] * columns[:, None]).reshape(len(known), -1)
+        rows = _placed(result, i, own)
+        sigma = state.sigma_control * known.sigma
+        names = np.array(known.feature)
+        for name in dict.fromkeys(known.feature):
+            at = np.flatnonzero((names == name) & state.control_in_use[i])
+            if len(at):
+                found.append((f"control:{image.name}:{name}", rows[at] / sigma[at, None],
+                              result.adjusted.of_control[i][at] / sigma[at]))
+    return found
+
+
+def _tie_rows(result: BlockResult, ties: IntArray,
+              ) -> list[tuple[str, FloatArray, FloatArray]]:
+    """Return label, rows and targets of ties whose places are eliminated."""
+    solved, state = result.adjusted.solved, result.adjusted.state
+    total = solved.reduced.slices[-1].stop
+    if len(ties) * total**2 > _MOST_ROWS:
+        raise TermselError(f"{len(ties)} ties of {len(solved.seen)} images are too many to select "
+                           "from", hint="Give fewer candidates of ties, or part of the block.")
+    of: dict[int, list[tuple[int, int]]] = {int(tie): [] for tie in ties}
+    for i, (part, used) in enumerate(zip(solved.seen, state.in_use, strict=True)):
+        for n in np.flatnonzero(used):
+            if int(part.tie[n]) in of:
+                of[int(part.tie[n])].append((i, int(n)))
+    found = []
+    for one, measured in of.items():
+        rows, slopes, aim = [], [], []
+        for image, row in measured:
+            part = solved.seen[image]
+            rows.append(_placed(result, image, np.kron(np.eye(2), part.columns[row])))
+            slopes.append(part.slopes[row])
+            aim.append(result.adjusted.residuals[image][row])
+        # Directions in which no movement of the place shows: what the tie says of the images.
+        left = np.linalg.svd(np.concatenate(slopes))[0][:, 3:].T / state.sigma_ties
+        found.append((f"tie:{result.block.ties.names[one]}", left @ np.concatenate(rows),
+                      left @ np.concatenate(aim)))
+    return found
+
+
+def _spread_ties(result: BlockResult, count: int) -> IntArray:
+    """Return ties in use in two images or more: all, or as many that are well distributed."""
+    state, seen = result.adjusted.state, np.zeros(len(result.adjusted.state.ties))
+    for part, used in zip(result.adjusted.solved.seen, state.in_use, strict=True):
+        np.add.at(seen, part.tie, used)
+    usable = np.flatnonzero(seen > 1)
+    if len(usable) <= count:
+        return usable
+    place = state.ties[usable, :2]
+    # The farthest from those that are chosen, one after the other; a tie in more images is worth
+    # more.
+    chosen = [int(np.lexsort((np.hypot(*(place - place.mean(axis=0)).T), -seen[usable]))[0])]
+    away = np.hypot(*(place - place[chosen[0]]).T)
+    while len(chosen) < count:
+        chosen.append(int(np.argmax(away * seen[usable])))
+        away = np.minimum(away, np.hypot(*(place - place[chosen[-1]]).T))
+    return np.sort(usable[chosen])
+
+
+def rows_of(selected: Selected) -> list[str]:
+    """Return a table of the control features and ties that are selected, row by row."""
+    return ["kind,image,id", *(f"control,{image},{name}" for image, name in selected.control),
+            *(f"tie,,{name}" for name in selected.ties)]
+
+
+def text_of(selected: Selected) -> str:
+    """Return a summary."""
+    lines = [f"Selected: {len(selected.control)} control features and {len(selected.ties)} ties, "
+             f"by {selected.search.evaluations} evaluations.",
+             f"Check points: RMSE {selected.check:.2f} px; {selected.check_of_all:.2f} px with all "
+             "candidates. They chose, so that this is no accuracy."]
+    if selected.independent is not None and selected.independent_of_all is not None:
+        lines.append(f"Independent points: RMSE {selected.independent:.2f} px; "
+                     f"{selected.independent_of_all:.2f} px with all control and ties.")
+    if selected.search.certificate and selected.search.certificate.get("optimal"):
+        lines.append("The selection is proven to be the best of all for the check points.")
+    return "\n".join(lines) + "\n"
