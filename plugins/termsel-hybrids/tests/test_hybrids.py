@@ -363,9 +363,30 @@ def test_a_line_is_left_out_as_a_whole() -> None:
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_features_are_not_selected(name: str) -> None:
-    with pytest.raises(termsel.TermselError, match="by all control features"):
-        termsel.prepare("owdis-points", model=name)
+def test_features_are_judged_with_the_correction_by_those_in_use(name: str) -> None:
+    task = termsel.prepare("owdis-points", dataset="ikonos-hamedan", model=name)
+    genes = task.problem.genome.random(np.random.default_rng(4), 60)
+    feasible = task.problem.evaluate(genes).violation == 0
+    genes = genes[feasible][:3]
+    fitness = task.problem.evaluate(genes).objectives[:, 0]
+    points = task.features.points
+    check = points.take(np.array(points.roles) == "check")
+    for one, value in zip(genes, fitness, strict=True):
+        selected = task.problem.decode(one).features
+        assert selected is not None
+        alone = points.take(np.isin(points.ids, selected))
+        result = termsel.assess(task, one)
+        of_check = result.fit.rmse(check)
+        assert of_check is not None
+        assert value == pytest.approx(of_check.total)
+        assert result.fit.control.take(result.fit.used).points.ids == alone.ids
+    assert len(set(fitness)) == 3
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_features_are_not_selected_without_check_points(name: str) -> None:
+    with pytest.raises(termsel.TermselError, match="cannot be selected without check points"):
+        termsel.prepare("owdis-points", dataset="ikonos-hamedan", model=name, criterion="press")
 
 
 def test_a_polynomial_with_a_correction_is_no_rpc_as_it_is() -> None:

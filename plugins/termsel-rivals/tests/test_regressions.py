@@ -25,9 +25,10 @@ from termsel_rivals.nested import (
     rational_errors,
     rms,
 )
+from termsel_rivals.scatter import ScatterMatrix
 from termsel_rivals.stepwise import Stepwise, TTest, gains, independent, losses, significance
 
-SELECTORS = (Stepwise, TTest, Lasso)
+SELECTORS = (Stepwise, TTest, Lasso, ScatterMatrix)
 
 
 def part_of(columns: np.ndarray, target: np.ndarray, **given: Any) -> Regression:

@@ -75,8 +75,12 @@ class Fits:
     @cached_property
     def check_errors(self) -> FloatArray:
         """Predicted minus measured line and sample of the check points [px], (p, n, 2)."""
-        predicted = self.model.predict(self.coefficients, FeatureSet(self.control, self.lines),
-                                       self.check.ground)
+        control, ground = FeatureSet(self.control, self.lines), self.check.ground
+        if self.used is not None and self.model.corrects:  # each by the features that it uses
+            predicted = np.stack([self.model.predict(one, control.take(used), ground)
+                                  for one, used in zip(self.coefficients, self.used, strict=True)])
+        else:
+            predicted = self.model.predict(self.coefficients, control, ground)
         return np.asarray((predicted - self.check.image) * self.pixels)
 
     @property

@@ -67,11 +67,10 @@ class SelectionProblem(Problem):
         self._n_term_genes = sum(len(s.labels) for s in segments)
         self._selects_features = features
         if features:
-            if model.corrects:
+            if model.corrects and not inputs.criterion.needs_check:
                 raise TermselError(
-                    f"features cannot be selected with model {model.name!r}: it corrects its "
-                    "predictions by all control features",
-                    hint="Choose a model without such a correction, such as --model poly3d.")
+                    f"features of model {model.name!r} cannot be selected without check points: it "
+                    "corrects its predictions by them", hint="Choose --criterion check-rmse.")
             least, most = _feature_counts(inputs)
             segments.append(Subset("features", control.ids, least) if subset and least == most
                             else Bits("features", control.ids, least, most))

@@ -241,9 +241,7 @@ def _problems(model: SensorModel, features: FeatureSet) -> list[tuple[str, Selec
     truth = random_coefficients(model, seeded())
     check = imaged(model, truth, np.random.default_rng(2), points=10).points
     inputs = Inputs(model, features, check, 1000.0, CheckRmse())
-    listed = [("terms", SelectionProblem(inputs, terms=True, features=False)),
-              ("terms, line and sample together",
-               SelectionProblem(inputs, terms=True, features=False, mask="shared"))]
-    if not model.corrects:  # else features cannot be selected
-        listed.append(("features", SelectionProblem(inputs, terms=False, features=True)))
-    return listed
+    return [("terms", SelectionProblem(inputs, terms=True, features=False)),
+            ("terms, line and sample together",
+             SelectionProblem(inputs, terms=True, features=False, mask="shared")),
+            ("features", SelectionProblem(inputs, terms=False, features=True))]

@@ -1,4 +1,4 @@
-"""Solvers of the literature that termsel is compared with, as a plugin of termsel."""
+"""Solvers and criteria of the literature that termsel is compared with, as a plugin of termsel."""
 
 from __future__ import annotations
 
@@ -7,18 +7,27 @@ from typing import TYPE_CHECKING
 
 from termsel import hookimpl
 from termsel_rivals.colony import AntColony
+from termsel_rivals.condition import FigureCondition
 from termsel_rivals.lasso import Lasso
 from termsel_rivals.nested import NestedRegression
+from termsel_rivals.scatter import ScatterMatrix
 from termsel_rivals.stepwise import Stepwise, TTest
 from termsel_rivals.transgenic import TransgenicGA
 
 if TYPE_CHECKING:
-    from termsel import Solver
+    from termsel import Criterion, Solver
 
-__all__ = ["AntColony", "Lasso", "NestedRegression", "Stepwise", "TTest", "TransgenicGA"]
+__all__ = ["AntColony", "FigureCondition", "Lasso", "NestedRegression", "ScatterMatrix", "Stepwise",
+           "TTest", "TransgenicGA"]
 
 
 @hookimpl
 def termsel_solvers() -> Iterable[type[Solver]]:
     """Return the solvers of this package."""
-    return [AntColony, Lasso, NestedRegression, Stepwise, TTest, TransgenicGA]
+    return [AntColony, Lasso, NestedRegression, ScatterMatrix, Stepwise, TTest, TransgenicGA]
+
+
+@hookimpl
+def termsel_criteria() -> Iterable[type[Criterion]]:
+    """Return the criteria of this package."""
+    return [FigureCondition]

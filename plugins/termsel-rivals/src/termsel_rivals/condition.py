@@ -1,0 +1,87 @@
+"""The predicted error over the whole image as a criterion."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from termsel import Criterion, FeatureSet, Fits, Option, Points, TermselError
+from termsel_rivals.arrays import FloatArray
+
+SIDE = 9
+"""Places along either side of the area of the control."""
+
+
+class FigureCondition(Criterion):
+    """Predicted error over the image by the covariance of the coefficients [px].
+
+    Moghaddam, Mokhtarzade, Alizadeh Naeini and Amiri-Simkooei 2018, "Optimization of RFM's
+    structure based on PSO algorithm and figure condition analysis", IEEE GRSL 15(8), p. 1179. Only
+    a summary could be consulted: the cost is the sum of the predicted errors over all pixels, so
+    that selections with a bad condition cost more than they fit better. The formulation here is
+    termsel's own: the root mean square over places of sigma^2 a' (A'A)^-1 a of line and sample,
+    with sigma^2 of the residuals of the control, A the equations of the chosen terms and a the
+    equation of a place.
+
+    The places are a grid over the area of the control, with the height of the nearest control
+    point. As the terms near the equations in number, the residuals vanish and so does sigma:
+    selections with less redundancy than `min_redundancy` have no figure. It needs no check points.
+    """
+
+    name = "figure-condition"
+    needs_check = False
+    is_rmse = False
+    declared_options = (
+        Option("min_redundancy", None, "Least number of equations minus terms, for line and for "
+                                       "sample; by default a third of the equations, and at least "
+                                       "1.", int, 1, 1_000_000),)
+
+    def score(self, fits: Fits) -> FloatArray:
+        """Return the figure of each model, infinite without enough redundancy."""
+        if fits.model.corrects:
+            raise TermselError(f"criterion {self.name!r} cannot judge model {fits.model.name!r}, "
+                               "which corrects its predictions by the control",
+                               hint="Choose --criterion check-rmse.")
+        places = places_of(fits)
+        image = fits.model.project(fits.coefficients, places)
+        below = fits.model.denominators(fits.coefficients, places)
+        # Columns of denominators have the image position as a factor: rows are linear in it.
+        at_zero, at_one = (fits.model.equations(FeatureSet(Points(
+            tuple(map(str, range(len(places)))), np.full((len(places), 2), value), places))).A
+            for value in (0.0, 1.0))
+        found = np.empty(len(fits.terms))
+        for i, terms in enumerate(fits.terms):
+            rows = at_zero + image[i].reshape(-1, 1) * (at_one - at_zero)
+            variance = self._variance(fits, i, rows)
+            if below is not None:
+                variance = variance / below[i].reshape(-1) ** 2
+            found[i] = np.sqrt(2 * variance.mean()) * fits.pixels if terms.any() else np.inf
+        return found
+
+    def _variance(self, fits: Fits, i: int, rows: FloatArray) -> FloatArray:
+        """Return the variance of model i in each row of the places, in scaled units."""
+        total = np.zeros(len(rows))
+        for part in fits.parts:
+            on = fits.terms[i, part.columns]
+            used = fits.in_use[i][part.equations.feature]
+            A, b = part.equations.A[used][:, on], part.equations.b[used]
+            redundancy, least = len(b) - int(on.sum()), self.options["min_redundancy"]
+            if redundancy < (max(1, round(len(b) / 3)) if least is None else least):
+                return np.full(len(rows), np.inf)
+            x = fits.coefficients[i, part.columns][on]
+            of_unit = float(((b - A @ x) ** 2).sum()) / redundancy
+            _, values, right = np.linalg.svd(A, full_matrices=False)
+            if not len(values) or values[-1] <= 1e-12 * values[0]:
+                return np.full(len(rows), np.inf)
+            share = rows[:, part.columns][:, on] @ right.T / values
+            total += of_unit * (share**2).sum(axis=1)
+        return total
+
+
+def places_of(fits: Fits) -> FloatArray:
+    """Return a grid over the area of the control, in scaled coordinates, shape (n, 3)."""
+    ground = np.concatenate([fits.control.ground, fits.lines.ground.reshape(-1, 3)])
+    low, high = ground[:, :2].min(axis=0), ground[:, :2].max(axis=0)
+    x, y = np.meshgrid(*(np.linspace(low[j], high[j], SIDE) for j in (0, 1)))
+    plan = np.column_stack([x.ravel(), y.ravel()])
+    nearest = np.linalg.norm(plan[:, None] - ground[:, :2], axis=2).argmin(axis=1)
+    return np.column_stack([plan, ground[nearest, 2]])
