@@ -25,7 +25,12 @@ from termsel_match.images.starts import Start, start_of, turned
 from termsel_match.lines import ridges
 from termsel_match.lines.candidates import LineCandidates
 from termsel_match.lines.candidates import match_lines as match
-from termsel_match.lines.certainty import fitted_to, most_decisive, undetermined
+from termsel_match.lines.certainty import (
+    fitted_to,
+    left_by_tracing,
+    most_decisive,
+    undetermined,
+)
 from termsel_match.lines.problem import RECIPE
 from termsel_match.lines.rounds import iterate_lines
 
@@ -98,7 +103,33 @@ def test_rounds_find_the_camera_from_thirty_px_off(place: Any, tmp_path: Path) -
     assert done.rounds[0].moved > 15 > 1 > done.rounds[-1].moved
     assert "round  search" in done.text()
     assert "in all directions" in done.text()
+    assert 0.05 < done.tracing < 1
     assert termsel.read_result(tmp_path / "result").selection.features == done.lines.ids
+
+
+class Moved:
+    """A model that moves the image by the mean error of its lines."""
+
+    def __init__(self, lines: Lines) -> None:
+        self.away = (lines.image - lines.ground[..., :2]).mean(axis=(0, 1))
+
+    def project(self, ground: Any) -> Any:
+        return ground[:, :2] + self.away
+
+
+def test_errors_of_tracing_do_not_average_out_within_a_vector() -> None:
+    told = []
+    for seed in range(20):
+        of = np.repeat(np.arange(20), 6)  # six pieces of each of twenty vectors
+        away = np.random.default_rng(seed).normal(0, 2, (20, 2))[of]
+        ground = np.arange(len(of))[:, None, None] * [10.0, 0, 0] + [[0, 0, 0], [1, 1, 0]]
+        lines = Lines(tuple(map(str, range(len(of)))),
+                      ground[..., :2] + away[:, None], ground,
+                      attributes={"vector": of.astype(str).astype(object)})
+        told.append(left_by_tracing(lines, Moved(lines).project(ground.reshape(-1, 3)),
+                                    Moved, seed))  # type: ignore[arg-type]
+    # Twenty errors of 2 px are averaged, in both axes, and not a hundred and twenty.
+    assert 0.7 < np.sqrt(np.mean(np.square(told))) / (2 * np.sqrt(2 / 20)) < 1.3
 
 
 def test_the_table_runs_as_a_problem(place: Any, found: LineCandidates, tmp_path: Path) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,12 +12,14 @@ from numpy.typing import NDArray
 
 import termsel
 from termsel import FeatureSet, Fit, Lines, Points, TermselError
+from termsel_match.images.rasters import FloatArray
 from termsel_match.images.starts import Start, turned
 
 _WEAK = 3.0  # ratio of standard deviations across and along
 _HELD = 2.0  # px along the lines, beyond which the start holds the image
 _ASKED = 60  # vectors that are tried in turn, those with most lines
-_STRETCHES, _FEWEST = 8, 4  # of vectors, that are left out in turn
+_STRETCHES, _FEWEST = 8, 4  # of vectors, that are left out together
+_PAIRS = 3  # of halves of them
 UNCERTAIN = 1.0  # px by which the image may move without one vector
 
 
@@ -109,39 +112,52 @@ def most_decisive(features: FeatureSet, model: str, options: Mapping[str, Any]) 
     return max(moves, key=lambda decisive: decisive.moved)
 
 
-def left_by_tracing(features: FeatureSet, model: str, options: Mapping[str, Any]) -> float:
+def left_by_tracing(lines: Lines, seen: FloatArray, selected: Callable[[Lines], Fit], seed: int,
+                    ) -> float:
     """Return the standard deviation that errors of the vectors leave in the image [px].
 
     Errors of tracing are common to a whole stretch of a vector, so that its pieces do not average
-    them out. Stretches are left out in turn (jackknife, Tukey 1958); NaN if there are fewer than
-    four, or the others do not determine the model.
+    them out; and lines are selected that agree, which hides how far the others are off. So half
+    of the stretches is left out, and selection and fit are repeated with the candidates of the
+    others. The squares by which the image moves then are as large as the variance (delete-half
+    jackknife); the median of the halves is taken.
 
     Parameters
     ----------
-    features, model, options
-        As for `most_decisive`.
+    lines : Lines
+        All candidates, with the attribute `vector`.
+    seen : ndarray, shape (m, 2)
+        Where the model sees the vertices of all candidates [px].
+    selected : callable
+        Returns the model that some candidates call for.
+    seed : int
+        Draws the halves.
+
+    Returns
+    -------
+    float
+        NaN if there are fewer than four stretches, or fewer than half of the halves determine the
+        model.
 
     References
     ----------
-    Tukey 1958: Bias and confidence in not-quite large samples. Annals of Mathematical Statistics
-    29, 614.
+    Shao, Wu 1989: A general theory for jackknife variance estimation. Annals of Statistics 17,
+    1176-1197.
     """
-    lines = features.lines
     stretch = _stretches(lines)
     count = int(stretch.max()) + 1
     if count < _FEWEST:
         return float("nan")
-    ground = lines.ground.reshape(-1, 3)
+    ground, rng = lines.ground.reshape(-1, 3), np.random.default_rng([seed, 6])
     moves = []
-    for out in range(count):
-        try:
-            fitted = termsel.fit(features.with_(lines=lines.take(stretch != out)), model,
-                                 **options)
-        except TermselError:
-            return float("nan")
-        moves.append(fitted.project(ground))
-    away = np.array(moves) - np.mean(moves, axis=0)
-    return float(np.sqrt((count - 1) / count * (away**2).sum(axis=(0, 2)).mean()))
+    for _ in range(_PAIRS):
+        half = np.isin(stretch, rng.permutation(count)[:count // 2])
+        for mine in (half, ~half):  # each stretch is in as many
+            with suppress(TermselError):
+                moves.append(((selected(lines.take(mine)).project(ground) - seen) ** 2).sum(axis=1))
+    # Some halves hardly determine the model, which says nothing of the whole.
+    each = np.array(moves).mean(axis=1) if len(moves) >= _PAIRS else np.array([np.nan])
+    return float(np.sqrt(np.median(each)))
 
 
 def _stretches(lines: Lines) -> NDArray[np.intp]:

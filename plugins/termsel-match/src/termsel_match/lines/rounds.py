@@ -74,7 +74,8 @@ class Matched:
     decisive : Decisive
         The vector without which the image moves most.
     tracing : float
-        Standard deviation in the image that errors of the vectors leave [px], by `left_by_tracing`.
+        Standard deviation in the image that errors of the vectors leave [px], by `left_by_tracing`;
+        NaN where the start is a model of points, which tell more.
     """
 
     candidates: LineCandidates
@@ -152,11 +153,18 @@ def iterate_lines(
                             progress=progress)
         features = FeatureSet(lines=candidates.lines, crs=candidates.crs,
                               image_size=candidates.image_size)
-        chosen = candidates.lines.take(np.isin(candidates.lines.ids, searched(
-            "matched-lines", features, model, {**options, "half_at": _HALF_AT[bool(rounds)]},
-            seed=seed)))
-        used, fitted = fitted_to(features.with_(lines=replace(chosen, sigma=np.ones(len(chosen)))),
-                                 model, options, at, search)
+
+        def selected(lines: Lines, features: FeatureSet = features, at: Start = at,
+                     search: float = search, half_at: float = _HALF_AT[bool(rounds)],
+                     ) -> tuple[FeatureSet, Fit]:
+            chosen = lines.take(np.isin(lines.ids, searched(
+                "matched-lines", features.with_(lines=lines), model,
+                {**options, "half_at": half_at}, seed=seed)))
+            return fitted_to(features.with_(lines=replace(chosen, sigma=np.ones(len(chosen)))),
+                             model, options, at, search)
+
+        used, fitted = selected(candidates.lines)
+        chosen = used.lines
         pieces = len(set(candidates.lines.attributes["piece"]))
         rms = rms_distance(fitted, chosen)
         there = chosen.ground.reshape(-1, 3)
@@ -182,8 +190,13 @@ def iterate_lines(
     mixed = {"mixed": True} if len(used.points) else {}
     result = termsel.run("owdis-lines", features=used, model=model, solver="all-terms",
                          criterion="press", options={**options, **mixed}, seed=seed, out=out)
+    tracing = float("nan")
+    if not isinstance(start, Start):  # no points tell it
+        tracing = left_by_tracing(
+            candidates.lines, fitted.project(candidates.lines.ground.reshape(-1, 3)),
+            lambda some: selected(some)[1], seed)
     return Matched(candidates, lines, result, tuple(rounds), settled,
-                   most_decisive(used, model, options), left_by_tracing(used, model, options))
+                   most_decisive(used, model, options), tracing)
 
 
 def in_place(image: Path | str, vectors: Path | str, at: Start, *, dem: Path | str | None,
