@@ -11,12 +11,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 pytest.importorskip("termsel_iiif", reason="termsel-iiif is not installed: "
                     "pip install -e plugins/termsel-iiif")
 
 import termsel
 from termsel import FeatureSet, Points, Result, TermselError, export, read
+from termsel.cli.main import cli
 from termsel.testing import check, checks
 from termsel_iiif.annotation import MASK, SOURCE, TRANSFORMATION, corners, maps_of
 from termsel_iiif.reader import AnnotationReader
@@ -327,6 +329,18 @@ def test_an_image_without_an_address_is_asked_for(tmp_path: Path) -> None:
     again = read(tmp_path / "map.json")
     assert len(again.points) == 12
     assert 50 < again.points.ground[0, 0] < 52
+
+
+def test_what_reading_says_of_a_map_of_few_points_is_a_command_that_works(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO", logger="termsel")
+    path = write(tmp_path, annotation(4, type="thinPlateSpline"))
+    read(path)
+    words = caplog.text.split("; ")[1].split(" fits the same")[0].split()
+    assert words == ["--model", "tps", "--criterion", "press"]
+    done = CliRunner().invoke(cli, ["run", "--points", str(path), *words])
+    assert done.exit_code == 0, done.output
+    assert "all 4 points" in done.output
 
 
 def test_corners_are_numbers_in_pairs() -> None:

@@ -58,8 +58,8 @@ class AnnotationReader(Reader):
         if kind is not None:
             options = "".join(f" --set {name}={value}" for name, value in kind.options.items()
                               if value)
-            log.info("The map is drawn with %s; --model %s%s fits the same from the ground to the "
-                     "image.", kind.label, kind.model, options)
+            log.info("The map is drawn with %s; --model %s%s --criterion press fits the same to "
+                     "all points, from the ground to the image.", kind.label, kind.model, options)
         width, height = chosen.resource["width"], chosen.resource["height"]
         size = (height, width) if width and height else None
         return FeatureSet(points, crs="EPSG:4326", image_size=size)

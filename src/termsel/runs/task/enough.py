@@ -34,6 +34,7 @@ def require_enough(observations: Observations, recipe: Recipe, criterion: Criter
             f"{'is' if len(control) == 1 else 'are'} control; "
             f"{recipe.name} needs at least {least}",
             hint="Measure more, or give more of them the role control."
+                 + " --criterion press needs no check points." * criterion.needs_check
                  + CORRECTED * ("rpc" in model.options))
     if criterion.needs_check and len(check) < MIN_CHECK:
         raise TermselError(
