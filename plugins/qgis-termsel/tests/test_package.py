@@ -51,6 +51,10 @@ def test_a_package_for_the_repository_has_what_its_validator_asks_for(packed: Pa
         "name", "description", "version", "qgisMinimumVersion", "author", "about"))
     assert {name: stated[name] for name in GIVEN} == GIVEN
     assert stated["hasProcessingProvider"] == "yes"
+    # QGIS 4 is the one of Qt 6; the field supportsQt6 is warned of as a thing of the past.
+    assert stated["qgisMaximumVersion"].startswith("4.")
+    assert "supportsQt6" not in stated
+    assert "/" not in stated["author"]
     with zipfile.ZipFile(packed) as opened:
         names = opened.namelist()
         modes = [one.external_attr >> 16 for one in opened.infolist()]
