@@ -66,7 +66,13 @@ def _field(source, meaning, stated):
 
 
 def _row(feature, names, number):
-    """Return the cells of a point."""
+    """Return the cells of a point.
+
+    Raises
+    ------
+    QgsProcessingException
+        If it has no geometry, or no numbers as line and sample.
+    """
     geometry = feature.geometry()
     if geometry.isNull() or geometry.isEmpty():
         raise QgsProcessingException(f"Feature {feature.id()} of the layer of points has no "
@@ -77,6 +83,14 @@ def _row(feature, names, number):
         value = feature[names[meaning]] if names[meaning] else None
         return "" if value is None or str(value) == "NULL" else value
 
+    for meaning in ("line", "sample"):
+        try:
+            float(str(cell(meaning)).replace(",", "."))
+        except ValueError:  # termsel would name a line of a file that the user does not know
+            raise QgsProcessingException(
+                f"Feature {feature.id()} of the layer of points has {cell(meaning)!r:.40} in its "
+                f"field {names[meaning]}, which is no number. Correct it, or leave the feature "
+                "out.") from None
     height = cell("z")
     if height == "" and QgsWkbTypes.hasZ(geometry.wkbType()):
         height = repr(vertex.z())

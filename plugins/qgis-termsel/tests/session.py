@@ -227,6 +227,12 @@ def wrong():
     """What cannot be done, and what is cancelled."""
     told["no fields"] = run("georeference", POINTS=QgsVectorLayer(
         "Point?crs=EPSG:4326&field=a:int", "empty", "memory"), OUTPUT=str(folder / "none"))
+    words = QgsVectorLayer("Point?crs=EPSG:4326&field=row:string&field=col:double", "p", "memory")
+    feature = QgsFeature(words.fields())
+    feature.setAttributes(["twelve", 3.0])
+    feature.setGeometry(QgsGeometry(QgsPoint(48.5, 34.8)))
+    words.dataProvider().addFeatures([feature])
+    told["no number"] = run("georeference", POINTS=words, OUTPUT=str(folder / "none"))
     told["neither"] = run("georeference", OUTPUT=str(folder / "none"))
     told["taken"] = run("georeference", FILE=str(folder / "gcps.csv"),
                         OUTPUT=str(folder / "quadratic"))
@@ -269,6 +275,7 @@ def dock():
     for other in iface.mainWindow().findChildren(QDockWidget):
         if other.windowTitle() == "Results Viewer":
             other.close()
+    QApplication.processEvents()  # a map that becomes larger keeps its scale
     canvas = iface.mapCanvas()
     canvas.setDestinationCrs(next(iter(project.mapLayers().values())).crs())
     points = next(layer for layer in project.mapLayers().values() if layer.name() == "residuals")
