@@ -172,6 +172,13 @@ def test_an_edited_layer_in_memory_of_another_crs_is_georeferenced(told: dict[st
     assert "Accuracy" in Path(layer["SUMMARY"]).read_text(encoding="utf-8")
 
 
+def test_a_model_is_fitted_to_few_points(told: dict[str, Any], place: Place) -> None:
+    number, outputs = told["few"]
+    assert number < 8
+    assert "error" not in outputs
+    assert record_of(place[0] / "few")["data"]["counts"]["control"] == number
+
+
 def test_a_model_takes_selected_features_and_makes_a_map(
         told: dict[str, Any], place: Place) -> None:
     record = record_of(place[0] / "of model")

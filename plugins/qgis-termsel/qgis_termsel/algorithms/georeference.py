@@ -30,6 +30,9 @@ _RESIDUALS = "result_residuals.gpkg"
 INPUTS = "qgis.json"
 """File of a result: what another run needs that the folder has not, as parameters."""
 
+_WITHOUT_CHECK = "--criterion press"
+"""What termsel proposes where check points are too few."""
+
 _DEGREES = {"linear": 1, "quadratic": 2, "cubic": 3}
 
 
@@ -134,8 +137,15 @@ class Georeference(Algorithm):
         if (Path(target) / "result.json").exists():
             raise QgsProcessingException(f"{target} has a result already. Choose another folder.")
         off = self.parameterAsString(parameters, "OFF", context)
-        printed = run(["run", *arguments, *(["--off", off] if off else []), "--out", made,
-                       "--export", "residuals-gpkg", "--progress", "json", "--json"], feedback)
+        command = ["run", *arguments, *(["--off", off] if off else []), "--out", made,
+                   "--export", "residuals-gpkg", "--progress", "json", "--json"]
+        try:
+            printed = run(command, feedback)
+        except QgsProcessingException as error:
+            if _WITHOUT_CHECK not in str(error):
+                raise
+            feedback.pushInfo("The points are too few for check points: none are set aside.")
+            printed = run([*command, *_WITHOUT_CHECK.split()], feedback)
         record = json.loads(printed)
         rpc = self.parameterAsFile(parameters, "RPC", context)
         if rpc:
