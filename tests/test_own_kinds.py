@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import sys
+from importlib.metadata import distributions
 from textwrap import dedent
 
 import numpy as np
@@ -12,7 +13,7 @@ from click.testing import CliRunner
 
 import termsel
 from termsel.cli.main import cli
-from termsel.plugins.registry import registry
+from termsel.plugins.registry import Registry, registry
 from termsel.testing import check
 
 CODE = """
@@ -157,13 +158,31 @@ def test_sections_are_in_text_and_page_and_failures_are_contained(package, tmp_p
     assert "What does the package say?" in text
     assert "Own table" in text
     assert "Note: Own note." in text
-    assert "Not shown: " in text
+    assert "Not shown:" in text
     assert "ZeroDivisionError" in text
     result.report("page.html")
     page = (tmp_path / "page.html").read_text()
     assert "Own table" in page
     assert "&lt;b&gt;6&lt;/b&gt; in a &lt;script&gt;" in page
     assert "ZeroDivisionError" in page
+
+
+def test_a_run_asks_nothing_of_a_package_that_names_no_hook(tmp_path, package):
+    place = tmp_path / "site"
+    (place / "nameless.py").write_text("import termsel\n")
+    (place / "nameless-1.0.dist-info").mkdir()
+    (place / "nameless-1.0.dist-info" / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: nameless\nVersion: 1.0\n")
+    (place / "nameless-1.0.dist-info" / "entry_points.txt").write_text(
+        "[termsel]\nnameless = nameless\n")
+    point = next(one for found in distributions(path=[str(place)]) for one in found.entry_points
+                 if one.name == "nameless")
+    names = Registry([point])
+    names.entries("sections")
+    names.observers()
+    assert "nameless" not in sys.modules
+    names.entries("models")  # asked for by name: it may make its hooks
+    assert "nameless" in sys.modules
 
 
 def test_measures_are_columns_of_a_study(package, tmp_path):

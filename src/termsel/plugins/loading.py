@@ -35,6 +35,7 @@ SOON = 5.0
 """Seconds after which a message names the plugin that is waited for."""
 
 LISTENER = f"{PROJECT}_run_finished"
+OF_EVERY_RUN = (LISTENER, f"{PROJECT}_observers", f"{PROJECT}_sections")
 """The hook that is called after every run."""
 
 HOOKS = tuple(name for name in vars(hookspecs) if name.startswith(f"{PROJECT}_"))
@@ -242,10 +243,10 @@ def hooks_in_source(point: EntryPoint) -> Callable[[str], bool]:
     def may_have(hook: str) -> bool:
         # A hook can only be left out where the source of the module is there and takes no names
         # from elsewhere by ``*``. A source without names of hooks may make them, yet only those
-        # that are asked for by name: every run would wait for a listener.
+        # that are asked for by name: every run would wait for the others.
         text = source()
         return (hook in text or "import *" in text or not text
-                or (hook != LISTENER and not any(name in text for name in HOOKS)))
+                or (hook not in OF_EVERY_RUN and not any(name in text for name in HOOKS)))
 
     return may_have
 
