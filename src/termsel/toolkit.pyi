@@ -84,7 +84,6 @@ from .measurements.coordinates.crs import to_wgs84 as to_wgs84
 from .measurements.coordinates.crs import transformation as transformation
 from .measurements.coordinates.longitudes import nearest as nearest
 from .measurements.coordinates.metres import in_metres as in_metres
-from .measurements.coordinates.utm import for_warping as for_warping
 from .measurements.features import BoolArray as BoolArray
 from .measurements.features import FloatArray as FloatArray
 from .measurements.features import no_lines as no_lines
@@ -94,7 +93,6 @@ from .measurements.scaling import scaling_of as scaling_of
 from .measurements.twins import twins as twins
 from .models.poles import guard_points as guard_points
 from .models.poles import pole_violation as pole_violation
-from .options import COUNT as COUNT
 from .plugins.registry import registry as registry
 from .problems.base import WORST as WORST
 from .problems.objectives import unit_deviations as unit_deviations
@@ -134,9 +132,7 @@ from .solvers.bridges.pareto import Nsga2 as Nsga2
 from .solvers.bridges.pymoo_operators import operators as operators
 from .solvers.bridges.pymoo_problem import steps as steps
 from .solvers.genetic.operators import crossover as crossover
-from .solvers.genetic.operators import from_keys as from_keys
 from .solvers.genetic.operators import mutation as mutation
-from .solvers.genetic.operators import n_keys as n_keys
 from .solvers.ledger import Progress as Progress
 from .solvers.search import Observer as Observer
 from .studies.cells.cell import Cell as Cell

@@ -14,6 +14,7 @@ pytest.importorskip("termsel_match", reason="termsel-match is not installed: "
 
 import termsel
 from termsel import TermselError
+from termsel.plugins.kinds import KINDS
 from termsel.plugins.registry import registry
 from termsel.testing import checks
 from termsel_match.matchers import Matcher, Matches, Window
@@ -157,3 +158,12 @@ def test_phase_correlation_finds_candidates(place: Any) -> None:
                   matcher="phase")
     assert len(found.points) >= 30
     assert _good(place, found) > 0.8
+
+
+def test_the_registry_takes_from_the_class_what_a_matcher_is() -> None:
+    kind = KINDS["matchers"]
+    assert [kind.is_of(thing) for thing in (Sift, Sift(), Learned, termsel.Polynomial2D)] == [
+        True, True, True, False]
+    kind.require_returned(Learned)
+    with pytest.raises(TypeError, match="class Polynomial2D, not a subclass of Matcher"):
+        kind.require_returned(termsel.Polynomial2D)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import inspect
 import re
-import sys
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
@@ -24,25 +23,30 @@ _NAME = re.compile(r"[^\s:]+")
 class Kind:
     """A kind of things a hook returns, called by a word.
 
-    The type `base` is imported from its module `home` when needed. A hook returns subclasses of a
-    `Configurable` type, and instances of another. Where `tried`, a class is refused that cannot be
-    made without options: every reader is asked about a file and every writer about a result; models
-    may need options. What is of a package of its own has its conformance suite there.
+    The type `base` is imported from its module `home` when needed; without a home it belongs to a
+    package, and is the class that says which `kind` it is and where its `suite` of conformance is.
+    A hook returns subclasses of a `Configurable` type, and instances of another. Where `tried`, a
+    class is refused that cannot be made without options: every reader is asked about a file and
+    every writer about a result; models may need options.
     """
 
     word: str
     home: str
     base: str
     tried: bool = False
-    suite: str = ""
+
+    def base_of(self, thing: Any) -> type | None:
+        """Return the type that a thing must be of; None if it is of no type of this kind."""
+        if self.home:
+            return getattr(import_module(self.home), self.base)  # type: ignore[no-any-return]
+        classes = (thing if isinstance(thing, type) else type(thing)).__mro__
+        return next((cls for cls in classes if vars(cls).get("kind") == self.word), None)
 
     def is_of(self, thing: Any) -> bool:
         """Return whether a thing is a class or an instance of the kind."""
-        # A package that is not imported, or not installed, has made nothing.
-        if self.suite and self.home not in sys.modules:
-            return False
-        base: type = getattr(import_module(self.home), self.base)
-        return issubclass(thing, base) if isinstance(thing, type) else isinstance(thing, base)
+        base = self.base_of(thing)
+        return base is not None and (
+            issubclass(thing, base) if isinstance(thing, type) else isinstance(thing, base))
 
     def require_returned(self, thing: Any) -> None:
         """Refuse as `require_of`, and an instance where classes are wanted, by TypeError."""
@@ -55,16 +59,16 @@ class Kind:
 
     def require_of(self, thing: Any) -> None:
         """Refuse by TypeError what is not of the kind, lacks methods or has no usable name."""
-        base: type = getattr(import_module(self.home), self.base)
-        classes = issubclass(base, Configurable)
+        base = self.base_of(thing)
+        classes = base is None or issubclass(base, Configurable)
         wanted = f"a subclass of {self.base}" if classes else f"an instance of {self.base}"
         if isinstance(thing, type):
-            if not classes or not issubclass(thing, base):
+            if not classes or base is None or not issubclass(thing, base):
                 raise TypeError(f"returned the class {thing.__name__}, not {wanted}")
             if inspect.isabstract(thing):
                 missing = ", ".join(sorted(getattr(thing, "__abstractmethods__", ())))
                 raise TypeError(f"returned the class {thing.__name__}, which lacks {missing}")
-        elif not isinstance(thing, base):
+        elif base is None or not isinstance(thing, base):
             raise TypeError(f"returned an object of type {type(thing).__name__}, not {wanted}")
         name, cls = getattr(thing, "name", None), thing if isinstance(thing, type) else type(thing)
         if not isinstance(name, str) or not _NAME.fullmatch(name):
@@ -102,8 +106,7 @@ KINDS = {
     "criteria": Kind("criterion", "termsel.criteria", "Criterion", tried=True),
     "objectives": Kind("objective", "termsel.problems.objectives", "Objective"),
     "candidates": Kind("candidate", "termsel.candidates.base", "Candidate"),
-    "matchers": Kind("matcher", "termsel_match.matchers", "Matcher", tried=True,
-                     suite="termsel_match.testing"),
+    "matchers": Kind("matcher", "", "Matcher", tried=True),
     "datasets": Kind("data set", "termsel.measurements.datasets", "DatasetSpec"),
     "splits": Kind("split", "termsel.measurements.splits", "Split"),
     "sections": Kind("section", "termsel.results.extras", "ReportSection"),

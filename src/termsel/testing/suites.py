@@ -94,7 +94,7 @@ def checks(thing: Any, *, expected_failures: Mapping[str, str] | None = None,
     'declaration'
     """
     kind = _kind(thing)
-    suite: Suite = SUITES[kind] if kind in SUITES else import_module(KINDS[kind].suite).SUITE
+    suite: Suite = SUITES[kind] if kind in SUITES else import_module(thing.suite).SUITE
     try:
         signature(suite.cases).bind(thing, **about)
     except TypeError as error:

@@ -100,6 +100,9 @@ class Matcher(Configurable, ABC):
     """
 
     kind = "matcher"
+    suite: ClassVar[str] = "termsel_match.testing"
+    """Module of the conformance suite that `termsel.testing.checks` runs."""
+
     guards: ClassVar[Mapping[str, Callable[..., str | None] | None]] = {"match": fault}
 
     places_exactly: ClassVar[bool] = False
