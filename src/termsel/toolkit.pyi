@@ -18,6 +18,7 @@ from .cli.options.shared import remote_option as remote_option
 from .cli.tables import json_text as json_text
 from .cli.tables import print_json as print_json
 from .cli.tables import print_table as print_table
+from .enumeration.features.walk import RowSystem as RowSystem
 from .errors import counted as counted
 from .errors import raised as raised
 from .errors import requires as requires

@@ -135,7 +135,7 @@ def block_select(file: Path, output: Path, solver: str, most: int | None, candid
     import msgspec
 
     from termsel import require_replaceable
-    from termsel.files.atomic import write_text
+    from termsel.toolkit import write_text
     from termsel_block.block_file import read_block
     from termsel_block.selecting import rows_of, select, text_of
 

@@ -15,9 +15,19 @@ from typing import Any
 
 import numpy as np
 
-from termsel import Bits, Evaluation, Genome, Problem, Selection, Solver, TermselError, get
-from termsel.enumeration.features.walk import RowSystem
-from termsel.solvers.search import Search, search
+from termsel import (
+    Bits,
+    Evaluation,
+    Genome,
+    Problem,
+    Search,
+    Selection,
+    Solver,
+    TermselError,
+    get,
+    search,
+)
+from termsel.toolkit import RowSystem
 from termsel_block.accuracy import independent_points, rmse
 from termsel_block.block import Block, BlockImage
 from termsel_block.control import own_control
