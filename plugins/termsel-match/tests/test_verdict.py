@@ -17,11 +17,12 @@ pytest.importorskip("termsel_match", reason="termsel-match is not installed: "
 import rasterio
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rasterio.windows import Window
 
 from benchmarks.verdicts import BAD, PASSED, REFUSED, Repeated, verdict
 from termsel import FeatureSet, Points, TermselError, read, write_points_csv
 from termsel_match.chain import georeference, judge
-from termsel_match.images.rasters import open_picture
+from termsel_match.images.rasters import GreyRaster, open_picture
 from termsel_match.judgement.evidence import other_place, structure, unsupported
 from termsel_match.judgement.repeats import repetition
 from termsel_match.judgement.selection import select_points
@@ -219,9 +220,39 @@ def test_ground_that_repeats_is_told_from_other_ground(tmp_path: Path) -> None:
                            height=len(pixels), width=pixels.shape[1]) as raster:
             raster.write(pixels, 1)
         with open_picture(path) as picture:
-            distance, alike = repetition(picture)
+            distance, alike = repetition(picture, np.array([[0, 0], picture.size]))
+            assert repetition(picture, np.full((3, 2), np.nan)) == (0, 0)
         assert least <= alike <= most
     assert distance == 59  # the tile has 118 px of 0.5 m
+
+
+def test_a_large_reference_is_read_by_windows(place: Any, tmp_path: Path,
+                                               monkeypatch: pytest.MonkeyPatch) -> None:
+    side, away, path = 8704, (4100, 3000), tmp_path / "large.tif"
+    with rasterio.open(place / "ortho.tif") as ortho:
+        pixels, transform = ortho.read(1), ortho.transform
+        moved = transform * transform.translation(-away[0], -away[1])
+        with rasterio.open(path, "w", driver="GTiff", width=side, height=side, count=1,
+                           dtype="uint8", crs=ortho.crs, tiled=True, sparse_ok=True,
+                           transform=moved) as raster:
+            raster.write(pixels, 1, window=Window(*away, *pixels.shape[::-1]))
+    windows, read_window = [], GreyRaster.read
+
+    def counted(self: GreyRaster, top: int, left: int, lines: int, samples: int,
+                step: int = 1) -> Any:
+        if self.path == path:
+            windows.append((top, left, lines, samples))
+        return read_window(self, top, left, lines, samples, step)
+
+    monkeypatch.setattr(GreyRaster, "read", counted)
+    done = judge(place / "image.tif", path, dem=place / "dem.tif", count=80)
+    assert not done.reasons
+    assert windows
+    # None is larger than what the image shows, and all are where that is.
+    for top, left, lines, samples in windows:
+        assert max(lines, samples) < 1.5 * max(pixels.shape)
+        assert away[1] - 200 < top < top + lines < away[1] + pixels.shape[0] + 200
+        assert away[0] - 200 < left < left + samples < away[0] + pixels.shape[1] + 200
 
 
 def test_a_file_that_is_no_table_is_refused(place: Any, tmp_path: Path) -> None:

@@ -229,7 +229,8 @@ def _shown(files: list[Path], picture: GreyRaster, model: Start, dem: Path | str
                                                 masks=masks) as other:
             shown |= other.shown(picture)
             bounds.append(other.bounds(crs))
-            repeats = max(repeats, repetition(other.picture), key=lambda one: one[1])
+            seen = other.seen(grid(picture.size, (COVERS, COVERS)))
+            repeats = max(repeats, repetition(other.picture, seen), key=lambda one: one[1])
     low, high = np.min(bounds, axis=0), np.max(bounds, axis=0)
     return shown, (float(low[0]), float(low[1]), float(high[2]), float(high[3])), repeats
 

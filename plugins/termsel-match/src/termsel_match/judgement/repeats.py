@@ -20,12 +20,18 @@ ALIKE = 0.5
 """Correlation of the ground with its displaced copy from which on it repeats itself."""
 
 
-def repetition(picture: GreyRaster) -> tuple[float, float]:
+def repetition(picture: GreyRaster, places: FloatArray) -> tuple[float, float]:
     """Return at which distance a picture is like itself, and how much.
 
-    Up to five windows, in the middle and between it and the corners, are compared with their
-    displaced copies: by the normalised correlation of what is known of both (Padfield 2012,
+    Up to five windows, in the middle of the places and towards their corners, are compared with
+    their displaced copies: by the normalised correlation of what is known of both (Padfield 2012,
     "Masked object registration in the Fourier domain", IEEE TIP 21(5), 2706-2718).
+
+    Parameters
+    ----------
+    picture : GreyRaster
+    places : ndarray, shape (n, 2)
+        Line and sample of what matters of it [px]; NaN for none.
 
     Returns
     -------
@@ -35,12 +41,20 @@ def repetition(picture: GreyRaster) -> tuple[float, float]:
     correlation : float
         At most 1.
     """
-    best = (0.0, 0.0)
-    room = [max(0, extent - _SIDE) for extent in picture.size]
+    best, known_places = (0.0, 0.0), places[np.isfinite(places).all(axis=1)]
+    if not len(known_places):
+        return best
+    low = np.clip(known_places.min(axis=0), 0, picture.size)
+    extents = np.ceil(np.clip(known_places.max(axis=0) + 1, low, picture.size) - low).astype(int)
+    room = [max(0, extent - _SIDE) for extent in extents.tolist()]
     corners = {(0.5, 0.5), *(product((0.2, 0.8), repeat=2) if min(room) else ())}
     for share in sorted(corners):
-        top, left = (int(free * part) for free, part in zip(room, share, strict=True))
-        pixels, known = picture.read(top, left, *(min(_SIDE, extent) for extent in picture.size))
+        top, left = (int(first + free * part)
+                     for first, free, part in zip(low, room, share, strict=True))
+        pixels, known = picture.read(top, left,
+                                     *(min(_SIDE, extent) for extent in extents.tolist()))
+        if pixels.size == 0:
+            continue
         found = _alike(pixels.astype(np.float64), known.astype(np.float64))
         best = max(best, found, key=lambda one: one[1])
     return best
