@@ -1,8 +1,9 @@
 """Is a lower check RMSE a better model? Ten scenes of third order with 1,000 independent points.
 
 ``python -m benchmarks.overfitting --kept FILE`` prints the page; what FILE holds is not repeated,
-and ``--write`` puts the page into docs/evidence. On each scene the GA and a plain local search by axis minimise the check RMSE of the RFM of 78 terms. The local search
-is in this file: it uses that line and sample share no term, and nothing else.
+and ``--write`` puts the page into docs/evidence. On each scene the GA and a plain local search by
+axis minimise the check RMSE of the RFM of 78 terms. The local search is in this file: it uses that
+line and sample share no term, and nothing else.
 """
 
 from __future__ import annotations
