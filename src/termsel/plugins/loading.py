@@ -36,7 +36,7 @@ SOON = 5.0
 
 LISTENER = f"{PROJECT}_run_finished"
 OF_EVERY_RUN = (LISTENER, f"{PROJECT}_observers", f"{PROJECT}_sections")
-"""The hook that is called after every run."""
+"""Hooks that are called in every run."""
 
 HOOKS = tuple(name for name in vars(hookspecs) if name.startswith(f"{PROJECT}_"))
 """Names of all hooks."""
