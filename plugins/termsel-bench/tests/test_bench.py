@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -245,6 +246,18 @@ def test_bad_files_of_results_are_refused(
     (tmp_path / "mine.json").write_text(json.dumps(said))
     with pytest.raises(TermselError, match=message):
         read_submitted(tmp_path)
+
+
+def test_what_is_not_installed_is_not_refuted(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    said = {"schema": "termsel-bench-1",
+            "method": {"kind": "peer", "name": "ransac", "options": {}, "problem": ""},
+            "sets": {"frame-1": {"sha256": catalogue.checksums()["frame-1.csv"], "rmse": 3.0}}}
+    (tmp_path / "ransac.json").write_text(json.dumps(said))
+    monkeypatch.setitem(sys.modules, "sklearn.linear_model", None)
+    text = run("--check", tmp_path, code=2)
+    assert "ransac.json cannot be repeated here: the peer requires scikit-learn" in text
+    assert "refuted" not in text
 
 
 def test_published_results_are_of_these_sets() -> None:

@@ -121,6 +121,9 @@ def check(submitted: Submitted, pattern: str = "", *, processes: int = 1) -> Che
     refuted, worst = [], 0.0
     for one in scores([submitted.method], names, processes=processes):
         said = submitted.rmse[one.set_name]
+        if said is not None and "not installed" in one.why:
+            raise TermselError(f"{submitted.path.name} cannot be repeated here: {one.why}",
+                               hint="Install it, or move the file out of the folder.")
         here = one.rmse if math.isfinite(one.rmse) else None
         if said is None or here is None:
             difference = 0.0 if said is here else math.inf
