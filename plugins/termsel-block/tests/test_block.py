@@ -332,6 +332,16 @@ def test_ties_in_one_image_are_left_out(example: Example) -> None:
     assert "1 tie is in one image alone" in block.notes[0]
 
 
+def test_an_image_that_nothing_joins_is_named(example: Example) -> None:
+    folder, _ = example
+    rows = (folder / "ties.csv").read_text().splitlines()
+    (folder / "two.csv").write_text("\n".join(row for row in rows if ",C," not in row) + "\n")
+    (folder / "alone.toml").write_text(
+        (folder / "block.toml").read_text().replace("ties.csv", "two.csv"))
+    with pytest.raises(TermselError, match="'C' has 0 ties and 0 control features"):
+        read_block(folder / "alone.toml")
+
+
 def test_the_package_that_rpcs_require_is_asked_for_at_once(
         example: Example, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("termsel_block.block_file.find_spec", {}.get)

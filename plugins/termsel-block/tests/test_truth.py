@@ -85,3 +85,14 @@ def test_a_dem_holds_ties_that_no_image_in_use_sees(tmp_path: Path) -> None:
     result = adjust(replace(simulated.block, dem=tmp_path / "dem.tif"))
     assert (times_seen(result) < 2).any()
     assert errors(result)[2] < 1.1 * errors(without)[2]
+
+
+def test_an_image_without_ties_stays_as_its_vendor_has_it() -> None:
+    block = simulate_block(3, n_ties=60, rpcs=True, control=(4, 4), seed=1, independent=10).block
+    ties, keep = block.ties, block.ties.image != 2
+    seen = np.bincount(ties.tie[keep], minlength=len(ties.names)) > 1
+    keep &= seen[ties.tie]
+    record = record_of(adjust(replace(block, ties=replace(
+        ties, tie=ties.tie[keep], image=ties.image[keep], place=ties.place[keep]))))
+    assert record.images[2].ties == 0
+    assert ["I3"] in record.parts

@@ -17,6 +17,7 @@ import numpy as np
 from termsel import FeatureSet, TermselError, open_raster, read, read_rpc
 from termsel.toolkit import normalise
 from termsel_block.block import CORRECTIONS, Block, BlockImage, Ties
+from termsel_block.control import in_use
 
 COLUMNS = {"id": ("id", "tie", "name", "point"), "image": ("image", "img", "scene"),
            "line": ("line", "row", "y_pix"), "sample": ("sample", "col", "column", "x_pix")}
@@ -24,6 +25,7 @@ COLUMNS = {"id": ("id", "tie", "name", "point"), "image": ("image", "img", "scen
 
 _EXAMPLE = "termsel block-example DIR writes a block to begin with."
 _NAMED = 5  # in a note
+_LEAST = 3  # ties and control features of an image
 
 
 class _Image(msgspec.Struct, forbid_unknown_fields=True):
@@ -78,10 +80,23 @@ def read_block(path: Path | str) -> Block:
     images = tuple(_image(image, folder, crs, dem, path) for image in stated.image)
     files = [stated.ties] if isinstance(stated.ties, str) else stated.ties
     ties, notes = read_ties([folder / file for file in files], names)
+    _refuse_alone(images, ties, path)
     used = [*files, *([stated.dem] if stated.dem else []), *(
         file for image in stated.image
         for file in (image.points, image.lines, image.rpc, image.image) if file)]
     return Block(crs, images, ties, dem, notes, tuple(folder / file for file in used))
+
+
+def _refuse_alone(images: Sequence[BlockImage], ties: Ties, path: Path) -> None:
+    """Refuse images with too little to be adjusted, and to have a result of their own."""
+    count = np.bincount(ties.image, minlength=len(images))
+    for image, n in zip(images, count.tolist(), strict=True):
+        own = 0 if image.features is None else (
+            len(in_use(image.features)) + len(image.features.lines))
+        if n + own < _LEAST:
+            raise TermselError(f"image {image.name!r} has {n} ties and {own} control features, so "
+                               "that nothing joins it to the block", file=path,
+                               hint=f"Give it {_LEAST} ties or more, or remove it.")
 
 
 def _check_names(names: Sequence[str], path: Path) -> None:

@@ -131,7 +131,8 @@ class RpcCamera(Camera):
         image = self.rpc.project(self.frame.geodetic(local))
         parts = (image - self.rpc.image_offset) / np.abs(self.rpc.image_scale)
         columns = {"shift": np.ones(len(image)), "drift": parts[:, 0], "affine": parts[:, 1]}
-        return image, np.array([columns[name] for name in self.groups]).reshape(-1, len(image)).T
+        return image, np.array([columns[name] for name in self.groups]).reshape(
+            len(self.groups), len(image)).T
 
 
 class PolynomialCamera(Camera):

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import click
@@ -43,6 +40,7 @@ def block(file: Path, folder: Path, overwrite: bool, as_json: bool, verbose: boo
     """
     import msgspec
 
+    from termsel.toolkit import share_bar
     from termsel_block.block_file import read_block
     from termsel_block.folders import SUMMARY, claim, write_block
     from termsel_block.joint import adjust
@@ -51,9 +49,9 @@ def block(file: Path, folder: Path, overwrite: bool, as_json: bool, verbose: boo
     read = read_block(file)
     claim(folder, [image.name for image in read.images], overwrite=overwrite, reads=[
         file, *read.files])
-    with _bar("adjusting", quiet) as progress:
+    with share_bar("adjusting", quiet) as progress:
         result = adjust(read, progress=progress)
-    with _bar("writing", quiet) as progress:
+    with share_bar("writing", quiet) as progress:
         record = write_block(result, folder, overwrite=overwrite, progress=progress)
     if as_json:
         click.echo(msgspec.json.encode(record))
@@ -147,13 +145,3 @@ def block_select(file: Path, output: Path, solver: str, most: int | None, candid
     click.echo(msgspec.json.encode(found.record(solver, seed)) if as_json else text_of(found),
                nl=as_json)
     click.echo(f"Written: {output}", err=True)
-
-
-@contextmanager
-def _bar(title: str, quiet: bool) -> Iterator[Callable[[float], None] | None]:
-    """Yield what shows the share that is done, or None where nobody would see it."""
-    if quiet or not sys.stderr.isatty():
-        yield None
-        return
-    with click.progressbar(length=1000, label=title, file=sys.stderr) as shown:
-        yield lambda share: shown.update(max(round(1000 * share) - shown.pos, 0))
