@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -277,3 +278,16 @@ def test_a_plane_model_is_judged_on_the_ground_too() -> None:
     assert found is not None
     assert found.ground is not None
     assert found.ground.total == pytest.approx(5 * found.image.total, rel=0.05)
+
+
+def test_figures_of_standards_are_written_as_all_distances() -> None:
+    rng = np.random.default_rng(4)
+    ground = np.column_stack([rng.uniform(0, 60000, (60, 2)), np.zeros(60)])
+    image = ground[:, [1, 0]] + rng.normal(0, 2000, (60, 2))
+    features = FeatureSet(Points(
+        tuple(f"P{i}" for i in range(60)), image, ground + np.array([4e5, 5e6, 0.0]),
+        roles=("control",) * 28 + ("independent",) * 32), crs="EPSG:32631")
+    text = termsel.run("poly-terms", features=features, model="affine", solver="all-terms",
+                       criterion="press").summary(verbose=True)
+    assert re.search(r"NSSDA: \d,\d{3} m, ", text)
+    assert re.search(r"ASPRS 2024: \d,\d{3} m, ", text)

@@ -278,7 +278,7 @@ def test_file_that_may_not_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
     path = put(tmp_path, POINTS + A)
     monkeypatch.setattr(Path, "open", denied)
-    with pytest.raises(TermselError, match="cannot read this file: Permission denied"):
+    with pytest.raises(TermselError, match=r"cannot read this file: Permission denied\. Give"):
         read_file(path, READERS)
 
 

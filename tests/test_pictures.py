@@ -136,6 +136,23 @@ def marks(svg: str) -> Iterator[tuple[str, str, list[float]]]:
         yield element.tag, " ".join(words), numbers
 
 
+@pytest.mark.parametrize(("noise", "least", "most"), [(0.3, 1, 1), (60.0, 20, 500)])
+def test_the_bar_of_residuals_can_be_seen(noise: float, least: float, most: float) -> None:
+    rng = np.random.default_rng(2)
+    ground = np.column_stack([rng.uniform(0, 4000, (12, 2)), np.zeros(12)])
+    image = ground[:, [1, 0]] + rng.normal(0, noise, (12, 2))
+    result = termsel.run("poly-terms", model="affine", solver="all-terms",
+                         criterion="press", features=termsel.FeatureSet(termsel.Points(
+                             tuple(map(str, range(12))), image, ground, roles=("control",) * 12),
+                             image_size=(4000, 4000)))
+    shown = result.plot.residuals().to_dict()
+    [bar] = [row for rows in shown["datasets"].values() for row in rows
+             if str(row.get("text", "")).endswith(" px")]
+    [drawn] = [param["value"] for param in shown["params"] if param["name"] == "exaggeration"]
+    assert least <= bar["length"] <= most
+    assert 0.015 * 4000 < drawn * bar["length"] < 0.3 * 4000
+
+
 @pytest.mark.parametrize("name", [*PICTURES, "small"])
 def test_a_picture_is_like_its_reference(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     for module, key, value in SMALLER:

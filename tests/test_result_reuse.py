@@ -257,7 +257,7 @@ def test_folders_that_lack_something_are_refused(tmp_path: Path) -> None:
         read_result(tmp_path)
     (tmp_path / "result.json").write_text(whole)
     (tmp_path / "points.csv").unlink()
-    with pytest.raises(TermselError, match=r"points\.csv: cannot read this file"):
+    with pytest.raises(TermselError, match=r"points\.csv: this file does not exist"):
         read_result(tmp_path)
 
 

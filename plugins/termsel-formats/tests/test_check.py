@@ -105,6 +105,20 @@ def test_a_raster_without_place_has_no_transformation(result: termsel.Result, tm
     assert found[0].transformation == "none: places are pixels"
 
 
+@pytest.mark.skipif(not WITH_QGIS, reason="qgis_process is not installed")
+@pytest.mark.parametrize("held", [None, b"<PAMDataset><Metadata/></PAMDataset>"])
+def test_a_check_writes_nothing_next_to_the_raster(held: bytes | None, tmp_path: Path) -> None:
+    path, sidecar = tmp_path / "plain.tif", tmp_path / "plain.tif.aux.xml"
+    with rasterio.open(path, "w", driver="GTiff", height=40, width=50, count=1,
+                       dtype="uint8") as file:
+        file.write(np.arange(2000, dtype="uint8").reshape(1, 40, 50))
+    if held is not None:
+        sidecar.write_bytes(held)
+    found, _ = compared(path, None)
+    assert any(one.program.startswith("QGIS") for one in found)
+    assert (sidecar.read_bytes() if sidecar.exists() else None) == held
+
+
 @pytest.mark.parametrize("beside", [True, False])
 def test_a_world_file_is_read_with_or_without_its_image(result: termsel.Result, tmp_path: Path,
                                                         beside: bool) -> None:
@@ -164,9 +178,9 @@ def test_the_command_warns_and_prints_json(result: termsel.Result, tmp_path: Pat
 
 @pytest.mark.parametrize(("name", "said"), [
     ("none.tif", "there is no such file"), ("lost.tfw", "none of its name is next to it"),
-    ("text.tif", "")])
+    ("text.tif", ""), ("", "this is a folder, expected a file")])
 def test_what_cannot_be_checked(name: str, said: str, tmp_path: Path) -> None:
-    if name != "none.tif":
+    if name not in ("none.tif", ""):
         (tmp_path / name).write_text("no raster")
     done = call("check", tmp_path / name)
     assert done.exit_code == 2, done.output

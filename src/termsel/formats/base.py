@@ -235,9 +235,6 @@ def read_head(path: Path, expected: str) -> bytes:
     try:
         with path.open("rb") as file:
             head = file.read(_HEAD)
-    except FileNotFoundError as error:
-        raise TermselError("this file does not exist", file=path,
-                           hint="Check the name and the folder.") from error
     except OSError as error:
         raise _unreadable(path, error) from error
     if not head.strip():
@@ -269,7 +266,11 @@ def read_once(path: Path) -> Iterator[Path]:
 
 
 def _unreadable(path: Path, error: OSError) -> TermselError:
-    return TermselError(f"cannot read this file: {error.strerror or error}", file=path)
+    if isinstance(error, FileNotFoundError):
+        return TermselError("this file does not exist", file=path,
+                            hint="Check the name and the folder.")
+    return TermselError(f"cannot read this file: {error.strerror or error}", file=path,
+                        hint="Give a file that you may read.")
 
 
 def is_utf16(head: bytes) -> bool:

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from termsel.errors import TermselError, counted, first_of
-from termsel.files.names import is_there
 from termsel.fits.extrapolation import FAR, outside
 from termsel.formats.base import read_once
 from termsel.formats.heights import surface_of
@@ -130,7 +129,4 @@ def read_ground(result: Result, path: Path, columns: str = "") -> tuple[list[str
 def _table(path: Path, columns: str, *meanings: str) -> Table:
     known = _ID | {meaning: COORDINATES[meaning] for meaning in meanings}
     with read_once(path) as file:
-        if not is_there(file):
-            raise TermselError("this file does not exist", file=path,
-                               hint="Check the name and the folder.")
         return replace(read_table(file, known, columns=columns), path=path)

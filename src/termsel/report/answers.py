@@ -123,7 +123,8 @@ def _figures(accuracy: Accuracy, of: str) -> Iterator[Block]:
     for standard, title, meaning in (
             (accuracy.nssda, "NSSDA", "horizontal accuracy at 95 % confidence"),
             (accuracy.asprs, "ASPRS 2024", "RMSE without the error of the survey itself")):
-        yield (f"{title}: {standard.value:.3g} m, {meaning}." if standard.value is not None else
+        value = standard.value
+        yield (f"{title}: {rounded(value)} m, {meaning}." if value is not None else
                Detail(f"{title}: no figure ({standard.reason})."))
 
 

@@ -66,7 +66,8 @@ def image_map(view: View, image: str = "", rows: list[Row] | None = None,
                 tooltip=[alt.Tooltip("id:N", title="line")], **ends))
     scale = _exaggeration([float(np.hypot(row["dl"], row["ds"])) for row in view.in_image], wide)
     layers += _arrows(view, rows, x, y, ("ds", "dl"), scale, downwards=True, member=member)
-    length = min(1.0, nice(0.2 * wide / scale))  # a pixel may be wider than the map
+    length = nice(0.2 * wide / scale)  # a pixel may be wider than the map
+    length = 1.0 if length > 1 and scale > 0.02 * wide else length  # or too short to be seen
     layers.append(_bar(left, bottom + 0.55 * margin, length, f"{length:g} px", "sample", "line",
                        x, y))
     return _map(layers, (wide + 2 * margin) / (high + 2 * margin))

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +16,19 @@ from termsel_formats.check.base import NoAnswer, Taken, answer
 from termsel_formats.check.gdal import Header, level, outline, transformed
 
 _NEAR = 3.0  # px of the map that QGIS makes, by which its extent may differ from GDAL's
+
+
+@contextmanager
+def unchanged(file: Path) -> Iterator[None]:
+    """Leave a file as it is, or away: QGIS writes the statistics of a layer next to its raster."""
+    held = file.read_bytes() if file.is_file() else None
+    try:
+        yield
+    finally:
+        if held is None:
+            file.unlink(missing_ok=True)
+        elif file.read_bytes() != held:
+            file.write_bytes(held)
 
 
 def taken(path: Path, found: Header) -> Taken | None:
@@ -40,8 +55,9 @@ def taken(path: Path, found: Header) -> Taken | None:
                        if key not in ("VIRTUAL_ENV", "PYTHONHOME", "PYTHONPATH")} | {
             "PATH": os.pathsep.join([str(Path(program).parent), os.defpath]),
             "QT_QPA_PLATFORM": "offscreen", "QGIS_CUSTOM_CONFIG_PATH": str(folder)}
-        said = answer([program, "run", "--json", "native:rasterlayerproperties", "--",
-                       f"INPUT={path.absolute()}"], environment=environment)
+        with unchanged(path.with_name(f"{path.name}.aux.xml")):
+            said = answer([program, "run", "--json", "native:rasterlayerproperties", "--",
+                           f"INPUT={path.absolute()}"], environment=environment)
     try:
         whole = json.loads(said)
         layer, name = whole["results"], f"QGIS {whole['qgis_version'].partition('-')[0]}"

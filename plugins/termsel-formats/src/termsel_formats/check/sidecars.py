@@ -25,6 +25,9 @@ def raster_of(path: Path, result: Result | None) -> Iterator[Path]:
 
     Raises TermselError where there is no raster and the result does not know its size.
     """
+    if path.is_dir():
+        raise TermselError("this is a folder, expected a file", file=path,
+                           hint="Give a raster, or a file that goes with one.")
     if not path.is_file():
         raise TermselError("there is no such file", file=path, hint="Check the name.")
     found = _STEM.fullmatch(path.name)
