@@ -24,6 +24,7 @@ from termsel.testing import checks
 from termsel_rpc.belief import KINDS, Belief, grid
 from termsel_rpc.correction import CANDIDATES
 from termsel_rpc.jitter import CANDIDATE as JITTERED
+from termsel_rpc.local import CANDIDATE as LOCAL
 from termsel_rpc.simulated import RPC_FILE
 
 pytestmark = pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
@@ -112,6 +113,46 @@ def test_jitter_is_a_candidate_that_keeps_the_rules_and_finds_it() -> None:
     assert "over 2 intervals" in JITTERED.describe(fitted)
     with pytest.raises(termsel.TermselError, match="no RPC is given"):
         termsel.fit(replace(others, rpc=None), "rpc-jittered")
+
+
+def bumpy(n: int, seed: int, noise: float = 0.3) -> FeatureSet:
+    """Return points of an image whose RPC has errors that are local, of some 6 px."""
+    features = scene(n, 3, seed=seed, noise=noise)
+    rpc = features.rpc
+    assert isinstance(rpc, Rpc)
+    line, sample = ((rpc.project(features.points.ground) - rpc.image_offset) / rpc.image_scale).T
+    image = features.points.image + 6 * np.column_stack(
+        [np.sin(4 * line) * np.cos(3 * sample), np.cos(5 * sample + 1) * np.sin(2 * line)])
+    return replace(features, points=replace(features.points, image=image))
+
+
+def test_local_errors_of_an_rpc_call_for_a_random_field(tmp_path: Path) -> None:
+    for check in checks(LOCAL, features=[scene(3), scene(30, 2), bumpy(40, 0)]):
+        check.run()
+    features, others = bumpy(30, 0), bumpy(200, 1, noise=0.0)
+
+    def missed(fitted: termsel.Fit) -> float:
+        away = fitted.project(others.points.ground) - others.points.image
+        return float(np.sqrt((away**2).sum(axis=1).mean()))
+
+    fitted = termsel.fit(features, "rpc-with-field")
+    assert missed(fitted) < 0.6 * missed(termsel.fit(features, "rpc"))
+    sigma = np.sqrt((fitted.sigma(others.points.ground)**2).sum(axis=1).mean())
+    assert 0.5 < missed(fitted) / sigma < 2
+    result = termsel.run(features=features, out=tmp_path / "r")
+    assert result.strategy is not None
+    assert result.strategy.chosen == "rpc-with-field"
+    assert "random field" in result.summary()
+    again = termsel.read_result(tmp_path / "r").fit.project(others.points.ground)
+    np.testing.assert_allclose(again, result.fit.project(others.points.ground), atol=1e-6)
+
+
+def test_a_field_is_not_laid_over_an_rpc_that_needs_none() -> None:
+    for features in (scene(30, 3), scene(5)):
+        with pytest.raises(termsel.TermselError):
+            termsel.fit(features, "rpc-with-field")
+    with pytest.raises(termsel.TermselError, match="no RPC is given"):
+        termsel.fit(replace(bumpy(30, 0), rpc=None), "rpc-with-field")
 
 
 def off(result: Result, features: FeatureSet, width: int) -> float:

@@ -23,7 +23,7 @@ from termsel.models.rpc_fit import rpc_of
 from termsel.plugins.registry import registry
 from termsel.simulate import read_geometry, scene_truth, write_geometry
 from termsel.testing import Check, checks
-from termsel_rpc import Ce90, PushbroomRefine, RpcAffine, RpcDrift, RpcJitter, RpcShift
+from termsel_rpc import Ce90, PushbroomRefine, RpcAffine, RpcDrift, RpcField, RpcJitter, RpcShift
 from termsel_rpc.simulated import (
     CANDIDATES,
     PITCH,
@@ -66,6 +66,7 @@ def suites() -> dict[str, tuple[Check, ...]]:
     found = {model.name: checks(model, options=[of], place=AROUND_RPC)
              for model in (RpcShift, RpcDrift, RpcAffine)}
     found["rpc-jitter"] = checks(RpcJitter, options=[{**of, "intervals": 2}], place=AROUND_RPC)
+    found["rpc-field"] = checks(RpcField, options=[of], place=AROUND_RPC)
     found["rpc-affine in UTM"] = checks(RpcAffine, options=[of], place=IN_UTM)
     found["pushbroom-refine"] = checks(
         PushbroomRefine, options=[{"geometry": CANDIDATES, "biases": biases}

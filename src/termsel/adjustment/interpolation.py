@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from termsel.measurements.features import FloatArray
 
 
+@runtime_checkable
 class Interpolation(Protocol):
     """A prediction by control points, in scaled coordinates."""
 

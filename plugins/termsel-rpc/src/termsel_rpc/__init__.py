@@ -18,6 +18,8 @@ from termsel_rpc.jitter import CANDIDATE as JITTERED
 from termsel_rpc.jitter import RpcJitter
 from termsel_rpc.konugurthi import RECIPE as KONUGURTHI
 from termsel_rpc.konugurthi import E50PerArea
+from termsel_rpc.local import CANDIDATE as LOCAL
+from termsel_rpc.local import RpcField
 from termsel_rpc.problem import RECIPE, Ce90
 from termsel_rpc.rigorous import PushbroomRefine
 from termsel_rpc.simulated import CANDIDATES, MATCHES, candidates, matches
@@ -26,13 +28,13 @@ if TYPE_CHECKING:
     from termsel import Candidate, Criterion, Recipe, SensorModel
 
 __all__ = ["Ce90", "E50PerArea", "PushbroomRefine", "RpcAffine", "RpcDrift",
-           "RpcJitter", "RpcShift", "candidates", "matches"]
+           "RpcField", "RpcJitter", "RpcShift", "candidates", "matches"]
 
 
 @hookimpl
 def termsel_models() -> Iterable[type[SensorModel]]:
     """Return the models of this package."""
-    return [RpcShift, RpcDrift, RpcAffine, RpcJitter, PushbroomRefine]
+    return [RpcShift, RpcDrift, RpcAffine, RpcJitter, RpcField, PushbroomRefine]
 
 
 @hookimpl
@@ -50,7 +52,7 @@ def termsel_problems() -> Iterable[Recipe]:
 @hookimpl
 def termsel_candidates() -> Iterable[Candidate]:
     """Return the corrections of an RPC that features have."""
-    return [*CORRECTIONS, JITTERED]
+    return [*CORRECTIONS, LOCAL, JITTERED]
 
 
 @hookimpl

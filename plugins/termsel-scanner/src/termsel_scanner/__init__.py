@@ -6,19 +6,21 @@ from collections.abc import Iterable
 
 from termsel import Candidate, SensorModel, hookimpl
 from termsel_scanner.candidate import SCANNER
+from termsel_scanner.photos import CANDIDATES as PHOTOS
+from termsel_scanner.photos import Frame, Panoramic
 from termsel_scanner.scanner import Scanner
 from termsel_scanner.sensors import SENSORS, Sensor
 
-__all__ = ["SENSORS", "Scanner", "Sensor"]
+__all__ = ["SENSORS", "Frame", "Panoramic", "Scanner", "Sensor"]
 
 
 @hookimpl
 def termsel_models() -> Iterable[type[SensorModel]]:
-    """Return the scanner."""
-    return [Scanner]
+    """Return the scanner, the frame and the panoramic camera."""
+    return [Scanner, Frame, Panoramic]
 
 
 @hookimpl
 def termsel_candidates() -> Iterable[Candidate]:
-    """Return the scanner that points name."""
-    return [SCANNER]
+    """Return the scanner that points name, and cameras of which nothing is known."""
+    return [SCANNER, *PHOTOS]

@@ -68,8 +68,8 @@ class Physical(SensorModel):
     free: ClassVar[int] = 0
 
     @abstractmethod
-    def starts(self) -> FloatArray:
-        """Return the values of terms (s, k) from which a fit begins."""
+    def starts(self, features: FeatureSet) -> FloatArray:
+        """Return the values of terms (s, k) from which a fit to scaled features begins."""
 
     @abstractmethod
     def image_of(self, values: FloatArray, ground: FloatArray) -> FloatArray:
@@ -124,33 +124,34 @@ class Physical(SensorModel):
 
         Raises Undetermined where no start sees the points.
         """
-        ends = [one for start in self.starts() if (one := self._descend(features, start))]
+        ends = [one for start in self.starts(features) if (one := self._descend(features, start))]
         if not ends:
             raise Undetermined(f"model {self.name!r} finds no camera that sees the control",
                                hint="Check the sensor, the track and the axes of the points.")
         return min(ends, key=lambda one: one.cost)
 
+    def cost(self, features: FeatureSet, values: FloatArray) -> tuple[float, FloatArray]:
+        """Return Huber's loss of scaled points and priors, and residuals (n, 2), by the noise."""
+        points, unit = features.points, NOISE / known(self.scaling).image_scale
+        away = (points.image - self.image_of(values[None], points.ground)[0]) \
+            * _weight(features) / unit
+        large = np.linalg.norm(away, axis=1)
+        loss = np.where(large > HUBER, 2 * HUBER * large - HUBER**2, large**2)
+        return float(loss.sum() + ((self.prior() / unit * values) ** 2).sum()), away
+
     def _descend(self, features: FeatureSet, start: FloatArray) -> Solution | None:
         """Return where damped steps from a start end (Levenberg 1944, Marquardt 1963)."""
         points, prior = features.points, self.prior()
         unit = NOISE / known(self.scaling).image_scale
-        weight = np.ones((len(points), 2)) if points.sigma is None else \
-            np.median(points.sigma) / points.sigma
+        weight = _weight(features)
         size, damping, converged, steps = prior / unit, 1e-3, False, 0
-
-        def cost(values: FloatArray) -> tuple[float, FloatArray]:
-            away = (points.image - self.image_of(values[None], points.ground)[0]) * weight / unit
-            large = np.linalg.norm(away, axis=1)
-            loss = np.where(large > HUBER, 2 * HUBER * large - HUBER**2, large**2)
-            return float(loss.sum() + ((size * values) ** 2).sum()), away
-
         values = start
         # Of the free terms the best values are known: the mean of what is left.
         if self.free:
             left = points.image - self.image_of(values[None], points.ground)[0]
             values = values.copy()
             values[:self.free] += left.mean(axis=0)[:self.free]
-        now, away = cost(values)
+        now, away = self.cost(features, values)
         if not np.isfinite(now):
             return None
         while steps < ROUNDS and damping < 1e8:
@@ -162,7 +163,7 @@ class Physical(SensorModel):
             right = A.T @ (turned * away).ravel() - size**2 * values
             normal = A.T @ A + np.diag(size**2)
             full = np.linalg.lstsq(normal + damping * np.diag(np.diag(normal) + 1e-12), right)[0]
-            there, left = cost(values + full)
+            there, left = self.cost(features, values + full)
             steps += 1
             if not there < now:
                 damping *= 10.0
@@ -196,8 +197,7 @@ class RobustFit(Estimator):
         left, effective, errors = _left_out(equations, values, len(mine.points))
         count, unknown = round(effective), np.full(len(values), np.nan)
         freedom = max(len(left) - effective, 1.0)
-        weight = np.ones((len(mine.points), 2)) if scaled.points.sigma is None else \
-            np.median(scaled.points.sigma) / scaled.points.sigma
+        weight = _weight(scaled)
         return Fit(ready, scaling, control, np.ones(len(values), dtype=bool), used,
                    Adjustment(values, unknown, count, len(left), count, np.nan,
                               float(np.sqrt(left @ left / freedom)), steps=found.steps,
@@ -218,6 +218,13 @@ class RobustFit(Estimator):
                                   + 1e-14 * np.eye(len(values)))
         factors = model.slopes(values, ground) @ root
         return Spread((factors**2).sum(axis=2), np.full(2, noise**2), factors)
+
+
+def _weight(features: FeatureSet) -> FloatArray:
+    """Return the weights of points by their stated standard deviations, shape (n, 2)."""
+    sigma = features.points.sigma
+    return np.ones((len(features.points), 2)) if sigma is None else \
+        np.asarray(np.median(sigma) / sigma)
 
 
 def _left_out(equations: Equations, values: FloatArray, count: int,

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel import Option
+from termsel import FeatureSet, Option
 from termsel_scanner.orbit import Cameras, FloatArray, axes_at, geocentric, heading_of, seen
 from termsel_scanner.physical import Physical, known
 from termsel_scanner.sensors import SENSORS, Sensor, sensor_named
@@ -58,7 +58,7 @@ class Scanner(Physical):
         """Where the constants of the sensor were published."""
         return self.sensor.source
 
-    def starts(self) -> FloatArray:
+    def starts(self, features: FeatureSet) -> FloatArray:
         """Return the values of terms from which a fit begins: views to either side."""
         some = np.zeros((5, len(TERMS)))
         some[:, TERMS.index("side")] = np.linspace(-1.6, 1.6, 5)

@@ -1,0 +1,194 @@
+"""A vendor's RPC with a random field: what it leaves that is local, by the points around."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+
+from termsel import (
+    Adjustment,
+    Control,
+    Estimator,
+    FeatureSet,
+    Field,
+    Fit,
+    HeldOut,
+    Rpc,
+    Scaling,
+    Undetermined,
+)
+from termsel_rpc.correction import BoolArray, CorrectedRpc, Correction
+from termsel_rpc.image_space import RpcAffine
+from termsel_rpc.refinement import FloatArray
+
+LIKELY = 0.75
+"""Probability of a field beyond which points call for it, as of the candidate ``field``."""
+
+
+class Collocated(Protocol):
+    """A prediction by control points (see `SensorModel.interpolation`) that may hold a field."""
+
+    @property
+    def probability(self) -> float:
+        """Probability of a field."""
+
+    @property
+    def errors(self) -> FloatArray:
+        """Measured minus predicted of each point by the others, scaled, shape (n, 2)."""
+
+    @property
+    def effective(self) -> float:
+        """Effective parameters of both axes."""
+
+    def predict(self, ground: FloatArray) -> FloatArray:
+        """Return line and sample of places, shape (m, 2)."""
+
+    def spread(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the variance of the prediction, shape (m, 2), and that of the noise, (2,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class FieldOverRpc:
+    """The collocation of control points over where the RPC sees them."""
+
+    model: RpcField
+    over: Collocated
+
+    @property
+    def probability(self) -> float:
+        """Probability of a field."""
+        return self.over.probability
+
+    @property
+    def errors(self) -> FloatArray:
+        """Measured minus predicted of each point by the others, scaled, shape (n, 2)."""
+        return self.over.errors
+
+    @property
+    def effective(self) -> float:
+        """Effective parameters of both axes."""
+        return self.over.effective
+
+    def predict(self, ground: FloatArray) -> FloatArray:
+        """Return line and sample of scaled places, shape (m, 2)."""
+        return self.over.predict(self.model.plane(ground))
+
+    def spread(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the variance of the prediction, shape (m, 2), and that of the noise, (2,)."""
+        return self.over.spread(self.model.plane(ground))
+
+
+class RpcField(RpcAffine):
+    """Vendor's RPC with a random field: collocation over its image positions.
+
+    The image is a shrunken cubic polynomial of where the RPC sees a ground point, and a stationary
+    random field there, averaged over scales as in the model ``field``. Heights enter by the RPC
+    alone. The field takes up any affine function, so that the terms make no difference.
+
+    References
+    ----------
+    As `rpc-shift`, and Moritz 1980, Advanced Physical Geodesy, for collocation.
+    """
+
+    name = "rpc-field"
+
+    def plane(self, ground: FloatArray) -> FloatArray:
+        """Return where the RPC sees scaled places, and 0 for their height, shape (n, 3)."""
+        return np.column_stack([self.known(ground)[0], np.zeros(len(ground))])
+
+    def interpolation(self, control: FeatureSet) -> FieldOverRpc | None:
+        """Return the collocation (see `SensorModel.interpolation`)."""
+        points = control.points
+        found: Any = Field().interpolation(
+            replace(control, points=replace(points, ground=self.plane(points.ground))))
+        return None if found is None else FieldOverRpc(self, found)
+
+    def predict(self, coefficients: FloatArray, control: FeatureSet,
+                ground: FloatArray) -> FloatArray:
+        """Return image positions by the control points (see `SensorModel.predict`)."""
+        found = None if len(control.lines) else self.interpolation(control)
+        if found is None:
+            return self.project(coefficients, ground)
+        image = found.predict(ground)
+        return np.broadcast_to(image, (*coefficients.shape[:-1], *image.shape)).copy()
+
+    def as_rpc(self, coefficients: FloatArray) -> Rpc | None:
+        """Return None: no RPC has such a correction."""
+        return None
+
+
+class Local(Estimator):
+    """The collocation over an RPC, where the points call for a field."""
+
+    name = "rpc-field"
+
+    def fit(self, model: Any, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+            used: BoolArray) -> Fit:
+        """Fit the field (see `Estimator.fit`) by points in use."""
+        mine = control.take(used)
+        if len(mine.lines):
+            raise Undetermined("a random field takes control points alone, and there are control "
+                               "lines", hint="Leave the lines out, or choose rpc-affine.")
+        ready = model.prepared(scaling, control.crs)
+        found = ready.interpolation(scaling.features(mine))
+        if found is None:
+            raise Undetermined(f"{used.sum()} control points are too few for a random field",
+                               hint="Measure more control, spread over the area.")
+        if found.probability <= LIKELY:
+            raise Undetermined("the points do not call for a random field over the RPC: its "
+                               f"probability is {found.probability:.2g}",
+                               hint="Choose rpc-affine, or --strategy auto.")
+        count, effective = len(ready.terms), round(found.effective)
+        errors = found.errors * scaling.image_scale
+        return Fit(ready, scaling, control, np.ones(count, dtype=bool), used,
+                   Adjustment(np.zeros(count), np.full(count, np.nan), effective,
+                              2 * len(mine.points), effective, float("nan"), float("nan")),
+                   self, found.effective, HeldOut.of(errors, mine))
+
+
+@dataclass(frozen=True, eq=False)
+class LocalRpc(CorrectedRpc):
+    """The RPC that features have, with a random field where evidence and leave-one-out call for it.
+    """
+
+    def fit_control(self, control: Control) -> Fit:
+        """Fit the field, unless corrections alone predict left-out points as well."""
+        rpc = control.features.rpc
+        if not isinstance(rpc, Rpc):
+            raise Undetermined("no RPC is given", hint="Give it with --rpc FILE.")
+        every = np.ones(len(control), dtype=bool)
+        model = RpcField(rpc=json.dumps(asdict(rpc)))
+        with_field, without = (
+            one.fit(kind, control.features, control.scaling,
+                    np.ones(len(kind.terms), dtype=bool), every)
+            for one, kind in ((self.estimator, model),
+                              (Correction(), RpcAffine(rpc=model.options["rpc"]))))
+        assert with_field.held_out is not None  # both estimators find them
+        assert without.held_out is not None
+        tiny = np.finfo(float).tiny
+        gain = np.log(np.maximum(without.held_out.squares, tiny)
+                      / np.maximum(with_field.held_out.squares, tiny)).mean()
+        if gain <= 0:
+            raise Undetermined("corrections of the RPC alone predict left-out points as well as a "
+                               "random field does", hint="Choose rpc-affine, or --strategy auto.")
+        return with_field
+
+    def describe(self, fitted: Fit) -> str:
+        """Return how likely the field is."""
+        found = fitted.interpolation
+        assert isinstance(found, FieldOverRpc)
+        return (f"The points call for local corrections of the vendor's RPC: the probability of a "
+                f"random field is {found.probability:.3g}; it must exceed {LIKELY:g}.")
+
+    def suspects(self, control: Control) -> None:
+        """Return None: the corrections with a prior look for blunders."""
+
+
+CANDIDATE = LocalRpc(
+    "rpc-with-field", "the vendor's RPC with a random field", short="RPC, random field",
+    estimator=Local(), has_prior=True, from_one=True, family="corrections of the RPC",
+    contains=("rpc", "rpc-as-delivered", "rpc-shifted", "rpc-drifted", "rpc-by-affine"))
+"""A random field over the RPC."""

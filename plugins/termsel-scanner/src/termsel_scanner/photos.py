@@ -1,0 +1,260 @@
+"""Frame and panoramic cameras of the textbooks, with priors for what nobody wrote down."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from termsel import (
+    Candidate,
+    Control,
+    FeatureSet,
+    Fit,
+    Judged,
+    Option,
+    SensorModel,
+    Undetermined,
+)
+from termsel_scanner.orbit import axes_at, geocentric
+from termsel_scanner.physical import FloatArray, Physical, RobustFit, known
+
+TURN, SCALE = 3.0, 1.0
+"""Standard deviations of the turn about the vertical [rad] and of the logarithm of the scale, about
+those of an affine transformation: as good as nothing is known."""
+
+TILT = 0.1
+"""Standard deviation of the camera's tilts [rad]: vertical photos are tilted by 3 deg at most
+(Manual of Photogrammetry), those of the war and of small aircraft by more."""
+
+FOCAL, FOCAL_SPREAD = 2.0, 0.6
+"""Focal length by the half extent of the control in the image, and the standard deviation of its
+logarithm: film of 23 cm went with 88 to 305 mm, or 0.8 to 2.7, and with 610 mm."""
+
+MIDDLE = 0.3
+"""Standard deviation of the principal point, by the half extent of the control: the control need
+not be in the middle of the image."""
+
+RADIAL = 3.0
+"""Standard deviation of the distortion at the half extent [px]."""
+
+FILM = 1e-3
+"""Standard deviation of affinity and shear of film and scan."""
+
+MOTION = 0.02
+"""Standard deviation of the image motion that is compensated while the slit swings, by the focal
+length."""
+
+FEWEST, MOST = 6, 20
+"""Numbers of points for which the candidates are: more tell as much as the physics."""
+
+
+AMISS = 2.0
+"""Misfit of points and priors together, by what it is expected to be, beyond which a camera is not
+of this kind: it is at most about 1.2 where it is, and seldom below 3 where it is not."""
+
+
+class Photo(Physical):
+    """A camera that looks down from one place; see `Frame` and `Panoramic`."""
+
+    free = 2
+    declared_options = (
+        Option("mirrored", False, "Whether the scan is mirrored, as of a negative.", bool),)
+
+    def local(self, ground: FloatArray) -> FloatArray:
+        """Return scaled places in metres east, north and up of the control's middle, (n, 3)."""
+        if self.crs in ("", "local"):
+            return np.asarray(ground * known(self.scaling).ground_scale)
+        middle = self.geographic(np.zeros((1, 3)))
+        axes = axes_at(*middle[0, :2])
+        return np.asarray((geocentric(self.geographic(ground)) - geocentric(middle)) @ axes.T)
+
+    def starts(self, features: FeatureSet) -> FloatArray:
+        """Return the values of terms from which a fit begins: those of an affine transformation."""
+        slopes = self.slopes_of(features)
+        turn = np.arctan2(slopes[1, 1], slopes[0, 1])
+        some = np.zeros((3, len(self.terms)))
+        some[:, self.terms.index("turn")] = turn / TURN
+        some[:, self.terms.index("scale")] = np.log(
+            np.sqrt(np.abs(np.linalg.det(slopes)) + 1e-12) * self._extent()) / SCALE
+        some[:, self.terms.index("focal")] = (-1.0, 0.0, 1.0)
+        return some
+
+    def slopes_of(self, features: FeatureSet) -> FloatArray:
+        """Return the slopes of scaled image positions by metres east and north, shape (2, 2).
+
+        Their determinant is positive where lines run to the south and samples to the east.
+        """
+        plan = self.local(features.points.ground)[:, :2]
+        return np.asarray(np.linalg.lstsq(np.column_stack([np.ones(len(plan)), plan]),
+                                          features.points.image)[0][1:])
+
+    def _extent(self) -> float:
+        return float(np.linalg.norm(self.local(np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]))[0]))
+
+    def seen(self, x: dict[str, FloatArray], ground: FloatArray,
+             ray: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return places in the camera's axes (p, n, 3) by distance, and focal lengths (p, 1).
+
+        `ray`, shape (p, 3), leads to the control's middle: along lines, samples and the view.
+        """
+        focal = FOCAL * np.exp(FOCAL_SPREAD * x["focal"])
+        scale = np.exp(SCALE * x["scale"]) / self._extent()
+        sine, cosine = np.sin(TURN * x["turn"]), np.cos(TURN * x["turn"])
+        none = np.zeros_like(sine)
+        down = -1.0 if self.options["mirrored"] else 1.0
+        level = np.stack([np.stack([down * sine, -down * cosine, none], axis=1),
+                          np.stack([cosine, sine, none], axis=1),
+                          np.stack([none, none, none - 1.0], axis=1)], axis=1)
+        turned = level
+        for i, name in enumerate(("tilt-line", "tilt-sample")):
+            s, c = np.sin(TILT * x[name])[:, None], np.cos(TILT * x[name])[:, None]
+            one, view = turned[:, i], turned[:, 2]
+            turned = turned.copy()
+            turned[:, i], turned[:, 2] = c * one - s * view, s * one + c * view
+        places = self.local(ground) @ turned.transpose(0, 2, 1)
+        return np.asarray(places * (scale / focal)[:, None, None] + ray[:, None, :]), \
+            focal[:, None]
+
+    def image_of(self, values: FloatArray, ground: FloatArray) -> FloatArray:
+        """Return scaled image positions (p, n, 2) by values of terms (p, k)."""
+        x = dict(zip(self.terms, values.T, strict=True))
+        shift = np.stack([x["line"], x["sample"]], axis=1)
+        with np.errstate(all="ignore"):
+            return np.asarray(self.film(x, ground) + shift[:, None])
+
+    def film(self, x: dict[str, FloatArray], ground: FloatArray) -> FloatArray:
+        """Return scaled positions on the film (p, n, 2), about where the middle is seen."""
+        raise NotImplementedError
+
+
+_COMMON = ("line", "sample", "turn", "scale", "focal", "tilt-line", "tilt-sample", "middle-line",
+           "middle-sample")
+
+
+class Frame(Photo):
+    """Frame camera: collinearity equations with radial distortion and deformed film.
+
+    Terms are in standard deviations of what is known beforehand, which is little; ``line`` and
+    ``sample`` are the place where the middle of the control is seen. There are 12: turn, scale,
+    focal length, tilts, principal point, radial distortion, affinity and shear.
+
+    References
+    ----------
+    Brown 1971, Photogrammetric Engineering 37(8), for the distortion; Kraus 2007, Photogrammetry,
+    for the collinearity equations. The priors are termsel's own.
+    """
+
+    name = "frame"
+    terms_ = (*_COMMON, "radial", "affinity", "shear")
+
+    def film(self, x: dict[str, FloatArray], ground: FloatArray) -> FloatArray:
+        """Return scaled positions on the film (p, n, 2), about where the middle is seen."""
+        middle = MIDDLE * np.stack([x["middle-line"], x["middle-sample"]], axis=1)
+        focal = FOCAL * np.exp(FOCAL_SPREAD * x["focal"])
+        ray = np.column_stack([middle / focal[:, None], np.ones(len(focal))])
+        places, focal = self.seen(x, ground, ray)
+        ideal = focal[..., None] * places[..., :2] / np.where(
+            places[..., 2:] > 0, places[..., 2:], np.nan)
+        radius = (ideal**2).sum(axis=2, keepdims=True)
+        bent = RADIAL / known(self.scaling).image_scale * x["radial"][:, None, None] * radius
+        line, sample = np.moveaxis(ideal * (1.0 + bent), -1, 0)
+        affinity, shear = FILM * x["affinity"][:, None], FILM * x["shear"][:, None]
+        return np.stack([line * (1.0 + affinity) + shear * sample, sample], axis=-1) \
+            - middle[:, None]
+
+
+class Panoramic(Photo):
+    """Panoramic camera: a slit swings across the track over film on a cylinder.
+
+    Terms are in standard deviations of what is known beforehand, which is little; ``line`` and
+    ``sample`` are the place where the middle of the control is seen. There are 10: turn, scale,
+    focal length, tilts, the angle and the place on the slit that the middle is seen at, and the
+    motion of the image while the slit swings. It swings along samples.
+
+    References
+    ----------
+    Case 1967, Photogrammetric Engineering 33(1), for the equations. The priors are termsel's own.
+    """
+
+    name = "panoramic"
+    terms_ = (*_COMMON, "motion")
+
+    def film(self, x: dict[str, FloatArray], ground: FloatArray) -> FloatArray:
+        """Return scaled positions on the film (p, n, 2), about where the middle is seen."""
+        focal = FOCAL * np.exp(FOCAL_SPREAD * x["focal"])
+        slit, angle = (MIDDLE * x[name] / focal for name in ("middle-line", "middle-sample"))
+        places, focal = self.seen(x, ground, np.stack(
+            [slit, np.sin(angle), np.cos(angle)], axis=1))
+        across = np.arctan2(places[..., 1], places[..., 2])
+        along = places[..., 0] / np.hypot(places[..., 1], places[..., 2])
+        moved = MOTION * x["motion"][:, None]
+        return np.asarray(focal[..., None] * np.stack([
+            along - slit[:, None] + moved * (np.sin(across) - np.sin(angle)[:, None]),
+            across - angle[:, None]], axis=-1))
+
+
+@dataclass(frozen=True, eq=False)
+class FewOfPhoto(Candidate):
+    """A camera of which nothing is known, for few points."""
+
+    camera: type[Photo] = Frame
+
+    def declines(self, control: Control) -> str | None:
+        """Return why the features are not for a photo."""
+        features = control.features
+        if len(features.lines) or len(features.points) < FEWEST:
+            return f"it is for {FEWEST} to {MOST} control points, without lines"
+        if features.without_height():
+            return "it needs heights"
+        return None
+
+    def judge(self, control: Control) -> Judged | None:
+        """Return the candidate fitted and judged, for so few points that it gains by the physics.
+        """
+        return super().judge(control) if len(control) <= MOST else None
+
+    def fit_control(self, control: Control) -> Fit:
+        """Fit the camera by all features."""
+        model = self.camera().prepared(control.scaling, control.features.crs)
+        assert isinstance(model, Photo)
+        model = self.camera(mirrored=bool(np.linalg.det(model.slopes_of(control.scaled)) < 0))
+        fitted = self.estimator.fit(model, control.features, control.scaling,
+                                    np.ones(len(model.terms), dtype=bool),
+                                    np.ones(len(control), dtype=bool))
+        camera = fitted.model
+        assert isinstance(camera, Photo)
+        # Place, turn and scale are free; all else is expected to be one standard deviation off.
+        misfit = camera.cost(control.scaled, fitted.adjustment.coefficients)[0] / (
+            2 * len(control) - 4)
+        if misfit > AMISS:
+            raise Undetermined(f"the points are not those of {self.title}: the misfit is "
+                               f"{misfit:.1f} times what is expected, and the most is {AMISS:g}",
+                               hint="Check the points and heights, or choose another model.")
+        return fitted
+
+    def model(self, heights: bool) -> SensorModel | None:
+        """Return the camera, where there are heights."""
+        return self.camera() if heights else None
+
+    def size(self, heights: bool) -> float:
+        """Return infinity: the priors hold what the features do not determine."""
+        return np.inf
+
+    def describe(self, fitted: Fit) -> str:
+        """Return that the fit converged, and what it took the camera for."""
+        values: dict[str, Any] = fitted.coefficients
+        focal = FOCAL * np.exp(FOCAL_SPREAD * values["focal"])
+        tilt = np.degrees(TILT * np.hypot(values["tilt-line"], values["tilt-sample"]))
+        return (f"The points call for {self.title}. The fit converged in "
+                f"{fitted.adjustment.steps} steps, with a focal length of {focal:.1f} half "
+                f"extents of the control and a tilt of {tilt:.1f} deg.")
+
+
+CANDIDATES = (
+    FewOfPhoto("frame-camera", "a frame camera", short="frame camera", estimator=RobustFit(),
+               has_prior=True, camera=Frame),
+    FewOfPhoto("panoramic-camera", "a panoramic camera", short="panoramic camera",
+               estimator=RobustFit(), has_prior=True, camera=Panoramic))
+"""Cameras of which nothing is known."""

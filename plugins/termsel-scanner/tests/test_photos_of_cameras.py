@@ -1,0 +1,103 @@
+"""Frame and panoramic cameras against simulated photos whose geometry is written out here."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("termsel_scanner", reason="termsel-scanner is not installed: "
+                    "pip install -e plugins/termsel-scanner")
+
+import termsel
+from termsel import FeatureSet, Points
+from termsel.testing import checks
+from termsel_scanner import Frame
+from termsel_scanner.photos import CANDIDATES
+
+HIGH, FOCAL = 3000.0, 6000.0
+
+
+def photo(kind: str, count: int, seed: int = 0, noise: float = 0.5) -> FeatureSet:
+    """Return points of a photo from 3000 m over hills; the last 80 are independent and exact."""
+    rng = np.random.default_rng(seed)
+    plan = rng.uniform(-1500.0, 1500.0, (count + 80, 2))
+    height = 100.0 * (np.sin(plan[:, 0] / 700.0) + np.cos(plan[:, 1] / 900.0))
+    turn, tilt = 0.7, 0.03
+    x = plan @ [np.cos(turn), np.sin(turn)]
+    y = plan @ [-np.sin(turn), np.cos(turn)]
+    down = HIGH - height
+    x, down = x * np.cos(tilt) + down * np.sin(tilt), down * np.cos(tilt) - x * np.sin(tilt)
+    if kind == "frame":
+        image = FOCAL * np.column_stack([-y / down, x / down])
+        image *= 1.0 + 3e-4 * (image**2).sum(axis=1, keepdims=True) / FOCAL**2
+    else:
+        image = FOCAL * np.column_stack([-y / np.hypot(x, down), np.arctan2(x, down)])
+    image[:count] += rng.normal(0.0, noise, (count, 2))
+    ground = np.column_stack([plan + np.array([400000.0, 4000000.0]), height])
+    return FeatureSet(Points(
+        tuple(f"P{i}" for i in range(len(image))), image + 3000.0, ground, None,
+        ("control",) * count + ("independent",) * 80), crs="local")
+
+
+def rmse(fitted: termsel.Fit, features: FeatureSet) -> float:
+    others = features.points.take([role == "independent" for role in features.points.roles])
+    return float(np.sqrt((fitted.errors(others) ** 2).sum(axis=1).mean()))
+
+
+@pytest.mark.parametrize("kind", ["frame", "panoramic"])
+def test_few_points_of_a_photo_are_enough(kind: str) -> None:
+    scene = photo(kind, 8)
+    fitted = termsel.fit(scene, f"{kind}-camera")
+    assert rmse(fitted, scene) < 3.0
+    assert rmse(termsel.fit(scene, "affine"), scene) > 30.0
+    sigma = fitted.sigma(scene.points.ground[8:])
+    assert 0.3 < rmse(fitted, scene) / np.sqrt((sigma**2).sum(axis=1).mean()) < 3.0
+    assert fitted.adjustment.converged
+    assert fitted.adjustment.steps
+    for camera in CANDIDATES:
+        if camera.name == f"{kind}-camera":
+            assert "converged" in camera.describe(fitted)
+        else:
+            with pytest.raises(termsel.TermselError, match=r"not those of|did not converge"):
+                termsel.fit(photo(kind, 16), camera.name)
+
+
+@pytest.mark.parametrize("kind", ["frame", "panoramic"])
+def test_golden_positions(kind: str) -> None:
+    # All of the truth is in the model: what exact points leave is what priors pull.
+    scene = photo(kind, 40, noise=0.0)
+    fitted = termsel.fit(scene, f"{kind}-camera")
+    assert rmse(fitted, scene) < 0.1
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_auto_chooses_the_camera_and_reads_it_back(mirrored: bool, tmp_path: Path) -> None:
+    scene = photo("panoramic", 10)
+    if mirrored:
+        image = scene.points.image * [-1.0, 1.0]
+        scene = replace(scene, points=replace(scene.points, image=image))
+    result = termsel.run(features=scene, out=tmp_path / "out")
+    assert result.strategy is not None
+    assert result.strategy.chosen == "panoramic-camera"
+    assert "panoramic camera" in result.summary()
+    again = termsel.read_result(tmp_path / "out").fit
+    np.testing.assert_allclose(again.project(scene.points.ground),
+                               result.fit.project(scene.points.ground), atol=1e-6)
+
+
+def test_one_blunder_hardly_moves_a_robust_fit() -> None:
+    scene = photo("frame", 12)
+    image = scene.points.image.copy()
+    image[3] += 60.0
+    bad = replace(scene, points=replace(scene.points, image=image))
+    assert rmse(termsel.fit(bad, Frame()), scene) < 30.0
+
+
+@pytest.mark.parametrize("candidate", CANDIDATES, ids=lambda one: one.name)
+def test_candidates_keep_the_rules(candidate: termsel.Candidate) -> None:
+    kind = candidate.name.partition("-")[0]
+    for check in checks(candidate, features=[photo(kind, 10), photo("frame", 3)]):
+        check.run()
