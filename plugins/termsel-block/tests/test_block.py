@@ -290,7 +290,7 @@ def test_the_block_is_shown(example: Example) -> None:
     (('"B"', '"A"'), "2 images are called 'A'"),
     (('name = "B"', 'name = "Q"'), "the block has no image 'B'"),
     (('"ties.csv"', '"none.csv"'), "cannot read the ties"),
-    (("rpc =", "rcp ="), "unknown field `rcp`"),
+    (("rpc =", "rcp ="), "unknown field `rcp`"), (("rpc =", "rcp ="), "bad.toml, line "),
     (('"B.RPB"', '"ties.csv"'), "this file has no RPC"),
     (('name = "C"', 'name = "../C"'), "cannot be the name of an image"),
     (('crs = "EPSG:4979"', 'crs = "EPSG:32639"'), "CRS"),

@@ -256,3 +256,13 @@ def test_ctrl_c_ends_it_and_keeps_what_is_complete(
         assert json.loads((tmp_path / "stability.json").read_text())["repeats"] == complete
     else:
         assert "Interrupted." in done.stderr
+
+
+def test_data_that_cannot_be_read_leave_no_folder(tmp_path: Path) -> None:
+    (tmp_path / "bad.csv").write_text("id,line,sample,x,y\na,1,2,three,4\n")
+    done = CliRunner().invoke(cli, [
+        "stability", "--points", str(tmp_path / "bad.csv"), "--crs", "local",
+        "--out", str(tmp_path / "out")])
+    assert done.exit_code == 2
+    assert "bad.csv, line 2, column 'x'" in done.output
+    assert not (tmp_path / "out").exists()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
@@ -64,14 +65,16 @@ def read_block(path: Path | str) -> Block:
         Naming file and place of what is wrong.
     """
     path = Path(path)
+    text = b""
     try:
-        stated = msgspec.toml.decode(path.read_bytes(), type=_File)
+        text = path.read_bytes()
+        stated = msgspec.toml.decode(text, type=_File)
     except OSError as error:
         raise TermselError(f"cannot read the block: {error.strerror}", file=path,
                            hint=_EXAMPLE) from error
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise TermselError(f"this is not the file of a block: {error}", file=path,
-                           hint=_EXAMPLE) from error
+                           line=_line_of(str(error), text), hint=_EXAMPLE) from error
     names = [image.name for image in stated.image]
     _check_names(names, path)
     folder = path.parent
@@ -97,6 +100,16 @@ def _refuse_alone(images: Sequence[BlockImage], ties: Ties, path: Path) -> None:
             raise TermselError(f"image {image.name!r} has {n} ties and {own} control features, so "
                                "that nothing joins it to the block", file=path,
                                hint=f"Give it {_LEAST} ties or more, or remove it.")
+
+
+def _line_of(said: str, text: bytes) -> int | None:
+    """Return the line of an unknown key; a decoder names the key alone, but lines of bad TOML."""
+    key = re.search(r"unknown field `(.+?)`", said)
+    if key is None:
+        return None
+    states = re.compile(rf"\s*(\[\[?\s*)?[\"']?{re.escape(key[1])}[\"']?\s*[=\].]".encode())
+    return next((number for number, line in enumerate(text.splitlines(), 1)
+                 if states.match(line)), None)
 
 
 def _check_names(names: Sequence[str], path: Path) -> None:

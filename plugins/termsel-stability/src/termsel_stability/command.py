@@ -60,6 +60,8 @@ def stability(repeats: int, threshold: float, **given: Any) -> None:
     from termsel_stability import frequencies as module
 
     exported, page = asked.exported(), asked.page()
+    features, options = asked.read()
+    problem = asked.problem or problem_for(features, asked.dataset)
     if asked.out is not None:
         require_replaceable([asked.out / "stability.json"], reads=asked.reads,
                             overwrite=asked.overwrite)
@@ -67,8 +69,6 @@ def stability(repeats: int, threshold: float, **given: Any) -> None:
     if asked.strategy == "auto":
         echo("Note: the strategy auto searches for no terms. Each repetition runs the problem's "
              "solver instead.", err=True)
-    features, options = asked.read()
-    problem = asked.problem or problem_for(features, asked.dataset)
     with search_bar(problem, asked.quiet) as observe:
         repeated = module.stability(
             problem, repeats=repeats, threshold=threshold, features=features, options=options,
