@@ -101,3 +101,11 @@ def test_candidates_keep_the_rules(candidate: termsel.Candidate) -> None:
     kind = candidate.name.partition("-")[0]
     for check in checks(candidate, features=[photo(kind, 10), photo("frame", 3)]):
         check.run()
+
+
+def test_flat_control_calls_for_no_camera() -> None:
+    scene = photo("frame", 12)
+    flat = scene.points.ground * [1.0, 1.0, 1e-7]
+    result = termsel.run(features=replace(scene, points=replace(scene.points, ground=flat)))
+    assert result.strategy is not None
+    assert not result.strategy.chosen.endswith("-camera")

@@ -208,6 +208,8 @@ class FewOfPhoto(Candidate):
             return f"it is for {FEWEST} to {MOST} control points, without lines"
         if features.without_height():
             return "it needs heights"
+        if not control.heights:  # tilt and focal length would be guesses elsewhere
+            return "it needs heights that differ"
         return None
 
     def judge(self, control: Control) -> Judged | None:
