@@ -388,4 +388,5 @@ def require_heights(model: SensorModel, features: FeatureSet) -> None:
         raise TermselError(
             f"model {model.name!r} needs heights; they are unknown for {len(missing)} of the "
             f"features: {first_of(missing, 5)}",
-            hint="Add heights, or choose a plane model such as --model poly2d.", ids=missing[:1])
+            hint="Add heights, as by --dem FILE, or choose a plane model: --model poly2d.",
+            ids=missing[:1])
