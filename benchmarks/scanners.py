@@ -19,16 +19,21 @@ from termsel.candidates.portfolio import Portfolio, choose
 from termsel.candidates.structures import CANDIDATES
 from termsel.measurements.control import Control
 from termsel.measurements.features import FeatureSet
+from termsel.runs.task.given import all_candidates
 from termsel.simulate.catalogue import SCENES
 from termsel.threads import one_blas_thread
 from termsel_bench.scenes.cameras import CHOSEN, FRESH, KINDS, Ranges, image_of
+from termsel_scanner.photos import CANDIDATES as CAMERAS
 
 COUNTS = (6, 8, 12)
 INDEPENDENT = 100
 KNOWN = ("physical-cubic",)
 """Candidates that know of scanners."""
 
-WITHOUT = Portfolio(one for one in CANDIDATES if one.name not in KNOWN)
+PHOTOS = tuple(one.name for one in CAMERAS)
+"""Candidates that know of photos, of termsel-scanner."""
+
+OF_PHOTOS = ("frame", "panoramic", "airborne")
 
 
 @dataclass(frozen=True)
@@ -41,8 +46,10 @@ class Case:
 
 
 @one_blas_thread
-def case_of(name: str, count: int, seed: int, ranges: Ranges) -> Case:
+def case_of(name: str, count: int, seed: int, ranges: Ranges, known: tuple[str, ...]) -> Case:
     """Return the figures of one image of a kind, or of one split of a set."""
+    every_one = all_candidates() if known == PHOTOS else Portfolio(CANDIDATES)
+    without = Portfolio(one for one in every_one.candidates if one.name not in known)
     if name in KINDS:
         every = image_of(name, seed, ranges, count + INDEPENDENT)
         first = np.arange(count + INDEPENDENT) < count
@@ -52,19 +59,19 @@ def case_of(name: str, count: int, seed: int, ranges: Ranges) -> Case:
         degrees = name in SCENES or name in DERIVED[:3]
         mine = FeatureSet(points, crs="EPSG:4979" if degrees else "local")
     control = Control.of(mine)
-    found = [choose(control, portfolio, whole=False) for portfolio in (WITHOUT, Portfolio())]
+    found = [choose(control, portfolio, whole=False) for portfolio in (without, every_one)]
     if found[0] is None or found[1] is None:
         return Case(np.nan, np.nan, "")
     before, after = (rmse_of(one.chosen.fit.errors(others)) for one in found if one)
     return Case(before, after, found[1].chosen.name)
 
 
-def row(name: str, count: int, cases: list[Case]) -> str:
+def row(name: str, count: int, cases: list[Case], known: tuple[str, ...]) -> str:
     """Return a row of the table."""
     before, after = (np.array([getattr(one, which) for one in cases])
                      for which in ("before", "after"))
     ratio = after / before
-    used = np.mean([one.chosen in KNOWN for one in cases])
+    used = np.mean([one.chosen in known for one in cases])
     return (f"| {name} | {count} | {np.median(before):.2f} | {np.median(after):.2f} "
             f"| {np.median(after) / np.median(before):.2f} | {np.median(ratio):.2f} "
             f"| {np.quantile(ratio, 0.9):.2f} | {before.max():.0f} | {after.max():.0f} "
@@ -101,20 +108,14 @@ The embedded scenes, old maps and the measured or derived sets; {splits} splits 
 
 ## Photos by their equations
 
-Auto with `frame-camera` and `panoramic-camera` (termsel-scanner) next to auto without, on 8 images
-of each kind, with 100 independent points each. Constants were chosen on images of other ranges.
-This table was measured once; the script keeps it as it is.
+Auto with `frame-camera` and `panoramic-camera` (termsel-scanner) next to auto without, on {photos}
+images of each kind, with {independent} independent points each. Constants were chosen on images of
+other ranges.
 
-| image | points | without [px] | with [px] | median ratio | 90 % | worst without | with | chosen |
-|---|---:|---:|---:|---:|---:|---:|---:|---:|
-| frame | 6 | 52.42 | 1.64 | 0.04 | 0.22 | 96 | 3 | 100% |
-| frame | 12 | 1.33 | 1.29 | 0.80 | 1.14 | 6 | 2 | 100% |
-| panoramic | 6 | 168.29 | 2.16 | 0.03 | 0.12 | 740 | 15 | 100% |
-| panoramic | 12 | 75.38 | 1.17 | 0.02 | 0.06 | 166 | 2 | 100% |
+{cameras}
 
-Of 8 airborne scanners none was taken for a photo, with 6 or 12 points. With 12 points one frame
-photo in ten is worse by the part in the table. Lenses that distort by much more than 3 px are
-declined.
+With 12 points one frame photo in ten is worse by the part in the table. Lenses that distort by much
+more than 3 px are declined.
 
 ## What is missed
 
@@ -135,21 +136,26 @@ def main() -> None:
     parser.add_argument("--counts", type=int, nargs="+", default=list(COUNTS))
     parser.add_argument("--images", type=int, default=40)
     parser.add_argument("--splits", type=int, default=10)
+    parser.add_argument("--photos", type=int, default=8)
     parser.add_argument("--chosen", action="store_true", help="images constants were chosen on")
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--write", action="store_true", help="renew the page in docs/evidence")
     asked = parser.parse_args()
     ranges, tables = CHOSEN if asked.chosen else FRESH, []
     with ProcessPoolExecutor(asked.processes) as pool:
-        for every, number in ((KINDS, asked.images), (tuple(names()), asked.splits)):
+        for every, number, known in (
+                (KINDS, asked.images, KNOWN), (tuple(names()), asked.splits, KNOWN),
+                (OF_PHOTOS, asked.photos, PHOTOS)):
             rows = [HEAD]
             for name in (one for one in every if one in (asked.names or every)):
-                for count in asked.counts:
-                    cases = pool.map(partial(case_of, name, count, ranges=ranges), range(number))
-                    rows.append(row(name, count, list(cases)))
+                for count in asked.counts if number else ():
+                    cases = pool.map(partial(case_of, name, count, ranges=ranges, known=known),
+                                     range(number))
+                    rows.append(row(name, count, list(cases), known))
             tables.append("\n".join(rows))
     put("scanners", PAGE.format(images=asked.images, splits=asked.splits, kinds=tables[0],
-                                sets=tables[1], independent=INDEPENDENT), write=asked.write)
+                                sets=tables[1], photos=asked.photos, cameras=tables[2],
+                                independent=INDEPENDENT), write=asked.write)
 
 
 if __name__ == "__main__":

@@ -2,8 +2,9 @@
 
 A value that a source gives in round numbers has the uncertainty of these; see `Sensor`. Pixels are
 on the ground, looking straight down. Altitude, inclination, pixel and the largest view to the side
-were compared with the source of each sensor; the standard deviations are termsel's own, and so is
-the view to the side of those that look straight down.
+were compared with the source of each sensor, but for the view to the side of OrbView-3 and
+PlanetScope; the standard deviations are termsel's own, and so is the view to the side of those that
+look straight down.
 """
 
 from __future__ import annotations
