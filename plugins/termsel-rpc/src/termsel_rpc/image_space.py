@@ -79,7 +79,7 @@ class RpcShift(Refinement):
         """
         if self._rpc is None:
             raise TermselError(f"model {self.name!r} requires the RPC to refine",
-                               hint=f"Give its file with --set rpc=FILE. --set rpc={CANDIDATES} is "
+                               hint=f"Give its file with --rpc FILE. --set rpc={CANDIDATES} is "
                                     "that of the embedded data set.")
         return self._rpc
 

@@ -122,7 +122,10 @@ class Request:
             one.name for one in the_model.declared_options
             if the_model.options[one.name] != one.default)
         if self.model in (None, recipe.model):
-            chosen["model"] = {**recipe.model_options, **self._known(the_model), **chosen["model"]}
+            # The RPC of a recipe is that of its data set, and of no other points.
+            usual_model = {name: value for name, value in recipe.model_options.items()
+                           if self.features is None or name != "rpc"}
+            chosen["model"] = {**usual_model, **self._known(the_model), **chosen["model"]}
         elif isinstance(the_model, type):
             chosen["model"] = {**self._known(the_model), **chosen["model"]}
         # As the recipe has a solver, or else, where it is named, as its paper does.
