@@ -37,7 +37,8 @@ PAGES = [page for page in [ROOT / "README.md", *sorted(ROOT.glob("plugins/*/READ
          if "_build" not in page.parts and snippets.steps(page.read_text(encoding="utf-8"))]
 SLOW = {"README.md", "docs/explanation/searching.md", "docs/tutorial/index.md",
         "docs/tutorial/map-archivist.md", *(f"docs/how-to/{name}.md" for name in (
-            "attributes", "block", "blunders", "compare", "export", "match", "points", "report"))}
+            "attributes", "block", "blunders", "compare", "export", "match", "photos-and-scanners",
+            "points", "report"))}
 """Pages that take long; `pytest -m slow` runs them, and the gallery as a build does."""
 
 

@@ -147,6 +147,7 @@ def test_lines_that_contradict_the_points_are_refused(place: Any) -> None:
                        .result.features.lines) == 20
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("wrong", "made"), [(0.2, True), (0.7, False)])
 def test_a_map_needs_half_of_all_independent_candidates(place: Any, tmp_path: Path, wrong: float,
                                                         made: bool) -> None:
