@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import argparse
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -54,6 +54,9 @@ def case_of(name: str, count: int, seed: int, ranges: Ranges, known: tuple[str, 
         every = image_of(name, seed, ranges, count + INDEPENDENT)
         first = np.arange(count + INDEPENDENT) < count
         mine, others = every.take(first), every.points.take(~first)
+        if known == PHOTOS:  # as a user says who knows what it is; the scanner is taken for a photo
+            said = np.full(count, "panoramic" if name == "panoramic" else "frame", dtype=object)
+            mine = mine.with_(points=replace(mine.points, attributes={"sensor": said}))
     else:
         points, others = split(name, count, 1000 + seed)
         degrees = name in SCENES or name in DERIVED[:3]
@@ -109,8 +112,9 @@ The embedded scenes, old maps and the measured or derived sets; {splits} splits 
 ## Photos by their equations
 
 Auto with `frame-camera` and `panoramic-camera` (termsel-scanner) next to auto without, on {photos}
-images of each kind, with {independent} independent points each. Constants were chosen on images of
-other ranges.
+images of each kind, with {independent} independent points each. The column `sensor` says what the
+photo is; the airborne scanner is said to be a frame. Constants were chosen on images of other
+ranges.
 
 {cameras}
 

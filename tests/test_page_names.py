@@ -31,8 +31,10 @@ MADE = {"dlt-demo", "line-demo", "demo"}
 """What pages make themselves."""
 SCRIPTS = {"--cases", "--first", "--runs"}
 """Options of benchmarks and of the fuzz suite."""
-OTHERS = {"case-2", "case-3", "date-released", "start-1", "start-4"}
-"""What has the form of a name and is none: clauses, keys of other files, ids."""
+OTHERS = {"case-2", "case-3", "date-released", "deap-script", "gdal-polynomial", "owdis-block",
+          "pymoo-script", "scikit-learn", "start-1", "start-4", "vendor-rpc"}
+"""What has the form of a name and is none: clauses, keys of other files, ids, and what benchmark
+and blocks call by name."""
 
 
 @cache

@@ -39,7 +39,8 @@ def photo(kind: str, count: int, seed: int = 0, noise: float = 0.5) -> FeatureSe
     ground = np.column_stack([plan + np.array([400000.0, 4000000.0]), height])
     return FeatureSet(Points(
         tuple(f"P{i}" for i in range(len(image))), image + 3000.0, ground, None,
-        ("control",) * count + ("independent",) * 80), crs="local")
+        ("control",) * count + ("independent",) * 80,
+        attributes={"sensor": np.array([kind] * len(image), dtype=object)}), crs="local")
 
 
 def rmse(fitted: termsel.Fit, features: FeatureSet) -> float:
@@ -79,6 +80,9 @@ def test_auto_chooses_the_camera_and_reads_it_back(mirrored: bool, tmp_path: Pat
     if mirrored:
         image = scene.points.image * [-1.0, 1.0]
         scene = replace(scene, points=replace(scene.points, image=image))
+    unsaid = termsel.run(features=replace(scene, points=replace(scene.points, attributes={})))
+    assert unsaid.strategy is not None
+    assert unsaid.strategy.chosen != "panoramic-camera"
     result = termsel.run(features=scene, out=tmp_path / "out")
     assert result.strategy is not None
     assert result.strategy.chosen == "panoramic-camera"

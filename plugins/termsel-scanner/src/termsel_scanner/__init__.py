@@ -22,5 +22,5 @@ def termsel_models() -> Iterable[type[SensorModel]]:
 
 @hookimpl
 def termsel_candidates() -> Iterable[Candidate]:
-    """Return the scanner that points name, and cameras of which nothing is known."""
+    """Return the scanner that points name, and the cameras of photos."""
     return [SCANNER, *PHOTOS]

@@ -13,6 +13,9 @@ from termsel_scanner.scanner import Scanner
 COLUMN = "sensor"
 """Column of a table of points that names the sensor."""
 
+CAMERAS = ("frame", "panoramic")
+"""What the column says of photos, which are no scanners' images."""
+
 FEWEST, MOST = 3, 12
 """Numbers of points for which it is: with more, those tell as much as the physics."""
 
@@ -27,9 +30,11 @@ class NamedScanner(Candidate):
         A name that no sensor has is an error, which the run tells.
         """
         features = control.features
-        named = _sensor(control)
+        named = sensor_of(control)
         if not named:
             return f"the points have no column {COLUMN!r} that names one sensor"
+        if named in CAMERAS:
+            return "the points are said to be of a photo"
         if len(features.lines) or not FEWEST <= len(features.points) <= MOST:
             return f"it is for {FEWEST} to {MOST} control points, without lines"
         if features.without_height() or features.crs in ("", "local"):
@@ -39,7 +44,7 @@ class NamedScanner(Candidate):
 
     def fit_control(self, control: Control) -> Fit:
         """Fit the scanner that is named."""
-        named = _sensor(control)
+        named = sensor_of(control)
         if not named:
             raise Undetermined("no sensor is named", hint=f"Name it in a column {COLUMN!r}.")
         model = Scanner(sensor=named)
@@ -67,7 +72,7 @@ class NamedScanner(Candidate):
                 f"{fitted.model.source}.")
 
 
-def _sensor(control: Control) -> str:
+def sensor_of(control: Control) -> str:
     """Return the one name that all points have in the column, or ""."""
     names = set(control.features.points.attributes.get(COLUMN, ()))
     return str(names.pop()).strip() if len(names) == 1 else ""

@@ -17,6 +17,7 @@ from termsel import (
     SensorModel,
     Undetermined,
 )
+from termsel_scanner.candidate import sensor_of
 from termsel_scanner.orbit import axes_at, geocentric
 from termsel_scanner.physical import FloatArray, Physical, RobustFit, known
 
@@ -214,8 +215,12 @@ class FewOfPhoto(Candidate):
 
     def judge(self, control: Control) -> Judged | None:
         """Return the candidate fitted and judged, for so few points that it gains by the physics.
+
+        Only where the points say that they are of a photo: to try cameras on every image would
+        take auto several times as long.
         """
-        return super().judge(control) if len(control) <= MOST else None
+        few = len(control) <= MOST and sensor_of(control) == self.camera.name
+        return super().judge(control) if few else None
 
     def fit_control(self, control: Control) -> Fit:
         """Fit the camera by all features."""
