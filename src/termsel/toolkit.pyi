@@ -18,6 +18,7 @@ from .cli.options.shared import remote_option as remote_option
 from .cli.tables import json_text as json_text
 from .cli.tables import print_json as print_json
 from .cli.tables import print_table as print_table
+from .display.quiet import quieted as quieted
 from .enumeration.features.walk import RowSystem as RowSystem
 from .errors import counted as counted
 from .errors import raised as raised
@@ -95,6 +96,7 @@ from .measurements.twins import twins as twins
 from .models.poles import guard_points as guard_points
 from .models.poles import pole_violation as pole_violation
 from .plugins.registry import registry as registry
+from .priors.cameras import turned as turned
 from .problems.base import WORST as WORST
 from .problems.objectives import unit_deviations as unit_deviations
 from .problems.recipes import CAP as CAP

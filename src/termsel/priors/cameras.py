@@ -98,9 +98,9 @@ def seen_by_scanners(places: FloatArray, azimuth: float, latitude: float) -> Flo
 
     def view(time: FloatArray) -> FloatArray:
         # In axes that turn with the orbit the satellite rests; the Earth turns in inertial space.
-        turned = _turned(_turned(target[None], pole, TURNING * time), orbit,
-                         -motion[:, None] * time) - station[:, None]
-        looked = turned @ axes
+        there = turned(turned(target[None], pole, TURNING * time), orbit,
+                       -motion[:, None] * time) - station[:, None]
+        looked = there @ axes
         slopes = looked[..., :2] / looked[..., 2:]
         roll, pitch, spin = (rate[:, i, None] * time + change[:, i, None] * time**2 / 2
                              for i in range(3))
@@ -127,7 +127,7 @@ def _unit(vectors: FloatArray) -> FloatArray:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
-def _turned(vectors: FloatArray, axis: FloatArray, angle: FloatArray) -> FloatArray:
+def turned(vectors: FloatArray, axis: FloatArray, angle: FloatArray) -> FloatArray:
     """Return vectors (., m, 3) turned about axes (c, 3) by angles (c, m) (Rodrigues' formula)."""
     # v + sin(angle) a x v + (1 - cos(angle)) a x (a x v); the products are those of matrices.
     x, y, z = axis.T

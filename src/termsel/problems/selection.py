@@ -70,7 +70,7 @@ class SelectionProblem(Problem):
             if model.corrects and not inputs.criterion.needs_check:
                 raise TermselError(
                     f"features of model {model.name!r} cannot be selected without check points: it "
-                    "corrects its predictions by them", hint="Choose --criterion check-rmse.")
+                    "corrects its predictions by control", hint="Choose --criterion check-rmse.")
             least, most = _feature_counts(inputs)
             segments.append(Subset("features", control.ids, least) if subset and least == most
                             else Bits("features", control.ids, least, most))

@@ -7,7 +7,6 @@ import math
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from multiprocessing import get_context
@@ -16,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from termsel import TermselError
-from termsel.toolkit import one_blas_thread, requires
+from termsel.toolkit import one_blas_thread, quieted, requires
 from termsel_bench.methods.base import Method
 from termsel_bench.scenes.base import BenchSet
 from termsel_bench.scenes.catalogue import simulated
@@ -92,7 +91,7 @@ def score(work: Work) -> Score:
     asked = (method, one.name, one.kind, len(one.features.points), len(one.independent))
     start = time.process_time()
     try:
-        with _silent():
+        with quieted("termsel", logging.CRITICAL):
             seen = method.positions(one.features, one.independent, SEED)
     except TermselError as error:
         return Score(*asked, seconds=time.process_time() - start, why=str(error).split("\n")[0])
@@ -103,18 +102,6 @@ def score(work: Work) -> Score:
              for _ in range(_RESAMPLES)]
     low, high = np.sqrt(np.quantile(means, [(1 - _LEVEL) / 2, (1 + _LEVEL) / 2]))
     return Score(*asked, float(np.sqrt(squares.mean())), float(low), float(high), seconds)
-
-
-@contextmanager
-def _silent() -> Iterator[None]:
-    """Keep notes on single runs off the terminal: there are hundreds."""
-    log = logging.getLogger("termsel")
-    before = log.level
-    log.setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        log.setLevel(before)
 
 
 def scores(methods: Sequence[Method], sets: Iterable[str], real: Sequence[Path] = (), *,

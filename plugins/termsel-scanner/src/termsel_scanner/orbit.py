@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from termsel.toolkit import turned
+
 FloatArray = NDArray[np.float64]
 
 MAJOR, ECCENTRICITY = 6378137.0, 0.00669437999014
@@ -88,9 +90,9 @@ def seen(cameras: Cameras, target: FloatArray, place: FloatArray, axes: FloatArr
     frame = np.stack([x, np.cross(ray, x), -ray], axis=2)
 
     def view(time: FloatArray) -> FloatArray:
-        turned = _turned(_turned(ground[None], pole, TURNING * time), orbit,
-                         -motion[:, None] * time) - station[:, None]
-        looked = turned @ frame
+        there = turned(turned(ground[None], pole, TURNING * time), orbit,
+                       -motion[:, None] * time) - station[:, None]
+        looked = there @ frame
         slopes = looked[..., :2] / looked[..., 2:]
         roll, pitch, yaw = (cameras.rates[:, i, None] * time
                             + cameras.changes[:, i, None] * time**2 / 2 for i in range(3))
@@ -111,13 +113,3 @@ def seen(cameras: Cameras, target: FloatArray, place: FloatArray, axes: FloatArr
         image = np.stack([time, view(time)[..., 1]], axis=2)
         image[~(np.abs(at) < 1e-6)] = np.nan
     return image
-
-
-def _turned(vectors: FloatArray, axis: FloatArray, angle: FloatArray) -> FloatArray:
-    """Return vectors (., n, 3) turned about axes (p, 3) by angles (p, n) (Rodrigues)."""
-    x, y, z = axis.T
-    none = np.zeros_like(x)
-    cross = np.array([[none, z, -y], [-z, none, x], [y, -x, none]]).transpose(2, 0, 1)
-    once = vectors @ cross
-    return np.asarray(vectors + np.sin(angle)[..., None] * once
-                      + (1.0 - np.cos(angle))[..., None] * (once @ cross))

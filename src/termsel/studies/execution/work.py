@@ -5,13 +5,13 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from functools import cache, partial
 from typing import Any, Final
 
+from termsel.display.quiet import quieted
 from termsel.errors import TermselError
 from termsel.files.atomic import private_folder
 from termsel.fits.figures import finite_or_none
@@ -63,18 +63,6 @@ def failed(key: str, reason: str) -> Outcome:
     return Outcome(CellRecord(key, FAILED, reason, {}, [], []))
 
 
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep the plans that solvers announce from the messages: a study has thousands of runs."""
-    logger = logging.getLogger("termsel.solvers")
-    before = logger.level
-    logger.setLevel(logging.WARNING)
-    try:
-        yield
-    finally:
-        logger.setLevel(before)
-
-
 @cache
 def _name_images() -> None:
     """Put the name of the image of a cell into what is logged from now on."""
@@ -92,7 +80,7 @@ def _name_images() -> None:
 
 
 @one_blas_thread
-@_quiet()
+@quieted("termsel.solvers", logging.WARNING)  # plans that solvers announce, of thousands of runs
 def do(cell: Cell, features: FeatureSet) -> Outcome:
     """Run a cell, and return its outcome; where the run fails, with the reason."""
     _name_images()

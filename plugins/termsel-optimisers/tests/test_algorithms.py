@@ -1,0 +1,53 @@
+"""Algorithms of DEAP and pymoo: the batched twin, conformance, and names of earlier versions."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from scipy.stats import ks_2samp
+
+import termsel
+import termsel_optimisers
+from termsel import search
+from termsel.solvers.genetic.ga import GeneticAlgorithm
+from termsel.solvers.ledger import Ledger
+from termsel.testing import Check, checks
+from termsel_optimisers.deap_algorithms import Deap
+from termsel_optimisers.survivals import AgeMoea2, SmsEmoa, Spea2
+
+SEEDS = range(30)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("problem", "options"), [
+    ("poly-terms", {"degree": 4}), ("rfm-terms", {"order": 2}), ("owdis-points", {})])
+def test_ga_is_the_batched_twin_of_deap(problem: str, options: dict[str, Any]) -> None:
+    task = termsel.prepare(problem, options=options)
+    shared = Ledger(task.problem)  # both look up what either has evaluated
+
+    def reached(solver: termsel.Solver) -> list[float]:
+        return [float(search(shared, solver, seed=seed, generations=12).objectives[0])
+                for seed in SEEDS]
+
+    batched = reached(GeneticAlgorithm(population=40, elite=0))
+    plain = reached(Deap(population=40))
+    assert len(set(batched)) > 5
+    assert ks_2samp(batched, plain).pvalue > 0.01
+    # The test has power: with half of the generations' crossover and mutation it sees the gap.
+    weak = reached(Deap(population=40, select="selRandom"))
+    assert ks_2samp(batched, weak).pvalue < 0.001
+
+
+@pytest.mark.parametrize("check", [
+    pytest.param(check, id=f"{solver.name}-{check.name}")
+    for solver in (AgeMoea2, SmsEmoa, Spea2) for check in checks(solver)])
+def test_the_other_algorithms_conform(check: Check) -> None:
+    check.run()
+
+
+@pytest.mark.parametrize("name", ["from_deap", "from_pymoo", "to_deap"])
+def test_the_old_names_work_and_say_so(name: str) -> None:
+    with pytest.warns(DeprecationWarning, match=rf"termsel_optimisers\.{name}"):
+        old = getattr(termsel, name)
+    assert old is getattr(termsel_optimisers, name)
