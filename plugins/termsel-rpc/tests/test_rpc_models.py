@@ -328,13 +328,14 @@ def test_vendor_rpc_is_that_of_the_nominal_sensor() -> None:
 # What cannot be
 
 
-@pytest.mark.parametrize(("model", "option"), [
-    (RpcShift, "rpc"), (RpcDrift, "rpc"), (RpcAffine, "rpc"), (PushbroomRefine, "geometry")])
-def test_without_a_geometry_it_says_how_to_give_one(model: type[SensorModel],
-                                                    option: str) -> None:
+@pytest.mark.parametrize(("model", "option", "words"), [
+    (RpcShift, "rpc", "--rpc FILE"), (RpcDrift, "rpc", "--rpc FILE"),
+    (RpcAffine, "rpc", "--rpc FILE"), (PushbroomRefine, "geometry", "--set geometry=FILE")])
+def test_without_a_geometry_it_says_how_to_give_one(model: type[SensorModel], option: str,
+                                                    words: str) -> None:
     made = model()
     assert made.terms == model(**{option: CANDIDATES}).terms  # as termsel describe shows them
-    with pytest.raises(TermselError, match=f"{model.name!r} requires .* --set {option}=FILE"):
+    with pytest.raises(TermselError, match=f"{model.name!r} requires .* {words}"):
         made.prepared(*AROUND_RPC)
 
 
