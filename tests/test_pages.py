@@ -35,7 +35,8 @@ _EXAMPLE = re.compile(r"termsel example (\S+) && cd \1")
 PAGES = [page for page in [ROOT / "README.md", *sorted(ROOT.glob("plugins/*/README.md")),
                            *sorted(ROOT.glob("docs/**/*.md"))]
          if "_build" not in page.parts and snippets.steps(page.read_text(encoding="utf-8"))]
-SLOW = {"README.md", "docs/explanation/searching.md", "docs/tutorial/index.md",
+SLOW = {"README.md", "docs/explanation/certificates.md", "docs/explanation/searching.md",
+        "docs/tutorial/index.md",
         "docs/tutorial/map-archivist.md", *(f"docs/how-to/{name}.md" for name in (
             "attributes", "block", "blunders", "compare", "export", "match", "photos-and-scanners",
             "points", "report"))}
