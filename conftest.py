@@ -1,4 +1,5 @@
-"""What all tests share, those of the plugins too: commands run in this process, BLAS in one thread.
+"""What all tests share, those of the plugins too: commands run in this process, BLAS in one thread,
+and which tests are slow.
 
 Matrices are small here, and the tests run in several processes. Threads of BLAS beyond the first
 wait for each other in busy loops, which on busy cores took twenty times the processor time of the
@@ -10,12 +11,26 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Callable
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
+
+
+SLOW = Path(__file__).parent / "tests" / "slow.txt"
+"""Tests of more than a second, where quicker ones see the same; without a parameter, with all."""
+
+
+@pytest.hookimpl(tryfirst=True)  # before pytest takes out what `-m` leaves out
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests that are slow."""
+    listed = set(SLOW.read_text(encoding="utf-8").splitlines())
+    for item in items:
+        if listed & {item.nodeid, item.nodeid.partition("[")[0]}:
+            item.add_marker("slow")
 
 
 @pytest.fixture

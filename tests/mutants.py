@@ -130,7 +130,7 @@ def started(copy: Path, tests: Iterable[str], seconds: float, mutant: Mutant | N
         code = 4
         with suppress(BaseException):
             code = int(import_module("pytest").main(
-                ["-x", "-q", "-n", "0", "-p", "no:cacheprovider", *tests]))
+                ["-x", "-q", "-n", "0", "-p", "no:cacheprovider", "-m", "", *tests]))
         os._exit(code)
     return Started(process, copy, output, time.monotonic() + seconds, mutant, source)
 

@@ -138,7 +138,6 @@ def test_solutions_that_differ_in_their_errors_contest_each_other() -> None:
     assert _Belief(found, 2, 2).contest(weights) == pytest.approx(expected, rel=1e-6)
 
 
-@pytest.mark.slow
 def test_interval_of_simulated_scenes_holds_the_independent_rmse() -> None:
     """Fewer than 9 of 12 would have a chance of 3 % if the true share is 90 %."""
     held = 0

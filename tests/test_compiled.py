@@ -39,7 +39,6 @@ def test_without_a_place_nothing_is_kept_and_the_user_is_told_once() -> None:
     assert "NUMBA_CACHE_DIR" in done.stderr
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.95])
 def test_damaged_code_is_compiled_again(share: float, tmp_path: Path) -> None:
     whole = _python(CALL, NUMBA_CACHE_DIR=str(tmp_path))

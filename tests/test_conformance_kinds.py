@@ -33,7 +33,6 @@ from termsel.testing import Check, cases, check, checks
 SOME = [recipe for recipe in RECIPES if recipe.name in ("poly-terms", "owdis-points")]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("recipe", SOME, ids=lambda recipe: recipe.name)
 def test_built_in_problems(recipe: Recipe) -> None:
     check(recipe)

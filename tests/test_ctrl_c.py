@@ -196,7 +196,6 @@ def ended_by_ctrl_c(after: float, out: Path) -> tuple[str, str]:
             f"exit code {process.returncode}"), err
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("after", [0.1, 0.3, 0.6, 1.0, 1.5, 2.5])
 def test_ctrl_c_ends_a_run_whenever_it_comes(after: float, tmp_path: Path) -> None:
     how, err = ended_by_ctrl_c(after, tmp_path / "out")

@@ -29,7 +29,6 @@ def turned(lon: float, low: float = -180.0) -> FeatureSet:
     return scene.with_(points=moved[0], lines=moved[1])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("fit_crs", [None, "geodetic", "projected", "geocentric"])
 @pytest.mark.parametrize("problem", ["rfm-terms", "owdis-lines"])
 def test_a_jump_of_longitudes_changes_nothing(problem: str, fit_crs: str | None) -> None:
@@ -88,7 +87,6 @@ def test_a_result_is_read_back_and_exported(call: Call, tmp_path: Path) -> None:
     assert abs(float(offset.partition("=")[2].strip(" ;"))) <= 180.0
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("how", ["rpc", "geolocation"])
 def test_a_map_shows_what_is_on_either_side(how: str, tmp_path: Path,
                                             monkeypatch: pytest.MonkeyPatch) -> None:

@@ -162,7 +162,6 @@ def test_picture_is_of_the_run_the_readme_shows() -> None:
     assert lines.count("control") == int(selected[1])
 
 
-@pytest.mark.slow
 def test_picture_is_what_the_command_of_the_readme_draws(tmp_path: Path) -> None:
     folder, drawn = tmp_path / "result", tmp_path / "owdis-lines.svg"
     assert "`termsel plot result residuals -o owdis-lines.svg`" in _page("README.md")

@@ -95,7 +95,6 @@ def test_a_result_is_read_with_the_plugin_that_made_it(install: Callable[..., No
     assert "package demo, which is not installed" in refused.stderr
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("certificate", "code", "said"), [
     ('{"optimal": True, "subsets": 20, "of": 20, "space": "all"}', 0, "claiming:claiming claims"),
     ('{"optimal": True}', 2, "the certificate of solver 'claiming:claiming' lacks something")])

@@ -41,7 +41,6 @@ def _error(result: Result, seed: int) -> float:
     return float(np.sqrt(((result.project(ground) - truth) ** 2).sum(axis=1).mean()))
 
 
-@pytest.mark.slow
 def test_final_fit_is_of_all_points_and_nearer_to_the_truth() -> None:
     gains = []
     for seed in range(4):

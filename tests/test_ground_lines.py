@@ -203,7 +203,6 @@ def test_without_pyogrio_the_command_is_given(tmp_path: Path,
         termsel.read(lines=path)
 
 
-@pytest.mark.slow
 def test_run_over_polylines(tmp_path: Path) -> None:
     """On the command line: lines of a scene as polylines of three vertices."""
     scene = simulate_scene("ikonos-hamedan")

@@ -258,9 +258,7 @@ on_posix = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 
 
 @on_posix
-@pytest.mark.parametrize("scenario", [
-    pytest.param(name, marks=() if name in ("file", "grid") else pytest.mark.slow)
-    for name in POINTS])
+@pytest.mark.parametrize("scenario", POINTS)
 def test_an_interrupt_leaves_what_was_there_or_what_is_new(scenario: str) -> None:
     # In memory, as it is synced thousands of times.
     memory = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None

@@ -54,6 +54,7 @@ FILES = {
     "src/termsel/lower/two.py": "import termsel.lower.one\n",
     "plugins/termsel-a/src/termsel_a/__init__.py": "A = 1\n",
     "plugins/termsel-a/tests/test_a.py": "def test_a(): ...\n",
+    "tests/slow.txt": "plugins/termsel-a/tests/test_a.py::test_a[some]\n",
     "CONTRIBUTING.md": "| room |\n|---|---|\n| `upper` | a |\n| `lower` | b |\n| `rooms` | c |\n",
     "tests/mutants.toml": "".join(
         f"\n[[mutant]]\nfile = '{file}'\nold = '{old}'\nnew = '{new}'\ntests = ['{tests}']\n"
@@ -104,6 +105,9 @@ FILES = {
     ({"tests/mutants.toml": FILES["tests/mutants.toml"].replace("lower/one", "upper")},
      "tests/mutants.toml:1: the room 'lower' has no mutant"),
     ({"tests/mutants.toml": 2 * FILES["tests/mutants.toml"]}, " is listed twice"),
+    ({"tests/slow.txt": "plugins/termsel-a/tests/test_a.py::test_c[a::b]\n"},
+     "tests/slow.txt:1: there is no test test_c in plugins/termsel-a/tests/test_a.py"),
+    ({"tests/slow.txt": 2 * FILES["tests/slow.txt"]}, "tests/slow.txt:2: entries are in"),
 ])
 def test_each_violation_is_shown_with_its_place(
         tmp_path: Path, capsys: pytest.CaptureFixture[str], changes: dict[str, str],

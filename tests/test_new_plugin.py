@@ -45,7 +45,6 @@ def _python(folder: Path, *words: object, by: Path) -> subprocess.CompletedProce
                                             "PIP_DISABLE_PIP_VERSION_CHECK": "1"})
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_new_package_installs_passes_its_tests_and_shows_up(
         kind: str, tmp_path: Path, call: Callable[..., SimpleNamespace]) -> None:

@@ -225,7 +225,6 @@ def test_significance_is_that_of_a_textbook_regression() -> None:
     assert all(abs(value) >= 0.95 for *_, value in correlations(fit))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("scene", "name"), [("ventoux_lines", "pleiades_ventoux_left"),
                                              ("ikonos_lines", "ikonos_montevideo")])
 def test_blunders_of_real_geometry_are_found(data_folder: Path, scene: str,
@@ -267,7 +266,6 @@ def test_lines_are_selected_under_all_terms_of_an_rfm() -> None:
     assert held.rmse["independent"].total < everything.total / 2
 
 
-@pytest.mark.slow
 def test_all_terms_of_an_rfm_do_by_the_defaults() -> None:
     found = [termsel.run("owdis-lines-terms", options={"order": 3}, features=simulate_scene(
         "ikonos-hamedan", seed=seed)).rmse["independent"].total for seed in range(1, 21)]

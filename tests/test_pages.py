@@ -35,12 +35,6 @@ _EXAMPLE = re.compile(r"termsel example (\S+) && cd \1")
 PAGES = [page for page in [ROOT / "README.md", *sorted(ROOT.glob("plugins/*/README.md")),
                            *sorted(ROOT.glob("docs/**/*.md"))]
          if "_build" not in page.parts and snippets.steps(page.read_text(encoding="utf-8"))]
-SLOW = {"README.md", "docs/explanation/certificates.md", "docs/explanation/searching.md",
-        "docs/tutorial/index.md",
-        "docs/tutorial/map-archivist.md", *(f"docs/how-to/{name}.md" for name in (
-            "attributes", "block", "blunders", "compare", "export", "match", "photos-and-scanners",
-            "points", "report"))}
-"""Pages that take long; `pytest -m slow` runs them, and the gallery as a build does."""
 
 
 @pytest.fixture(scope="session")
@@ -71,9 +65,7 @@ def _plugin() -> str:
     return next(block for block in blocks if "class DLT" in block)
 
 
-@pytest.mark.parametrize("page", [pytest.param(
-    page, id=(name := str(page.relative_to(ROOT))), marks=[pytest.mark.slow]
-    if name in SLOW or page.parent.name == "gallery" else []) for page in PAGES])
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 @pytest.mark.usefixtures("clean")
 def test_page_can_be_followed(page: Path, tmp_path: Path, example: Path,
                               monkeypatch: pytest.MonkeyPatch) -> None:

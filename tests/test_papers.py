@@ -117,7 +117,6 @@ def test_a_description_tells_no_default_that_is_none() -> None:
     assert "By default" in options["objectives"].doc
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["valadan-zoej", "zakaryaie", "akhoundi", "yavari", "konugurthi"])
 def test_the_tables_of_a_paper_are_made_by_one_command(name: str) -> None:
     made = subprocess.run([sys.executable, "-m", "benchmarks.paper_tables", name, "--runs", "1"],

@@ -38,7 +38,6 @@ def test_a_front_has_neither_dominated_members_nor_duplicates(solver: str) -> No
         assert member.selection.n_terms == member.objectives["n_terms"]
 
 
-@pytest.mark.slow
 def test_nsga2_lies_on_the_exact_front_of_the_21_term_problem() -> None:
     exact = termsel.run("poly-terms", solver="exact", options={"degree": 5})
     best = {m.objectives["n_terms"]: m.objectives["check-rmse"] for m in exact.front}

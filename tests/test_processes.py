@@ -79,7 +79,6 @@ def _dask(task: Task) -> list[dict[str, Any]]:
                                    for seed in SEEDS]))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("executor", [_threads, _spawn, _loky, _dask])
 def test_every_executor_gives_the_same(
         executor: Callable[[Task], list[dict[str, Any]]]) -> None:

@@ -61,7 +61,6 @@ def _attributes(cls: type) -> list[str]:
     return sorted(set(found))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", MODULES)
 def test_the_reference_has_every_public_name_and_attribute(name: str, objects: set[str]) -> None:
     missing = []
@@ -76,7 +75,6 @@ def test_the_reference_has_every_public_name_and_attribute(name: str, objects: s
     assert missing == []
 
 
-@pytest.mark.slow
 def test_the_reference_has_nothing_else(objects: set[str]) -> None:
     public = {f"{name}.{called}" for name in MODULES
               for called, _ in _public(import_module(name))}

@@ -73,7 +73,6 @@ def test_read_again_whatever_found_it(how: dict[str, Any], tmp_path: Path) -> No
                           result.project(result.features.points.ground))
 
 
-@pytest.mark.slow
 def test_lines_under_rational_functions(tmp_path: Path) -> None:
     result = termsel.run("owdis-lines", model="rfm", generations=1,
                          options={"order": 1, "population": 20, "polish": False})

@@ -230,7 +230,6 @@ def test_shrunken_polynomials_of_lines_predict_better_than_plain_ones() -> None:
     assert mine.total < plain.total
 
 
-@pytest.mark.slow
 def test_predictions_from_lines_come_true() -> None:
     ratios = []
     for seed in range(3):
@@ -256,7 +255,6 @@ def noisy_lines(noise: float) -> FeatureSet:
     return scene.with_(lines=replace(scene.lines, image=image))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("noise", "used"), [(0.0, True), (8.0, False)])
 def test_lines_are_used_only_where_they_help(noise: float, used: bool) -> None:
     result = termsel.run("owdis-lines", features=noisy_lines(noise), strategy="auto")
@@ -325,7 +323,6 @@ def test_few_lines_are_answered(points: int, lines: int) -> None:
         assert (result.predicted is None) == (points == 0)
 
 
-@pytest.mark.slow
 def test_independent_points_take_no_part_with_lines() -> None:
     scene = simulate_scene("ikonos-hamedan", n_lines=40)
     independent = np.array(scene.points.roles) == "independent"
@@ -442,7 +439,6 @@ def test_plane_lines_get_plane_models() -> None:
     assert not result.fit.model.uses_height
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ikonos_lines", "ventoux_lines"])
 def test_real_geometry(data_folder: Path, name: str) -> None:
     features = termsel.read(data_folder / name / "points.csv", data_folder / name / "lines.csv",
@@ -455,7 +451,6 @@ def test_real_geometry(data_folder: Path, name: str) -> None:
     assert len([one for one in auto.outliers if one.excluded]) >= 13
 
 
-@pytest.mark.slow
 def test_where_points_alone_are_used_they_alone_predict() -> None:
     scene = simulate_scene("ikonos-hamedan", n_lines=40)
     rng = np.random.default_rng(1)
@@ -510,7 +505,6 @@ def test_where_owdis_is_taken_all_structures_are_shown(
     assert [one.name for one in found.judged] == [one.name for one in choice.judged]
 
 
-@pytest.mark.slow
 def test_owdis_is_taken_for_errors_of_points_that_it_did_not_select_by(
         few_lines: tuple[FeatureSet, Choice], monkeypatch: pytest.MonkeyPatch) -> None:
     control, choice = few_lines

@@ -281,7 +281,6 @@ def test_the_dlt_is_chosen_for_a_photograph() -> None:
     assert found.model == "dlt3d"
 
 
-@pytest.mark.slow
 def test_predictions_come_true() -> None:
     ratios = []
     for seed in range(5):

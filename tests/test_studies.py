@@ -268,7 +268,6 @@ def _images(folder: Path, number: int) -> None:
     (folder / "image9.csv").write_text("id,line,sample,x,y\nP1,1,2,abc,4\n")
 
 
-@pytest.mark.slow
 def test_a_collection_has_a_row_and_a_folder_an_image_the_worst_first(
         call: Call, tmp_path: Path) -> None:
     _images(tmp_path, 3)

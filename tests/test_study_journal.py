@@ -56,7 +56,6 @@ def table_of(folder: Path) -> list[list[str]]:
     return [[value for key, value in row.items() if key not in TIMES] for row in rows]
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="needs signals of POSIX")
 def test_a_study_that_is_killed_again_and_again_ends_as_if_it_were_not(
         study: Path, call: Call, tmp_path: Path) -> None:
@@ -82,7 +81,6 @@ def test_a_study_that_is_killed_again_and_again_ends_as_if_it_were_not(
     assert table_of(tmp_path / "out") == table_of(tmp_path / "whole")
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="needs signals of POSIX")
 def test_ctrl_c_finishes_the_cells_under_way_and_says_how_to_go_on(
         study: Path, tmp_path: Path) -> None:
@@ -231,7 +229,6 @@ def _cell(key: str, **call: object) -> Cell:
                           "evaluations": 30, **call}, Data("test", "data", "test", None))
 
 
-@pytest.mark.slow
 def test_a_cell_that_ends_its_process_fails_alone() -> None:
     features = {"data": termsel.prepare("poly-terms").features}
     good = [_cell(f"good{i}", seed=i) for i in range(4)]

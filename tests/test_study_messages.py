@@ -13,7 +13,7 @@ from termsel.formats.readers.csv_tables import write_points_csv
 from termsel.simulate import simulate_scene
 
 
-@pytest.mark.parametrize("workers", [pytest.param(1, marks=pytest.mark.slow), 2])
+@pytest.mark.parametrize("workers", [1, 2])
 def test_messages_of_many_images_name_the_image(
         workers: int, tmp_path: Path) -> None:
     for seed, name in ((1, "100 %d"), (2, "b")):  # a name that looks like a format

@@ -65,7 +65,7 @@ def problem(rng: np.random.Generator) -> SubsetSystem:
                    parents=parents & ~np.eye(k, dtype=bool) if rng.random() < 0.3 else None)
 
 
-@pytest.mark.parametrize("problems", [120, pytest.param(5000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("problems", [120, 5000])
 def test_no_best_subset_is_lost(problems: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(subset_stack, "_ENUMERATED", 3)
     pruned = poles = 0

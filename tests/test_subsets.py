@@ -396,9 +396,7 @@ def left_out(system: SubsetSystem, rng: np.random.Generator, dependent: bool) ->
 
 
 @pytest.mark.parametrize(("kind", "problems"), [
-    pytest.param(kind, n, marks=marks)
-    for kind in ("check", "rational", "rss", "press", "kfold")
-    for n, marks in ((150, ()), (4000, pytest.mark.slow))])
+    (kind, n) for kind in ("check", "rational", "rss", "press", "kfold") for n in (150, 4000)])
 def test_bounds_lose_no_best_subset(kind: str, problems: int,
                                     monkeypatch: pytest.MonkeyPatch) -> None:
     """Scores, masks and poles of random problems, with and without caps, against every subset."""

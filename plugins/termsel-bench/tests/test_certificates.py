@@ -218,7 +218,6 @@ def test_what_cannot_be_certified_is_refused_at_once(
     assert said in f"{caught.value} {caught.value.hint}"
 
 
-@pytest.mark.slow
 def test_an_rfm_of_second_order_is_certified(tmp_path: Path) -> None:
     file = tmp_path / "proof.json"
     termsel.run("rfm-terms", solver="exact",

@@ -49,7 +49,6 @@ def candidates(place: Any, wrong: float, turned: float = 1.0) -> FeatureSet:
                       image_size=(500, 500))
 
 
-@pytest.mark.slow
 def test_half_of_the_candidates_may_be_wrong(place: Any) -> None:
     true, errors = place.world.independent(), []
     for wrong in (0.0, 0.5):
@@ -116,7 +115,6 @@ def test_a_result_that_is_not_good_enough_ends_with_three(place: Any, says: Any,
     assert not output.exists()
 
 
-@pytest.mark.slow
 def test_lines_that_cannot_be_used_lose_no_map(place: Any, says: Any, tmp_path: Path) -> None:
     words = ("auto-georeference", place / "image.tif", "--reference", place / "ortho.tif", "--dem",
              place / "dem.tif", "--count", 60, "--overwrite", "-o", tmp_path / "map.tif")
@@ -147,7 +145,6 @@ def test_lines_that_contradict_the_points_are_refused(place: Any) -> None:
                        .result.features.lines) == 20
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("wrong", "made"), [(0.2, True), (0.7, False)])
 def test_a_map_needs_half_of_all_independent_candidates(place: Any, tmp_path: Path, wrong: float,
                                                         made: bool) -> None:

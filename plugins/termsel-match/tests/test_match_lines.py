@@ -91,7 +91,6 @@ def test_most_candidates_are_wrong_and_many_pieces_have_a_right_one(
     assert np.abs(found.lines.attributes["offset"].astype(float)).max() <= 63
 
 
-@pytest.mark.slow
 def test_rounds_find_the_camera_from_thirty_px_off(place: Any, tmp_path: Path) -> None:
     done = iterate_lines(place / "image.tif", place / "roads.gpkg", "rpc-drift",
                          {"rpc": str(place / "image.RPB")}, dem=place / "dem.tif",
@@ -252,7 +251,6 @@ def test_the_command_names_the_run_that_selects(place: Any, says: Any, tmp_path:
     assert f"--lines '{table}' --out result" in text
 
 
-@pytest.mark.slow
 def test_a_start_beyond_the_search_is_no_success(place: Any) -> None:
     rpc = place.world.rpc
     far = Start("a wrong RPC", "EPSG:4979", 520.0, lambda ground: rpc.project(ground) + 70,

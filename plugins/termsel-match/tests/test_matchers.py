@@ -143,7 +143,6 @@ def test_options_of_a_matcher_are_checked(place: Any, says: Any, words: Any, sai
     assert said in text
 
 
-@pytest.mark.slow
 def test_an_inverted_image_is_matched_by_structure(
         place: Any, altered: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
     image = altered("image.tif", lambda pixels: 2047 - pixels)

@@ -99,7 +99,6 @@ def test_large_corrections_and_strange_heights_are_remarked(place: Any, tmp_path
         assert f"Correction to the start: {np.median(moved):.1f} px" in text
 
 
-@pytest.mark.slow
 def test_a_reference_of_a_part_is_no_reason_to_refuse(place: Any, altered: Callable[..., Path],
                                                       tmp_path: Path) -> None:
     def quarter(pixels: Any) -> Any:
@@ -124,7 +123,6 @@ def test_a_reference_of_a_part_is_no_reason_to_refuse(place: Any, altered: Calla
         assert whole.shape >= part.shape
 
 
-@pytest.mark.slow
 def test_the_recommended_run_is_the_run_of_the_chain(place: Any, says: Any,
                                                      tmp_path: Path) -> None:
     common = ("--reference", place / "ortho.tif", "--dem", place / "dem.tif")

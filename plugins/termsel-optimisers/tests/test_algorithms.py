@@ -19,7 +19,6 @@ from termsel_optimisers.survivals import AgeMoea2, SmsEmoa, Spea2
 SEEDS = range(30)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("problem", "options"), [
     ("poly-terms", {"degree": 4}), ("rfm-terms", {"order": 2}), ("owdis-points", {})])
 def test_ga_is_the_batched_twin_of_deap(problem: str, options: dict[str, Any]) -> None:

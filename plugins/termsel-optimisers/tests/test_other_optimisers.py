@@ -69,8 +69,7 @@ def _map_of_dask(_start: str) -> Iterator[Any]:
 @pytest.mark.parametrize(("pool", "start"), [
     pytest.param(_map_of_processes, "fork", marks=pytest.mark.skipif(
         "fork" not in multiprocessing.get_all_start_methods(), reason="no fork here")),
-    pytest.param(_map_of_processes, "spawn", marks=pytest.mark.slow),
-    pytest.param(_map_of_dask, "", marks=pytest.mark.slow)])
+    (_map_of_processes, "spawn"), (_map_of_dask, "")])
 def test_other_processes_evaluate_the_same(pool: Any, start: str) -> None:
     problem = small(max_share=0.4, force_on="line.num:X").problem
     alone = islands(to_deap(problem))
