@@ -78,6 +78,8 @@ def main() -> int:
                 print(f"case {outcome.seed}, {outcome.name}: {outcome.fault}", flush=True)
         print(f"{len(found)} cases, {time.perf_counter() - start:.0f} s", file=sys.stderr,
               flush=True)
+    kinds = Counter(outcome.name.partition(":")[0] for outcome in found)
+    print(", ".join(f"{kind} {count}" for kind, count in sorted(kinds.items())))
     codes = Counter(outcome.code for outcome in found)
     slowest = max(found, key=lambda outcome: outcome.seconds)
     faults = sum(bool(outcome.fault) for outcome in found)

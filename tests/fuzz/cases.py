@@ -54,6 +54,13 @@ def seeds() -> tuple[Seed, ...]:
     return (*of_formats, *surfaces.surfaces(points))
 
 
+@cache
+def _drawn() -> tuple[Seed, ...]:
+    """Return the files as often as they are to be used: one stands for all pages or studies."""
+    few = [seed for seed in seeds() if seed.kind in ("study", "report", "plot")]
+    return (*seeds(), *few * 2)
+
+
 class TooSlow(BaseException):
     """A case took more than its time; no handler of termsel's catches it."""
 
@@ -66,7 +73,7 @@ class Outcome:
     ----------
     seed : int
     name : str
-        Of the file, or "options".
+        The use and the file, or "options".
     code : int
         0 or 2; 1 where something was raised that no user can correct.
     fault : str
@@ -92,7 +99,7 @@ def run_case(seed: int) -> Outcome:
     random = Random(seed)
     if pictures._helper()._child is None:  # begun outside of the limits, which V8 cannot keep
         picture(_chart(), ".svg")
-    chosen = None if random.random() < 0.15 else random.choice(seeds())
+    chosen = None if random.random() < 0.15 else random.choice(_drawn())
     _prepare("points" if chosen is None else chosen.kind)
     start = time.process_time()
     with TemporaryDirectory() as name, warnings.catch_warnings(), _silent(), _limited():
@@ -102,7 +109,7 @@ def run_case(seed: int) -> Outcome:
             label, use = "options", lambda: _options(folder, random)
         else:
             path = _laid(chosen, folder, random)
-            label, use = chosen.name, lambda: USES[chosen.kind](path, random)
+            label, use = f"{chosen.kind}:{chosen.name}", lambda: USES[chosen.kind](path, random)
         before = _contents(folder)
         code, fault = _ended(use)
         after = _contents(folder)

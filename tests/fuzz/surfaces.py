@@ -80,15 +80,15 @@ def _pictures() -> dict[str, bytes]:
     from rasterio.transform import from_origin
 
     rng = np.random.default_rng(5)
-    pixels = np.kron(rng.integers(0, 255, (30, 30)), np.ones((6, 6))).astype(np.uint8)[None]
+    pixels = np.kron(rng.integers(0, 255, (20, 20)), np.ones((6, 6))).astype(np.uint8)[None]
     ways = {"type": "FeatureCollection", "crs": {
         "type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::32639"}}, "features": [
         {"type": "Feature", "properties": {"id": i}, "geometry": {"type": "LineString",
-         "coordinates": [[500000 + 6 * i, 4000000], [500000 + 9 * i, 3999820]]}}
+         "coordinates": [[500000 + 6 * i, 4000000], [500000 + 7 * i, 3999880]]}}
         for i in range(1, 16)]}
     start = "# crs: EPSG:32639\nid,line,sample,x,y,z\n" + "".join(
         f"S{i},{line},{sample},{500000.5 + sample},{3999999.5 - line},0\n"
-        for i, (line, sample) in enumerate([(0, 0), (0, 170), (170, 0), (170, 170), (90, 60)]))
+        for i, (line, sample) in enumerate([(0, 0), (0, 110), (110, 0), (110, 110), (60, 40)]))
     return {"image.tif": tiff_bytes(pixels),
             "map.tif": tiff_bytes(pixels, crs="EPSG:32639",
                                   transform=from_origin(5e5, 4e6, 1, 1)),
@@ -108,7 +108,8 @@ def surfaces(points: bytes) -> tuple[Seed, ...]:
     return (
         Seed("study.toml", _STUDY.encode(), "study", (("points.csv", points),)),
         *(Seed(name, study[name], "journal", others(study, name)) for name in study),
-        Seed("result.json", result["result.json"], "page", others(result, "result.json")),
+        *(Seed("result.json", result["result.json"], use, others(result, "result.json"))
+          for use in ("report", "plot")),
         *(Seed(name, pictures[name], "match", others(pictures, name)) for name in pictures),
         *(Seed(name, plugin[name], "plugin", others(plugin, name)) for name in plugin))
 
@@ -148,13 +149,19 @@ def _journal(path: Path, random: Random) -> int:
     return 0
 
 
-def _page(path: Path, random: Random) -> int:
-    """Write the page of a result, or draw it."""
+def _report(path: Path, random: Random) -> int:
+    """Write the page of a result."""
     from tests.fuzz.cases import command
 
     with TemporaryDirectory() as folder:
-        if random.random() < 0.5:
-            return command("report", path.parent, "-o", Path(folder) / "a.html")
+        return command("report", path.parent, "-o", Path(folder) / "a.html")
+
+
+def _plot(path: Path, random: Random) -> int:
+    """Draw a result."""
+    from tests.fuzz.cases import command
+
+    with TemporaryDirectory() as folder:
         return command("plot", path.parent, random.choice((
             "residuals", "worst", "ground", "baselines", "terms")), "-o", Path(folder) / "a.svg")
 
@@ -171,7 +178,8 @@ def _match(path: Path, random: Random) -> int:
         return command(
             "match-lines", folder / "image.tif", "--vectors", folder / "ways.geojson", *out
             ) if lines else command(
-                "match-points", folder / "image.tif", "--reference", folder / "map.tif", *out)
+                "match-points", folder / "image.tif", "--reference", folder / "map.tif", *out,
+                "--count", 12)
 
 
 def _plugin(path: Path, random: Random) -> int:
@@ -184,7 +192,8 @@ def _plugin(path: Path, random: Random) -> int:
             (made / file).write_bytes((source / file).read_bytes())
         (Path(name) / "fuzzed_plugin.py").write_bytes((source / "fuzzed_plugin.py").read_bytes())
         known, modules, environ = list(sys.path), set(sys.modules), dict(os.environ)
-        sys.path.insert(0, name)
+        # The other plugins stand outside, as each case would ask them all again.
+        sys.path[:] = [name, *(path for path in known if not path.endswith("site-packages"))]
         try:
             with redirect_stdout(io.StringIO()):
                 registry = Registry()
@@ -203,5 +212,5 @@ def _plugin(path: Path, random: Random) -> int:
     return 0
 
 
-USES: dict[str, Use] = {"study": _study, "journal": _journal, "page": _page, "match": _match,
-                        "plugin": _plugin}
+USES: dict[str, Use] = {"study": _study, "journal": _journal, "report": _report,
+                        "plot": _plot, "match": _match, "plugin": _plugin}

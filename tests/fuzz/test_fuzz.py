@@ -115,4 +115,6 @@ def test_the_long_run_from_the_command_line() -> None:
     done = subprocess.run([sys.executable, "-m", "tests.fuzz", "--cases", "5", "--first", "5000"],
                           cwd=ROOT, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.startswith("5 cases in ")
+    kinds, sums = done.stdout.splitlines()
+    assert sum(int(one.split()[1]) for one in kinds.split(", ")) == 5
+    assert sums.startswith("5 cases in ")

@@ -16,8 +16,8 @@ from termsel.cli.messages import echo, say_written
 from termsel.errors import TermselError, unknown_name
 from termsel.version import plugin_bound
 
-KINDS = ("model", "solver", "problem", "criterion", "objective", "candidate", "dataset", "reader",
-         "writer", "command")
+KINDS = ("model", "solver", "problem", "criterion", "objective", "candidate", "dataset", "split",
+         "section", "measure", "reader", "writer", "command")
 
 _NAME = re.compile(r"[A-Za-z](?:[A-Za-z0-9]|[-_.](?=[A-Za-z0-9]))*")
 
@@ -30,6 +30,9 @@ _USE = {
                  "--set objectives={name}`",
     "candidate": "Use it: `termsel run --points FILE --crs EPSG:n`; auto judges it with its own.",
     "dataset": "Use it: `termsel run --problem rfm-terms --dataset {name}`",
+    "split": "Use it: `termsel run --problem rfm-terms --set roles={name}`",
+    "section": "Use it: `termsel report DIR`, with the folder of a result; the section comes last.",
+    "measure": "Use it: `termsel compare STUDY.toml --measures {name}`",
     "reader": "Use it: `termsel run --points FILE --crs EPSG:n`; termsel recognises the format.",
     "writer": "Use it: `termsel export DIR --to {name} --output FILE`",
     "command": "Use it: `termsel {name} DIR`, with the folder of a result",
@@ -94,7 +97,7 @@ def package(name: str, *kinds: str) -> dict[str, str]:
         _require_free(name, module, thing, kind, modules[kind], names[kind])
     titles = {kind: f"The {_word(kind)} {names[kind]}" for kind in kinds}
     words = {
-        "DISTRIBUTION": name, "BOUND": plugin_bound(), "TITLE": ", ".join(titles.values()),
+        "DISTRIBUTION": name, "BOUND": plugin_bound(), "TITLE": ", t".join(titles.values()).replace(", tThe", ", the"),
         "POINTS": "".join(f'{names[kind]} = "{modules[kind]}"\n' for kind in kinds),
         "DESCRIBED": "\n".join(f"termsel describe {names[kind]}" for kind in kinds),
         "USE": "\n\n".join(_USE[kind].format(name=names[kind]) for kind in kinds)}
