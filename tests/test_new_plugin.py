@@ -23,7 +23,8 @@ from termsel.plugins.registry import Registry
 
 LISTED = {"model": "models", "solver": "solvers", "problem": "problems", "criterion": "criteria",
           "objective": "objectives", "candidate": "candidates", "dataset": "datasets",
-          "split": "splits", "section": "sections", "measure": "measures", "reader": "readers", "writer": "writers"}
+          "split": "splits", "section": "sections", "measure": "measures",
+          "reader": "readers", "writer": "writers"}
 
 
 def environment(folder: Path) -> Path:
