@@ -97,7 +97,7 @@ def package(name: str, *kinds: str) -> dict[str, str]:
         _require_free(name, module, thing, kind, modules[kind], names[kind])
     titles = {kind: f"The {_word(kind)} {names[kind]}" for kind in kinds}
     words = {
-        "DISTRIBUTION": name, "BOUND": plugin_bound(), "TITLE": ", t".join(titles.values()).replace(", tThe", ", the"),
+        "DISTRIBUTION": name, "BOUND": plugin_bound(), "TITLE": ", the ".join(titles.values()).replace("the The", "the"),
         "POINTS": "".join(f'{names[kind]} = "{modules[kind]}"\n' for kind in kinds),
         "DESCRIBED": "\n".join(f"termsel describe {names[kind]}" for kind in kinds),
         "USE": "\n\n".join(_USE[kind].format(name=names[kind]) for kind in kinds)}
