@@ -97,14 +97,16 @@ def package(name: str, *kinds: str) -> dict[str, str]:
         _require_free(name, module, thing, kind, modules[kind], names[kind])
     titles = {kind: f"{_word(kind)} {names[kind]}" for kind in kinds}
     words = {
-        "DISTRIBUTION": name, "BOUND": plugin_bound(), "TITLE": "The " + ", the ".join(titles.values()),
+        "DISTRIBUTION": name, "BOUND": plugin_bound(),
+        "TITLE": f"The {', the '.join(titles.values())}",
         "POINTS": "".join(f'{names[kind]} = "{modules[kind]}"\n' for kind in kinds),
         "DESCRIBED": "\n".join(f"termsel describe {names[kind]}" for kind in kinds),
         "USE": "\n\n".join(_USE[kind].format(name=names[kind]) for kind in kinds)}
     found = {file: _filled(file, words) for file in ("pyproject.toml", "build_wheel.py",
                                                      "README.md")}
     for kind in kinds:
-        own = {**words, "MODULE": modules[kind], "NAME": names[kind], "TITLE": f"The {titles[kind]}",
+        own = {**words, "MODULE": modules[kind], "NAME": names[kind],
+               "TITLE": f"The {titles[kind]}",
                "CLASS": "".join(part.capitalize() for part in names[kind].split("-"))}
         found[f"{modules[kind]}.py"] = _filled(f"{kind}.py", own)
         file = f"test_{modules[kind]}.py"
