@@ -6,6 +6,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from scipy import stats
@@ -194,6 +195,39 @@ def test_a_search_has_accuracy_and_no_prediction() -> None:
                          criterion="press")
     assert result.predicted is None
     assert result.accuracy is not None
+
+
+def test_mean_errors_and_normality_are_those_of_scipy() -> None:
+    rng = np.random.default_rng(3)
+    errors = np.stack([rng.standard_normal(40) + 0.5, rng.standard_cauchy(40)], axis=1)
+    found = distances(InImage, errors)
+    assert found.mean == pytest.approx(errors.mean(axis=0))
+    assert found.normal == pytest.approx([stats.shapiro(column).pvalue for column in errors.T])
+    assert found.normal is not None
+    assert found.normal[0] > 0.01 > found.normal[1]
+
+
+@pytest.mark.parametrize("errors", [np.random.default_rng(1).standard_normal((7, 2)),
+                                    np.ones((20, 2)), np.zeros((20, 2))])
+def test_few_or_equal_errors_have_no_test_of_normality(errors: np.ndarray) -> None:
+    assert distances(InImage, errors).normal is None
+
+
+def test_the_summary_tells_a_mean_error_and_errors_that_are_not_normal() -> None:
+    result = termsel.run("poly-terms", solver="all-terms", options={"degree": 2})
+    assert result.accuracy is not None
+
+    def said(**image: tuple[float, float]) -> str:
+        accuracy = msgspec.structs.replace(result.accuracy, image=msgspec.structs.replace(
+            result.accuracy.image, line=1.0, sample=1.0, **image))
+        return " ".join(replace(result, accuracy=accuracy).summary().split())
+
+    usual = said(mean=(0.1, -0.1), normal=(0.4, 0.3))
+    assert "Mean error" not in usual.partition("on the ground")[0]
+    assert "not normal" not in usual
+    assert "That of sample is more than chance explains." in said(mean=(0.1, -0.9),
+                                                                  normal=(0.4, 0.3))
+    assert "errors are not normal" in said(mean=(0.1, 0.1), normal=(0.4, 0.001))
 
 
 def test_figures_of_known_errors() -> None:

@@ -3,6 +3,7 @@
 References
 ----------
 FGDC-STD-007.3-1998, National Standard for Spatial Data Accuracy, section 3.2 and appendix 3-A.
+Shapiro, Wilk 1965: An analysis of variance test for normality. Biometrika 52, 591-611.
 ASPRS Positional Accuracy Standards for Digital Geospatial Data, edition 2 (2023, version 2 of
 2024): at least 30 check points, accuracy as RMSE without a level of confidence.
 """
@@ -34,6 +35,9 @@ NSSDA_POINTS, ASPRS_POINTS = 20, 30
 
 ROUND = 0.6
 """Least ratio of the RMSE of x and y for which NSSDA has a figure."""
+
+_TESTED = range(8, 5001)
+"""Numbers of errors that are tested: fewer show nothing, and for more the test has no table."""
 
 
 def ce90(errors: FloatArray) -> FloatArray:
@@ -84,12 +88,22 @@ def predicted_by(fitted: Fit, errors: FloatArray, points: int) -> Predicted:
 _Distances = TypeVar("_Distances", InImage, OnGround)
 
 
-def distances(kind: Callable[[int, float, float, float, float, float], _Distances],
-              errors: FloatArray) -> _Distances:
+def distances(kind: Callable[..., _Distances], errors: FloatArray) -> _Distances:
     """Return the figures of errors (n, 2), of line and sample [px], or of x and y [m]."""
     first, second = np.sqrt((errors**2).mean(axis=0)).tolist()
     return kind(len(errors), first, second, float(np.hypot(first, second)),
-                float(np.linalg.norm(errors, axis=1).max()), float(ce90(errors)))
+                float(np.linalg.norm(errors, axis=1).max()), float(ce90(errors)),
+                tuple(errors.mean(axis=0).tolist()), _normal(errors))
+
+
+def _normal(errors: FloatArray) -> tuple[float, float] | None:
+    """Return the p value of Shapiro and Wilk's test for each column of errors (n, 2)."""
+    if len(errors) not in _TESTED or not np.ptp(errors, axis=0).all():
+        return None
+    from scipy.stats import shapiro  # slow to import
+
+    first, second = (float(shapiro(column).pvalue) for column in errors.T)
+    return first, second
 
 
 def accuracy_of(fitted: Fit, independent: Points) -> Accuracy | None:

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import numpy as np
 from msgspec import Meta, field
 
-from termsel.record.base import Count, Name, Positive, RecordPart, Role, Roles, Share, Size
+from termsel.record.base import Count, Name, Names, Positive, RecordPart, Role, Roles, Share, Size
 
 CONFIDENCE = 0.9
 """Probability of an interval."""
@@ -134,6 +134,11 @@ class InImage(RecordPart, frozen=True):
     """Largest distance."""
     ce90: Size
     """Distance that nine in ten points do not exceed."""
+    mean: tuple[float, float] | None = None
+    """Mean errors, of line and of sample; absent before 0.3."""
+    normal: tuple[float, float] | None = None
+    """Of line and of sample the chance that normal errors look so little normal (Shapiro and Wilk
+    1965); absent for fewer than 8 points, more than 5000, or equal errors."""
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -156,6 +161,11 @@ class OnGround(RecordPart, frozen=True):
     """Largest distance."""
     ce90: Size
     """Distance that nine in ten points do not exceed."""
+    mean: tuple[float, float] | None = None
+    """Mean errors, of x and of y; absent before 0.3."""
+    normal: tuple[float, float] | None = None
+    """Of x and of y the chance that normal errors look so little normal (Shapiro and Wilk
+    1965); absent for fewer than 8 points, more than 5000, or equal errors."""
 
 
 class StandardFigure(RecordPart, frozen=True, omit_defaults=False):
@@ -178,6 +188,9 @@ class Accuracy(RecordPart, frozen=True):
     """Horizontal accuracy by NSSDA at 95 % confidence."""
     asprs: StandardFigure
     """Horizontal RMSE by ASPRS 2024, without the error of the check points' survey."""
+    spent_by: Names | None = None
+    """Folders of earlier results that showed errors of these points under another fit; absent where
+    none did."""
 
 
 class Significance(RecordPart, frozen=True):

@@ -34,6 +34,9 @@ from termsel.report.tables import sigma_table
 from termsel.report.verdict import contradicting, verdict_table
 from termsel.report.view import View
 
+_UNLIKELY, _FAR = 0.01, 2.576
+"""Chance below which a mean error or a shape is no accident, and how many standard deviations."""
+
 
 def document(record: Record, view: View | None = None, picture: str = "",
              further: tuple[Section, ...] = ()) -> Document:
@@ -75,7 +78,9 @@ def _accuracy(record: Record) -> Iterator[Block]:
     yield Statement(statement(record))
     accuracy, predicted = record.accuracy, record.predicted
     if accuracy:
-        yield from _figures(accuracy, ", which took no part in any choice")
+        yield from _figures(accuracy, ", which took no part in any choice" + (
+            f" of this run; {', '.join(accuracy.spent_by)} showed them before"
+            if accuracy.spent_by else ""))
         if record.accuracy_without:
             yield from _figures(record.accuracy_without, f", without {contradicting(record)}")
         if predicted:
@@ -98,7 +103,9 @@ def statement(record: Record) -> str:
     if accuracy:
         less = record.accuracy_without
         return _rmse_on(accuracy) + (
-            f" Without {contradicting(record)}: {_rmse_on(less)}" if less else "")
+            f" Without {contradicting(record)}: {_rmse_on(less)}" if less else "") + (
+            " The points are spent: errors of another fit had been shown."
+            if accuracy.spent_by else "")
     if predicted:
         return f"{_prediction(predicted)} There are no independent points."
     return ("The accuracy is not known: there are no independent points. Give some points the role "
@@ -116,16 +123,41 @@ def _rmse_on(accuracy: Accuracy) -> str:
 def _figures(accuracy: Accuracy, of: str) -> Iterator[Block]:
     image, ground = accuracy.image, accuracy.ground
     rows = [("in the image", *_distances(image, "px", image.line, image.sample))]
+    shapes = [*_shape(image, "px", ("line", "sample"))]
     if ground:
         rows.append(("on the ground", *_distances(ground, "m", ground.x, ground.y)))
+        shapes += _shape(ground, "m", ("x", "y"))
     yield TableBlock(f"{counted(image.n, 'independent point')}{of}",
                      ("", "RMSE", "line or x", "sample or y", "maximum", "CE90"), rows)
+    yield from shapes
     for standard, title, meaning in (
             (accuracy.nssda, "NSSDA", "horizontal accuracy at 95 % confidence"),
             (accuracy.asprs, "ASPRS 2024", "RMSE without the error of the survey itself")):
         value = standard.value
         yield (f"{title}: {rounded(value)} m, {meaning}." if value is not None else
                Detail(f"{title}: no figure ({standard.reason})."))
+
+
+def _shape(of: InImage | OnGround, unit: str, axes: tuple[str, str]) -> Iterator[Block]:
+    """Yield the mean errors, and whether the errors are normal; the first if it is unexpected."""
+    if of.mean is None:
+        return
+    allowed = _FAR / of.n**0.5  # of the RMSE, where the true mean is zero
+    means = [f"{axis} {value:+.3g} {unit}" for axis, value in zip(axes, of.mean, strict=True)]
+    said = f"Mean error: {', '.join(means)}."
+    sizes = (of.line, of.sample) if isinstance(of, InImage) else (of.x, of.y)
+    far = [axis for axis, value, size in zip(axes, of.mean, sizes, strict=True)
+           if abs(value) > allowed * size > 0]
+    yield f"{said} That of {' and '.join(far)} is more than chance explains." if far \
+        else Detail(said)
+    if of.normal and isinstance(of, OnGround):  # nothing new, as they are those in the image
+        chances = [f"{axis} {value:.2g}" for axis, value in zip(axes, of.normal, strict=True)]
+        yield Detail(f"The same test of the errors on the ground: p of {', '.join(chances)}.")
+    elif of.normal:
+        chances = [f"{axis} {value:.2g}" for axis, value in zip(axes, of.normal, strict=True)]
+        said = f"Test of normality (Shapiro, Wilk): p of {', '.join(chances)}."
+        yield f"{said} These errors are not normal; the intervals assume it." \
+            if min(of.normal) < _UNLIKELY else Detail(said)
 
 
 def _prediction(predicted: Predicted) -> str:

@@ -115,11 +115,11 @@ def accuracy_of(record: Record) -> str:
     """Return the accuracy in one sentence."""
     accuracy, predicted = record.accuracy, record.predicted
     if accuracy:
-        less = record.accuracy_without
+        less, spent = record.accuracy_without, "spent " * bool(accuracy.spent_by)
         without = f"; {rounded(less.image.total)} px without " \
             f"{cut(contradicting(record), _SOURCE)}" if less else ""
         return (f"{_sizes(accuracy)} (RMSE of "
-                f"{counted(accuracy.image.n, 'independent point')}){without}.")
+                f"{counted(accuracy.image.n, spent + 'independent point')}){without}.")
     if predicted:
         return (f"{rounded(predicted.rmse)} px predicted ({rounded(predicted.low)} to "
                 f"{rounded(predicted.high)} px); no independent point confirms it.")

@@ -19,6 +19,7 @@ from termsel.errors import TermselError
 from termsel.formats.rpc_files import with_rpc
 from termsel.io.read import features_of
 from termsel.io.result_folder import claimed, write_result
+from termsel.io.spent import with_spent
 from termsel.measurements.datasets import DatasetSpec
 from termsel.measurements.features import FeatureSet
 from termsel.models.base import SensorModel
@@ -213,6 +214,7 @@ def _written(work: Callable[[], Result], out: Path | str | None, overwrite: bool
             log.info("Compiling: the first run on this machine takes some %d s longer.", longer)
         result = work()
         if out is not None:
+            result = with_spent(result, Path(out))
             write_result(result, Path(out))
     registry().notify_run_finished(result)
     return result

@@ -1,9 +1,10 @@
-"""Interpolating and hybrid image models of Valadan Zoej et al. 2002, and degrees by axis.
+"""Interpolating, hybrid and line-based image models, and polynomials with degrees by axis.
 
 References
 ----------
 Valadan Zoej, Mansourian, Mojaradi, Sadeghian 2002: 2D geometric correction of IKONOS imagery
 using genetic algorithm. Symposium on Geospatial Theory, Processing and Applications, Ottawa.
+Shaker 2004: The line based transformation model (LBTM). ISPRS Archives XXXV-B3.
 """
 
 from __future__ import annotations
@@ -14,19 +15,21 @@ from typing import TYPE_CHECKING
 from termsel import Recipe, SelectionProblem, hookimpl
 from termsel_hybrids.by_axis import RECIPE, Polynomial2DByAxis, Polynomial3DByAxis
 from termsel_hybrids.hybrid1 import Hybrid1
+from termsel_hybrids.line_directions import LineAffine, LineConformal
 from termsel_hybrids.multiquadric import Hybrid3, Multiquadric
 from termsel_hybrids.pointwise import Pointwise
 
 if TYPE_CHECKING:
     from termsel import Inputs, SensorModel
 
-__all__ = ["Hybrid1", "Hybrid3", "Multiquadric", "Pointwise"]
+__all__ = ["Hybrid1", "Hybrid3", "LineAffine", "LineConformal", "Multiquadric", "Pointwise"]
 
 
 @hookimpl
 def termsel_models() -> Iterable[type[SensorModel]]:
     """Return the models of this package."""
-    return [Multiquadric, Pointwise, Hybrid1, Hybrid3, Polynomial2DByAxis, Polynomial3DByAxis]
+    return [Multiquadric, Pointwise, Hybrid1, Hybrid3, Polynomial2DByAxis, Polynomial3DByAxis,
+            LineAffine, LineConformal]
 
 
 @hookimpl

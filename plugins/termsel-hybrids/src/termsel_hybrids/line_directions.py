@@ -1,0 +1,215 @@
+"""Line-based transformation models: directions of lines, and points for what these leave open."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from termsel import Equations, FeatureSet, SensorModel, line_normals
+from termsel.toolkit import is_geographic
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+
+_METRES = 111_320.0
+"""Length of a degree of latitude [m]."""
+_STEPS = 6
+"""From the nearest rotation: Gauss-Newton converges quadratically where errors are small."""
+
+
+class LineDirections(SensorModel):
+    """A parallel projection: lines give equations of their directions alone.
+
+    Let V be the unit vector of a line on the ground and n the unit normal of the line in the image.
+    A parallel projection with the 2x3 matrix M maps directions to directions,
+
+        v = s M V,     with a scale s of the line's own, as v is a unit vector too.
+
+    As n v = 0, the scale drops out: n M V = 0, one equation of each line. It holds whatever piece
+    of the line was measured. Nothing in it tells translation or scale: that takes points, two or
+    more. Every line has two rows in termsel: here they are equal halves of one equation, so that
+    the redundancy counts it twice.
+    """
+
+    @abstractmethod
+    def _columns(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
+        """Return what line and sample change by with each term, shape (n, 2, k)."""
+
+    def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations:
+        """Return the equations about a solution (see `SensorModel.linearised`).
+
+        Rows are in image units: that of a line is divided by the deviation of a direction that two
+        measured ends determine, for a model that maps the ground at about the size of the image.
+        """
+        points, lines = features.points, features.lines
+        rows = self._columns(coefficients, points.ground)
+        b = points.image - self.project(coefficients, points.ground) + rows @ coefficients
+        of_points, of_lines = _weights(features)
+        vertices = lines.ground.reshape(-1, 3)
+        normal, _ = line_normals(lines)
+        image = self.project(coefficients, vertices).reshape(-1, 2, 2)
+        ends = self._columns(coefficients, vertices).reshape(len(lines), 2, 2, rows.shape[2])
+        directions = np.einsum("ia,iak->ik", normal, ends[:, 1] - ends[:, 0])
+        away = np.einsum("ia,ia->i", normal, image[:, 1] - image[:, 0])
+        # By the deviation of a direction, sqrt(2) over the length, and as two equal rows.
+        weight = _lengths(lines.image) / 2 / _lengths(lines.ground * self._units)
+        weight = weight * of_lines
+        return Equations(
+            np.concatenate([rows.reshape(2 * len(points), rows.shape[2]) * of_points[:, None],
+                            np.repeat(directions * weight[:, None], 2, axis=0)]),
+            np.concatenate([b.ravel() * of_points,
+                            np.repeat((directions @ coefficients - away) * weight, 2)]),
+            np.repeat(features.feature, 2))
+
+    @property
+    def _units(self) -> FloatArray:
+        """Factors of scaled X, Y and Z that bring them to one unit, the largest 1."""
+        if self.scaling is None:
+            return np.ones(3)
+        units = np.array(self.scaling.ground_scale, dtype=float)
+        crs = self.scaling.fit_crs or self.crs
+        if crs and is_geographic(crs):
+            # To a tenth of a degree, so that fits to parts of the control are of one model.
+            latitude = np.radians(round(self.scaling.ground_offset[1], 1))
+            units[:2] *= _METRES * np.array([np.cos(latitude), 1.0])
+        return np.asarray(units / units[:2].max())
+
+
+class LineAffine(LineDirections):
+    """Affine line-based transformation model: 8 terms.
+
+    Line and sample are affine functions of X, Y, Z. Control lines determine the six coefficients of
+    these up to one scale, by their directions alone; two points or more determine the scale and
+    both translations. Points are control as well with ``--set mixed=true``.
+
+    `affine` takes more from the same lines: their places too. So this model serves to compare with,
+    and where places of lines are uncertain and their directions are not.
+
+    References
+    ----------
+    Shaker 2004: The line based transformation model (LBTM). ISPRS Archives XXXV-B3: affine and
+    conformal relations between unit vectors of conjugate lines; translations from a control point.
+    A summary alone could be consulted. That the scale of each line is eliminated, so that one
+    equation is left of it, the scale from points, and the weights are termsel's own.
+    """
+
+    name = "lbtm-affine"
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Names of the terms, as those of `affine`."""
+        return tuple(f"{axis}.num:{name}" for axis in ("line", "sample") for name in "1XYZ")
+
+    @property
+    def axis(self) -> IntArray:
+        """Image axis of each term."""
+        return np.repeat(np.arange(2), 4)
+
+    def equations(self, features: FeatureSet) -> Equations:
+        """Return the equations of points and of directions, which are exact."""
+        return self.linearised(features, np.zeros(8))
+
+    def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
+        """Return image positions of ground points (see `SensorModel.project`)."""
+        return np.asarray(np.einsum("nak,...k->...na", self._columns(coefficients, ground),
+                                    coefficients))
+
+    def _columns(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
+        one = np.column_stack([np.ones(len(ground)), ground])
+        both = np.einsum("ab,nk->nabk", np.eye(2), one)
+        return np.asarray(both.reshape(len(ground), 2, 8))
+
+
+class LineConformal(LineDirections):
+    """Conformal line-based transformation model: a turn in space, one scale, and a shift; 6 terms.
+
+    With the ground in one unit, sample = s + a G and line = l - b G. Here a and b are two rows of
+    one rotation matrix times one scale: orthogonal, and of one length. They are written by a
+    quaternion q, whose square is the scale, so that no angle is singular. A mirrored image is that
+    of the ground seen from below, so that it is none of its own. Longitude and latitude are brought
+    to metres at the middle of the control; else X, Y and Z are taken to have one unit.
+
+    References
+    ----------
+    Shaker 2004, as `lbtm-affine`. The quaternion and the solution, Gauss-Newton from the nearest
+    rotation to the affine model, are termsel's own.
+    """
+
+    name = "lbtm-conformal"
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Names of the terms."""
+        return "line.num:1", "sample.num:1", "q0", "q1", "q2", "q3"
+
+    @property
+    def axis(self) -> IntArray:
+        """Image axis of each term: the rotation acts on both."""
+        return np.array([0, 1, 2, 2, 2, 2], dtype=np.intp)
+
+    def start(self, features: FeatureSet) -> FloatArray:
+        """Return a solution: the rotation next to the affine model, after some steps."""
+        equations = LineAffine().prepared(self.scaling, self.crs).equations(features) \
+            if self.scaling is not None else LineAffine().equations(features)
+        affine = np.linalg.lstsq(equations.A, equations.b, rcond=1e-9)[0].reshape(2, 4)
+        line, sample = affine[:, 1:] / self._units
+        left, sizes, right = np.linalg.svd(np.stack([sample, -line]), full_matrices=False)
+        a, b = left @ right
+        turn = _quaternion(np.stack([a, b, np.cross(a, b)]))
+        found = np.array([*affine[:, 0], *turn * np.sqrt(sizes.mean())])
+        for _ in range(_STEPS):
+            step = self.linearised(features, found)
+            found = np.linalg.lstsq(step.A, step.b, rcond=1e-9)[0]
+        return found
+
+    def equations(self, features: FeatureSet) -> Equations:
+        """Return the equations about the start."""
+        return self.linearised(features, self.start(features))
+
+    def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
+        """Return image positions of ground points (see `SensorModel.project`)."""
+        # Homogeneous of degree two in q.
+        rows = _turned(coefficients[..., 2:], self._units * ground) / 2
+        moved = np.einsum("...nak,...k->...na", rows, coefficients[..., 2:])
+        return np.asarray(coefficients[..., None, :2] + moved)
+
+    def _columns(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
+        shift = np.broadcast_to(np.eye(2), (len(ground), 2, 2))
+        return np.concatenate([shift, _turned(coefficients[2:], self._units * ground)], axis=2)
+
+
+def _turned(q: FloatArray, ground: FloatArray) -> FloatArray:
+    """Return the derivatives of line and sample by a quaternion (..., 4), shape (..., n, 2, 4)."""
+    w, i, j, k = np.moveaxis(q, -1, 0)[..., None]
+    x, y, z = ground.T
+    sample = (w * x - k * y + j * z, i * x + j * y + k * z, -j * x + i * y + w * z,
+              -k * x - w * y + i * z)
+    up = (k * x + w * y - i * z, j * x - i * y - w * z, i * x + j * y + k * z,
+          w * x - k * y + j * z)
+    return np.asarray(2 * np.stack([-np.stack(up, axis=-1), np.stack(sample, axis=-1)], axis=-2))
+
+
+def _quaternion(turn: FloatArray) -> FloatArray:
+    """Return the unit quaternion of a rotation matrix: the axis to 1 of Davenport's matrix."""
+    skew = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    matrix = np.empty((4, 4))
+    matrix[0, 0] = np.trace(turn)
+    matrix[0, 1:] = matrix[1:, 0] = skew
+    matrix[1:, 1:] = turn + turn.T - np.trace(turn) * np.eye(3)
+    return np.asarray(np.linalg.eigh(matrix)[1][:, -1])
+
+
+def _weights(features: FeatureSet) -> tuple[FloatArray, FloatArray]:
+    """Return the median standard deviation over that of each row of points, and of each line."""
+    parts = features.points.sigma, features.lines.sigma
+    known = [one.ravel() for one in parts if one is not None]
+    unit = float(np.median(np.concatenate(known))) if known else 1.0
+    return (np.ones(2 * len(features.points)) if parts[0] is None else unit / parts[0].ravel(),
+            np.ones(len(features.lines)) if parts[1] is None else unit / parts[1])
+
+
+def _lengths(lines: FloatArray) -> FloatArray:
+    """Return the distances between both ends, shape (n,)."""
+    return np.asarray(np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1))
