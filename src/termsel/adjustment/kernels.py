@@ -20,7 +20,7 @@ many rows `termsel.adjustment.blocks` makes k, where that is safe.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -44,8 +44,11 @@ UintArray = NDArray[np.uintp]
 Work = tuple[FloatArray, FloatArray, FloatArray, IntArray]
 """Of the reflections: vectors, factors, products of neighbours, and the rows they reach."""
 
+# Without _nrt=False every slice would cost two atomic operations; hence nothing may be allocated.
+_compiled = partial(compiled, _nrt=False)
 
-@compiled
+
+@_compiled
 def _take(column: FloatArray, v: FloatArray) -> float:
     """Copy a column and return the sum of its squares.
 
@@ -68,7 +71,7 @@ def _take(column: FloatArray, v: FloatArray) -> float:
     return (a + b) + (c + d)
 
 
-@compiled
+@_compiled
 def _dot(u: FloatArray, v: FloatArray) -> float:
     a = b = c = d = 0.0
     quarter = len(v) // 4
@@ -82,7 +85,7 @@ def _dot(u: FloatArray, v: FloatArray) -> float:
     return (a + b) + (c + d)
 
 
-@compiled
+@_compiled
 def _eliminate(
     panels: FloatArray, work: Work, heights: IntArray, n: int, tolerance: float, longest: float,
 ) -> int:
@@ -137,7 +140,7 @@ def _eliminate(
     return rank
 
 
-@compiled
+@_compiled
 def _gather(
     panels: FloatArray, source: FloatArray, rows: UintArray, columns: UintArray,
     heights: IntArray, n: int,
@@ -152,7 +155,7 @@ def _gather(
                 target[lane] = line[some[lane]]
 
 
-@compiled
+@_compiled
 def _lower(panels: FloatArray, n: int, shift: int) -> None:
     """Move the triangle of n columns down, and clear the remains of elimination below it."""
     for c in range(n // LANES + 1):
@@ -163,7 +166,7 @@ def _lower(panels: FloatArray, n: int, shift: int) -> None:
                 panels[c, i + shift, lane] = panels[c, i, lane] if inside else 0.0
 
 
-@compiled
+@_compiled
 def _factor(
     panels: FloatArray, work: Work, source: FloatArray, triangular: bool, rows: UintArray,
     columns: UintArray, heights: IntArray, n: int, tolerance: float, longest: float,
@@ -193,7 +196,7 @@ def _factor(
         kept = n
 
 
-@compiled
+@_compiled
 def _substitute(
     panels: FloatArray, right: FloatArray, columns: UintArray, n: int, coefficients: FloatArray,
 ) -> None:
@@ -208,7 +211,7 @@ def _substitute(
         coefficients[columns[s]] = x
 
 
-@compiled
+@_compiled
 def _solve(
     panels: FloatArray, work: Work, source: FloatArray, triangular: bool, feature: IntArray,
     rows: UintArray, columns: UintArray, heights: IntArray, terms: BoolArray,

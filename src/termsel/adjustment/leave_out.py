@@ -35,13 +35,6 @@ _compiled = partial(compiled, _nrt=False)
 
 
 @_compiled
-def _add(target: FloatArray, weight: float, u: FloatArray) -> None:
-    """Add a multiple of a vector to another."""
-    for i in range(len(target)):
-        target[i] += weight * u[i]
-
-
-@_compiled
 def _factor(panels: FloatArray, q: FloatArray, n: int, m: int, work: Work,
             tolerance: float) -> bool:
     """Triangularise n columns of A, and b after them, in place; False if they are dependent.
@@ -85,39 +78,31 @@ def _factor(panels: FloatArray, q: FloatArray, n: int, m: int, work: Work,
 
 
 @_compiled
-def _transpose(panels: FloatArray, n: int, m: int, columns: FloatArray) -> None:
-    """Copy the first n columns, and the one after them, one after the other."""
-    for s in range(n + 1):
-        for i in range(m):
-            columns[s, i] = panels[s // LANES, i, s % LANES]
-
-
-@_compiled
-def _weigh(q: FloatArray, n: int, start: int, errors: FloatArray, block: FloatArray,
+def _weigh(q: FloatArray, n: int, start: int, stop: int, block: FloatArray,
            tolerance: float) -> bool:
-    """Multiply a feature's errors b_i - A_i x by (I - Q_i Q_i')^-1; False if singular.
+    """Multiply a feature's errors b_i - A_i x, in row n, by (I - Q_i Q_i')^-1; False if singular.
 
-    The feature's rows begin at `start`. The matrix is factored by Cholesky's method.
+    The feature's rows are those from `start`. The matrix is factored by Cholesky's method.
     """
-    for i in range(len(errors)):
-        for j in range(i + 1):
+    for i in range(start, stop):
+        for j in range(start, i + 1):
             value = 1.0 if i == j else 0.0
             for s in range(n):
-                value -= q[s, start + i] * q[s, start + j]
-            for s in range(j):
-                value -= block[i, s] * block[j, s]
+                value -= q[s, i] * q[s, j]
+            for s in range(j - start):
+                value -= block[i - start, s] * block[j - start, s]
             if i > j:
-                block[i, j] = value / block[j, j]
-                errors[i] -= block[i, j] * errors[j]
+                block[i - start, j - start] = value / block[j - start, j - start]
+                q[n, i] -= block[i - start, j - start] * q[n, j]
             elif value <= tolerance:  # the others do not determine the terms
                 return False
             else:
-                block[i, i] = np.sqrt(value)
-        errors[i] /= block[i, i]
-    for i in range(len(errors) - 1, -1, -1):
-        for j in range(i + 1, len(errors)):
-            errors[i] -= block[j, i] * errors[j]
-        errors[i] /= block[i, i]
+                block[i - start, i - start] = np.sqrt(value)
+        q[n, i] /= block[i - start, i - start]
+    for i in range(stop - 1, start - 1, -1):
+        for j in range(i + 1, stop):
+            q[n, i] -= block[j - start, i - start] * q[n, j]
+        q[n, i] /= block[i - start, i - start]
     return True
 
 
@@ -153,25 +138,28 @@ def _leave_out(
         determined[one] = n < m and _factor(system, other, n, m, work, tolerance)
         if not determined[one]:
             continue
-        _transpose(other, n, m, columns)
+        for s in range(n + 1):  # one column after the other
+            for i in range(m):
+                columns[s, i] = other[s // LANES, i, s % LANES]
         for g in range(count):
             determined[one] = determined[one] and _weigh(
-                columns, n, start[g], columns[n, start[g]:start[g + 1]], block, tolerance)
+                columns, n, start[g], start[g + 1], block, tolerance)
         if not determined[one]:
             continue
         # Right-hand sides of the triangle: one per feature, and at the end that of the solution.
         for s in range(n - 1, -1, -1):
-            target = right[s, :count + 1]
             for g in range(count):  # Q_i' (I - Q_i Q_i')^-1 (b_i - A_i x)
                 total = 0.0
                 for i in range(start[g], start[g + 1]):
                     total += columns[s, i] * columns[n, i]
-                target[g] = total
-            target[count] = system[n // LANES, s, n % LANES]
+                right[s, g] = total
+            right[s, count] = system[n // LANES, s, n % LANES]
             for t in range(s + 1, n):
-                _add(target, -system[t // LANES, s, t % LANES], right[t, :count + 1])
+                entry = system[t // LANES, s, t % LANES]
+                for g in range(count + 1):
+                    right[s, g] -= entry * right[t, g]
             for g in range(count + 1):
-                target[g] /= system[s // LANES, s, s % LANES]
+                right[s, g] /= system[s // LANES, s, s % LANES]
         for g in range(count):
             for s in range(n):
                 # x less the change by the feature, which went through the same triangle.

@@ -60,11 +60,11 @@ class _Room(NamedTuple):
     """What some points are worked on in, m at once."""
 
     line: FloatArray  # (4, u, m): 1 / l, its root, e / l and e^2 / l of line
-    sample: FloatArray  # (4, v, m): of sample; not the first two where leverages are those of line
+    sample: FloatArray  # (4, v, m): of sample
     grown: FloatArray  # (c, m): S / S' - 1
     share: FloatArray  # (CELLS m,)
     power: FloatArray  # (CELLS m,)
-    sums: FloatArray  # (10, m)
+    sums: FloatArray  # (9, m)
 
 
 def leave_each_out(sides: tuple[Side, Side], square: FloatArray, least: FloatArray,
@@ -77,15 +77,15 @@ def leave_each_out(sides: tuple[Side, Side], square: FloatArray, least: FloatArr
     degrees of freedom without one.
     """
     line, sample = (_OfAxis(side.left, side.errors, side.cell) for side in sides)
-    figures, alike = np.empty((count, 7)), line.left is sample.left
+    figures = np.empty((count, 7))
     for start in range(0, count, AT_ONCE):
         width = min(AT_ONCE, count - start)
         if start == 0 or width < AT_ONCE:  # the last points may be fewer
             room = _Room(np.empty((4, len(line.left), width)),
                          np.empty((4, len(sample.left), width)), np.empty((len(share), width)),
-                         np.zeros(CELLS * width), np.zeros(CELLS * width), np.empty((10, width)))
-        _leave_out(line, sample, square, least, share * square, half, np.exp(LEAST / half), alike,
-                   start, room, figures)
+                         np.empty(CELLS * width), np.empty(CELLS * width), np.empty((9, width)))
+        _leave_out(line, sample, square, least, share * square, half, np.exp(LEAST / half), start,
+                   room, figures)
     return Prediction(figures[:, :2], figures[:, 2], figures[:, 3], figures[:, 4:6],
                       log + figures[:, 6])
 
@@ -106,111 +106,82 @@ def mean_chance(strain: tuple[FloatArray, FloatArray], cell: tuple[IntArray, Int
 
 
 @_compiled
-def _invert(left: FloatArray, inverse: FloatArray, root: FloatArray) -> None:
-    for p in range(len(left)):
-        inverse[p] = 1.0 / left[p]
-        root[p] = np.sqrt(inverse[p])
-
-
-@_compiled
-def _divide(errors: FloatArray, inverse: FloatArray, ratio: FloatArray, part: FloatArray) -> None:
-    """Fill in e / l and e^2 / l."""
-    for p in range(len(errors)):
-        ratio[p] = errors[p] * inverse[p]
-        part[p] = ratio[p] * errors[p]
-
-
-@_compiled
-def _grow(line: FloatArray, sample: FloatArray, square: float, least: float, grown: FloatArray,
-          highest: FloatArray) -> None:
-    """Fill in S / S' - 1."""
-    for p in range(len(grown)):
-        less = line[p] + sample[p]
-        # S' is the sum of squares of the others: not below what counts as no noise.
-        less = less if less < square - least else square - least
-        grown[p] = less / (square - less)
-        highest[p] = grown[p] if grown[p] > highest[p] else highest[p]
-
-
-@_compiled
-def _weigh(line: FloatArray, sample: FloatArray, weight: float, grown: FloatArray,
-           inverse: FloatArray, lowest: float, share: FloatArray, power: FloatArray,
-           plain: FloatArray) -> None:
-    """Fill in probabilities but for a power, and that of which it is one."""
-    for p in range(len(share)):
-        share[p] = weight * line[p] * sample[p]
-        plain[p] += share[p]
-        part = (1.0 + grown[p]) * inverse[p]  # of the largest, so that no power overflows
-        power[p] = part if part > lowest else lowest
-
-
-@_compiled
-def _raise(power: FloatArray, exponent: int, share: FloatArray) -> None:
+def _raise(power: FloatArray, exponent: int, count: int, share: FloatArray) -> None:
     """Multiply by powers, two binary digits of the exponent at a time; `power` is overwritten."""
     while True:
         if exponent & 3 == 3:
-            for i in range(len(share)):
+            for i in range(count):
                 share[i] *= power[i] * power[i] * power[i]
         elif exponent & 2:
-            for i in range(len(share)):
+            for i in range(count):
                 share[i] *= power[i] * power[i]
         elif exponent & 1:
-            for i in range(len(share)):
+            for i in range(count):
                 share[i] *= power[i]
         exponent >>= 2
         if exponent == 0:
             break
-        for i in range(len(share)):
+        for i in range(count):
             power[i] = (power[i] * power[i]) * (power[i] * power[i])
 
 
 @_compiled
-def _add(share: FloatArray, one: FloatArray, other: FloatArray, sums: FloatArray,
-         sums_of_other: FloatArray) -> None:
-    for p in range(len(share)):
-        sums[p] += share[p] * one[p]
-        sums_of_other[p] += share[p] * other[p]
+def _of_solutions(one: _OfAxis, start: int, m: int, of_axis: FloatArray) -> None:
+    """Fill in 1 / l, its root, e / l and e^2 / l of m points."""
+    for u in range(len(one.left)):
+        for p in range(m):
+            inverse, error = 1.0 / one.left[u, start + p], one.errors[u, start + p]
+            of_axis[0, u, p] = inverse
+            of_axis[1, u, p] = np.sqrt(inverse)
+            of_axis[2, u, p] = error * inverse
+            of_axis[3, u, p] = error * inverse * error
 
 
 @_compiled
 def _leave_out(line: _OfAxis, sample: _OfAxis, square: FloatArray, least: FloatArray,
-               weight: FloatArray, half: int, lowest: float, alike: bool, start: int, room: _Room,
+               weight: FloatArray, half: int, lowest: float, start: int, room: _Room,
                figures: FloatArray) -> None:
     """Fill rows of `figures`: two errors, chance, statistic, two variances, logarithm."""
-    of_line, of_sample, sums = room.line, room.sample, room.sums
-    m, ones = of_line.shape[2], sums[9]
-    inverses = of_line if alike else of_sample
-    for u in range(len(line.left)):
-        _invert(line.left[u, start:start + m], of_line[0, u], of_line[1, u])
-        _divide(line.errors[u, start:start + m], of_line[0, u], of_line[2, u], of_line[3, u])
-    for u in range(len(sample.left)):
-        if not alike:
-            _invert(sample.left[u, start:start + m], of_sample[0, u], of_sample[1, u])
-        _divide(sample.errors[u, start:start + m], inverses[0, u], of_sample[2, u],
-                of_sample[3, u])
+    of_line, of_sample, grown, share, power, sums = room
+    m = of_line.shape[2]
+    _of_solutions(line, start, m, of_line)
+    _of_solutions(sample, start, m, of_sample)
     # Sums over the cells: 0 the largest S / S' - 1, 1 what is left of the factor without its power,
     # 2 and 3 probability with S / S' - 1 and alone, 4 and 5 of line with e / l and 1 / l, 6 and 7
-    # of sample. Row 8 is 1 over the largest S / S', row 9 ones.
-    sums[:9] = 0.0
-    ones[:] = 1.0
+    # of sample. Row 8 is 1 over the largest S / S'.
+    for i in range(8):
+        for p in range(m):
+            sums[i, p] = 0.0
     for c in range(len(weight)):
-        _grow(of_line[3, line.cell[c]], of_sample[3, sample.cell[c]], square[c], least[c],
-              room.grown[c], sums[0])
+        u, v = line.cell[c], sample.cell[c]
+        for p in range(m):
+            less = of_line[3, u, p] + of_sample[3, v, p]
+            # S' is the sum of squares of the others: not below what counts as no noise.
+            less = less if less < square[c] - least[c] else square[c] - least[c]
+            grown[c, p] = less / (square[c] - less)
+            sums[0, p] = grown[c, p] if grown[c, p] > sums[0, p] else sums[0, p]
     for p in range(m):
         sums[8, p] = 1.0 / (1.0 + sums[0, p])
     for first in range(0, len(weight), CELLS):
         last = min(first + CELLS, len(weight))
         for c in range(first, last):
-            some = slice((c - first) * m, (c - first + 1) * m)
-            _weigh(of_line[1, line.cell[c]], inverses[1, sample.cell[c]], weight[c], room.grown[c],
-                   sums[8], lowest, room.share[some], room.power[some], sums[1])
-        # Of the cells at once: the places of others in the last round are not read.
-        _raise(room.power, half, room.share)
+            u, v, at = line.cell[c], sample.cell[c], (c - first) * m
+            for p in range(m):
+                share[at + p] = weight[c] * of_line[1, u, p] * of_sample[1, v, p]
+                sums[1, p] += share[at + p]
+                part = (1.0 + grown[c, p]) * sums[8, p]  # of the largest, lest powers overflow
+                power[at + p] = part if part > lowest else lowest
+        _raise(power, half, (last - first) * m, share)  # of the cells at once
         for c in range(first, last):
-            one = room.share[(c - first) * m:(c - first + 1) * m]
-            _add(one, room.grown[c], ones, sums[2], sums[3])
-            _add(one, of_line[2, line.cell[c]], of_line[0, line.cell[c]], sums[4], sums[5])
-            _add(one, of_sample[2, sample.cell[c]], inverses[0, sample.cell[c]], sums[6], sums[7])
+            u, v, at = line.cell[c], sample.cell[c], (c - first) * m
+            for p in range(m):
+                one = share[at + p]
+                sums[2, p] += one * grown[c, p]
+                sums[3, p] += one
+                sums[4, p] += one * of_line[2, u, p]
+                sums[5, p] += one * of_line[0, u, p]
+                sums[6, p] += one * of_sample[2, v, p]
+                sums[7, p] += one * of_sample[0, v, p]
     for p in range(m):
         # Powers are relative to the largest, which only the logarithm gets back.
         logarithm, total = half * np.log1p(sums[0, p]), sums[3, p]
@@ -236,6 +207,6 @@ def _mean_chance(line_strain: FloatArray, sample_strain: FloatArray, line: IntAr
             strain = line_strain[one, p] + sample_strain[other, p]
             part = 1.0 / (1.0 + scale[c] * strain)
             power[p] = part if part > lowest else lowest
-        _raise(power, half, share)
+        _raise(power, half, m, share)
         for p in range(m):
             total[p] += share[p]
