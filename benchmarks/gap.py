@@ -27,8 +27,8 @@ from termsel.measurements.features import FloatArray, no_lines
 from termsel.report.theme import BLUNDER, CONTROL, INDEPENDENT, UNUSED, data, require_altair, styled
 from termsel.simulate import simulate_scene
 from termsel.solvers.proofs.proof import limits_of
-from termsel.studies.statistics.groups import Runs, group
-from termsel.studies.statistics.summaries import quantiles, reachable, wilson
+from termsel.toolkit import Runs, group
+from termsel_studies.summaries import quantiles, reachable, wilson
 
 HERE = Path(__file__).parent
 STUDIES = ("gap-rfm", "gap-rfm-long", "gap-rfm-papers")

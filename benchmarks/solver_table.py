@@ -14,7 +14,7 @@ from pathlib import Path
 import termsel
 from benchmarks.sets import put
 from termsel.errors import counted
-from termsel.studies.shown.pages import section, tables_of
+from termsel_studies.pages import section, tables_of
 
 HERE = Path(__file__).parent
 STUDIES = ("solver-table-terms", "solver-table-exact", "solver-table-features")

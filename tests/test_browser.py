@@ -177,7 +177,7 @@ def hostile() -> termsel.FeatureSet:
 
 def test_the_page_of_a_study_is_drawn_offline_and_in_silence(
         opened: Callable[[Path, int], Any], tmp_path: Path) -> None:
-    from termsel.studies.shown.report import write_outputs
+    from termsel.studies.outputs import write_outputs
 
     title = f"{HOSTILE[0]} {HOSTILE[1]} {HOSTILE[2]} {'x' * 10_000}"  # ids end at 200
     features = termsel.simulate_scene("ikonos-hamedan", n_lines=0)
@@ -334,7 +334,7 @@ def test_a_baseline_is_chosen_in_chart_and_table(
 
 def test_the_page_of_many_images_is_drawn_offline_and_in_silence(
         opened: Callable[[Path, int], Any], tmp_path: Path) -> None:
-    from termsel.studies.shown.report import write_outputs
+    from termsel.studies.outputs import write_outputs
 
     points = termsel.simulate_scene("ikonos-hamedan", n_lines=0).points
     some = termsel.Points(points.ids[:9], points.image[:9], points.ground[:9])

@@ -25,9 +25,9 @@ from termsel.report.theme import styled
 from termsel.results import shown
 from termsel.studies.cells.journal import CellRecord
 from termsel.studies.plan.spec import spec_of
-from termsel.studies.shown import figures
-from termsel.studies.shown.figures import figures_of
 from termsel.studies.study import Study
+from termsel_studies import figures
+from termsel_studies.figures import figures_of
 
 pytest.importorskip("altair")
 vl_convert = pytest.importorskip("vl_convert")

@@ -105,7 +105,23 @@ def test_every_hook_is_documented(hook):
 
 def test_every_kind_has_a_hook():
     assert {f"termsel_{kind}" for kind in KINDS} | {
-        "termsel_commands", "termsel_observers", "termsel_run_finished"} == set(HOOKS)
+        "termsel_commands", "termsel_observers", "termsel_parts",
+        "termsel_run_finished"} == set(HOOKS)
+
+
+def test_parts_of_plugins_are_asked_for_and_what_is_none_is_told(install, registry, capsys):
+    install("good", """
+        from termsel import hookimpl
+        from termsel.toolkit import Part
+        @hookimpl
+        def termsel_parts(): return [Part("study", 1), Part("scheduler", 2)]""")
+    install("bad", """
+        from termsel import hookimpl
+        @hookimpl
+        def termsel_parts(): return ["study"]""")
+    known = registry()
+    assert [(part.place, part.value) for part in known.parts()] == [("study", 1), ("scheduler", 2)]
+    assert "termsel_parts: returned an object of type str, not a Part" in capsys.readouterr().err
 
 
 def test_a_plugin_provides_a_model(install, registry):

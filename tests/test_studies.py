@@ -29,8 +29,8 @@ from termsel.studies.cells.images import IMAGES, folders_of
 from termsel.studies.cells.journal import CellRecord
 from termsel.studies.cells.table import TIMES
 from termsel.studies.execution import work
+from termsel.studies.outputs import write_outputs
 from termsel.studies.plan.places import places_of
-from termsel.studies.shown.report import write_outputs
 
 Call = Callable[..., SimpleNamespace]
 

@@ -20,7 +20,7 @@ from termsel.report import pictures
 from termsel.report.blocks import Document, Section, TableBlock
 from termsel.report.page import page
 from termsel.report.small import MOST, small_map
-from termsel.studies.shown.report import write_outputs
+from termsel.studies.outputs import write_outputs
 
 pytest.importorskip("altair")
 pytest.importorskip("vl_convert")

@@ -13,7 +13,7 @@ ROOMS = {
     "check": "certificates of proofs, by integers alone; it imports no other room",
     "sklearn": "the deprecated name of the package termsel-sklearn",
     "testing": "conformance suites for every kind of thing that plugins provide",
-    "studies": "many runs: cells, journal, executors, statistics, tables",
+    "studies": "many runs: cells, journal, executors, tables",
     "runs": "one run: task, search, choice, assessment, judgement",
     "io": "verbs on files: read, export, project, rectify, the folder of a result",
     "plugins": "hooks, kinds of things, loading, registry, what is built in",

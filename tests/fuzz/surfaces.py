@@ -24,8 +24,8 @@ from termsel.plugins.registry import Registry
 from termsel.studies.cells.folder import PLAN, status
 from termsel.studies.cells.journal import _sealed as sealed_line
 from termsel.studies.compare import asked, plan_cells
-from termsel.studies.shown.pages import latex, markdown
-from termsel.studies.shown.report import report
+from termsel_studies.pages import latex, markdown
+from termsel_studies.report import report
 from tests.fuzz.seeds import Seed, result_files
 
 Use = Callable[[Path, Random], int]

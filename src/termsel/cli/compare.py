@@ -103,7 +103,7 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
     show_messages()
 
     from termsel.studies import compare as comparing
-    from termsel.studies.shown.report import summary, write_outputs
+    from termsel.studies.outputs import summary, write_outputs
 
     with study_bar(quiet) as observe:
         results = comparing.compare(study, out=out, workers=workers, scheduler=scheduler,

@@ -44,7 +44,7 @@ def report(folder: Path, output: Path | None, image: str | None, overwrite: bool
     from termsel.io.result_folder import files_of_result, read_result
     from termsel.studies.cells.folder import PLAN, read_study
     from termsel.studies.cells.images import IMAGES
-    from termsel.studies.shown.report import report as study_page
+    from termsel.studies.outputs import page as study_page
 
     own = [folder / PLAN, folder / JOURNAL, *(folder / IMAGES).glob("*")]  # of a study
     require_replaceable([output], reads=[folder, image, *own], overwrite=overwrite)

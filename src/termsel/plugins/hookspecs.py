@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from termsel.candidates.base import Candidate
     from termsel.criteria import Criterion
     from termsel.formats.base import Reader, Writer
+    from termsel.guard.parts import Part
     from termsel.measurements.datasets import DatasetSpec
     from termsel.measurements.splits import Split
     from termsel.models import SensorModel
@@ -227,6 +228,17 @@ def termsel_observers() -> Iterable[Callable[[Progress], None]]:
     iterable of callable
         Each takes the `Progress` of a search, as the `observers` of `termsel.run` do: after each
         generation, and in the local refinement. One that fails is named, and not called any more.
+    """
+
+
+@hookspec
+def termsel_parts() -> Iterable[Part]:
+    """Return parts that termsel asks for at one place, and does without where there are none.
+
+    Returns
+    -------
+    iterable of Part
+        Of the places "study", "scheduler" and "certificate" (see `termsel.toolkit.Part`).
     """
 
 

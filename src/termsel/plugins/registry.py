@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Callable, Iterable
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from importlib.metadata import EntryPoint
-from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from termsel.errors import TermselError, printable, unknown_name
+from termsel.guard import parts
 from termsel.guard.faults import package_of
 from termsel.options import Configurable
-from termsel.plugins.calling import call, listed
+from termsel.plugins.calling import Taken, call, listed
 from termsel.plugins.commands import COMMANDS
 from termsel.plugins.hookspecs import PROJECT
 from termsel.plugins.kinds import KINDS, summary
@@ -75,6 +74,7 @@ class Registry:
     def __init__(self, entry_points: Iterable[EntryPoint] | None = None) -> None:
         self._loader = Loader(entry_points)
         self._provided: dict[str, Provided] = {}
+        self._parts: list[parts.Part] | None = None
 
     @property
     def plugins(self) -> tuple[Plugin, ...]:
@@ -185,7 +185,7 @@ class Registry:
         """Return a sentence on the package that a name comes with; nothing if it is installed."""
         package = canonical(name.rpartition(":")[0])
         if not package:
-            package = next((one for one, names in own_packages().items() if name in names), "")
+            package = parts.package_of_name(name)
         if package in ("", *(plugin.distribution for plugin in self._loader.plugins)):
             return ""
         return (f"It comes with the package {package}, which is not installed. In a clone of "
@@ -193,11 +193,22 @@ class Registry:
 
     def observers(self) -> list[Callable[[Progress], None]]:
         """Return the observers of runs that plugins have; one that fails is told, and left out."""
-        hook = f"{PROJECT}_observers"
-        answers = call(hook, self._loader.slots_of(hook), listed)
+        return [_kept(plugin, observe) for plugin, observe in self._unnamed("observers", listed)]
+
+    def parts(self) -> list[parts.Part]:
+        """Return the parts that plugins have; a plugin that fails is told."""
+        if self._parts is None:
+            self._parts = [part for _, part in self._unnamed("parts", _parts)]
+        return self._parts
+
+    def _unnamed(self, word: str, taken: Taken) -> list[tuple[Plugin, Any]]:
+        """Return what a hook gives of what has no name, with the plugins; warn of those that fail.
+        """
+        hook = f"{PROJECT}_{word}"
+        answers = call(hook, self._loader.slots_of(hook), taken)
         for plugin, reason in answers.faults:
             _warn(plugin, f"{hook}: {reason}")
-        return [_kept(plugin, observe) for plugin, observe in answers.things]
+        return answers.things
 
     def notify_run_finished(self, result: Result) -> None:
         """Give every plugin that asks for it a copy of a finished run; warn of those that fail."""
@@ -266,15 +277,8 @@ def built_in() -> Registry:
     return Registry([])
 
 
-@cache
-def own_packages() -> dict[str, list[str]]:
-    """Return the names that each plugin package of termsel's own provides, by distribution."""
-    found: dict[str, list[str]] = json.loads(
-        (files("termsel.plugins") / "packages.json").read_text("utf-8"))
-    return found
-
-
 sources.append(lambda: [entry.object for entry in registry().entries("sections")])
+parts.sources.append(lambda: registry().parts())
 
 
 def _warn(plugin: Plugin, what: str) -> None:
@@ -298,6 +302,14 @@ def _kept(plugin: Plugin, observe: Callable[[Progress], None]) -> Callable[[Prog
 def _nothing(_value: Any) -> list[Any]:
     """Return what a hook gives that returns nothing."""
     return []
+
+
+def _parts(value: Any) -> list[Any]:
+    """Return a list of parts; TypeError for anything else."""
+    given = listed(value)
+    if other := [one for one in given if not isinstance(one, parts.Part)]:
+        raise TypeError(f"returned an object of type {type(other[0]).__name__}, not a Part")
+    return given
 
 
 def _entry(kind: str, plugin: Plugin, thing: Any) -> Entry:

@@ -1,1 +1,1 @@
-"""Many runs: what a study asks for, its journal, executors, statistics and tables."""
+"""Many runs: what a study asks for, its journal, executors and tables."""

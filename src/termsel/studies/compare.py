@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from termsel.adjustment.kernels import needs_compilation
-from termsel.errors import TermselError, counted, requires
+from termsel.errors import TermselError, counted
 from termsel.files.atomic import private_folder
 from termsel.files.lock import locked
 from termsel.files.names import JOURNAL
+from termsel.guard.parts import part
 from termsel.io.export import writer_of
 from termsel.measurements.features import FeatureSet
 from termsel.plugins.registry import registry
@@ -27,9 +28,9 @@ from termsel.studies.execution.contained import contained
 from termsel.studies.execution.executors import deferred, processes, serial
 from termsel.studies.execution.progress import StudyProgress, Tally
 from termsel.studies.execution.work import Outcome, do, failed
+from termsel.studies.outputs import names
 from termsel.studies.plan.data import data_of
 from termsel.studies.plan.spec import Spec, read_spec, spec_of
-from termsel.studies.shown.report import NAMES
 from termsel.studies.study import Study
 
 log = logging.getLogger(__name__)
@@ -207,7 +208,7 @@ def _begun(stack: ExitStack, place: Path, now: Mapping[str, str]) -> Journal:
     stack.enter_context(locked(
         place, "Wait for it, or choose another --out. "
                f"`termsel compare --status {place}` shows how far it is."))
-    found = [name for name in (*NAMES, PLAN, IMAGES) if (place / name).exists()]
+    found = [name for name in (*names(), PLAN, IMAGES) if (place / name).exists()]
     if found and not (place / JOURNAL).exists():
         raise TermselError(f"the folder has {found[0]}, but no journal of a study",
                            file=place, hint=f"{found[0]} could be replaced. Choose another --out.")
@@ -237,9 +238,7 @@ def _outcomes(cells: list[Cell], stopped: Callable[[], bool], workers: int,
             yield failed(cell.key, cell.data.reason)
     works, features = works_of(cells)
     if scheduler is not None:
-        with requires("a scheduler requires", "termsel_cluster", "./plugins/termsel-cluster"):
-            from termsel_cluster import on_cluster
-
+        on_cluster = part("scheduler", "a scheduler requires")
         yield from on_cluster(works, features, stopped, scheduler, plugins)
         return
     if workers == 1:

@@ -6,10 +6,13 @@ import json
 import math
 from collections.abc import Iterable, Iterator
 from itertools import chain, count
+from pathlib import Path
 from typing import Any
 
-from termsel import __version__
-from termsel.toolkit import CellRecord, Groups, file_word, length
+from termsel import Study, __version__
+from termsel.toolkit import CellRecord, Groups, file_word, group, length, write_text
+
+FOLDER = "ioh"
 
 FORMAT = "0.3.5"
 """Version of the format, as IOHexperimenter numbers it."""
@@ -34,6 +37,17 @@ def ioh_files(groups: Groups) -> Iterator[tuple[str, str]]:
             yield f"{folder}/{data}", _data(kept)
             yield f"{folder}/{stem}.json", json.dumps(
                 _description(number, instance, method, dimension, kept, data), indent=1) + "\n"
+
+
+def write(study: Study, out: Path) -> list[Path]:
+    """Write the runs of a study below its folder; return the folder, if any run searched."""
+    if study.spec.strategies == ("auto",):
+        return []
+    files = dict(ioh_files(group(study.rows, study.records, study.spec.measure)))
+    for name, text in files.items():
+        (out / FOLDER / name).parent.mkdir(parents=True, exist_ok=True)
+        write_text(out / FOLDER / name, text)
+    return [out / FOLDER] * bool(files)
 
 
 def _data(records: list[CellRecord]) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Callable, Iterator
-from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -13,6 +12,7 @@ import numpy as np
 
 from termsel.enumeration import subsets
 from termsel.errors import TermselError, amount
+from termsel.guard.parts import part as part_of
 from termsel.options import COUNT, Option
 from termsel.problems.base import EnumerablePart, Problem
 from termsel.problems.segments import AnySegment, Bits, Genes, Subset
@@ -106,7 +106,7 @@ class Exact(Solver):
         Option("workers", None, "Threads; by default all cores. The result does not depend on "
                "it.", int, 1, 256),
         Option("certificate", None, "File for the tree of the proof, which `python -m "
-               "termsel.check FILE` verifies; needs the package termsel-bench."),
+               "termsel.check FILE` verifies; a package writes it."),
     )
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
@@ -147,13 +147,9 @@ def _certifier(path: str | None, problem: Problem,
     """Return what writes the certificate of an optimum, if asked for."""
     if path is None:
         return None
-    try:
-        writer = import_module("termsel_bench.certificate")
-    except ImportError as error:
-        raise TermselError("certificates need the package termsel-bench",
-                           hint="Install it: pip install termsel-bench") from error
+    certifier = part_of("certificate", "a certificate requires")
     rooms = [limits_of(problem, part, most)[1] for part in problem.parts()]
-    certify: Callable[[Genes], None] = writer.certifier(Path(path), problem, rooms)
+    certify: Callable[[Genes], None] = certifier(Path(path), problem, rooms)
     return certify
 
 

@@ -9,10 +9,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from termsel.errors import TermselError, unknown_name
+from termsel.guard.parts import own_packages
 from termsel.options import Configurable, Option
 from termsel.plugins.hookspecs import PROJECT
 from termsel.plugins.loading import canonical
-from termsel.plugins.registry import SESSION, own_packages, registry
+from termsel.plugins.registry import SESSION, registry
 from termsel.results.extras import Measure
 from termsel.runs.auto.strategy import LEAST, wanted
 from termsel.runs.run import problem_for

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.measurements.features import FloatArray
-from termsel.studies.statistics.groups import Groups
+from termsel.toolkit import FloatArray, Groups
 
 BEYOND = 1.1
 """Where the reference point lies: as far from the best values as the worst, and a tenth more."""

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.solvers.proofs.proof import TIE
-from termsel.studies.statistics.groups import Groups, Runs
+from termsel.toolkit import TIE, Groups, Runs, length
 
 _HUGE = 1e300
 """Stands for infinity where quantiles are interpolated."""
@@ -91,11 +90,6 @@ def wilson(successes: int, runs: int, level: float = 0.95) -> tuple[float, float
 def hit(trace: Sequence[Sequence[float]], target: float, column: int = 0) -> float:
     """Return evaluations (column 0) or CPU seconds (2) until a target is reached, or infinity."""
     return next((float(point[column]) for point in trace if point[1] <= target), math.inf)
-
-
-def length(figures: Mapping[str, Any]) -> float:
-    """Return the evaluations of a run by its figures, those of the local refinement included."""
-    return float(figures.get("evaluations") or 0)
 
 
 def expected_running_time(hits: Sequence[float], lengths: Sequence[float]) -> float:

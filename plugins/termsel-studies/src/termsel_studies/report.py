@@ -8,28 +8,31 @@ from html import escape
 from importlib.util import find_spec
 from pathlib import Path
 
-from termsel.errors import TermselError, counted
-from termsel.files.atomic import atomic_path, write_text
-from termsel.io.result_folder import read_result
-from termsel.report.blocks import Document, Figure, Section
-from termsel.report.page import page
-from termsel.report.plots import save
-from termsel.report.small import small_map
-from termsel.report.text import text_of
-from termsel.report.theme import require_altair, styled
-from termsel.studies.cells.images import IMAGES, folders_of
-from termsel.studies.cells.table import csv_of
-from termsel.studies.shown.figures import figures_of
-from termsel.studies.shown.pages import latex, markdown, tables_of
-from termsel.studies.statistics.groups import group
-from termsel.studies.study import Study
+from termsel import Study, TermselError, read_result
+from termsel.toolkit import (
+    IMAGES,
+    Document,
+    Figure,
+    Section,
+    counted,
+    folders_of,
+    page,
+    require_altair,
+    save,
+    small_map,
+    styled,
+    text_of,
+    write_text,
+)
+from termsel_studies.figures import figures_of
+from termsel_studies.pages import latex, markdown, tables_of
 
 log = logging.getLogger(__name__)
 
 REPORT = "report.html"
 
-NAMES = ("study.csv", "study.parquet", "summary.md", "summary.tex", REPORT, "ioh", "figures")
-"""Files and folders that `write_outputs` writes."""
+FILES = ("summary.md", "summary.tex", REPORT, "figures")
+"""Files and folders that `write` writes."""
 
 _SMALL = ("Arrows are the residuals of all features: blue of control, orange of check, black "
           "(white on a dark page) of independent points. Red rings are probable "
@@ -83,37 +86,20 @@ def thumbnails(study: Study) -> dict[str, str]:
     return drawings
 
 
-def write_outputs(study: Study, out: Path) -> list[Path]:
-    """Write the tables of a study, and return which files were written.
+def write(study: Study, out: Path) -> list[Path]:
+    """Write the tables and charts of a study into its folder, and return which files were written.
 
-    study.csv has a row a cell; study.parquet the same, where pyarrow is installed; summary.md and
-    summary.tex tables for people; ioh/ the runs for IOHprofiler, where termsel-bench is;
-    report.html a page of tables and charts, and figures/ the charts, where altair is.
+    summary.md and summary.tex are tables for people; report.html is a page of tables and charts,
+    and figures/ has the charts, where altair is installed.
     """
-    pages = {"study.csv": csv_of(study.rows, study.columns), "summary.md": markdown(study),
-             "summary.tex": latex(study)}
-    for name, text in pages.items():
-        write_text(out / name, text)
-    written = [out / name for name in pages]
-    if find_spec("pandas") and find_spec("pyarrow"):
-        with atomic_path(out / "study.parquet") as path:
-            study.to_pandas().to_parquet(path, index=False)
-        written.insert(1, out / "study.parquet")
+    pages = {"summary.md": markdown(study), "summary.tex": latex(study)}
     drawn = find_spec("altair") and find_spec("vl_convert")
     charts = figures_of(study) if drawn else []
     if drawn:
-        write_text(out / REPORT, report(study, charts))
-        written.append(out / REPORT)
-    if study.spec.strategies == ("auto",):
-        return written
-    files: dict[str, str] = {}
-    if find_spec("termsel_bench"):
-        from termsel_bench.ioh import ioh_files
-
-        files = dict(ioh_files(group(study.rows, study.records, study.spec.measure)))
-    for name, text in files.items():
-        (out / "ioh" / name).parent.mkdir(parents=True, exist_ok=True)
-        write_text(out / "ioh" / name, text)
+        pages[REPORT] = report(study, charts)
+    for name, text in pages.items():
+        write_text(out / name, text)
+    written = [out / name for name in pages]
     for one in charts:
         path = out / "figures" / f"{one.name}.svg"
         path.parent.mkdir(exist_ok=True)
@@ -123,4 +109,4 @@ def write_outputs(study: Study, out: Path) -> list[Path]:
             log.warning("%s", error)
             continue
         written.append(path)
-    return [*written, *[out / "ioh"] * bool(files)]
+    return written

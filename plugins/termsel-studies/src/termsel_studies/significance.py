@@ -9,9 +9,8 @@ from itertools import combinations
 
 import numpy as np
 
-from termsel.measurements.features import FloatArray
-from termsel.studies.statistics.groups import Groups
-from termsel.studies.statistics.summaries import quantiles
+from termsel.toolkit import FloatArray, Groups
+from termsel_studies.summaries import quantiles
 
 SIGNIFICANCE = 0.05
 """Significance level of all tests."""

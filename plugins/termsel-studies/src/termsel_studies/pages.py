@@ -5,15 +5,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from termsel.errors import counted
-from termsel.report.blocks import TableBlock
-from termsel.studies.cells.table import Row
-from termsel.studies.statistics.claims import claims
-from termsel.studies.statistics.fronts import front_figures
-from termsel.studies.statistics.groups import Groups, group
-from termsel.studies.statistics.significance import compare_methods, effect_size, medians_of
-from termsel.studies.statistics.summaries import Summary, summaries
-from termsel.studies.study import Study
+from termsel import Study, TableBlock
+from termsel.toolkit import Groups, Row, counted, group
+from termsel_studies.claims import claims
+from termsel_studies.fronts import front_figures
+from termsel_studies.significance import compare_methods, effect_size, medians_of
+from termsel_studies.summaries import Summary, summaries
 
 
 def tables_of(study: Study) -> tuple[list[TableBlock], list[str]]:

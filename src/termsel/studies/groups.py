@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from termsel.studies.cells.journal import CellRecord
 from termsel.studies.cells.table import WAITING, Row
@@ -36,7 +37,6 @@ class Groups:
         """Instances that every method was run on."""
         return [name for name, by_method in self.instances.items()
                 if set(by_method) == set(self.methods)]
-
 
     @property
     def objectives(self) -> list[str]:
@@ -72,6 +72,11 @@ def group(rows: Sequence[Row], records: Mapping[str, CellRecord],
         runs.records.append(records[row["cell"]])
     methods = dict.fromkeys(name for by_method in instances.values() for name in by_method)
     return Groups(measure, instances, tuple(methods))
+
+
+def length(figures: Mapping[str, Any]) -> float:
+    """Return the evaluations of a run by its figures, those of the local refinement included."""
+    return float(figures.get("evaluations") or 0)
 
 
 def _measure(rows: Sequence[Row]) -> str:

@@ -13,12 +13,12 @@ import pytest
 from msgspec import structs
 
 import termsel
-from termsel.studies.cells.journal import CellRecord
-from termsel.studies.shown.pages import latex, markdown, tables_of
-from termsel.studies.statistics.claims import claims, size_in_words
-from termsel.studies.statistics.fronts import front_figures, indicators, non_dominated
-from termsel.studies.statistics.groups import Groups, Runs, group
-from termsel.studies.statistics.significance import (
+from termsel.toolkit import CellRecord, FloatArray, Groups, Runs, group
+from termsel_bench.ioh import ioh_files
+from termsel_studies.claims import claims, size_in_words
+from termsel_studies.fronts import front_figures, indicators, non_dominated
+from termsel_studies.pages import latex, markdown, tables_of
+from termsel_studies.significance import (
     compare_methods,
     critical_difference,
     effect_size,
@@ -26,7 +26,7 @@ from termsel.studies.statistics.significance import (
     performance_profile,
     signed_rank,
 )
-from termsel.studies.statistics.summaries import (
+from termsel_studies.summaries import (
     bands,
     ecdf,
     expected_running_time,
@@ -36,7 +36,6 @@ from termsel.studies.statistics.summaries import (
     targets_of,
     wilson,
 )
-from termsel_bench.ioh import ioh_files
 
 # Demšar 2006, table 6: AUC of C4.5, C4.5+m, C4.5+cf and C4.5+m+cf on 14 data sets. The paper ranks
 # the two that it prints as 0.975 as if they differed.
@@ -46,6 +45,7 @@ DEMSAR = np.array([
     [.661, .668, .609, .685], [.583, .583, .563, .625], [.775, .838, .866, .875],
     [1.00, 1.00, 1.00, 1.00], [.940, .962, .965, .962], [.619, .666, .614, .669],
     [.972, .981, .97501, .975], [.957, .978, .946, .970]])
+NO_RECORD = CellRecord("c", "done", "", {}, [], [])
 NAMES = ("C4.5", "C4.5+m", "C4.5+cf", "C4.5+m+cf")
 
 
@@ -106,8 +106,11 @@ def test_holm_agrees_with_statsmodels() -> None:
 def test_signed_rank_counts_a_method_without_result_as_worst() -> None:
     # Six differences of one sign: p = 2 / 2^6.
     one = np.array([1.0, 2, 3, 4, 5, 6])
-    assert signed_rank(one, one + np.arange(1, 7)) == (pytest.approx(2 / 64), True)
-    assert signed_rank(one + np.arange(1, 7), one) == (pytest.approx(2 / 64), False)
+    other = one + np.arange(1, 7)
+    for lower, pair in ((True, (one, other)), (False, (other, one))):
+        p, is_lower = signed_rank(*pair)
+        assert p == pytest.approx(2 / 64)
+        assert is_lower is lower
     assert signed_rank(one, np.full(6, np.inf))[0] < 0.05
     assert signed_rank(one, one)[0] == 1.0
     both = np.full(6, np.inf)
@@ -208,7 +211,7 @@ def test_the_reference_is_the_front_that_was_proven_whichever_run_it_was() -> No
     assert found[0].igd_plus == 0 < found[1].igd_plus
 
 
-def _groups(medians: np.ndarray) -> Groups:  # type: ignore[type-arg]
+def _groups(medians: FloatArray) -> Groups:
     names = [f"m{i}" for i in range(medians.shape[1])]
     return Groups("independent", {
         f"i{j}": {name: Runs([], [value]) for name, value in zip(names, row, strict=True)}
@@ -224,7 +227,7 @@ def _row(state: str = "done", **given: object) -> dict[str, object]:
 def test_what_failed_is_counted_as_worst_and_what_waits_is_not_counted() -> None:
     rows = [_row(), _row("failed", fitness=None), _row("infeasible", fitness=None),
             _row("waiting", fitness=None)]
-    groups = group(rows, {"c": {}})
+    groups = group(rows, {"c": NO_RECORD})
     runs = groups.instances["p"]["ga"]
     assert runs.values == [1.0, np.inf, np.inf]
     assert "Without a result, and counted as worst: 2 of 4 cells." in claims(groups, None, rows)
@@ -234,7 +237,7 @@ def test_problems_with_models_of_their_own_are_compared_by_their_fitness() -> No
     own = {"a": ("poly2d", "check-rmse"), "b": ("rfm", "press"), "c": ("rfm", "press")}
     rows = [_row(problem=name, model=model, criterion=criterion, objective=criterion, solver=solver)
             for name, (model, criterion) in own.items() for solver in ("ga", "swap", "ga", "swap")]
-    groups = group(rows, {"c": {}})
+    groups = group(rows, {"c": NO_RECORD})
     assert groups.measure == "fitness"
     assert groups.methods == ("ga", "swap")
     assert list(groups.instances) == list(own)
@@ -244,7 +247,7 @@ def test_problems_with_models_of_their_own_are_compared_by_their_fitness() -> No
     # Models that are named are methods, and their fitness is not the accuracy.
     named = [_row(model=model, solver=solver, independent=1.0)
              for model in ("poly2d", "rfm") for solver in ("ga", "swap")]
-    groups = group(named, {"c": {}})
+    groups = group(named, {"c": NO_RECORD})
     assert groups.measure == "independent"
     assert groups.methods == ("poly2d, ga", "poly2d, swap", "rfm, ga", "rfm, swap")
 
@@ -293,7 +296,7 @@ def test_a_claim_has_the_direction_of_the_ranks_that_were_tested() -> None:
 
 def test_ratios_of_what_is_below_zero_are_not_drawn(study: termsel.Study) -> None:
     pytest.importorskip("altair")
-    from termsel.studies.shown.figures import figures_of
+    from termsel_studies.figures import figures_of
 
     records = {key: structs.replace(one, figures={**one.figures, "fitness": -1.0})
                for key, one in study.records.items()}
@@ -379,11 +382,11 @@ def test_iohinspector_reads_the_data(study: termsel.Study, tmp_path: Path) -> No
 def test_parquet_and_csv_hold_the_same(study: termsel.Study, tmp_path: Path) -> None:
     pd = pytest.importorskip("pandas")
     pytest.importorskip("pyarrow")
-    from termsel.studies.shown.report import write_outputs
+    from termsel.studies.outputs import write_outputs
 
     written = write_outputs(study, tmp_path)
     assert [path.name for path in written if path.suffix != ".svg"] == [
-        "study.csv", "study.parquet", "summary.md", "summary.tex", "report.html", "ioh"]
+        "study.csv", "study.parquet", "ioh", "summary.md", "summary.tex", "report.html"]
     csv, parquet = pd.read_csv(tmp_path / "study.csv"), pd.read_parquet(tmp_path / "study.parquet")
     assert list(csv.columns) == list(parquet.columns) == list(study.columns)
     assert len(csv) == len(parquet) == len(study.cells)
@@ -392,7 +395,7 @@ def test_parquet_and_csv_hold_the_same(study: termsel.Study, tmp_path: Path) -> 
 
 def test_figures_are_those_that_the_runs_allow(study: termsel.Study) -> None:
     pytest.importorskip("altair")
-    from termsel.studies.shown.figures import alike, critical_differences, figures_of
+    from termsel_studies.figures import alike, critical_differences, figures_of
 
     found = {one.name: one.chart for one in figures_of(study)}
     assert set(found) == {"ecdf-evaluations", "ecdf-cpu-seconds", "convergence",
@@ -411,7 +414,7 @@ def test_figures_are_those_that_the_runs_allow(study: termsel.Study) -> None:
 def test_the_page_of_a_study_says_what_its_summary_says(study: termsel.Study,
                                                         tmp_path: Path) -> None:
     pytest.importorskip("vl_convert")
-    from termsel.studies.shown.report import write_outputs
+    from termsel.studies.outputs import write_outputs
 
     write_outputs(study, tmp_path)
     page = unescape((tmp_path / "report.html").read_text())

@@ -7,27 +7,29 @@ from typing import Any
 
 import numpy as np
 
-from termsel.report.blocks import Figure
-from termsel.report.charts.search import with_unit
-from termsel.report.theme import (
+from termsel import Study
+from termsel.toolkit import (
     CONTROL,
     FAINT,
     INK,
     METHODS,
     WIDTH,
+    Figure,
+    Groups,
     data,
+    group,
+    length,
     require_altair,
     spread_scale,
+    with_unit,
 )
-from termsel.studies.statistics.groups import Groups, group
-from termsel.studies.statistics.significance import (
+from termsel_studies.significance import (
     Comparison,
     compare_methods,
     medians_of,
     performance_profile,
 )
-from termsel.studies.statistics.summaries import bands, ecdf, hit, length, optimum_of, targets_of
-from termsel.studies.study import Study
+from termsel_studies.summaries import bands, ecdf, hit, optimum_of, targets_of
 
 _DASHES = ([1, 0], [6, 3], [2, 2])
 

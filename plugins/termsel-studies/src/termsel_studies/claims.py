@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from termsel.errors import counted
-from termsel.studies.cells.table import Row
-from termsel.studies.plan.spec import MEASURES
-from termsel.studies.statistics.groups import Groups
-from termsel.studies.statistics.significance import FEWEST, SIGNIFICANCE, Comparison, effect_size
-from termsel.studies.statistics.summaries import quantiles
+from termsel.toolkit import MEASURES, Groups, Row, counted
+from termsel_studies.significance import FEWEST, SIGNIFICANCE, Comparison, effect_size
+from termsel_studies.summaries import quantiles
 
 _MOST_NAMED = 6
 """Methods without runs on an instance that are named one by one."""
