@@ -121,7 +121,7 @@ def test_parts_of_plugins_are_asked_for_and_what_is_none_is_told(install, regist
         def termsel_parts(): return ["study"]""")
     known = registry()
     assert [(part.place, part.value) for part in known.parts()] == [("study", 1), ("scheduler", 2)]
-    assert "termsel_parts: returned an object of type str, not a Part" in capsys.readouterr().err
+    assert "returned an object of type str, not a Part" in capsys.readouterr().err
 
 
 def test_a_plugin_provides_a_model(install, registry):
