@@ -210,6 +210,6 @@ def pickled(thing: Subject) -> Subject:
     try:
         copy: Subject = pickle.loads(pickle.dumps(thing))
     except (pickle.PicklingError, AttributeError, TypeError) as error:
-        raise AssertionError(f"it cannot be sent to another process: {error}; define the class "
-                             "in a module, and keep no functions or open files in it") from error
+        raise AssertionError(f"it cannot be sent to another process: {error}; define the class or "
+                             "function in a module, and keep no open files in it") from error
     return copy
