@@ -19,6 +19,7 @@ from benchmarks.sets import ROOT
 
 PAGES: dict[str, tuple[str, ...]] = {
     "normalisation": ("normalisation",),
+    "intervals": ("intervals",),
     "overfitting": ("overfitting",),
     "coordinates": ("coordinates",),
     "paper-konugurthi": ("paper_tables", "konugurthi"),
