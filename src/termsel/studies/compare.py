@@ -118,8 +118,8 @@ def compare(
             log.warning("%s run again, as data, options, budget or code changed since.",
                         counted(len(changed), "finished cell"))
         if foreign := len(journal.records) - len(finished):
-            log.warning("%s finished cells of an earlier form of the study are kept in the "
-                        "journal and take no part.", foreign)
+            log.warning("The journal keeps %s of an earlier form of the study without using %s.",
+                        counted(foreign, "finished cell"), "it" if foreign == 1 else "them")
         for observe in observers:
             observe(tally.progress())
         waiting = [cell for cell in cells if cell.key not in finished]
