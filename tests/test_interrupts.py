@@ -35,9 +35,9 @@ from termsel.files import atomic
 from termsel.files.atomic import write_text
 from termsel.files.rasters import tiff_bytes
 from termsel.formats.writers.grids import GeolocationVrt
-from termsel.formats.writers.residuals import ResidualsGeopackage
 from termsel.io.result_folder import claimed, read_result, write_result
 from termsel.testing import example_results
+from termsel_formats.maps.residuals import ResidualsGeopackage
 
 WAYS = {"SIGKILL": "-9", "SIGTERM": "-15", "SIGINT": "interrupted", "ENOSPC": "refused",
         "SIGXFSZ": "-25", "EFBIG": "refused"}

@@ -23,7 +23,6 @@ from termsel.formats.readers.csv_tables import LinesCsv, PointsCsv
 from termsel.formats.rpc_files import read_rpc, rpb_text
 from termsel.formats.vrt import picture_for
 from termsel.formats.writers.grids import GcpGridVrt, GeolocationVrt
-from termsel.formats.writers.residuals import ResidualsGeopackage
 from termsel.formats.writers.rpcs import (
     Rpb,
     RpcTxt,
@@ -42,6 +41,7 @@ from termsel.measurements.features import FeatureSet, Points
 from termsel.models.rpc_fit import rpc_of
 from termsel.results.result import Result
 from termsel.testing import Check, checks, example_results
+from termsel_formats.maps.residuals import ResidualsGeopackage
 
 pytestmark = pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
 rasterio = pytest.importorskip("rasterio")

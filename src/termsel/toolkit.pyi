@@ -20,6 +20,7 @@ from .cli.tables import print_json as print_json
 from .cli.tables import print_table as print_table
 from .display.quiet import quieted as quieted
 from .enumeration.features.walk import RowSystem as RowSystem
+from .errors import GIS as GIS
 from .errors import counted as counted
 from .errors import raised as raised
 from .errors import requires as requires
@@ -45,6 +46,7 @@ from .fits.figures import in_role as in_role
 from .fits.figures import rmse_record as rmse_record
 from .fits.least_squares import LeastSquares as LeastSquares
 from .fits.residuals import Rmse as Rmse
+from .fits.scene import errors_on_ground as errors_on_ground
 from .formats.base import IMAGE_NAME as IMAGE_NAME
 from .formats.base import image_of as image_of
 from .formats.base import located as located
@@ -52,6 +54,7 @@ from .formats.base import read_text as read_text
 from .formats.deviation import GDALWARP as GDALWARP
 from .formats.deviation import places_of as places_of
 from .formats.deviation import say_deviation as say_deviation
+from .formats.deviation import say_measured as say_measured
 from .formats.deviation import say_nearest as say_nearest
 from .formats.heights import surface_of as surface_of
 from .formats.readers.gdal_gcps import points_of as points_of
@@ -93,6 +96,8 @@ from .measurements.features import no_lines as no_lines
 from .measurements.features import select as select
 from .measurements.roles import ASSIGNABLE as ASSIGNABLE
 from .measurements.scaling import scaling_of as scaling_of
+from .measurements.tables.attributes import TextArray as TextArray
+from .measurements.tables.attributes import distinct as distinct
 from .measurements.twins import twins as twins
 from .models.poles import guard_points as guard_points
 from .models.poles import pole_violation as pole_violation
@@ -127,8 +132,11 @@ from .report.small import small_map as small_map
 from .report.text import text_of as text_of
 from .report.theme import CONTROL as CONTROL
 from .report.theme import FAINT as FAINT
+from .report.theme import GROUND as GROUND
 from .report.theme import INK as INK
 from .report.theme import METHODS as METHODS
+from .report.theme import ROLE_COLOURS as ROLE_COLOURS
+from .report.theme import ROLE_SHAPES as ROLE_SHAPES
 from .report.theme import WIDTH as WIDTH
 from .report.theme import data as data
 from .report.theme import require_altair as require_altair

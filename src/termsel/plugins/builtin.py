@@ -119,7 +119,6 @@ def termsel_readers() -> Iterable[type[Reader]]:
 def termsel_writers() -> Iterable[type[Writer]]:
     """Return the built-in writers."""
     from termsel.formats.writers.grids import GcpGridVrt, GeolocationVrt
-    from termsel.formats.writers.residuals import ResidualsGeopackage
     from termsel.formats.writers.rpcs import Rpb, RpcTxt, RpcVrt
     from termsel.formats.writers.selections import (
         GcpVrt,
@@ -130,4 +129,4 @@ def termsel_writers() -> Iterable[type[Writer]]:
     )
 
     return [Rpb, RpcTxt, RpcVrt, GcpGridVrt, GeolocationVrt, QgisPointsWriter, GcpVrt,
-            OrthorityGeojson, PointsTable, LinesTable, ResidualsGeopackage]
+            OrthorityGeojson, PointsTable, LinesTable]

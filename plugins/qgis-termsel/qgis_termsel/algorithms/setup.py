@@ -15,7 +15,7 @@ from qgis.core import (
 from ..child import SETTING, command_in, own_environment, run
 from .base import FOLDER, Algorithm
 
-_PACKAGES = "termsel[gis,report,tables] termsel-rpc"
+_PACKAGES = "termsel[gis,report,tables] termsel-formats termsel-rpc"
 _PYTHONS = ("python3.13", "python3.12", "python3.11", "python3", "python")
 # Debian has these two modules in a package of their own, without which no environment can be made.
 _SUITS = "import ensurepip, venv, sys; sys.exit(sys.version_info < (3, 11))"

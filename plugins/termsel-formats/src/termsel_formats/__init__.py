@@ -51,7 +51,8 @@ def termsel_readers() -> Iterable[type[Reader]]:
 
 @hookimpl
 def termsel_writers() -> Iterable[type[Writer]]:
-    """Return the writers of points, and of the affine map."""
+    """Return the writers of residuals, of points, and of the affine map."""
+    from termsel_formats.maps.residuals import ResidualsGeopackage
     from termsel_formats.points.erdas import ErdasGcpsWriter
     from termsel_formats.points.gdal_files import GcpTiff, PamGcpsWriter
     from termsel_formats.points.mapinfo import MapInfoTabWriter
@@ -61,5 +62,5 @@ def termsel_writers() -> Iterable[type[Writer]]:
     from termsel_formats.points.pix4d import Pix4dMarksWriter
     from termsel_formats.points.world import WorldFileWriter
 
-    return [GcpTiff, PamGcpsWriter, WorldFileWriter, MapInfoTabWriter, OziMapWriter,
-            MetashapeMarkersWriter, Pix4dMarksWriter, ErdasGcpsWriter, PciGcpWriter]
+    return [ResidualsGeopackage, GcpTiff, PamGcpsWriter, WorldFileWriter, MapInfoTabWriter,
+            OziMapWriter, MetashapeMarkersWriter, Pix4dMarksWriter, ErdasGcpsWriter, PciGcpWriter]

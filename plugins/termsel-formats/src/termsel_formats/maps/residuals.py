@@ -8,17 +8,20 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from termsel.errors import GIS, TermselError, requires
-from termsel.files.atomic import private_folder, write_bytes
-from termsel.fits.scene import errors_on_ground
-from termsel.formats.base import Writer
-from termsel.formats.deviation import say_measured
-from termsel.formats.writers.qgis_style import OPTIONS, TABLE, styles
-from termsel.measurements.coordinates.crs import horizontal
-from termsel.measurements.features import FloatArray
-from termsel.measurements.tables.attributes import TextArray, distinct
-from termsel.options import Option
-from termsel.results.result import Result
+from termsel import Option, Result, TermselError, Writer
+from termsel.toolkit import (
+    GIS,
+    FloatArray,
+    TextArray,
+    distinct,
+    errors_on_ground,
+    horizontal,
+    private_folder,
+    requires,
+    say_measured,
+    write_bytes,
+)
+from termsel_formats.maps.qgis_style import OPTIONS, TABLE, styles
 
 _VERSION = {"VERSION": "1.3"}  # which GDAL 3.6 and QGIS 3.22 read without a warning
 _SHARE = 0.03  # of the map's extent, for the median vector

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.report.theme import GROUND, ROLE_COLOURS, ROLE_SHAPES
+from termsel.toolkit import GROUND, ROLE_COLOURS, ROLE_SHAPES
 
 TABLE = "layer_styles"
 OPTIONS = {"FID": "id"}
