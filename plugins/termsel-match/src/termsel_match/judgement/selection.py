@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import termsel
-from termsel import FeatureSet, Fit, Points, Result, TermselError
+from termsel import FeatureSet, Fit, Lines, Points, Result, TermselError
 from termsel.toolkit import write_result
 from termsel_match.images.rasters import FloatArray, Mask
 from termsel_match.images.starts import turned
@@ -164,10 +164,15 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
     agrees = _errors(fit, points) <= limit
     _require(agrees, roles, len(fit.terms) // 2)
     kept = with_roles.with_(points=with_roles.points.take(agrees))
-    result = _told(termsel.run("owdis-points", features=kept, model=chosen.model,
-                               solver="all-terms", options=dict(chosen.options), seed=seed,
-                               out=out), out)
+    result = _told(termsel.run(
+        "owdis-points", features=kept, model=chosen.model, solver="all-terms",
+        options={**chosen.options, "min_features": _control(kept.points)}, seed=seed, out=out), out)
     return Selected(result, agrees, independent, limit, points, chosen)
+
+
+def _control(features: Points | Lines) -> int:
+    """Return the number for control: all are used, so there is no better selection to prove."""
+    return features.roles.count("control")
 
 
 def _require(agrees: Mask, roles: Any, least: int) -> None:
@@ -217,7 +222,9 @@ def with_lines(selected: Selected, lines: FeatureSet, *, seed: int = 1,
             hint="Are the vectors where the reference is?")
     result = _told(termsel.run(
         "owdis-lines", features=both, model=model, solver="all-terms",
-        options={**options, "mixed": True}, seed=seed, out=out, overwrite=True), out)
+        options={**options, "mixed": True,
+                 "min_features": _control(both.points) + _control(both.lines)},
+        seed=seed, out=out, overwrite=True), out)
     return replace(selected, result=result)
 
 
