@@ -23,6 +23,7 @@ from benchmarks.verdicts import BAD, PASSED, REFUSED, Repeated, verdict
 from termsel import FeatureSet, Points, TermselError, read, write_points_csv
 from termsel_match.chain import georeference, judge
 from termsel_match.images.rasters import GreyRaster, open_picture
+from termsel_match.judgement.along import along
 from termsel_match.judgement.evidence import other_place, structure, unsupported
 from termsel_match.judgement.repeats import repetition
 from termsel_match.judgement.selection import select_points
@@ -57,6 +58,25 @@ def test_the_limit_does_not_grow_with_a_fault_of_the_reference(place: Any) -> No
         limit = select_points(measured(place, 5.0), "rpc-drift",
                               {"rpc": str(place / "image.RPB")}, accept=accept).limit
         assert limit <= accept
+
+
+@pytest.mark.parametrize(("seam", "before", "step"), [
+    (0.0, 0, False), (1.0, 300, True), (4.0, 400, True)])
+def test_a_smooth_correction_that_follows_a_seam_is_remarked(
+        place: Any, seam: float, before: int, step: bool) -> None:
+    points, rng = place.world.independent(), np.random.default_rng(2)
+    image = points.image + rng.normal(0, 0.15, points.image.shape)
+    image[points.image[:, 0] > before] += seam * np.array([0.6, -0.8])
+    features = FeatureSet(replace(points, image=image, roles=()), crs=CRS, image_size=(500, 500))
+    chosen = select_points(features, "rpc-drift", {"rpc": str(place / "image.RPB")})
+    change = along(chosen, chosen.points.take(chosen.agrees), 500)
+    assert change.matters(2.0) == step
+    certificate = chosen.result.certificate
+    assert certificate is not None and certificate.of == 1  # all are used: nothing to prove
+    if step:  # by the correction alone: it leaves few residuals
+        assert chosen.correction.model == "rpc-jitter"
+        assert abs(change.line - before) < 60
+        assert change.away @ np.array([0.6, -0.8]) > 0.4 * seam
 
 
 @pytest.mark.parametrize("seam", [2.0, 7.8])

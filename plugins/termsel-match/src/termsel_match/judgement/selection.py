@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import termsel
-from termsel import FeatureSet, Fit, Lines, Points, Result, TermselError
+from termsel import FeatureSet, Fit, Points, Result, TermselError
 from termsel.toolkit import write_result
 from termsel_match.images.rasters import FloatArray, Mask
 from termsel_match.images.starts import turned
@@ -166,13 +166,14 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
     kept = with_roles.with_(points=with_roles.points.take(agrees))
     result = _told(termsel.run(
         "owdis-points", features=kept, model=chosen.model, solver="all-terms",
-        options={**chosen.options, "min_features": _control(kept.points)}, seed=seed, out=out), out)
+        options={**chosen.options, **_all_used(kept)}, seed=seed, out=out), out)
     return Selected(result, agrees, independent, limit, points, chosen)
 
 
-def _control(features: Points | Lines) -> int:
-    """Return the number for control: all are used, so there is no better selection to prove."""
-    return features.roles.count("control")
+def _all_used(features: FeatureSet) -> dict[str, Any]:
+    """Return options by which all control is used: there is no better selection to prove."""
+    control = features.points.take(np.array(features.points.roles, dtype=object) == "control")
+    return {"min_features": len(features.with_(points=control)), "blunders": "keep"}
 
 
 def _require(agrees: Mask, roles: Any, least: int) -> None:
@@ -222,9 +223,8 @@ def with_lines(selected: Selected, lines: FeatureSet, *, seed: int = 1,
             hint="Are the vectors where the reference is?")
     result = _told(termsel.run(
         "owdis-lines", features=both, model=model, solver="all-terms",
-        options={**options, "mixed": True,
-                 "min_features": _control(both.points) + _control(both.lines)},
-        seed=seed, out=out, overwrite=True), out)
+        options={**options, "mixed": True, **_all_used(both)}, seed=seed, out=out, overwrite=True),
+        out)
     return replace(selected, result=result)
 
 

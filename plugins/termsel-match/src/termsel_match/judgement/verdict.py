@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from termsel import FeatureSet, Points
+from termsel import Points
 from termsel_match.images.rasters import FloatArray, Mask, grid
 from termsel_match.images.starts import Heights, turned
+from termsel_match.judgement.along import Along, along
 from termsel_match.judgement.evidence import (
     LEVEL,
     OtherPlace,
@@ -20,7 +21,6 @@ from termsel_match.judgement.evidence import (
 )
 from termsel_match.judgement.repeats import ALIKE
 from termsel_match.judgement.selection import AGREEING, NEAR, TOLERANCE, Selected
-from termsel_match.judgement.structures import Correction
 from termsel_match.lines.rounds import Matched, rms_distance
 from termsel_match.points.candidates import Candidates
 
@@ -55,8 +55,8 @@ class Evidence:
         From the start to the candidates that agree, line and sample [px].
     pixel : float
         Size of a pixel on the ground [m].
-    along : float
-        RMS by which a correction that is smooth along the lines differs from a drift [px].
+    along : Along
+        By how much a correction that is smooth along the lines differs from a drift.
     repetition : tuple of float
         Distance at which the reference is like itself [px of it], and how much (`repetition`).
     """
@@ -68,7 +68,7 @@ class Evidence:
     other: OtherPlace | None
     correction: FloatArray | None
     pixel: float
-    along: float
+    along: Along
     repetition: tuple[float, float]
 
 
@@ -107,7 +107,7 @@ def evidence_of(candidates: Candidates, selected: Selected, heights: Heights, sh
         structure(points.image[near], residuals[near], 2 * selected.limit, size,
                   np.random.default_rng([seed, 2])),
         other_place(points.image[far], residuals[far], TOLERANCE, size), correction,
-        _pixel(agree, candidates.crs), _along(selected, agree), repetition)
+        _pixel(agree, candidates.crs), along(selected, agree, size[0]), repetition)
 
 
 def remarks(candidates: Candidates, selected: Selected, evidence: Evidence,
@@ -130,10 +130,11 @@ def remarks(candidates: Candidates, selected: Selected, evidence: Evidence,
         said.append(f"The reference repeats itself at a distance of {distance:.0f} of its pixels "
                     f"(correlation {alike:.2f}). If the start is off by half of that, the map may "
                     "be of another place.")
-    if evidence.along > _STRUCTURE * accept:
-        said.append(f"The correction changes along the lines by {evidence.along:.2f} px (RMS, "
-                    "compared with a drift). Jitter of the attitude does so, and so do seams of "
-                    "the reference.")
+    if evidence.along.matters(accept):
+        said.append(f"The correction changes along the lines by {evidence.along.size:.2f} px (RMS, "
+                    "compared with a drift). It changes most near line "
+                    f"{evidence.along.line:.0f}, {_vector(evidence.along.away)}. Jitter of the "
+                    "attitude does so, and so do seams of the reference.")
     bare, where = evidence.bare
     if bare > _BARE:
         said.append(f"No candidate agrees in {100 * bare:.0f} % of what image and reference show, "
@@ -267,17 +268,6 @@ def _matters(evidence: Evidence, accept: float) -> bool:
     """Return whether the structure of residuals is neither by chance nor too small to matter."""
     found = evidence.structure
     return found is not None and found.level <= LEVEL and found.size > _STRUCTURE * accept
-
-
-def _along(selected: Selected, agree: Points) -> float:
-    """Return the RMS by which a correction along the lines differs from a drift [px]."""
-    chosen = selected.correction
-    if chosen.model != "rpc-jitter":
-        return 0.0
-    drift = Correction("rpc-drift", {"rpc": chosen.options["rpc"]}).fit(
-        FeatureSet(agree, crs=selected.result.features.crs)).project(agree.ground)
-    away = drift - selected.result.project(agree.ground)
-    return float(np.sqrt((away**2).sum(axis=1).mean()))
 
 
 def _vector(away: tuple[float, float]) -> str:
