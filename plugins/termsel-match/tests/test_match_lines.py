@@ -33,6 +33,7 @@ from termsel_match.lines.certainty import (
 )
 from termsel_match.lines.problem import RECIPE
 from termsel_match.lines.rounds import iterate_lines
+from termsel_match.lines.vectors import pieces_of
 
 CHECKS = (*checks(match_lines, words=["none.tif", "--vectors", "none.gpkg"]),
           *checks(RECIPE))
@@ -259,6 +260,13 @@ def test_a_start_beyond_the_search_is_no_success(place: Any) -> None:
         iterate_lines(place / "image.tif", place / "roads.gpkg", "rpc-drift",
                       {"rpc": str(place / "image.RPB")}, dem=place / "dem.tif", start=far,
                       search=30)
+
+
+def test_an_image_of_one_pixel_shows_no_lines(place: Any) -> None:
+    start = start_of(place / "image.RPB", place / "image.tif")
+    assert start is not None
+    with pytest.raises(TermselError, match="1 x 1 px shows no lines"):
+        pieces_of(place / "roads.gpkg", start, place / "dem.tif", (1, 1))
 
 
 def test_points_are_refused(place: Any) -> None:

@@ -65,10 +65,13 @@ def pieces_of(path: Path | str, start: Start, dem: Path | str | None, size: tupl
     ------
     TermselError
         If the file cannot be read, has no CRS or no lines, the DEM does not cover the vectors, or
-        none of them is in the image.
+        none of them is in the image; or if the image has a single line or sample.
     """
     from pyproj import CRS, Transformer
 
+    if min(size) < 2:
+        raise TermselError(f"an image of {size[0]} x {size[1]} px shows no lines",
+                           hint="Give the whole image, or a larger part of it.")
     lines, crs = read_vectors(Path(path))
     to_start = Transformer.from_crs(CRS.from_user_input(crs).to_2d(),
                                     CRS.from_user_input(start.crs).to_2d(), always_xy=True)
