@@ -11,6 +11,7 @@ from termsel_block.cameras import Camera
 from termsel_block.control import OwnControl
 from termsel_block.equations import Seen, Shared, Solved, pairs, solve
 from termsel_block.frame import FloatArray
+from termsel_block.growing import CHANCE, chance_of
 from termsel_block.unknowns import Adjusted, Heights, Measured, State
 
 WRONG = 4.0
@@ -59,7 +60,7 @@ def adjust_block(state: State, measured: Sequence[Measured], control: Sequence[O
     image's groups of columns, are estimated from the residuals and posterior moments (MacKay 1992:
     Bayesian interpolation, section 2.4), those of an image drawn to what all images of its kind
     say. A group whose Bayes factor, by the ratio of Savage and Dickey over the whole block's
-    posterior, is below one is dropped.
+    posterior, is below one is dropped. Columns for jitter are tried where residuals call for them.
     """
     shared = pairs([part.tie for part in measured], len(state.ties))
     run = _Run(state, measured, control, heights, shared)
@@ -68,6 +69,8 @@ def adjust_block(state: State, measured: Sequence[Measured], control: Sequence[O
     state.control_in_use = state.control_in_use or [np.ones(len(part), bool) for part in control]
     steps = run.iterate(robust=True, limit=_STEPS, first=True,
                         report=lambda s: report(0.4 * s))
+    if run.grow(fixed):
+        steps += run.iterate(robust=True, limit=_STEPS, report=lambda s: report(0.4))
     evidence: list[dict[str, float]] = [{} for _ in state.cameras]
     for _ in range(2):
         if not run.drop(evidence, fixed):
@@ -289,6 +292,25 @@ class _Run:
                 variances[np.array(camera.groups) == name] = max(
                     (moment + _PRIOR_COUNT * typical) / (count + _PRIOR_COUNT), 1e-8)
             state.variances[i] = np.maximum(variances, np.square(camera.least))
+
+    def grow(self, fixed: Sequence[bool]) -> bool:
+        """Add columns to the images whose residuals call for them; return whether any do."""
+        state, grown = self.state, False
+        for i, (camera, mine, residual) in enumerate(zip(
+                state.cameras, self.measured, self.residuals()[0], strict=True)):
+            more = None if len(fixed) and fixed[i] else camera.grown()
+            if more is None or not len(mine.tie):
+                continue
+            had = len(camera.groups)
+            weight = soft(np.hypot(*residual.T) / state.sigma_ties) / state.sigma_ties**2
+            columns = more.first_order(state.ties[mine.tie])[1][:, had:]
+            if chance_of(columns, residual, weight) < CHANCE:
+                grown, state.cameras[i] = True, more
+                state.parameters[i] = np.concatenate(
+                    [state.parameters[i], np.zeros((len(more.groups) - had, 2))])
+                state.variances[i] = np.concatenate(
+                    [state.variances[i], np.square(more.spread[had:])])
+        return grown
 
     def drop(self, evidence: list[dict[str, float]], fixed: Sequence[bool]) -> bool:
         """Drop the groups that the evidence is against; return whether there were any."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from termsel import FeatureSet, Rpc
 from termsel_block.frame import FloatArray, IntArray
 
-CORRECTIONS = ("auto", "none", "shift", "drift", "affine")
+CORRECTIONS = ("auto", "none", "shift", "drift", "affine", "smooth")
 """What `model` of an image with an RPC may say."""
 
 

@@ -23,6 +23,9 @@ _EARTH = 6371e3
 _UNSURE = 0.3
 """Relative standard deviation of that distance."""
 
+_WAVES = 16
+"""Half waves of jitter along an image at most: ties seldom lie closer than 30 to an image."""
+
 POWERS = tuple(sorted((p for p in product(range(4), repeat=3) if sum(p) + p[2] <= 3),
                       key=lambda p: (sum(p), p)))
 """Exponents of x, y and z: cubic on the plane, heights by themselves and with x and y."""
@@ -73,6 +76,10 @@ class Camera(ABC):
         """Return the camera with a known part that suits parameters (m, 2)."""
         return self
 
+    def grown(self) -> Camera | None:
+        """Return the camera with further columns, which residuals may call for; None if none."""
+        return None
+
     @abstractmethod
     def area(self) -> tuple[FloatArray, FloatArray]:
         """Return middle (3,) and half widths (2,) of the ground in the image [m]."""
@@ -95,7 +102,13 @@ class Camera(ABC):
 class RpcCamera(Camera):
     """A vendor's RPC with a polynomial of line and sample added, as Grodecki and Dial 2003.
 
-    Columns are 1; l; s, with l and s the RPC's line and sample in half images.
+    Columns are 1; l; s, with l and s the RPC's line and sample in half images. For jitter of the
+    attitude a random function of the line follows, cosines of 1 to `_WAVES` half waves an image.
+
+    Notes
+    -----
+    Standard deviations of the cosines fall with the number of half waves, as those of an attitude
+    that wanders do. A cosine has no part in 1 and l, so that each group says what is new.
 
     References
     ----------
@@ -104,19 +117,27 @@ class RpcCamera(Camera):
     """
 
     COLUMNS = ("shift", "drift", "affine")
+    SMOOTH = "smooth"
     nested = True
 
     def __init__(self, rpc: Rpc, frame: Frame, groups: Sequence[str] = COLUMNS) -> None:
         self.rpc, self.frame = rpc, frame
         self.groups = tuple(groups)
         # A first guess that data may change a thousandfold: vendors are wrong by tens of px.
-        self.spread = tuple({"shift": 20.0, "drift": 2.0, "affine": 2.0}[name] for name in groups)
+        self.spread = tuple({"shift": 20.0, "drift": 2.0, "affine": 2.0, self.SMOOTH: 2.0}[name]
+                            for name in groups)
         self.least = (1e-4,) * len(self.groups)
 
     def only(self, keep: BoolArray) -> RpcCamera:
         """Return the camera with some of its columns."""
         return RpcCamera(self.rpc, self.frame, [name for name, kept in zip(
             self.groups, keep, strict=True) if kept])
+
+    def grown(self) -> RpcCamera | None:
+        """Return the camera with all groups; None if it has them."""
+        if self.SMOOTH in self.groups:
+            return None
+        return RpcCamera(self.rpc, self.frame, groups_of(self.SMOOTH))
 
     def area(self) -> tuple[FloatArray, FloatArray]:
         """Return middle and half widths of the RPC's area."""
@@ -130,9 +151,28 @@ class RpcCamera(Camera):
         """Return the RPC's line and sample, and the columns."""
         image = self.rpc.project(self.frame.geodetic(local))
         parts = (image - self.rpc.image_offset) / np.abs(self.rpc.image_scale)
-        columns = {"shift": np.ones(len(image)), "drift": parts[:, 0], "affine": parts[:, 1]}
-        return image, np.array([columns[name] for name in self.groups]).reshape(
-            len(self.groups), len(image)).T
+        polynomial = {"shift": np.ones(len(image)), "drift": parts[:, 0], "affine": parts[:, 1]}
+        columns = [polynomial[name] for name in self.groups if name != self.SMOOTH]
+        if self.SMOOTH in self.groups:
+            columns += list(_cosines(parts[:, 0]))
+        return image, np.array(columns).reshape(len(self.groups), len(image)).T
+
+
+def groups_of(correction: str) -> tuple[str, ...]:
+    """Return the group of each column of a correction, with all that it contains."""
+    if correction == RpcCamera.SMOOTH:
+        return (*RpcCamera.COLUMNS, *(RpcCamera.SMOOTH,) * _WAVES)
+    names = ("none", *RpcCamera.COLUMNS)
+    return RpcCamera.COLUMNS[:names.index(correction)]
+
+
+def _cosines(lines: FloatArray) -> FloatArray:
+    """Return functions (`_WAVES`, n) of lines in half images, each without its part in 1 and l."""
+    lines = np.clip(lines, -1.2, 1.2)  # beyond the image nothing wanders on
+    number = np.arange(1, _WAVES + 1)[:, None]
+    # The integral of cosine and line over that of the line's square.
+    linear = 6 * ((-1.0) ** number - 1) / (np.pi * number) ** 2
+    return np.asarray((np.cos(np.pi * number * (lines + 1) / 2) - linear * lines) / number)
 
 
 class PolynomialCamera(Camera):

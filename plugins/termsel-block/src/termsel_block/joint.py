@@ -12,15 +12,11 @@ import numpy as np
 from termsel import TermselError, open_dem
 from termsel_block.adjustment import adjust_block
 from termsel_block.block import Block
-from termsel_block.cameras import Camera, RpcCamera
+from termsel_block.cameras import Camera, groups_of
 from termsel_block.control import OwnControl, own_control
 from termsel_block.frame import FloatArray, Frame
 from termsel_block.starts import Given, start
 from termsel_block.unknowns import Adjusted, Heights, Measured
-
-_GROUPS = {"auto": RpcCamera.COLUMNS, "none": (), "shift": ("shift",), "drift": ("shift", "drift"),
-           "affine": RpcCamera.COLUMNS}
-
 
 @dataclass(frozen=True, eq=False)
 class BlockResult:
@@ -103,7 +99,8 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
             mine = block.ties.image == i
             given.append(Given(
                 image.name, Measured(block.ties.tie[mine], block.ties.place[mine]),
-                own_control(image.features, frame), image.rpc, _GROUPS[image.model]))
+                own_control(image.features, frame), image.rpc,
+                groups_of("affine" if image.model == "auto" else image.model)))
         state = start(given, len(block.ties.names), frame, heights)
         adjusted = adjust_block(
             state, [image.measured for image in given], [image.control for image in given],

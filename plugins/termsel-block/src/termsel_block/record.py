@@ -39,7 +39,7 @@ class ImageRecord(msgspec.Struct, frozen=True):
 
     name: str
     model: str
-    """Correction of the RPC: none, shift, drift or affine; or "polynomial"."""
+    """Correction of the RPC: none, shift, drift, affine or smooth; or "polynomial"."""
     evidence: dict[str, float]
     """Logarithm of the Bayes factor of each part of the model that was weighed."""
     control: int
@@ -137,7 +137,7 @@ def correction_of(result: BlockResult, i: int) -> str:
     camera = result.camera(i)
     if not isinstance(camera, RpcCamera):
         return "polynomial"
-    return next((name for name in reversed(RpcCamera.COLUMNS) if name in camera.groups), "none")
+    return camera.groups[-1] if camera.groups else "none"
 
 
 def _datum(images: Sequence[ImageRecord]) -> str:

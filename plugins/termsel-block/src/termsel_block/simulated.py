@@ -34,6 +34,7 @@ def simulate_block(
     rpcs: bool = False,
     bias: float = 20.0,
     drift: float = 2.0,
+    jitter: tuple[float, ...] = (),
     noise: float = 0.4,
     wrong: float = 0.0,
     independent: int = 60,
@@ -58,6 +59,9 @@ def simulate_block(
         Whether each image has a vendor's RPC.
     bias, drift : float
         Standard deviations of the RPC's shift, and of its drift over half an image [px].
+    jitter : tuple of float
+        Amplitudes of a sine along the lines of the first images, of 2 to 5 periods an image, which
+        the RPC lacks [px].
     noise : float
         Of all measurements in the image [px].
     wrong : float
@@ -71,7 +75,9 @@ def simulate_block(
     seed : int
     """
     rng = np.random.default_rng(seed)
-    sensors = [_sensor(i, size, gsd, rng) for i in range(n_images)]
+    known = [_sensor(i, size, gsd, rng) for i in range(n_images)]
+    sensors = [_shaken(sensor, jitter[i], size, np.random.default_rng([seed, 2, i]))
+               if i < len(jitter) else sensor for i, sensor in enumerate(known)]
     width = size * gsd
     places, image, index = _seen_ties(sensors, n_images, n_ties, width, size, rng)
     place = image + rng.normal(0, noise, image.shape)
@@ -85,17 +91,17 @@ def simulate_block(
     ties = Ties(tuple(f"T{i}" for i in range(count)), index[:, 0], index[:, 1], place)
     images = []
     of_stacks = [max(control[k:k + 3], default=0) for k in range(0, n_images, 3)]
-    known, stack = _known_places(sensors, of_stacks, independent + check, width, rng)
+    given, stack = _known_places(sensors, of_stacks, independent + check, width, rng)
     for i, sensor in enumerate(sensors):
         n = control[i] if i < len(control) else 0
         is_control = stack >= 0
         use = ~is_control | ((stack == i // 3) & (_rank(stack) < n))
-        points = _points(sensor, known, use, is_control, noise, size, rng)
+        points = _points(sensor, given, use, is_control, noise, size, rng)
         judging = np.flatnonzero([role == "independent" for role in points.roles])
         roles = np.array(points.roles, object)
         roles[judging[:check]] = "check"
         points = replace(points, roles=tuple(roles.tolist()))
-        rpc = _vendor(sensor, bias, drift, size, rng) if rpcs else None
+        rpc = _vendor(known[i], bias, drift, size, rng) if rpcs else None
         images.append(BlockImage(f"I{i + 1}", FeatureSet(
             points, crs="EPSG:4979", image_size=(size, size)), rpc, size=(size, size)))
     return Simulated(Block("EPSG:4979", tuple(images), ties), tuple(sensors), places)
@@ -132,6 +138,17 @@ def _sensor(i: int, size: int, gsd: float, rng: np.random.Generator) -> Pushbroo
         return Angle((constant, rest + rng.normal(0, 4) * ifov / end,
                       rng.normal(0, 2) * ifov / end**2))
     return replace(sensor, roll=slow(sensor.roll), pitch=slow(sensor.pitch))
+
+
+def _shaken(sensor: Pushbroom, amplitude: float, size: int, rng: np.random.Generator) -> Pushbroom:
+    """Return a scanner whose attitude jitters, by so many px of line and of sample."""
+    time = size * sensor.line_period
+
+    def moved(known: Angle) -> Angle:
+        return replace(known, jitter=(*known.jitter, (
+            amplitude * sensor.ifov, rng.uniform(2, 5) / time, rng.uniform(0, 2 * np.pi))))
+
+    return replace(sensor, roll=moved(sensor.roll), pitch=moved(sensor.pitch))
 
 
 def _seen_ties(sensors: list[Pushbroom], n: int, n_ties: int, width: float, size: int,

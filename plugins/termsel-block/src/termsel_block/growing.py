@@ -1,0 +1,39 @@
+"""Which images need more columns: what residuals of ties say before the block is solved with them."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import fdtrc
+
+from termsel_block.frame import FloatArray
+
+CHANCE = 1e-3
+"""Probability by chance below which columns are tried; the whole block decides afterwards."""
+
+
+def chance_of(columns: FloatArray, residuals: FloatArray, weight: FloatArray) -> float:
+    """Return the probability that residuals follow columns so well by chance, by a test F.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (n, k)
+    residuals : ndarray, shape (n, 2)
+        Of the ties of one image without these columns [px].
+    weight : ndarray, shape (n,)
+        Inverse variances, up to a common factor.
+
+    Notes
+    -----
+    Places of the ties have taken up about half of what they measure, so that each of n counts once
+    and not for line and for sample. The test only says what is worth trying.
+    """
+    n, spent = len(columns), 2 * columns.shape[1]
+    if n <= spent or not weight.any():
+        return 1.0
+    root = np.sqrt(weight)[:, None]
+    basis = np.linalg.qr(columns * root)[0]
+    total = float(((root * residuals) ** 2).sum())
+    explained = float(((basis.T @ (root * residuals)) ** 2).sum())
+    if explained >= total:
+        return 1.0
+    return float(fdtrc(spent, n - spent, explained / spent / ((total - explained) / (n - spent))))
