@@ -12,10 +12,12 @@ pytest.importorskip("termsel_block", reason="termsel-block is not installed: "
                     "pip install -e plugins/termsel-block")
 
 from termsel_block.accuracy import independent_points, rmse
+from termsel_block.folders import image_result
 from termsel_block.frame import FloatArray
 from termsel_block.joint import BlockResult, adjust
 from termsel_block.record import record_of, times_seen
 from termsel_block.simulated import LAT, LON, Simulated, height, simulate_block
+from termsel_block.variances import posterior_mean
 
 
 def errors(result: BlockResult) -> FloatArray:
@@ -96,3 +98,34 @@ def test_an_image_without_ties_stays_as_its_vendor_has_it() -> None:
         ties, tie=ties.tie[keep], image=ties.image[keep], place=ties.place[keep]))))
     assert record.images[2].ties == 0
     assert ["I3"] in record.parts
+
+
+def test_jitter_is_found_where_it_is_and_written(tmp_path: Path) -> None:
+    simulated = simulate_block(3, rpcs=True, control=(6, 6, 0), seed=2, independent=30,
+                               jitter=(0.0, 1.5))
+    result = adjust(simulated.block)
+    record = record_of(result)
+    assert [image.model == "smooth" for image in record.images] == [False, True, False]
+    asked = replace(simulated.block, images=tuple(
+        replace(image, model="affine") for image in simulated.block.images))
+    assert errors(result)[1] < 0.7 * errors(adjust(asked))[1]
+    written = image_result(result, 1, record)
+    assert written.model == "rpc-jitter"
+    ground = simulated.block.images[1].features.points.ground  # type: ignore[union-attr]
+    away = written.fit.project(ground) - result.project(1, ground)
+    assert rmse(away) < 0.3
+
+
+def test_a_variance_that_data_leave_open_is_not_zero() -> None:
+    """Six values that are known worse than they scatter say no more than that."""
+    rng = np.random.default_rng(0)
+    kept = []
+    for _ in range(200):
+        truth, noise = rng.normal(0, 0.1, 6), 0.1
+        prior = 4.0
+        posterior = 1 / (1 / noise**2 + 1 / prior)
+        mean = posterior * (truth + rng.normal(0, noise, 6)) / noise**2
+        kept.append(posterior_mean(mean, np.full(6, posterior), np.full(6, prior),
+                                   np.full(6, 2.0)))
+    assert min(kept) > 0.03**2
+    assert 0.08 < np.sqrt(np.median(kept)) < 0.2

@@ -65,7 +65,8 @@ def suites() -> dict[str, tuple[Check, ...]]:
     of = {"rpc": CANDIDATES}
     found = {model.name: checks(model, options=[of], place=AROUND_RPC)
              for model in (RpcShift, RpcDrift, RpcAffine)}
-    found["rpc-jitter"] = checks(RpcJitter, options=[{**of, "intervals": 2}], place=AROUND_RPC)
+    found["rpc-jitter"] = checks(RpcJitter, options=[{**of, "intervals": 2}, {
+        **of, "intervals": 2, "across": True}], place=AROUND_RPC)
     found["rpc-field"] = checks(RpcField, options=[of], place=AROUND_RPC)
     found["rpc-affine in UTM"] = checks(RpcAffine, options=[of], place=IN_UTM)
     found["pushbroom-refine"] = checks(

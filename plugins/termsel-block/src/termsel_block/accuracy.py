@@ -52,8 +52,8 @@ def rmse(errors: FloatArray) -> float:
 def predicted(result: BlockResult, i: int, seed: int = 0) -> Spread:
     """Return what points of an image, measured as its control is, will miss the model by.
 
-    Over the ties of the image, by draws from the posterior of its parameters: what all its points
-    have in common makes the interval wide.
+    Over the ties of the image, by draws from the posterior of its parameters and of the precision
+    of control: what all its points have in common makes the interval wide.
     """
     state, mine = result.adjusted.state, result.block.ties.image == i
     places = state.ties[result.block.ties.tie[mine]]
@@ -66,7 +66,10 @@ def predicted(result: BlockResult, i: int, seed: int = 0) -> Spread:
     root = np.linalg.cholesky(result.covariances[i] + 1e-12 * np.eye(2 * columns.shape[1]))
     draws = (root @ rng.standard_normal((len(root), _DRAWS))).reshape(2, columns.shape[1], _DRAWS)
     squares = (np.einsum("nm,amd->adn", columns, draws) ** 2).sum(axis=0).mean(axis=1)
-    errors = np.sqrt(squares + 2 * state.sigma_control**2)
+    # The variance of control is itself known from few measurements; its mean is that of the state.
+    known = state.freedom_control
+    noise = state.sigma_control**2 * (known - 2) / rng.chisquare(known, _DRAWS)
+    errors = np.sqrt(squares + 2 * noise)
     low, high = np.quantile(errors, [(1 - _LEVEL) / 2, (1 + _LEVEL) / 2])
     return Spread(float(np.sqrt((errors**2).mean())), float(low), float(high))
 

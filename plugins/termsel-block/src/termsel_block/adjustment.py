@@ -13,6 +13,7 @@ from termsel_block.equations import Seen, Shared, Solved, pairs, solve
 from termsel_block.frame import FloatArray
 from termsel_block.growing import CHANCE, chance_of
 from termsel_block.unknowns import Adjusted, Heights, Measured, State
+from termsel_block.variances import estimated
 
 WRONG = 4.0
 """A measurement is a blunder if it is so many standard deviations off, in line or in sample."""
@@ -21,7 +22,7 @@ AGAINST = -1.0
 """Logarithm of a Bayes factor below which a group is dropped; above, it stays and is shrunk."""
 
 _PRIOR_COUNT = 4.0
-"""Weight of what all images say of a variance, as so many parameters of the image's own."""
+"""Weight of the ties' precision in that of control, as so many points."""
 
 _CONVERGED = 1e-3  # px
 _SETTLED = 0.02  # relative change of a standard deviation
@@ -57,10 +58,9 @@ def adjust_block(state: State, measured: Sequence[Measured], control: Sequence[O
     -----
     Gauss-Newton steps with weights 1 / (1 + (r / 2.5 s)^2)^2 until blunders are told, then by plain
     least squares without them. Standard deviations of ties and control, and the variance of each
-    image's groups of columns, are estimated from the residuals and posterior moments (MacKay 1992:
-    Bayesian interpolation, section 2.4), those of an image drawn to what all images of its kind
-    say. A group whose Bayes factor, by the ratio of Savage and Dickey over the whole block's
-    posterior, is below one is dropped. Columns for jitter are tried where residuals call for them.
+    image's groups of columns (`termsel_block.variances`), are estimated on the way. A group whose
+    Bayes factor, by the ratio of Savage and Dickey over the whole block's posterior, is below one
+    is dropped. Columns for jitter are tried where residuals call for them.
     """
     shared = pairs([part.tie for part in measured], len(state.ties))
     run = _Run(state, measured, control, heights, shared)
@@ -267,31 +267,11 @@ class _Run:
         expected = max(rows - spent, 0.0)
         state.sigma_control = float(np.sqrt(
             (squares + _PRIOR_COUNT * state.sigma_ties**2) / (expected + _PRIOR_COUNT - 2)))
-        self._variances(covariances)
+        state.freedom_control = expected + _PRIOR_COUNT
+        state.variances = estimated(
+            state.cameras, state.parameters, covariances, state.variances)
         after = np.array([state.sigma_ties, state.sigma_control])
         return bool(np.abs(after / before - 1).max() < _SETTLED)
-
-    def _variances(self, covariances: Sequence[FloatArray]) -> None:
-        """Estimate the variance of each image's groups of columns."""
-        state = self.state
-        pooled: dict[str, list[float]] = {}
-        own: list[dict[str, tuple[float, int]]] = []
-        for camera, parameters, covariance in zip(
-                state.cameras, state.parameters, covariances, strict=True):
-            moments = parameters.T.ravel() ** 2 + np.diag(covariance)
-            names = np.tile(camera.groups, 2)
-            mine = {name: (float(moments[names == name].sum()), int((names == name).sum()))
-                    for name in dict.fromkeys(camera.groups) if name not in camera.wide}
-            own.append(mine)
-            for name, (moment, count) in mine.items():
-                pooled.setdefault(name, []).append(moment / count)
-        for i, (camera, mine) in enumerate(zip(state.cameras, own, strict=True)):
-            variances = state.variances[i].copy()
-            for name, (moment, count) in mine.items():
-                typical = float(np.mean(pooled[name]))
-                variances[np.array(camera.groups) == name] = max(
-                    (moment + _PRIOR_COUNT * typical) / (count + _PRIOR_COUNT), 1e-8)
-            state.variances[i] = np.maximum(variances, np.square(camera.least))
 
     def grow(self, fixed: Sequence[bool]) -> bool:
         """Add columns to the images whose residuals call for them; return whether any do."""

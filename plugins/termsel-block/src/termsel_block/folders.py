@@ -28,6 +28,9 @@ RECORD, SUMMARY, PAGE, TIES, SCHEMA_FILE = (
 _MOST = 400
 """Ties of an image that its own result keeps as control: more tell nothing new of its model."""
 
+_INTERVALS, _PER_INTERVAL = 32, 5
+"""Intervals of the splines that follow jitter as the block has it, and points that each takes."""
+
 
 def claim(folder: Path, names: list[str], *, overwrite: bool, reads: Iterable[Path] = (),
           ) -> None:
@@ -112,9 +115,14 @@ def image_result(result: BlockResult, i: int, record: BlockRecord) -> Result:
     else:
         assert image.rpc is not None
         rpc = {"file": (image.rpc_file or Path(f"{image.name}.RPB")).name, **asdict(image.rpc)}
+        model, options = f"rpc-{name}", {"rpc": json.dumps(rpc)}
+        if name == "none":
+            model = "rpc-shift"
+        elif name == "smooth":
+            model, options = "rpc-jitter", {**options, "across": True, "intervals": max(
+                2, min(_INTERVALS, len(features.points) // _PER_INTERVAL))}
         found = run("rfm-terms", features=features, solver="all-terms", criterion="press",
-                    model=f"rpc-{'shift' if name == 'none' else name}",
-                    options={"rpc": json.dumps(rpc)})
+                    model=model, options=options)
     mine = record.images[i]
     note = (f"The places of {int(state.in_use[i].sum())} ties come from a block of "
             f"{len(record.images)} images. By the block points in this image have an RMSE of "

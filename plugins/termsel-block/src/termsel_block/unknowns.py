@@ -32,6 +32,8 @@ class State:
     variances: list[FloatArray]
     sigma_ties: float = 1.0
     sigma_control: float = 1.0
+    freedom_control: float = 4.0
+    """From how many measurements that standard deviation is known."""
     in_use: list[BoolArray] = field(default_factory=list)
     control_in_use: list[BoolArray] = field(default_factory=list)
 

@@ -20,6 +20,8 @@ _MOST_LEVERAGE = 0.999
 
 INTERVALS = Option("intervals", 8, "Intervals of the spline over the lines of the RPC's image.",
                    int, 2, 64)
+ACROSS = Option("across", False, "Add a term that is linear along each line, as rpc-affine has.",
+                bool)
 TRIED = (2, 4, 8, 16, 32)
 """Numbers of intervals that are tried where the features choose."""
 
@@ -27,7 +29,7 @@ TRIED = (2, 4, 8, 16, 32)
 class RpcJitter(RpcShift):
     """Vendor's RPC with a smooth correction along the lines: 2 (intervals + 3) terms.
 
-    With (l, s) the RPC position of a ground point, image = (l + f(l), s + g(l)), where f and g are
+    With `across` there are 2 more, a multiple of the sample in each axis. With (l, s) the RPC position of a ground point, image = (l + f(l), s + g(l)), where f and g are
     cubic splines with equal intervals. Lines are imaged one after the other, so that any motion of
     the attitude that the vendor did not know acts along the lines. Shift and drift are contained.
 
@@ -39,12 +41,13 @@ class RpcJitter(RpcShift):
     """
 
     name = "rpc-jitter"
-    declared_options = (RPC, INTERVALS)
+    declared_options = (RPC, INTERVALS, ACROSS)
 
     @property
     def columns(self) -> tuple[str, ...]:  # type: ignore[override]
-        """Names of the columns: one for each spline."""
-        return tuple(f"spline{i + 1}" for i in range(int(self.options["intervals"]) + _DEGREE))
+        """Names of the columns: one for each spline, and that across the lines."""
+        names = [f"spline{i + 1}" for i in range(int(self.options["intervals"]) + _DEGREE)]
+        return (*names, *("across",) * bool(self.options["across"]))
 
     def first_order(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the RPC positions of ground points, and the splines' values there."""
@@ -52,6 +55,9 @@ class RpcJitter(RpcShift):
         assert self.scaling is not None  # required by geographic
         seen = self.rpc.project(places)
         values = splines(seen[:, 0], self.rpc, int(self.options["intervals"]))
+        if self.options["across"]:
+            sample = (seen[:, 1] - self.rpc.image_offset[1]) / abs(self.rpc.image_scale[1])
+            values = np.column_stack([values, sample])
         of_both = np.einsum("ab,nc->nabc", np.eye(2), values)
         return self.scaling.image(seen), of_both.reshape(len(seen), 2, len(self.terms))
 

@@ -1,0 +1,73 @@
+"""How far corrections of images scatter: the variances of their priors, from the block itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from termsel_block.cameras import Camera
+from termsel_block.frame import FloatArray
+
+_OWN = 4.0
+"""Weight of what all images say of a variance, as so many parameters of the image's own."""
+
+_GRID = np.geomspace(1e-4, 1e2, 121)
+"""Standard deviations over the first guess that are weighed."""
+
+
+def estimated(cameras: Sequence[Camera], parameters: Sequence[FloatArray],
+              covariances: Sequence[FloatArray], variances: Sequence[FloatArray],
+              ) -> list[FloatArray]:
+    """Return the variance of each column of each image [px2], anew.
+
+    Parameters
+    ----------
+    cameras : sequence of Camera
+    parameters, covariances : sequence of ndarray, shapes (m, 2) and (2m, 2m)
+        Of each image, of the posterior with the present variances.
+    variances : sequence of ndarray, shape (m,)
+
+    Notes
+    -----
+    A group of columns has one variance in all images, drawn to what each image says of its own.
+    The common one is its posterior mean and not its most likely value, which is near zero whenever
+    few images leave open whether there is any effect: the standard deviation has the prior that
+    Gelman 2006 (Prior distributions for variance parameters in hierarchical models, Bayesian
+    Analysis 1(3), section 6) recommends, half Cauchy with the scale of a first guess.
+    """
+    pooled: dict[str, list[FloatArray]] = {}
+    for camera, mean, covariance, variance in zip(
+            cameras, parameters, covariances, variances, strict=True):
+        values = np.stack([mean.T.ravel(), np.diag(covariance), np.tile(variance, 2),
+                           np.tile(camera.spread, 2)])
+        names = np.tile(camera.groups, 2)
+        for name in dict.fromkeys(camera.groups):
+            if name not in camera.wide:
+                pooled.setdefault(name, []).append(values[:, names == name])
+    common = {name: posterior_mean(*np.concatenate(parts, axis=1))
+              for name, parts in pooled.items()}
+    found = []
+    for camera, mean, covariance, variance in zip(
+            cameras, parameters, covariances, variances, strict=True):
+        new, groups = variance.copy(), np.array(camera.groups)
+        moments = (mean**2).sum(axis=1) + np.diag(covariance).reshape(2, -1).sum(axis=0)
+        for name in dict.fromkeys(camera.groups):
+            if name not in camera.wide:
+                mine = groups == name
+                new[mine] = (moments[mine].sum() + _OWN * common[name]) / (2 * mine.sum() + _OWN)
+        found.append(np.maximum(new, np.square(camera.least)))
+    return found
+
+
+def posterior_mean(mean: FloatArray, variance: FloatArray, prior: FloatArray,
+                    guess: FloatArray) -> float:
+    """Return the mean of the variance of values, each with its posterior and its present prior."""
+    sigma = float(np.exp(np.log(guess).mean())) * _GRID[:, None]
+    # What the measurements alone say of each value: its posterior without its prior.
+    precision, right = np.maximum(1 / variance - 1 / prior, 0.0), mean / variance
+    spread = 1 + sigma**2 * precision
+    logarithm = 0.5 * (right**2 * sigma**2 / spread - np.log(spread)).sum(axis=1)
+    # On a logarithmic grid the measure of a standard deviation is itself.
+    weight = np.exp(logarithm - logarithm.max()) * _GRID / (1 + _GRID**2)
+    return float((weight * sigma[:, 0] ** 2).sum() / weight.sum())
