@@ -100,7 +100,7 @@ def test_an_image_without_ties_stays_as_its_vendor_has_it() -> None:
     assert ["I3"] in record.parts
 
 
-def test_jitter_is_found_where_it_is_and_written(tmp_path: Path) -> None:
+def test_jitter_is_found_where_it_is_and_written() -> None:
     simulated = simulate_block(3, rpcs=True, control=(6, 6, 0), seed=2, independent=30,
                                jitter=(0.0, 1.5))
     result = adjust(simulated.block)

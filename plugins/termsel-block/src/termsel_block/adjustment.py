@@ -70,7 +70,7 @@ def adjust_block(state: State, measured: Sequence[Measured], control: Sequence[O
     steps = run.iterate(robust=True, limit=_STEPS, first=True,
                         report=lambda s: report(0.4 * s))
     if run.grow(fixed):
-        steps += run.iterate(robust=True, limit=_STEPS, report=lambda s: report(0.4))
+        steps += run.iterate(robust=True, limit=_STEPS, report=_nothing)
     evidence: list[dict[str, float]] = [{} for _ in state.cameras]
     for _ in range(2):
         if not run.drop(evidence, fixed):

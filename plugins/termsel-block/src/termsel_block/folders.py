@@ -115,12 +115,14 @@ def image_result(result: BlockResult, i: int, record: BlockRecord) -> Result:
     else:
         assert image.rpc is not None
         rpc = {"file": (image.rpc_file or Path(f"{image.name}.RPB")).name, **asdict(image.rpc)}
-        model, options = f"rpc-{name}", {"rpc": json.dumps(rpc)}
+        model = f"rpc-{name}"
+        options: dict[str, object] = {"rpc": json.dumps(rpc)}
         if name == "none":
             model = "rpc-shift"
         elif name == "smooth":
-            model, options = "rpc-jitter", {**options, "across": True, "intervals": max(
-                2, min(_INTERVALS, len(features.points) // _PER_INTERVAL))}
+            model = "rpc-jitter"
+            intervals = max(2, min(_INTERVALS, len(features.points) // _PER_INTERVAL))
+            options |= {"across": True, "intervals": intervals}
         found = run("rfm-terms", features=features, solver="all-terms", criterion="press",
                     model=model, options=options)
     mine = record.images[i]

@@ -1,4 +1,4 @@
-"""Which images need more columns: what residuals of ties say before the block is solved with them."""
+"""Which images to try with more columns, by the residuals of their ties."""
 
 from __future__ import annotations
 

@@ -18,6 +18,7 @@ from termsel_block.frame import FloatArray, Frame
 from termsel_block.starts import Given, start
 from termsel_block.unknowns import Adjusted, Heights, Measured
 
+
 @dataclass(frozen=True, eq=False)
 class BlockResult:
     """A block as adjusted, with the accuracy it has on points that took no part.

@@ -29,9 +29,10 @@ TRIED = (2, 4, 8, 16, 32)
 class RpcJitter(RpcShift):
     """Vendor's RPC with a smooth correction along the lines: 2 (intervals + 3) terms.
 
-    With `across` there are 2 more, a multiple of the sample in each axis. With (l, s) the RPC position of a ground point, image = (l + f(l), s + g(l)), where f and g are
-    cubic splines with equal intervals. Lines are imaged one after the other, so that any motion of
-    the attitude that the vendor did not know acts along the lines. Shift and drift are contained.
+    With `across` there are 2 more, a multiple of the sample for each axis. With (l, s) the RPC
+    position of a ground point, image = (l + f(l), s + g(l)), where f and g are cubic splines with
+    equal intervals. Lines are imaged one after the other, so that any motion of the attitude that
+    the vendor did not know acts along the lines. Shift and drift are contained.
 
     References
     ----------
