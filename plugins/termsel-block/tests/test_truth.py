@@ -12,12 +12,12 @@ pytest.importorskip("termsel_block", reason="termsel-block is not installed: "
                     "pip install -e plugins/termsel-block")
 
 from termsel_block.accuracy import independent_points, rmse
+from termsel_block.evidence.variances import posterior_mean
 from termsel_block.folders import image_result
 from termsel_block.frame import FloatArray
 from termsel_block.joint import BlockResult, adjust
 from termsel_block.record import record_of, times_seen
 from termsel_block.simulated import LAT, LON, Simulated, height, simulate_block
-from termsel_block.variances import posterior_mean
 
 
 def errors(result: BlockResult) -> FloatArray:

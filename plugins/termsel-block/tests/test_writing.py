@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from click.testing import CliRunner
 from termsel import Result, TermselError
 from termsel.cli.main import cli
 from termsel_block import folders
+from termsel_block.block_file import read_ties
 from termsel_block.folders import write_block
 from termsel_block.joint import BlockResult, adjust
 from termsel_block.record import record_of
@@ -123,3 +125,38 @@ def test_places_that_cannot_be_written_are_refused(
     assert message in done.output
     assert "Traceback" not in done.output
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("binary", [True, False])
+def test_match_files_of_asp_are_ties(tmp_path: Path, binary: bool) -> None:
+    """Pairs that share a place of an image become one tie of three images."""
+    pytest.importorskip("termsel_match")
+    places = {"A": [(10.0, 20.0), (30.0, 40.0)], "B": [(11.0, 21.0), (31.5, 41.0)],
+              "C": [(12.0, 22.0)]}
+
+    def written(name: str, left: list[tuple[float, float]],
+                right: list[tuple[float, float]]) -> Path:
+        file = tmp_path / name
+        both = [*left, *right]
+        if binary:
+            content = struct.pack("<2Q", len(left), len(right)) + b"".join(
+                struct.pack("<2f2i3f?2IQ", x, y, int(x), int(y), 0, 1, 1, True, 0, 0, 0)
+                for y, x in both)
+            file.write_bytes(content)
+        else:
+            file.write_text(f"{len(left)} {len(right)}\n" + "".join(
+                f"{x} {y} {int(x)} {int(y)} 0 1 1 1 0 0 0\n" for y, x in both))
+        return file
+
+    end = ".match" if binary else ".txt"
+    files = [written(f"run-A__B{end}", places["A"], places["B"]),
+             written(f"run-B__C{end}", places["B"][:1], places["C"])]
+    ties, notes = read_ties(files, ["A", "B", "C"])
+    assert not notes
+    assert sorted(np.bincount(ties.tie).tolist()) == [2, 3]
+    three = ties.tie == int(np.argmax(np.bincount(ties.tie)))
+    assert {(int(i), *map(float, p)) for i, p in zip(
+        ties.image[three], ties.place[three], strict=True)} == {
+        (0, 10.0, 20.0), (1, 11.0, 21.0), (2, 12.0, 22.0)}
+    with pytest.raises(TermselError, match="states no two images"):
+        read_ties(files, ["A", "C"])

@@ -10,10 +10,10 @@ from termsel import TermselError
 from termsel_block.cameras import Camera
 from termsel_block.control import OwnControl
 from termsel_block.equations import Seen, Shared, Solved, pairs, solve
+from termsel_block.evidence.growing import CHANCE, chance_of
+from termsel_block.evidence.variances import estimated
 from termsel_block.frame import FloatArray
-from termsel_block.growing import CHANCE, chance_of
 from termsel_block.unknowns import Adjusted, Heights, Measured, State
-from termsel_block.variances import estimated
 
 WRONG = 4.0
 """A measurement is a blunder if it is so many standard deviations off, in line or in sample."""
@@ -58,9 +58,9 @@ def adjust_block(state: State, measured: Sequence[Measured], control: Sequence[O
     -----
     Gauss-Newton steps with weights 1 / (1 + (r / 2.5 s)^2)^2 until blunders are told, then by plain
     least squares without them. Standard deviations of ties and control, and the variance of each
-    image's groups of columns (`termsel_block.variances`), are estimated on the way. A group whose
-    Bayes factor, by the ratio of Savage and Dickey over the whole block's posterior, is below one
-    is dropped. Columns for jitter are tried where residuals call for them.
+    image's groups of columns (`evidence.variances`), are estimated on the way. A group whose Bayes
+    factor, by the ratio of Savage and Dickey over the whole block's posterior, is below one is
+    dropped. Columns for jitter are tried where residuals call for them (`evidence.growing`).
     """
     shared = pairs([part.tie for part in measured], len(state.ties))
     run = _Run(state, measured, control, heights, shared)

@@ -19,6 +19,7 @@ from termsel import FeatureSet, TermselError, open_raster, read, read_rpc
 from termsel.toolkit import normalise
 from termsel_block.block import CORRECTIONS, Block, BlockImage, Ties
 from termsel_block.control import in_use
+from termsel_block.ties.asp import asp_rows, is_asp
 
 COLUMNS = {"id": ("id", "tie", "name", "point"), "image": ("image", "img", "scene"),
            "line": ("line", "row", "y_pix"), "sample": ("sample", "col", "column", "x_pix")}
@@ -173,7 +174,7 @@ def _features(stated: _Image, folder: Path, crs: str, dem: Path | None, path: Pa
 
 
 def read_ties(files: Sequence[Path], images: Sequence[str]) -> tuple[Ties, tuple[str, ...]]:
-    """Return the ties of tables id,image,line,sample, and notes on what is left out.
+    """Return the ties of tables id,image,line,sample and of ASP's match files, and notes.
 
     Raises
     ------
@@ -184,8 +185,12 @@ def read_ties(files: Sequence[Path], images: Sequence[str]) -> tuple[Ties, tuple
     index = {name: i for i, name in enumerate(images)}
     seen: dict[tuple[str, int], tuple[Path, int]] = {}
     places: list[tuple[float, float]] = []
+    matches = [file for file in files if is_asp(file)]
+    for _, _, name, (own, *place) in asp_rows(matches, images):
+        seen[name, index[own]] = matches[0], 1
+        places.append((place[0], place[1]))
     for file in files:
-        for line, row in _rows(file):
+        for line, row in [] if file in matches else _rows(file):
             name, image = row["id"], index.get(row["image"])
             if image is None:
                 near = get_close_matches(row["image"], images, 1)

@@ -35,38 +35,54 @@ class AspMatches(Reader):
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True if two equal counts are followed by an interest point."""
-        if _counts(head) is not None:
-            return True
-        lines = head.decode("utf-8", errors="replace").splitlines()
-        counts = lines[0].split() if lines else []
-        return (len(counts) == 2 and counts[0].isdigit() and counts[0] == counts[1]
-                and len(lines) > 1 and _is_interest_point(lines[1].split()))
+        return is_matches(head)
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file and line."""
-        content = bytes_of(path)
-        if (counts := _counts(content[:_COUNTS + _RECORD.size])) is not None:
-            first, second = _binary(content, counts[0], path)
-            return with_ground(path, _ids(counts[0]), first, second, self.options["reference"],
-                               None)
-        lines = text_of(path).splitlines()
-        first_word = next(iter((lines or [""])[0].split()), "")
-        # Python reads no number of thousands of digits, and no file has so many rows.
-        count = int(first_word[:_DIGITS]) if first_word.isdecimal() else 0
-        if count == 0 or len(lines) < 1 + 2 * count:
-            raise TermselError(
-                f"the file announces {count} matches and has {max(len(lines) - 1, 0)} rows",
-                file=path, line=1, hint="Expected a row for each point of either image. Is the "
-                                        "file complete?")
-        places = []
-        for number, text in enumerate(lines[1:1 + 2 * count], 2):
-            cells = text.split()
-            if not _is_interest_point(cells):
-                raise TermselError("this row is not an interest point", file=path, line=number,
-                                   hint="Expected x, y and nine further numbers.")
-            places.append([float(cells[1]), float(cells[0])])
-        first, second = np.array(places[:count]), np.array(places[count:])
-        return with_ground(path, _ids(count), first, second, self.options["reference"], None)
+        first, second = read_matches(path)
+        return with_ground(path, [f"M{i + 1:03d}" for i in range(len(first))], first, second,
+                           self.options["reference"], None)
+
+
+def is_matches(head: bytes) -> bool:
+    """Return whether a file that begins so has matches: two equal counts, an interest point."""
+    if _counts(head) is not None:
+        return True
+    lines = head.decode("utf-8", errors="replace").splitlines()
+    counts = lines[0].split() if lines else []
+    return (len(counts) == 2 and counts[0].isdigit() and counts[0] == counts[1]
+            and len(lines) > 1 and _is_interest_point(lines[1].split()))
+
+
+def read_matches(path: Path) -> tuple[FloatArray, FloatArray]:
+    """Return line and sample (n, 2) of the matches in the first and in the second image [px].
+
+    Raises
+    ------
+    TermselError
+        Naming file and line of what is no match file.
+    """
+    content = bytes_of(path)
+    if (counts := _counts(content[:_COUNTS + _RECORD.size])) is not None:
+        return _binary(content, counts[0], path)
+    lines = text_of(path).splitlines()
+    first_word = next(iter((lines or [""])[0].split()), "")
+    # Python reads no number of thousands of digits, and no file has so many rows.
+    count = int(first_word[:_DIGITS]) if first_word.isdecimal() else 0
+    if count == 0 or len(lines) < 1 + 2 * count:
+        raise TermselError(
+            f"the file announces {count} matches and has {max(len(lines) - 1, 0)} rows",
+            file=path, line=1, hint="Expected a row for each point of either image. Is the "
+                                    "file complete?")
+    places = []
+    for number, text in enumerate(lines[1:1 + 2 * count], 2):
+        cells = text.split()
+        if not _is_interest_point(cells):
+            raise TermselError("this row is not an interest point", file=path, line=number,
+                               hint="Expected x, y and nine further numbers.")
+        places.append([float(cells[1]), float(cells[0])])
+    both = np.array(places)
+    return both[:count], both[count:]
 
 
 def _counts(head: bytes) -> tuple[int, int] | None:
@@ -95,10 +111,6 @@ def _binary(content: bytes, count: int, path: Path) -> tuple[FloatArray, FloatAr
             return both[:count], both[count:]
     raise TermselError(f"the file announces {count} matches and is cut off, or is no match file of "
                        "ASP", file=path, hint="Is the file complete?")
-
-
-def _ids(count: int) -> list[str]:
-    return [f"M{i + 1:03d}" for i in range(count)]
 
 
 def _is_interest_point(cells: Sequence[str]) -> bool:

@@ -1,0 +1,1 @@
+"""What the data say of corrections: which to try, and how far they scatter."""

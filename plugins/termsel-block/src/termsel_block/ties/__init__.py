@@ -1,0 +1,1 @@
+"""Ties as other programs write them."""

@@ -1,0 +1,86 @@
+"""Ties from match files of the Ames Stereo Pipeline: pairs of images, joined where they meet."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+
+from termsel import TermselError
+
+_HEAD = 4096  # bytes by which a file is known
+
+Place = tuple[str, float, float]
+"""Image, line and sample of a measurement."""
+
+
+def is_asp(file: Path) -> bool:
+    """Return whether a file is a match file, binary or as text.
+
+    Raises
+    ------
+    TermselError
+        If it is by its suffix, and the package that reads it is not installed.
+    """
+    if find_spec("termsel_match") is None:
+        if file.suffix == ".match":
+            raise TermselError("a match file of ASP requires the package termsel-match, which is "
+                               "not installed", file=file,
+                               hint="In a clone of termsel: pip install ./plugins/termsel-match.")
+        return False
+    from termsel_match.points.asp import is_matches
+
+    try:
+        with file.open("rb") as opened:
+            return file.suffix == ".match" or is_matches(opened.read(_HEAD))
+    except OSError:
+        return False  # who reads it as a table says what is wrong
+
+
+def asp_rows(files: Sequence[Path], images: Sequence[str]) -> list[tuple[Path, int, str, Place]]:
+    """Return file, number, id and place of each measurement of match files.
+
+    A place of one image that two files state is one measurement, so that pairs become ties of many
+    images. Where that would put a tie twice into one image, its pairs stay by themselves.
+    """
+    pairs: list[tuple[Path, int, Place, Place]] = []
+    for file in files:
+        left, right = _images(file, images)
+        from termsel_match.points.asp import read_matches
+
+        for number, (a, b) in enumerate(zip(*read_matches(file), strict=True), 1):
+            pairs.append((file, number, (left, float(a[0]), float(a[1])),
+                          (right, float(b[0]), float(b[1]))))
+    above: dict[Place, Place] = {}
+
+    def root(place: Place) -> Place:
+        while above.setdefault(place, place) != place:
+            above[place] = place = above[above[place]]
+        return place
+
+    for _, _, a, b in pairs:
+        above[root(a)] = root(b)
+    members: dict[Place, set[Place]] = {}
+    for place in list(above):
+        members.setdefault(root(place), set()).add(place)
+    rows, said = [], set()
+    for k, (file, number, a, b) in enumerate(pairs, 1):
+        tie = members[root(a)]
+        clear = len({image for image, _, _ in tie}) == len(tie)
+        name = "-".join(map(str, ("asp", *min(tie)))) if clear else f"asp-pair-{k}"
+        for place in (a, b):
+            if (name, place) not in said:
+                said.add((name, place))
+                rows.append((file, number, name, place))
+    return rows
+
+
+def _images(file: Path, images: Sequence[str]) -> tuple[str, str]:
+    """Return the two images that the name of a match file states, as ASP names it."""
+    first, _, second = file.name.removesuffix(".txt").removesuffix(".match").rpartition("__")
+    left = [name for name in images if first == name or first.endswith(f"-{name}")]
+    if not left or second not in images or second in left:
+        raise TermselError("the name of this match file states no two images of the block",
+                           file=file, hint="Name it as ASP does: run-A__B.match for A and B. "
+                                           f"The block has {', '.join(images[:8])}.")
+    return max(left, key=len), second
