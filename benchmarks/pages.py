@@ -29,6 +29,7 @@ PAGES: dict[str, tuple[str, ...]] = {
     "lines": ("lines", "--processes", "2"),
     "old-maps": ("old_maps", "--processes", "2"),
     "rpc-few-points": ("rpc_few_points", "--workers", "2"),
+    "blocks": ("blocks", "--seeds", "3", "--counts", "30", "100", "--ties", "800"),
     "coverage": ("coverage", "--processes", "2"),
     "blunders": ("blunders", "--processes", "2"),
     "honest-accuracy": ("honest", "accuracy", "--minutes", "45"),

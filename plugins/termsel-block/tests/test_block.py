@@ -238,6 +238,13 @@ def test_an_rpc_of_another_place_is_named(vendors: Simulated) -> None:
         adjust(replace(vendors.block, images=tuple(images)))
 
 
+def test_ties_that_contradict_are_refused() -> None:
+    block = simulate_block(2, n_ties=40, rpcs=True, control=(4,), seed=0, independent=5).block
+    place = np.random.default_rng(0).permutation(block.ties.place)
+    with pytest.raises(TermselError, match="contradict one another"):
+        adjust(replace(block, ties=replace(block.ties, place=place)))
+
+
 def test_parts_are_what_ties_join() -> None:
     tie, image = np.array([0, 0, 1, 1, 2, 2]), np.array([0, 1, 1, 2, 3, 4])
     assert joined(tie, image, 6) == [[0, 1, 2], [3, 4], [5]]

@@ -18,6 +18,9 @@ from termsel_block.frame import FloatArray, Frame
 from termsel_block.starts import Given, start
 from termsel_block.unknowns import Adjusted, Heights, Measured
 
+_ABSURD = 0.05
+"""Standard deviation of ties, over the extent of an image, above which they are no measurements."""
+
 
 @dataclass(frozen=True, eq=False)
 class BlockResult:
@@ -106,7 +109,19 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
         adjusted = adjust_block(
             state, [image.measured for image in given], [image.control for image in given],
             heights, progress=progress, fixed=[image.model != "auto" for image in block.images])
+    _refuse_contradiction(adjusted, given)
     return BlockResult(block, frame, adjusted, tuple(image.control for image in given))
+
+
+def _refuse_contradiction(adjusted: Adjusted, given: list[Given]) -> None:
+    """Refuse ties that agree no better than places at random."""
+    extents = [np.ptp(image.measured.place, axis=0).max() for image in given
+               if len(image.measured.tie)]
+    sigma = adjusted.state.sigma_ties
+    if extents and sigma > _ABSURD * np.median(extents):
+        raise TermselError(f"the ties contradict one another: they differ by {sigma:.3g} px",
+                           hint="Check that an id is one place in all images, and that line and "
+                                "sample are not exchanged.")
 
 
 def _places(block: Block) -> FloatArray:
