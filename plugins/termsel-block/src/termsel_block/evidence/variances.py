@@ -19,7 +19,7 @@ _GRID = np.geomspace(1e-4, 1e2, 121)
 def estimated(cameras: Sequence[Camera], parameters: Sequence[FloatArray],
               covariances: Sequence[FloatArray], variances: Sequence[FloatArray],
               ) -> list[FloatArray]:
-    """Return the variance of each column of each image [px2], anew.
+    """Return the new variance of each column of each image [px2].
 
     Parameters
     ----------
