@@ -197,7 +197,8 @@ def page(scenes: list[dict[str, float]], size: int, whole: str) -> str:
 
 RMSE in px at 200 exact places of each of {len(scenes)} simulated scenes of {size} x {size} px,
 rendered by `termsel match-example` with seeds 1 to {len(scenes)}. Candidates, selection and fit
-never see these places. The model is `rpc-drift`; selections of points may choose another correction.
+never see these places. The model is `rpc-drift`; selections of points may choose another
+correction.
 
 | control | median | worst scene |
 |---|---|---|
