@@ -343,7 +343,8 @@ Control in one image of thirty.
 VERDICT = """## What is missed
 
 - Targets are at most 0.95 for images without control, and for images with six points a median of
-  0.97 and none above 1.02. Strips reach the first in the median. Pairs and triplets with RPCs miss
+  0.97 and none above 1.02. Strips of 12 images reach the first in the median, the block of 100 does
+  not. Pairs and triplets with RPCs miss
   both: with an RPC, six points of an image's own come near its noise. In a pair, heights of ties
   take up what lies along the rays, and only a DEM or control in both images tells them apart.
 - Chi-square should be 0.8 to 1.2 and intervals should hold 90 %. Pairs and strips state deviations
