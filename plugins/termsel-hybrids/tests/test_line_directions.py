@@ -20,7 +20,8 @@ FloatArray = NDArray[np.float64]
 MODELS = (LineAffine, LineConformal)
 
 
-@pytest.mark.parametrize("check", [check for model in MODELS for check in checks(model)], ids=str)
+@pytest.mark.parametrize("check", [check for model in MODELS for check in checks(model)],
+                         ids=lambda check: check.name)
 def test_models_pass_the_suite(check: Check) -> None:
     check.run()
 

@@ -49,30 +49,9 @@ _compiled = partial(compiled, _nrt=False)
 
 
 @_compiled
-def _take(column: FloatArray, v: FloatArray) -> float:
-    """Copy a column and return the sum of its squares.
-
-    It is added up in four sums; in a single one each addition would wait for the previous.
-    """
-    a = b = c = d = 0.0
-    quarter = len(v) // 4
-    for i in range(quarter):
-        w, x = column[4 * i], column[4 * i + 1]
-        y, z = column[4 * i + 2], column[4 * i + 3]
-        v[4 * i], v[4 * i + 1], v[4 * i + 2], v[4 * i + 3] = w, x, y, z
-        a += w * w
-        b += x * x
-        c += y * y
-        d += z * z
-    for i in range(4 * quarter, len(v)):
-        w = column[i]
-        v[i] = w
-        a += w * w
-    return (a + b) + (c + d)
-
-
-@_compiled
 def _dot(u: FloatArray, v: FloatArray) -> float:
+    """Return a scalar product in four sums; in a single one each addition would wait for the one
+    before."""
     a = b = c = d = 0.0
     quarter = len(v) // 4
     for i in range(quarter):
@@ -83,6 +62,14 @@ def _dot(u: FloatArray, v: FloatArray) -> float:
     for i in range(4 * quarter, len(v)):
         a += u[i] * v[i]
     return (a + b) + (c + d)
+
+
+@_compiled
+def _take(column: FloatArray, v: FloatArray) -> float:
+    """Copy a column and return the sum of its squares."""
+    for i in range(len(v)):
+        v[i] = column[i]
+    return _dot(v, v)
 
 
 @_compiled

@@ -3,7 +3,6 @@
 References
 ----------
 FGDC-STD-007.3-1998, National Standard for Spatial Data Accuracy, section 3.2 and appendix 3-A.
-Shapiro, Wilk 1965: An analysis of variance test for normality. Biometrika 52, 591-611.
 ASPRS Positional Accuracy Standards for Digital Geospatial Data, edition 2 (2023, version 2 of
 2024): at least 30 check points, accuracy as RMSE without a level of confidence.
 """
@@ -18,6 +17,7 @@ from scipy.special import stdtrit
 
 from termsel.errors import counted
 from termsel.fits.fit import Fit
+from termsel.fits.normality import chances_if_normal
 from termsel.fits.uncertainty import shared_variance
 from termsel.measurements.coordinates.metres import in_metres
 from termsel.measurements.features import FloatArray, Points
@@ -35,9 +35,6 @@ NSSDA_POINTS, ASPRS_POINTS = 20, 30
 
 ROUND = 0.6
 """Least ratio of the RMSE of x and y for which NSSDA has a figure."""
-
-_TESTED = range(8, 5001)
-"""Numbers of errors that are tested: fewer show nothing, and for more the test has no table."""
 
 
 def ce90(errors: FloatArray) -> FloatArray:
@@ -93,17 +90,7 @@ def distances(kind: Callable[..., _Distances], errors: FloatArray) -> _Distances
     first, second = np.sqrt((errors**2).mean(axis=0)).tolist()
     return kind(len(errors), first, second, float(np.hypot(first, second)),
                 float(np.linalg.norm(errors, axis=1).max()), float(ce90(errors)),
-                tuple(errors.mean(axis=0).tolist()), _normal(errors))
-
-
-def _normal(errors: FloatArray) -> tuple[float, float] | None:
-    """Return the p value of Shapiro and Wilk's test for each column of errors (n, 2)."""
-    if len(errors) not in _TESTED or not np.ptp(errors, axis=0).all():
-        return None
-    from scipy.stats import shapiro  # slow to import
-
-    first, second = (float(shapiro(column).pvalue) for column in errors.T)
-    return first, second
+                tuple(errors.mean(axis=0).tolist()), chances_if_normal(errors))
 
 
 def accuracy_of(fitted: Fit, independent: Points) -> Accuracy | None:

@@ -28,8 +28,7 @@ def with_spent(result: Result, folder: Path) -> Result:
     if result.accuracy is None:
         return result
     mine, this = _independent(result.features.points), _fit_of(plain(result.record))
-    shared: set[tuple[Any, ...]] = set()
-    names: set[str] = set()
+    shared, names = set[tuple[Any, ...]](), set[str]()
     for place, content in _results_near(folder):
         try:
             both = mine & _independent(PointsCsv().read(place / POINTS).points)
@@ -43,8 +42,7 @@ def with_spent(result: Result, folder: Path) -> Result:
             names |= known
     if not names:
         return result
-    named = tuple(sorted(names))
-    one = len(shared) == 1
+    named, one = tuple(sorted(names)), len(shared) == 1
     note = (f"{counted(len(shared), 'independent point')} {'is' if one else 'are'} spent: "
             f"{', '.join(named)} showed {'its error' if one else 'their errors'} under another "
             "fit. A fit that is chosen by them looks better than it is. Compare fits by check "

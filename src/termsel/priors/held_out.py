@@ -98,11 +98,9 @@ def mean_chance(strain: tuple[FloatArray, FloatArray], cell: tuple[IntArray, Int
     tell which of these occur together. Of each such pair come a factor, `scale` (c,), and its
     probability, `share` (c,). `half` is half the degrees of freedom.
     """
-    m = strain[0].shape[1]
-    total = np.zeros(m)
-    _mean_chance(*strain, *cell, scale, share, half, np.exp(LEAST / half), np.empty(m), np.empty(m),
-                 total)
-    return total
+    room = np.zeros((3, strain[0].shape[1]))
+    _mean_chance(*strain, *cell, scale, share, half, np.exp(LEAST / half), *room)
+    return room[2]
 
 
 @_compiled

@@ -123,10 +123,10 @@ def _rmse_on(accuracy: Accuracy) -> str:
 def _figures(accuracy: Accuracy, of: str) -> Iterator[Block]:
     image, ground = accuracy.image, accuracy.ground
     rows = [("in the image", *_distances(image, "px", image.line, image.sample))]
-    shapes = [*_shape(image, "px", ("line", "sample"))]
+    shapes = [*_shape(image, "px", {"line": image.line, "sample": image.sample})]
     if ground:
         rows.append(("on the ground", *_distances(ground, "m", ground.x, ground.y)))
-        shapes += _shape(ground, "m", ("x", "y"))
+        shapes += _shape(ground, "m", {"x": ground.x, "y": ground.y})
     yield TableBlock(f"{counted(image.n, 'independent point')}{of}",
                      ("", "RMSE", "line or x", "sample or y", "maximum", "CE90"), rows)
     yield from shapes
@@ -138,26 +138,22 @@ def _figures(accuracy: Accuracy, of: str) -> Iterator[Block]:
                Detail(f"{title}: no figure ({standard.reason})."))
 
 
-def _shape(of: InImage | OnGround, unit: str, axes: tuple[str, str]) -> Iterator[Block]:
-    """Yield the mean errors, and whether the errors are normal; the first if it is unexpected."""
+def _shape(of: InImage | OnGround, unit: str, rmse: dict[str, float]) -> Iterator[Block]:
+    """Yield the mean errors, and whether the errors are normal; openly if it is unexpected."""
     if of.mean is None:
         return
-    allowed = _FAR / of.n**0.5  # of the RMSE, where the true mean is zero
-    means = [f"{axis} {value:+.3g} {unit}" for axis, value in zip(axes, of.mean, strict=True)]
-    said = f"Mean error: {', '.join(means)}."
-    sizes = (of.line, of.sample) if isinstance(of, InImage) else (of.x, of.y)
-    far = [axis for axis, value, size in zip(axes, of.mean, sizes, strict=True)
-           if abs(value) > allowed * size > 0]
+    means = dict(zip(rmse, of.mean, strict=True))
+    said = f"Mean error: {', '.join(f'{axis} {one:+.3g} {unit}' for axis, one in means.items())}."
+    far = [axis for axis, one in means.items() if abs(one) > _FAR * of.n**-0.5 * rmse[axis] > 0]
     yield f"{said} That of {' and '.join(far)} is more than chance explains." if far \
         else Detail(said)
-    if of.normal and isinstance(of, OnGround):  # nothing new, as they are those in the image
-        chances = [f"{axis} {value:.2g}" for axis, value in zip(axes, of.normal, strict=True)]
-        yield Detail(f"The same test of the errors on the ground: p of {', '.join(chances)}.")
-    elif of.normal:
-        chances = [f"{axis} {value:.2g}" for axis, value in zip(axes, of.normal, strict=True)]
-        said = f"Test of normality (Shapiro, Wilk): p of {', '.join(chances)}."
+    if of.normal:
+        ground = isinstance(of, OnGround)  # nothing new, as they are those in the image
+        test = "The same test on the ground" if ground else "Test of normality (Shapiro, Wilk)"
+        chances = [f"{axis} {one:.2g}" for axis, one in zip(rmse, of.normal, strict=True)]
+        said = f"{test}: p of {', '.join(chances)}."
         yield f"{said} These errors are not normal; the intervals assume it." \
-            if min(of.normal) < _UNLIKELY else Detail(said)
+            if min(of.normal) < _UNLIKELY and not ground else Detail(said)
 
 
 def _prediction(predicted: Predicted) -> str:
