@@ -100,7 +100,7 @@ def mean_chance(strain: tuple[FloatArray, FloatArray], cell: tuple[IntArray, Int
     """
     room = np.zeros((3, strain[0].shape[1]))
     _mean_chance(*strain, *cell, scale, share, half, np.exp(LEAST / half), *room)
-    return room[2]
+    return np.asarray(room[2])
 
 
 @_compiled
