@@ -167,7 +167,7 @@ def test_describe_says_what_a_writer_needs(call, built_in):
     for entry in built_in.entries("writers"):
         shown = call("describe", entry.name).stdout
         assert (f"Needs: {entry.object.needs}\n" in shown) == bool(entry.object.needs)
-    assert entry.object.needs == "pyogrio and shapely (termsel[gis])"
+    assert entry.object.needs == "control lines"
     for name in ("rpc-vrt", "gcp-grid-vrt", "geolocation-vrt", "gcp-vrt"):
         assert "--image for a VRT that has pixels" in built_in.get("writers", name).needs
     assert "control points" in built_in.get("writers", "points-csv").needs

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import sys
 from importlib.metadata import distributions
+from importlib.util import find_spec
 from textwrap import dedent
 
 import numpy as np
@@ -98,7 +99,9 @@ def package(tmp_path, monkeypatch):
     (info / "entry_points.txt").write_text("[termsel]\nown = own_kinds\n")
     monkeypatch.syspath_prepend(place)
     monkeypatch.setenv("PYTHONPATH", str(place))
-    monkeypatch.setenv("TERMSEL_PLUGINS", "own-kinds")
+    # Statistics of a study are those of a package.
+    monkeypatch.setenv("TERMSEL_PLUGINS", ",".join(
+        ["own-kinds", *["termsel-studies"] * bool(find_spec("termsel_studies"))]))
     monkeypatch.chdir(tmp_path)
     registry.cache_clear()
     yield lambda: sys.modules["own_kinds"]
@@ -186,6 +189,7 @@ def test_a_run_asks_nothing_of_a_package_that_names_no_hook(tmp_path, package):
 
 
 def test_measures_are_columns_of_a_study(package, tmp_path):
+    pytest.importorskip("termsel_studies")
     asked = ["compare", "--problem", "poly-terms", "--solver", "random,swap", "--seeds", "1",
              "--evaluations", "60", "--set", "model.degree=1",
              "--measures", "terms_again,no_number", "--measure", "terms_again", "--out", "s"]

@@ -56,7 +56,7 @@ def _results_near(folder: Path) -> Iterator[tuple[Path, Mapping[str, Any]]]:
     for file in sorted(folder.resolve().parent.glob(f"*/{RECORD}")):
         try:
             content = msgspec.json.decode(file.read_bytes())
-        except (OSError, msgspec.DecodeError):  # another program's, or damaged
+        except (OSError, msgspec.DecodeError, RecursionError):  # another program's, or damaged
             continue
         if isinstance(content, dict) and str(content.get("schema", "")).startswith("termsel-"):
             yield file.parent, content

@@ -20,6 +20,8 @@ from termsel_block.unknowns import Adjusted, Heights, Measured
 
 _ABSURD = 0.05
 """Standard deviation of ties, over the extent of an image, above which they are no measurements."""
+_TOLD = 8
+"""Ties of an image from which on their extent tells that of the image."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +118,7 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
 def _refuse_contradiction(adjusted: Adjusted, given: list[Given]) -> None:
     """Refuse ties that agree no better than places at random."""
     extents = [np.ptp(image.measured.place, axis=0).max() for image in given
-               if len(image.measured.tie)]
+               if len(image.measured.tie) >= _TOLD]
     sigma = adjusted.state.sigma_ties
     if extents and sigma > _ABSURD * np.median(extents):
         raise TermselError(f"the ties contradict one another: they differ by {sigma:.3g} px",
