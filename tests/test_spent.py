@@ -66,8 +66,9 @@ def test_a_point_that_was_control_before_is_not_spent(tmp_path: Path) -> None:
     assert _spent(result) is None
 
 
-@pytest.mark.parametrize("content", ["{", "[]", '{"schema": 3}', 9999 * "[",
-                                     '{"schema": "termsel-result-1"}'])
+@pytest.mark.parametrize("content", [
+    "{", "[]", '{"schema": 3}', 9999 * "[", '{"schema": "termsel-result-1"}',
+    '{"schema": "termsel-result-1", "checksums": {}, "accuracy": [1], "fit": 2}'])
 def test_a_damaged_neighbour_stops_no_run(tmp_path: Path, content: str) -> None:
     for name in ("damaged", "alone"):
         (tmp_path / name).mkdir()

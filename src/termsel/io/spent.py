@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,11 +10,14 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from termsel.errors import TermselError, counted
+from termsel.errors import TermselError, counted, first_of
+from termsel.formats.base import parse_json, read_text
 from termsel.formats.readers.csv_tables import PointsCsv
 from termsel.io.result_folder import POINTS, RECORD
+from termsel.io.result_of_record import AGAIN, record_from
 from termsel.measurements.features import Points
 from termsel.record.base import plain
+from termsel.record.record import Record
 from termsel.results.result import Result
 
 
@@ -27,39 +30,27 @@ def with_spent(result: Result, folder: Path) -> Result:
     """
     if result.accuracy is None:
         return result
-    mine, this = _independent(result.features.points), _fit_of(plain(result.record))
+    mine, this = _independent(result.features.points), _fit_of(result.record)
     shared, names = set[tuple[Any, ...]](), set[str]()
-    for place, content in _results_near(folder):
-        try:
-            both = mine & _independent(PointsCsv().read(place / POINTS).points)
-        except TermselError:  # not the points of a result, or none
-            continue
-        # What an earlier result knew of its points holds for these, even if that folder is gone.
-        known = set((content.get("accuracy") or {}).get("spent_by", ()))
-        known |= {place.name} if _fit_of(content) != this else set()
-        if both and known:
-            shared |= both
-            names |= known
+    for file in sorted(folder.resolve().parent.glob(f"*/{RECORD}")):
+        with suppress(TermselError):  # another program's, or damaged
+            record = record_from(parse_json(read_text(file), AGAIN))
+            # What an earlier result knew of its points holds for these, even if that one is gone.
+            known = {*((record.accuracy and record.accuracy.spent_by) or ()),
+                     *[file.parent.name] * (_fit_of(record) != this)}
+            if known and (both := mine & _independent(
+                    PointsCsv().read(file.with_name(POINTS)).points)):
+                shared |= both
+                names |= known
     if not names:
         return result
     named, one = tuple(sorted(names)), len(shared) == 1
     note = (f"{counted(len(shared), 'independent point')} {'is' if one else 'are'} spent: "
-            f"{', '.join(named)} showed {'its error' if one else 'their errors'} under another "
+            f"{first_of(named)} showed {'its error' if one else 'their errors'} under another "
             "fit. A fit that is chosen by them looks better than it is. Compare fits by check "
             "points or by the predicted RMSE, or measure new independent points.")
     return replace(result, notes=(*result.notes, note), accuracy=msgspec.structs.replace(
         result.accuracy, spent_by=named))
-
-
-def _results_near(folder: Path) -> Iterator[tuple[Path, Mapping[str, Any]]]:
-    """Yield the folders of results, this one and those next to it, with their records."""
-    for file in sorted(folder.resolve().parent.glob(f"*/{RECORD}")):
-        try:
-            content = msgspec.json.decode(file.read_bytes())
-        except (OSError, msgspec.DecodeError, RecursionError):  # another program's, or damaged
-            continue
-        if isinstance(content, dict) and str(content.get("schema", "")).startswith("termsel-"):
-            yield file.parent, content
 
 
 def _independent(points: Points) -> set[tuple[Any, ...]]:
@@ -70,8 +61,7 @@ def _independent(points: Points) -> set[tuple[Any, ...]]:
         if role == "independent"}
 
 
-def _fit_of(content: Mapping[str, Any]) -> tuple[Any, ...]:
+def _fit_of(record: Record) -> tuple[Any, ...]:
     """Return what tells a fit from another one over the same points."""
-    how = content.get("fit") or {}
-    return (content.get("model"), content.get("selection"), how.get("estimator"),
-            how.get("options"), sorted(content.get("coefficients", ())))
+    return (record.model, plain(record.selection), record.fit.estimator, record.fit.options,
+            sorted(record.coefficients))

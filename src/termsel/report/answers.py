@@ -10,7 +10,7 @@ import platform
 from collections.abc import Iterator
 
 from termsel.candidates.portfolio import EXACT
-from termsel.errors import counted
+from termsel.errors import counted, first_of
 from termsel.fits.figures import LEAVE_ONE_OUT
 from termsel.record.base import plain
 from termsel.record.figures import Accuracy, InImage, OnGround, Predicted, RoleRmse
@@ -79,7 +79,7 @@ def _accuracy(record: Record) -> Iterator[Block]:
     accuracy, predicted = record.accuracy, record.predicted
     if accuracy:
         yield from _figures(accuracy, ", which took no part in any choice" + (
-            f" of this run; {', '.join(accuracy.spent_by)} showed them before"
+            f" of this run; {first_of(accuracy.spent_by)} showed them before"
             if accuracy.spent_by else ""))
         if record.accuracy_without:
             yield from _figures(record.accuracy_without, f", without {contradicting(record)}")
