@@ -17,22 +17,33 @@ it are removed; predictions from a system nearer to singular would be rounding e
 
 @dataclass(frozen=True, eq=False)
 class Adjustment:
-    """A least-squares solution."""
+    """A least-squares solution.
 
-    coefficients: FloatArray  # (k,): all terms; 0 where a term is not selected
-    # (k,): standard deviations of the coefficients; NaN where they are not determined or there is
-    # no redundancy, 0 where a term is not selected.
+    Attributes
+    ----------
+    coefficients, deviations : ndarray, shape (k,)
+        Of all terms, and their standard deviations; 0 where a term is not selected. Deviations are
+        NaN where coefficients are not determined or there is no redundancy.
+    n_terms, n_equations, rank : int
+        Of the selected system.
+    condition : float
+        Ratio of the extreme singular values of its design matrix, with columns of length 1.
+    sigma0 : float
+        Standard deviation of unit weight; NaN without redundancy.
+    correlations : ndarray, shape (n_terms, n_terms), or None
+        Of the selected coefficients; None where they are not determined, or not known.
+    steps, converged
+        Gauss-Newton steps, None where equations are exact, and whether they converged.
+    """
+
+    coefficients: FloatArray
     deviations: FloatArray
-    n_terms: int  # of the selected system, as the next two
+    n_terms: int
     n_equations: int
     rank: int
-    # Ratio of the extreme singular values of the selected design matrix, its columns of length 1.
     condition: float
-    sigma0: float  # standard deviation of unit weight; NaN without redundancy
-    # (n_terms, n_terms): of the coefficients of the selected terms; None where they are not
-    # determined, or not known.
+    sigma0: float
     correlations: FloatArray | None = None
-    # Gauss-Newton steps, None where equations are exact, and whether they converged.
     steps: int | None = None
     converged: bool = True
 

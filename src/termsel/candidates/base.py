@@ -119,6 +119,7 @@ class Candidate(ABC):
     """
 
     kind: ClassVar[str] = "candidate"
+    """Word for it in messages."""
     name: str
     title: str
     _: KW_ONLY

@@ -110,8 +110,13 @@ GIVEN = Given()
 class HeldOut:
     """Errors of control features in use under the same procedure without them.
 
-    `errors`, measured minus predicted [px], are as of `FeatureSet.ground_vertices`, shape (m, 2);
-    `squares` are the sums of their squares by feature, shape (n,)."""
+    Parameters
+    ----------
+    errors : ndarray, shape (m, 2)
+        Measured minus predicted [px], as of `FeatureSet.ground_vertices`.
+    squares : ndarray, shape (n,)
+        Sums of their squares by feature.
+    """
 
     errors: FloatArray
     squares: FloatArray

@@ -38,9 +38,13 @@ STEP = 1e-6
 class Spread:
     """Mean square errors of predictions, in scaled coordinates.
 
-    The variance (m, 2) is of line and sample without the noise (2,) of a measurement of unit weight
-    at the place. Products of the factors (m, 2, d), where known, are the covariances of what is not
-    known, at all places and of both axes: a measurement lessens it elsewhere too.
+    Attributes
+    ----------
+    variance, noise : ndarray, shapes (m, 2) and (2,)
+        Of line and sample without, and of, the noise of a measurement of unit weight at the place.
+    factors : ndarray, shape (m, 2, d), or None
+        Their products, where known, are the covariances of what is not known, at all places and of
+        both axes: a measurement lessens it elsewhere too.
     """
 
     variance: FloatArray

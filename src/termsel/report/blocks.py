@@ -12,7 +12,12 @@ _LONGEST_NUMBER = 24
 
 @dataclass(frozen=True)
 class Note:
-    """What else a reader must know, or a fact behind its label."""
+    """What else a reader must know, or a fact behind its label.
+
+    Parameters
+    ----------
+    text, label : str
+    """
 
     text: str
     label: str = "Note"
@@ -27,7 +32,12 @@ class Statement:
 
 @dataclass(frozen=True)
 class Code:
-    """A command, or other text in which spaces count."""
+    """A command, or other text in which spaces count.
+
+    Parameters
+    ----------
+    text : str
+    """
 
     text: str
 
@@ -42,17 +52,31 @@ class Names:
 
 @dataclass(frozen=True)
 class TableBlock:
-    """A table, which also serves where a chart cannot be seen."""
+    """A table, which also serves where a chart cannot be seen.
+
+    Parameters
+    ----------
+    caption, columns, rows
+        Numbers are text, already rounded.
+    choice, keys
+        Name of the choice that a row makes in the charts, if any; what each row chooses, or is of.
+    folded : bool
+        Whether it is shown only when asked for; a text leaves it out.
+    pictures, marked
+        A drawing of each row as SVG, if any, and the row that was chosen.
+    page_only : tuple of int
+        Columns that a text leaves out, as they are too wide for it.
+    """
 
     caption: str
     columns: tuple[str, ...]
-    rows: Sequence[tuple[str, ...]]  # numbers as text, already rounded
-    choice: str = ""  # name of the choice that a row makes in the charts, if any
-    keys: Sequence[Any] = ()  # what each row chooses, or what it is of
-    folded: bool = False  # whether it is shown only when asked for; a text leaves it out
-    pictures: Sequence[str] = ()  # a drawing of each row as SVG, if any
-    marked: int | None = None  # the row that was chosen
-    page_only: tuple[int, ...] = ()  # columns that a text leaves out, as they are too wide for it
+    rows: Sequence[tuple[str, ...]]
+    choice: str = ""
+    keys: Sequence[Any] = ()
+    folded: bool = False
+    pictures: Sequence[str] = ()
+    marked: int | None = None
+    page_only: tuple[int, ...] = ()
 
     def has_words(self, column: int) -> bool:
         """Return whether a column has words, which begin at the left, and not numbers."""

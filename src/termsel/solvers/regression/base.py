@@ -37,20 +37,34 @@ class Regression:
 
     With one mask for line and sample there are two targets; their sums of squares and
     degrees of freedom are pooled, as for one adjustment of both.
+
+    Attributes
+    ----------
+    genes : ndarray of int, shape (k,)
+        The genes that switch the columns.
+    columns, target : ndarray, shapes (m, k) and (m, r)
+        As in the adjustment.
+    denominator : ndarray, shape (m, k), or None
+        Its linear form without its 1: the error of the image coordinate is
+        (target - columns x) / (1 + denominator x).
+    constant, kept, free : ndarray of bool, shape (k,)
+        The constant's column, if any; those that are always chosen; those to choose from.
+    least, most : int
+        Fewest and most columns; the most leave a redundancy of at least 1.
+    pixels : float
+        Size of the target's unit [px].
     """
 
-    genes: IntArray  # (k,): the genes that switch the columns
-    columns: FloatArray  # (m, k): as in the adjustment
-    target: FloatArray  # (m, r)
-    # (m, k): linear form of the denominator without its 1: the error of the image coordinate is
-    # (target - columns x) / (1 + denominator x).
+    genes: IntArray
+    columns: FloatArray
+    target: FloatArray
     denominator: FloatArray | None
-    constant: BoolArray  # (k,): the column of the constant, if there is one
-    kept: BoolArray  # (k,): columns that are always chosen
-    free: BoolArray  # (k,): those to choose from
-    least: int  # fewest columns
-    most: int  # most columns, which leave a redundancy of at least 1
-    pixels: float  # px per unit of the target
+    constant: BoolArray
+    kept: BoolArray
+    free: BoolArray
+    least: int
+    most: int
+    pixels: float
 
     @cached_property
     def unit(self) -> FloatArray:
