@@ -14,7 +14,6 @@ from collections.abc import Callable
 from multiprocessing import parent_process
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
