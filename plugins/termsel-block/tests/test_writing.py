@@ -160,3 +160,7 @@ def test_match_files_of_asp_are_ties(tmp_path: Path, binary: bool) -> None:
         (0, 10.0, 20.0), (1, 11.0, 21.0), (2, 12.0, 22.0)}
     with pytest.raises(TermselError, match="states no two images"):
         read_ties(files, ["A", "C"])
+    table = tmp_path / "ties.csv"  # with a name that the second file has given
+    table.write_text("id,image,line,sample\nasp-A-30.0-40.0,A,1,2\n")
+    with pytest.raises(TermselError, match=f"line 2 of .*run-A__B{end}"):
+        read_ties([*files, table], ["A", "B", "C"])

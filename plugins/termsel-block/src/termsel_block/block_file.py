@@ -186,8 +186,8 @@ def read_ties(files: Sequence[Path], images: Sequence[str]) -> tuple[Ties, tuple
     seen: dict[tuple[str, int], tuple[Path, int]] = {}
     places: list[tuple[float, float]] = []
     matches = [file for file in files if is_asp(file)]
-    for _, _, name, (own, *place) in asp_rows(matches, images):
-        seen[name, index[own]] = matches[0], 1
+    for file, number, name, (own, *place) in asp_rows(matches, images):
+        seen[name, index[own]] = file, number
         places.append((place[0], place[1]))
     for file in files:
         for line, row in [] if file in matches else _rows(file):
