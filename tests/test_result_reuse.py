@@ -179,6 +179,10 @@ def _damaged(folder: Path, **change: object) -> None:
     path.write_text(json.dumps(record))
 
 
+def _nested(depth: int) -> dict[str, Any]:
+    return {"problem": _nested(depth - 1)} if depth else {}
+
+
 @pytest.mark.parametrize(("change", "message"), [
     ({"schema": "termsel-result-0"}, "not a result with the schema termsel-result-1"),
     ({"model": "rfn"}, "unknown model 'rfn'"),
@@ -192,6 +196,10 @@ def _damaged(folder: Path, **change: object) -> None:
     ({"data": {"image_size": "ab"}},
      r"damaged at \$\.data\.image_size: expected `array \| null`, got `str`"),
     ({"rmse": {"check": {"total": 1.0, "n": 3}}}, r"damaged at \$\.rmse\.check: .* `line`"),
+    ({"accuracy": {"image": {"n": 4, "line": 1.0, "sample": 1.0, "total": 1.0, "ce90": 1.0,
+                             "maximum": float("inf")}}},
+     r"damaged at \$\.accuracy\.image\.maximum: expected `float`"),
+    ({"options": _nested(600)}, "this result is damaged: it is nested too deeply"),
     ({"fit": {"estimator": "magic", "options": {}, "effective": None, "held_out": None,
               "features": None}}, "unknown estimator 'magic'"),
     ({"fit": {"estimator": "least-squares", "options": {"steps": 3}, "effective": None,

@@ -40,7 +40,9 @@ def record_from(content: Any) -> Record:
         raise TermselError("this result is of an earlier version of termsel, without checksums",
                            hint="Run the search again with this version of termsel.")
     try:
-        return convert(completed(content), Record)
+        return convert(plain(completed(content)), Record)  # 1e999 is a number to JSON, not to us
+    except RecursionError:
+        raise TermselError("this result is damaged: it is nested too deeply", hint=AGAIN) from None
     except (ValidationError, UnicodeEncodeError) as error:  # keys may be no text at all
         what, _, where = str(error).partition(" - at ")
         place = where.strip("`") or "$"
