@@ -20,7 +20,6 @@ import pytest
 
 import termsel
 from termsel.report.plots import KINDS, chart
-from termsel.report.small import small_map
 from termsel.report.theme import styled
 from termsel.results import shown
 from termsel.studies.cells.journal import CellRecord
@@ -28,6 +27,7 @@ from termsel.studies.plan.spec import spec_of
 from termsel.studies.study import Study
 from termsel_studies import figures
 from termsel_studies.figures import figures_of
+from termsel_studies.small import small_map
 
 pytest.importorskip("altair")
 vl_convert = pytest.importorskip("vl_convert")

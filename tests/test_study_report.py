@@ -17,9 +17,6 @@ import pytest
 import termsel
 from termsel.guard.helper import Helper
 from termsel.report import pictures
-from termsel.report.blocks import Document, Section, TableBlock
-from termsel.report.page import page
-from termsel.report.small import MOST, small_map
 from termsel.studies.outputs import write_outputs
 
 pytest.importorskip("altair")
@@ -165,36 +162,6 @@ def test_a_comparison_has_its_charts_again(call: Call, tmp_path: Path) -> None:
     text = (tmp_path / "s" / "report.html").read_text()
     for name in ("ecdf-evaluations", "ecdf-cpu-seconds", "convergence"):
         assert f'data-chart="{name}"' in text
-
-
-def test_an_arrow_of_a_drawing_points_from_computed_to_measured() -> None:
-    features = scene(12, 0.1)
-    points = features.points
-    image = points.image.copy()
-    image[4] += [0.0, 40.0]  # to the right
-    result = termsel.run("poly-terms", features=features.with_(points=replace(
-        points, image=image)))
-    assert [one.id for one in result.outliers] == ["P4"]
-    drawn = small_map(result.view)
-    ring = re.search(r'<circle cx="([\d.]+)" cy="([\d.]+)"', drawn)
-    assert ring is not None
-    x, y = map(float, ring.groups())
-    assert (x, y) == pytest.approx((image[4, 1] * 120 / 2099, image[4, 0] * 120 / 2099), abs=0.1)
-    arrow = re.search(rf"M{x:.1f} {y:.1f}l([-\d.]+) ([-\d.]+)", drawn)
-    assert arrow is not None
-    right, down = map(float, arrow.groups())
-    assert right > 50 * abs(down)
-
-
-def test_the_page_of_two_hundred_images_is_small() -> None:
-    many = small_map(termsel.run("poly-terms", solver="all-terms", features=scene(1000, 1.0),
-                                 options={"degree": 1}).view)
-    assert many.count("M") <= 3 * MOST + 1
-    drawn = [many] * 200
-    table = TableBlock("200 images", ("image",), [(f"image {i}",) for i in range(200)],
-                       pictures=drawn)
-    text = page(Document("Study", "", (), (Section("Images", (table,)),)))
-    assert len(text) < 3.5e6
 
 
 def test_rows_are_tables_and_images_a_map(images: Path) -> None:

@@ -22,6 +22,7 @@ from .display.quiet import quieted as quieted
 from .enumeration.features.walk import RowSystem as RowSystem
 from .errors import GIS as GIS
 from .errors import counted as counted
+from .errors import printable as printable
 from .errors import raised as raised
 from .errors import requires as requires
 from .errors import unknown_name as unknown_name
@@ -50,6 +51,7 @@ from .fits.scene import errors_on_ground as errors_on_ground
 from .formats.base import IMAGE_NAME as IMAGE_NAME
 from .formats.base import image_of as image_of
 from .formats.base import located as located
+from .formats.base import read_head as read_head
 from .formats.base import read_text as read_text
 from .formats.deviation import GDALWARP as GDALWARP
 from .formats.deviation import places_of as places_of
@@ -57,7 +59,6 @@ from .formats.deviation import say_deviation as say_deviation
 from .formats.deviation import say_measured as say_measured
 from .formats.deviation import say_nearest as say_nearest
 from .formats.heights import surface_of as surface_of
-from .formats.readers.gdal_gcps import points_of as points_of
 from .formats.readers.table import Table as Table
 from .formats.readers.table import is_number as is_number
 from .formats.readers.vector import open_layer as open_layer
@@ -128,9 +129,10 @@ from .report.charts.search import with_unit as with_unit
 from .report.page import page as page
 from .report.pictures import picture as picture
 from .report.plots import save as save
-from .report.small import small_map as small_map
 from .report.text import text_of as text_of
+from .report.theme import BLUNDER as BLUNDER
 from .report.theme import CONTROL as CONTROL
+from .report.theme import EDGE as EDGE
 from .report.theme import FAINT as FAINT
 from .report.theme import GROUND as GROUND
 from .report.theme import INK as INK
@@ -142,6 +144,8 @@ from .report.theme import data as data
 from .report.theme import require_altair as require_altair
 from .report.theme import spread_scale as spread_scale
 from .report.theme import styled as styled
+from .report.view import View as View
+from .report.view import nice as nice
 from .runs.notebook import notebook_observer as notebook_observer
 from .runs.run import problem_for as problem_for
 from .runs.search.recommend import recommended as recommended

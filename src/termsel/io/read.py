@@ -200,8 +200,11 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
     error = unknown_table(path, _EXPECTED, str((options or {}).get("columns", "")))
     if error is not None:
         raise error
-    kind = "binary file" if b"\0" in head else "file"
-    raise TermselError(f"this {kind} is in no format that termsel knows", file=path, hint=_EXPECTED)
+    binary = b"\0" in head
+    rasters = registry().missing("gdal-gcps") if binary or b"<VRTDataset" in head else ""
+    raise TermselError(f"this {'binary ' * binary}file is in no format that termsel knows",
+                       file=path, hint=f"{_EXPECTED} If it is a raster with control points, "
+                       f"gdal-gcps reads it. {rasters}" if rasters else _EXPECTED)
 
 
 def _recognising(path: Path, head: bytes, readers: Sequence[Reader]) -> Reader | None:

@@ -105,14 +105,13 @@ def termsel_readers() -> Iterable[type[Reader]]:
     """Return the built-in readers."""
     from termsel.formats.readers.areas_table import AreasCsv
     from termsel.formats.readers.csv_tables import LinesCsv, PointsCsv
-    from termsel.formats.readers.gdal_gcps import GdalGcps
     from termsel.formats.readers.geojson_points import GeoJsonPoints, VectorPoints
     from termsel.formats.readers.ground_lines import GeoJsonLines, VectorLines
     from termsel.formats.readers.qgis_points import QgisPoints
 
     # A table of corners has all columns of points, so it is asked for first.
     return [AreasCsv, PointsCsv, LinesCsv, QgisPoints, GeoJsonPoints, GeoJsonLines,
-            VectorPoints, VectorLines, GdalGcps]
+            VectorPoints, VectorLines]
 
 
 @hookimpl
@@ -120,13 +119,7 @@ def termsel_writers() -> Iterable[type[Writer]]:
     """Return the built-in writers."""
     from termsel.formats.writers.grids import GcpGridVrt, GeolocationVrt
     from termsel.formats.writers.rpcs import Rpb, RpcTxt, RpcVrt
-    from termsel.formats.writers.selections import (
-        GcpVrt,
-        LinesTable,
-        OrthorityGeojson,
-        PointsTable,
-        QgisPointsWriter,
-    )
+    from termsel.formats.writers.selections import GcpVrt, LinesTable, PointsTable, QgisPointsWriter
 
     return [Rpb, RpcTxt, RpcVrt, GcpGridVrt, GeolocationVrt, QgisPointsWriter, GcpVrt,
-            OrthorityGeojson, PointsTable, LinesTable]
+            PointsTable, LinesTable]

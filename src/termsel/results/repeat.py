@@ -5,10 +5,10 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator
 
+from termsel.problems.recipes import Recipe
 from termsel.record.base import Value, plain
 from termsel.record.record import Record
 from termsel.solvers.base import GIVEN
-from termsel.solvers.genetic.ga import GeneticAlgorithm
 
 
 def command(record: Record) -> str:
@@ -42,10 +42,8 @@ def _parts(record: Record) -> Iterator[str]:
     if record.strategy:
         yield "--strategy auto"
     else:
-        own = record.options.solver
-        # A GA that is named takes what its paper says; that of the problem does not.
-        named = record.solver != GeneticAlgorithm.name or all(
-            own[name] is not None for name in GeneticAlgorithm.published)
+        # A solver that is named takes what its paper says; that of the problem leaves it open.
+        named = record.solver != Recipe.solver or None not in record.options.solver.values()
         for part in ("model", *["solver"] * named, "criterion"):
             yield f"--{part} {shlex.quote(_full_name(record, part))}"
     each = plain(record.options)

@@ -43,10 +43,11 @@ def termsel_readers() -> Iterable[type[Reader]]:
     from termsel_formats.points.ozi import OziMap
     from termsel_formats.points.pci import PciGcp
     from termsel_formats.points.pix4d import Pix4dMarks
+    from termsel_formats.points.rasters import GdalGcps
     from termsel_formats.points.world import WorldFile
 
     return [EnviPoints, AspGcp, MapInfoTab, OziMap, MetashapeMarkers, Pix4dMarks, ErdasGcps,
-            PciGcp, PamGcps, WorldFile]
+            PciGcp, PamGcps, WorldFile, GdalGcps]
 
 
 @hookimpl
@@ -57,10 +58,12 @@ def termsel_writers() -> Iterable[type[Writer]]:
     from termsel_formats.points.gdal_files import GcpTiff, PamGcpsWriter
     from termsel_formats.points.mapinfo import MapInfoTabWriter
     from termsel_formats.points.metashape import MetashapeMarkersWriter
+    from termsel_formats.points.orthority import OrthorityGeojson
     from termsel_formats.points.ozi import OziMapWriter
     from termsel_formats.points.pci import PciGcpWriter
     from termsel_formats.points.pix4d import Pix4dMarksWriter
     from termsel_formats.points.world import WorldFileWriter
 
     return [ResidualsGeopackage, GcpTiff, PamGcpsWriter, WorldFileWriter, MapInfoTabWriter,
-            OziMapWriter, MetashapeMarkersWriter, Pix4dMarksWriter, ErdasGcpsWriter, PciGcpWriter]
+            OziMapWriter, MetashapeMarkersWriter, Pix4dMarksWriter, ErdasGcpsWriter, PciGcpWriter,
+            OrthorityGeojson]

@@ -19,13 +19,13 @@ from termsel.toolkit import (
     page,
     require_altair,
     save,
-    small_map,
     styled,
     text_of,
     write_text,
 )
 from termsel_studies.figures import figures_of
 from termsel_studies.pages import latex, markdown, tables_of
+from termsel_studies.small import small_map
 
 log = logging.getLogger(__name__)
 

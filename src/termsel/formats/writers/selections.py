@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -10,13 +9,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from termsel.errors import TermselError, printable
+from termsel.errors import TermselError
 from termsel.files.atomic import write_text
 from termsel.formats.base import Writer
 from termsel.formats.deviation import GDALWARP, QGIS, say_measured, say_nearest
 from termsel.formats.readers.csv_tables import line_columns, point_columns, table_text
 from termsel.formats.vrt import IMAGE, picture_for, vrt_text
-from termsel.measurements.coordinates.crs import LOCAL, horizontal, normalise, to_wgs84
+from termsel.measurements.coordinates.crs import horizontal
 from termsel.measurements.coordinates.utm import for_warping
 from termsel.measurements.features import BoolArray, FloatArray, Points
 from termsel.options import Option
@@ -97,48 +96,6 @@ class QgisPointsWriter(SelectionWriter):
         used = chosen_points(result)
         say_nearest(self.name, result.fit, used.ground[:, :2], used.image, QGIS,
                     "where QGIS has the transformation type {}")
-
-
-class OrthorityGeojson(SelectionWriter):
-    """The selected control points as Orthority's GeoJSON, which GIS programs also open."""
-
-    name = "orthority-geojson"
-    summary = "selected control points as GeoJSON, which Orthority and GIS programs read"
-    needs = ("control points with heights, in a CRS; pyproj (termsel[gis]) if that is not WGS84; "
-             "--image for the name of the image")
-    suffix = "_gcps.geojson"
-    declared_options: ClassVar[tuple[Option, ...]] = (
-        Option("image", None, "The image; its name is written with each point."),)
-
-    def accepts(self, result: Result) -> bool:
-        """Return True for control points with heights and a CRS."""
-        points = result.fit.control.points
-        return (super().accepts(result) and normalise(result.features.crs) != LOCAL
-                and not np.isnan(points.ground[:, 2]).any())
-
-    def write(self, result: Result, path: Path) -> None:
-        """Write a feature collection of 3D points in WGS84."""
-        _require_accepted(self, result, path, "It requires control points with heights and a CRS.")
-        chosen = _chosen(result)
-        points = result.features.points.take(chosen)
-        errors = _errors(result)[chosen]
-        ground = to_wgs84(result.features.crs)(points.ground)
-        image = self.options["image"]
-        features = []
-        for i, name in enumerate(points.ids):
-            line, sample = points.image[i].tolist()
-            features.append({
-                "type": "Feature",
-                "properties": {
-                    **{key: texts[i] for key, texts in points.attributes.items()},
-                    "filename": printable(Path(image).name) if image is not None else "",
-                    "id": name, "ji": [sample, line], "info": "", "role": points.roles[i],
-                    "residual": errors[i, ::-1].tolist()},
-                "geometry": {"type": "Point", "coordinates": ground[i].tolist()}})
-        collection = {"type": "FeatureCollection", "features": features}
-        write_text(path, json.dumps(collection, ensure_ascii=False, indent=1, allow_nan=False)
-                   + "\n")
-        say_measured(self.name)
 
 
 class GcpVrt(SelectionWriter):

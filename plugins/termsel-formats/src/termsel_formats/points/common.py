@@ -1,12 +1,15 @@
-"""What readers of several programs share: where pixels begin, UTM on WGS 84, and XML."""
+"""What readers of several programs share: where pixels begin, UTM, XML, GCPs."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
-from termsel import TermselError
-from termsel.toolkit import read_text
+import numpy as np
+
+from termsel import Points, TermselError
+from termsel.toolkit import located, read_text
 
 CORNER = 0.5
 """From the centre of the first pixel to its outer corner, where GDAL and others count from."""
@@ -37,3 +40,17 @@ def xml_root(path: Path, hint: str) -> ElementTree.Element:
 def what_lacks(error: KeyError | ValueError) -> str:
     """Return what a KeyError or a ValueError of reading attributes says, for users."""
     return f"it has no {error.args[0]}" if isinstance(error, KeyError) else str(error)
+
+
+def points_of(path: Path, ids: Sequence[str], rows: Sequence[Sequence[float]]) -> Points:
+    """Return GCPs as points, of rows of line, sample, x, y and z; heights all 0 are unknown."""
+    table = np.array(rows, dtype=np.float64)
+    if not np.nan_to_num(table[:, 4]).any():
+        table[:, 4] = np.nan
+    names = [name.strip() for name in ids]
+    if len({*names} - {""}) < len(names):
+        names = [f"P{i}" for i in range(1, len(names) + 1)]
+    try:
+        return Points(tuple(names), table[:, :2], table[:, 2:])
+    except TermselError as error:
+        raise located(error, path) from error

@@ -21,12 +21,11 @@ from termsel.toolkit import (
     gcps_of,
     normalise,
     picture_for,
-    points_of,
     private_folder,
     vrt_text,
     write_text,
 )
-from termsel_formats.points.common import CORNER, what_lacks, xml_root
+from termsel_formats.points.common import CORNER, points_of, what_lacks, xml_root
 from termsel_formats.points.written import IMAGE, PointsWriter, say_by_gdal
 
 _HINT = "Write it again with GDAL or ArcGIS, or give another file."

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from termsel.errors import TermselError
-from termsel.files.rasters import open_raster
-from termsel.formats.base import Reader, located, read_head
-from termsel.measurements.features import FeatureSet, Points
-from termsel.options import Option
+from termsel import FeatureSet, Option, Reader, TermselError, open_raster
+from termsel.toolkit import read_head
+from termsel_formats.points.common import CORNER, points_of
 
 _MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+",  # TIFF, BigTIFF
           b"\x89PNG", b"\xff\xd8\xff", b"\0\0\0\x0cjP  ", b"\xff\x4f\xff\x51",  # JPEG, JPEG 2000
@@ -49,24 +46,10 @@ class GdalGcps(Reader):
             raise TermselError("this raster has no ground control points", file=path,
                                hint="Check with gdalinfo. If the points are in a separate file, "
                                     "give that file.")
-        corner = 0.5 if self.options["gcp_origin"] == "corner" else 0.0
+        corner = CORNER if self.options["gcp_origin"] == "corner" else 0.0
         points = points_of(path, [str(gcp.id or "") for gcp in gcps], [
             (gcp.row - corner, gcp.col - corner, gcp.x, gcp.y, np.nan if gcp.z is None else gcp.z)
             for gcp in gcps])
         epsg = crs.to_epsg() if crs else None
         wkt = crs.to_wkt() if crs else ""
         return FeatureSet(points, crs=wkt if epsg is None else f"EPSG:{epsg}", image_size=size)
-
-
-def points_of(path: Path, ids: Sequence[str], rows: Sequence[Sequence[float]]) -> Points:
-    """Return GCPs as points, of rows of line, sample, x, y and z; heights all 0 are unknown."""
-    table = np.array(rows, dtype=np.float64)
-    if not np.nan_to_num(table[:, 4]).any():
-        table[:, 4] = np.nan
-    names = [name.strip() for name in ids]
-    if len({*names} - {""}) < len(names):
-        names = [f"P{i}" for i in range(1, len(names) + 1)]
-    try:
-        return Points(tuple(names), table[:, :2], table[:, 2:])
-    except TermselError as error:
-        raise located(error, path) from error

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from html import escape
+from typing import Any
 
 import numpy as np
 
-from termsel.errors import counted
-from termsel.report.theme import BLUNDER, EDGE, INK, ROLE_COLOURS
-from termsel.report.view import Row, View, nice
+from termsel.toolkit import BLUNDER, EDGE, INK, ROLE_COLOURS, View, counted, nice
 
 WIDE = 120
 """Width and largest height of the drawing [px of the screen]."""
@@ -52,7 +51,7 @@ def small_map(view: View) -> str:
             f"{_bar(high, longer, wide)}</svg>")
 
 
-def _arrow(x: float, y: float, row: Row, longer: float) -> str:
+def _arrow(x: float, y: float, row: dict[str, Any], longer: float) -> str:
     """Return a line with a head; it need not be longer than twice the drawing, which clips it."""
     longer = min(longer, 2.0 * WIDE / max(row["distance"], 1e-300))
     dx, dy = row["ds"] * longer, row["dl"] * longer
