@@ -174,7 +174,8 @@ def _damaged(folder: Path, **change: object) -> None:
     path = folder / "result.json"
     record = json.loads(path.read_text())
     for key, value in change.items():
-        record[key] = record[key] | value if key == "data" and isinstance(value, dict) else value
+        merged = key in ("data", "coefficients") and isinstance(value, dict)
+        record[key] = record[key] | value if merged else value
     record["checksums"]["record"] = of_record(record)
     path.write_text(json.dumps(record))
 
@@ -189,6 +190,7 @@ def _nested(depth: int) -> dict[str, Any]:
     ({"scaling": {}}, "this result is damaged"),
     ({"coefficients": {"line.num:W": 1.0}}, "the installed model has no term 'line.num:W'"),
     ({"coefficients": {"line.num:1": None}}, "this result is damaged"),
+    ({"coefficients": {"sample.num:Y": 1e306}}, "is not the one of the run"),
     ({"model": 5}, "this result is damaged"),
     ({"rmse": []}, "this result is damaged"),
     ({"data": None}, "this result is damaged"),

@@ -167,7 +167,8 @@ def _model_type(plugin: PluginRecord | None, name: str) -> type[SensorModel]:
 
 def _refuse_other_model(record: Record, fitted: Fit, observations: Observations) -> None:
     """Refuse a model that has changed since the run, as another version of a plugin may have."""
-    now = figures(fitted, observations)
+    with np.errstate(over="ignore", invalid="ignore"):  # of coefficients such as 1e300
+        now = figures(fitted, observations)
     # Leave-one-out of what auto chose is told by what it predicts, not here.
     for role, rmse in rmse_from(record.rmse).items():
         again = now.get(role)
