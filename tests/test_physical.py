@@ -124,3 +124,16 @@ def test_it_declines_on_other_bodies_and_with_lines():
     lines = simulate_scene("ikonos-hamedan", n_points=12, n_lines=8)
     with pytest.raises(TermselError, match="takes control points alone"):
         termsel.fit(FeatureSet(lines.points, lines.lines, crs=lines.crs), "physical-cubic")
+
+
+@pytest.mark.parametrize("height", [200.0, 1e9])
+def test_a_prior_has_the_covariance_of_its_cameras_even_of_absurd_heights(height):
+    rng = np.random.default_rng(0)
+    scaled = rng.uniform(-1.2, 1.2, (60, 3))
+    priors = physics.of_cameras(scaled * [6e3, 6e3, height], scaled, graded_exponents(3, 3), 35.0,
+                                np.array([[0.0, -1.0], [1.0, 0.0]]) / 6e3, 4e-4)
+    narrow, wide = (one.root @ one.root.T for one in priors[::len(priors) - 1])
+    ratio = physics.WIDTHS[-1] / physics.WIDTHS[0]
+    off = ~np.eye(len(narrow), dtype=bool)  # what comes to the variances of cameras is diagonal
+    np.testing.assert_allclose(wide[off], ratio**2 * narrow[off], rtol=1e-6,
+                               atol=1e-9 * abs(wide).max())

@@ -84,13 +84,15 @@ def of_cameras(places: FloatArray, scaled: FloatArray, exponents: Exponents, lat
     found = np.linalg.pinv(monomials(scaled, exponents)) @ (seen * factor[:, None])  # (c, k, 2)
     rest = found[:, FREE:].swapaxes(1, 2).reshape(len(found), -1)
     mean = rest.mean(axis=0)
-    powers, covariance = np.array(exponents[FREE:]), np.cov(rest.T)
+    powers = np.array(exponents[FREE:])
+    # Roots by QR: a covariance of cameras that hardly differ has none by Cholesky.
+    spread = np.linalg.qr((rest - mean) / np.sqrt(len(rest) - 1.0), mode="r")
     departure = np.tile(pixel * FALL ** np.maximum(powers.sum(axis=1) - 2.0, 0.0)
                         * RELIEF ** powers[:, 2], 2)
     believed = 1.0 / np.hypot(1.0, WIDTHS)
     believed /= believed.sum() * len(DEPARTURES)
-    return [Prior(mean, np.linalg.cholesky(width**2 * covariance + np.diag((size * departure)**2)),
-                  float(share))
+    return [Prior(mean, np.transpose(np.linalg.qr(np.vstack([
+                width * spread, np.diag(size * departure)]), mode="r")), float(share))
             for width, share in zip(WIDTHS, believed, strict=True) for size in DEPARTURES]
 
 
