@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import os
+import sys
 import time
+from collections.abc import Callable, Iterator
+from importlib.metadata import distributions
 from itertools import count
 from pathlib import Path
+from textwrap import dedent
+from typing import Any
 
 import pytest
 
@@ -26,3 +31,45 @@ def data_folder() -> Path:
     if not folder.is_dir():
         pytest.skip("real data are not here; set TERMSEL_DATA to their folder")
     return folder
+
+
+@pytest.fixture
+def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Return a function that installs a plugin package in a folder of its own."""
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def package(distribution: str, code: str, name: str | None = None,
+                version: str = "1.0") -> None:
+        module = distribution.replace("-", "_")
+        monkeypatch.delitem(sys.modules, module, raising=False)
+        (tmp_path / f"{module}.py").write_text(dedent(code))
+        info = tmp_path / f"{module}-{version}.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(
+            f"Metadata-Version: 2.1\nName: {distribution}\nVersion: {version}\n")
+        (info / "entry_points.txt").write_text(
+            f"[termsel]\n{name or module} = {module}\n")
+
+    return package
+
+
+@pytest.fixture
+def registry(tmp_path: Path) -> Callable[[], Any]:
+    """Return a function that makes a registry of what was installed."""
+    from termsel.plugins.registry import Registry  # only now, as it imports numpy
+
+    return lambda: Registry(
+        [point for found in distributions(path=[str(tmp_path)]) for point in found.entry_points])
+
+
+@pytest.fixture
+def only(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], None]]:
+    """Return a function that makes one package the only plugin of this process, for a while."""
+    from termsel.plugins.registry import registry as of_process
+
+    def restrict(distribution: str) -> None:
+        monkeypatch.setenv("TERMSEL_PLUGINS", distribution)
+        of_process.cache_clear()
+
+    yield restrict
+    of_process.cache_clear()

@@ -6,7 +6,6 @@ import itertools
 import json
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,15 +13,13 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.adjustment.equations import Equations, line_normals
+from termsel.adjustment.equations import Equations
 from termsel.adjustment.leave_out import leave_one_out
-from termsel.criteria import CheckRmse, Ebic, Fits, Huber, KFold, Median, Press
-from termsel.criteria.losses import figure
+from termsel.criteria import CheckRmse, Ebic, Fits, KFold, Press
 from termsel.formats.readers.csv_tables import write_points_csv
 from termsel.measurements.features import FeatureSet, Points, no_lines, no_points
 from termsel.measurements.scaling import scaling_of
 from termsel.models.base import SensorModel
-from termsel.models.poles import POLE_MARGIN
 from termsel.models.polynomial import Polynomial3D
 from termsel.models.quotient import RationalModel
 from termsel.problems.base import WORST, Inputs
@@ -30,116 +27,16 @@ from termsel.problems.selection import SelectionProblem
 from termsel.simulate import simulate_scene
 from termsel.solvers.proofs.exact import gap
 from termsel.solvers.proofs.proof import count, prove
-
-CRITERIA = ("press", "kfold", "ebic")
-
-
-class Spreading(Polynomial3D):
-    """A polynomial that spreads the residuals of control points by inverse distance."""
-
-    name = "spreading"
-
-    def residual_weights(self, control: np.ndarray, ground: np.ndarray) -> np.ndarray:
-        weights = 1 / (0.1 + np.linalg.norm(ground[:, None] - control[None], axis=2))
-        return weights / weights.sum(axis=1, keepdims=True)
-
-
-class Opaque(SensorModel):
-    """An affine model that is no RationalModel, so that nothing is known of its form."""
-
-    name = "opaque"
-    inner = Polynomial3D(degree=1)
-
-    @property
-    def terms(self) -> tuple[str, ...]:
-        return self.inner.terms
-
-    def equations(self, features: FeatureSet) -> Equations:
-        return self.inner.equations(features)
-
-    def project(self, coefficients: np.ndarray, ground: np.ndarray) -> np.ndarray:
-        return self.inner.project(coefficients, ground)
-
-
-def problem_of(name: str, criterion: str, **given: object) -> SelectionProblem:
-    problem = termsel.prepare(name, criterion=criterion, **given).problem
-    assert isinstance(problem, SelectionProblem)
-    return problem
-
-
-def solution(problem: SelectionProblem, terms: np.ndarray, used: np.ndarray) -> np.ndarray:
-    """Return the coefficients of a selection by numpy."""
-    equations = problem.equations
-    rows = used[equations.feature]
-    x = np.zeros(len(terms))
-    x[terms] = np.linalg.lstsq(equations.A[np.ix_(rows, terms)], equations.b[rows], rcond=None)[0]
-    return x
-
-
-def errors_of(problem: SelectionProblem, x: np.ndarray, features: np.ndarray) -> np.ndarray:
-    """Return the errors of control features held out [px]: of points dl and ds, of lines the
-    distance of each vertex from the image line and 0."""
-    inputs = problem.inputs
-    model, points, lines = inputs.model, inputs.control.points, inputs.control.lines
-    errors = []
-    normal, rho = line_normals(lines)
-    others = np.ones(len(points), dtype=bool)
-    others[features[features < len(points)]] = False
-    for i in features:
-        j = i - len(points)
-        ground = points.ground[[i]] if j < 0 else lines.ground[j]
-        image = model.project(x, ground)
-        weights = model.residual_weights(points.ground[others], ground)
-        if weights is not None:
-            residuals = points.image[others] - model.project(x, points.ground[others])
-            image = image + weights @ residuals
-        below = model.denominators(x, ground)
-        if below is not None and below.min() < POLE_MARGIN:
-            return np.full((1, 2), np.inf)
-        if j < 0:
-            errors.extend(points.image[[i]] - image)
-        else:
-            errors.extend([rho[j] - normal[j] @ end, 0.0] for end in image)
-    return np.array(errors) * inputs.pixels
-
-
-def refitted(problem: SelectionProblem, genes: np.ndarray, folds: list[np.ndarray]) -> float:
-    """Return the RMSE over the folds by one refit each."""
-    terms, features = (None if mask is None else mask[0] for mask in problem.masks(genes[None]))
-    used = np.ones(len(problem.inputs.control), dtype=bool) if features is None else features
-    errors = []
-    for fold in folds:
-        rest = used.copy()
-        rest[fold] = False
-        held = fold[used[fold]]
-        if len(held):
-            errors.append(errors_of(problem, solution(problem, terms, rest), held))
-    return float(np.sqrt((np.concatenate(errors)**2).sum(axis=1).mean()))
-
-
-def selections(problem: SelectionProblem, n: int = 12) -> np.ndarray:
-    """Return feasible selections of few terms or of most features."""
-    rng = np.random.default_rng(7)
-    slices = problem.genome.slices()
-    genes = np.zeros((40 * n, problem.genome.size), dtype=bool)
-    for name, where in slices.items():
-        share = 0.85 if name == "features" else 8 / (where.stop - where.start)
-        genes[:, where] = rng.random((len(genes), where.stop - where.start)) < share
-    genes = genes[problem.evaluate(genes).violation == 0]
-    assert len(genes) >= n
-    return genes[:n]
-
-
-CASES = {
-    "points, rational": ("rfm-terms", {}),
-    "points, polynomial": ("poly-terms", {"options": {"degree": 3}}),
-    "points, shared denominator": ("rfm-terms", {"options": {"denominators": "shared",
-                                                             "order": 2}}),
-    "points chosen": ("owdis-points", {"options": {"degree": 1}}),
-    "lines chosen": ("owdis-lines", {}),
-    "lines and terms, rational": ("owdis-lines-terms", {"options": {"ridge": 0.0}}),
-    "points and lines": ("owdis-lines", {"options": {"mixed": True}}),
-}
+from tests.criteria_cases import (
+    CASES,
+    CRITERIA,
+    Opaque,
+    Spreading,
+    problem_of,
+    refitted,
+    selections,
+    solution,
+)
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -500,106 +397,3 @@ def test_fits_without_the_optional_parts_serve_the_check_rmse() -> None:
     fits = Fits(inputs.model, inputs.control.points, inputs.check, inputs.pixels, terms, x)
     assert CheckRmse().score(fits)[0] == pytest.approx(
         problem.evaluate(np.ones((1, problem.genome.size), dtype=bool)).objectives[0, 0])
-
-
-# Wrong check points
-
-
-@pytest.mark.parametrize("criterion", ["median", "huber"])
-def test_robust_criteria_withstand_blunders_in_check_points(criterion: str) -> None:
-    scene = simulate_scene("ikonos-hamedan", n_lines=0)
-    roles = np.array(scene.points.roles)
-    image = scene.points.image.copy()
-    wrong = np.flatnonzero(roles == "check")[:5]
-    image[wrong] += np.random.default_rng(1).uniform(-300, 300, (5, 2))
-    spoilt = scene.with_(points=replace(scene.points, image=image))
-    given = {"model": "poly3d", "options": {"degree": 2, "population": 60}, "generations": 15}
-    found = {name: termsel.run("rfm-terms", features=spoilt, criterion=name, **given)
-             .rmse["independent"].total for name in (criterion, "check-rmse")}
-    assert found[criterion] < found["check-rmse"]
-    assert found[criterion] < 1.5
-
-
-def test_robust_criteria_are_rmse_for_normal_errors() -> None:
-    class Errors:
-        check_errors = np.random.default_rng(0).normal(0, 0.5, (2, 200_000, 2))
-
-    rmse = np.sqrt((Errors.check_errors**2).sum(axis=2).mean(axis=1))
-    np.testing.assert_allclose(Median().score(Errors), rmse, rtol=0.01)
-    np.testing.assert_allclose(Huber().score(Errors), rmse, rtol=0.06)
-    distances = np.hypot(*np.moveaxis(Errors.check_errors, -1, 0))
-    for threshold in (0.5, 3.0):
-        np.testing.assert_allclose(Huber(threshold=threshold).score(Errors), figure(
-            distances, np.ones_like(distances), "huber", threshold))
-
-
-@pytest.mark.parametrize("loss", ["squares", "huber", "median"])
-def test_a_figure_by_hand(loss: str) -> None:
-    rng = np.random.default_rng(2)
-    d = rng.exponential(1.0, (6, 9))
-    used = rng.random((6, 9)) < 0.7
-    used[4], used[5] = False, True
-    d[0, np.flatnonzero(~used[0])[0]] = np.inf  # that is not in use
-    d[5, 3] = np.inf
-    weights = used * rng.integers(1, 4, 9)
-    found = figure(d, weights, loss, 1.5)
-    assert np.isinf(found[4:]).all()
-    for got, errors, weight in zip(found[:4], d, weights, strict=False):
-        e, w = errors[weight > 0], weight[weight > 0]
-        c = 1.5 * np.median(e)
-        rho = {"squares": e**2, "huber": np.where(e <= c, e**2, 2 * c * e - c**2),
-               "median": np.full(len(e), np.median(e) ** 2 / np.log(2))}[loss]
-        assert got == pytest.approx(np.sqrt(np.average(rho, weights=w)))
-
-
-@pytest.mark.parametrize("criterion", ["press", "kfold"])
-@pytest.mark.parametrize("loss", ["huber", "median"])
-@pytest.mark.parametrize("case", ["points, rational", "lines and terms, rational"])
-def test_robust_figures_of_features_left_out(criterion: str, loss: str, case: str) -> None:
-    name, given = CASES[case]
-    problem = problem_of(name, criterion, **given)
-    control = problem.inputs.control
-    genes = selections(problem, 3)
-    folds = ([np.array([i]) for i in range(len(control))] if criterion == "press"
-             else list(KFold().folds(control.points, control.lines)))
-    robust = problem.judged_by({"press": Press, "kfold": KFold}[criterion](loss=loss))
-    n, ends = len(control.points), 2
-    for one, value in zip(genes, robust.evaluate(genes).objectives[:, 0], strict=True):
-        terms, features = (None if mask is None else mask[0] for mask in problem.masks(one[None]))
-        used = np.ones(len(control), dtype=bool) if features is None else features
-        squares, weights = np.zeros((1, len(used))), np.zeros((1, len(used)))
-        for fold in folds:
-            rest = used.copy()
-            rest[fold] = False
-            x = solution(problem, terms, rest)
-            for i in fold[used[fold]]:
-                weights[0, i] = 1 if i < n else ends
-                squares[0, i] = (errors_of(problem, x, np.array([i])) ** 2).sum() / weights[0, i]
-        assert value == pytest.approx(figure(np.sqrt(squares), weights, loss)[0], rel=1e-7)
-
-
-def test_robust_losses_cannot_be_walked_and_have_no_standard_error() -> None:
-    with pytest.raises(termsel.TermselError, match="is no sum over"):
-        termsel.run("poly-terms", criterion="press", solver="exact", options={"loss": "huber"})
-    with pytest.raises(termsel.TermselError, match="no standard error"):
-        termsel.prepare("poly-terms", criterion="kfold", solver="nsga2",
-                        options={"loss": "median", "recommend": "one-standard-error"})
-    task = termsel.prepare("poly-terms", criterion="kfold", solver="nsga2",
-                           options={"loss": "median"})
-    assert task.options["problem"]["recommend"] == "best"
-
-
-def test_huber_of_features_held_out_withstands_blunders_in_control() -> None:
-    scene = simulate_scene("ikonos-hamedan", n_lines=0, n_points=120)
-    image = scene.points.image.copy()
-    rng = np.random.default_rng(3)
-    roles = np.array(["control"] * 60 + ["independent"] * 60)
-    wrong = rng.permutation(60)[:4]
-    image[wrong] += rng.uniform(-40, 40, (4, 2))
-    spoilt = scene.with_(points=replace(scene.points, image=image, roles=tuple(roles)))
-    given = {"model": "poly3d", "options": {"degree": 3}, "solver": "all-terms"}
-    task = termsel.prepare("rfm-terms", features=spoilt, criterion="press", **given)
-    every = np.ones((1, task.problem.genome.size), dtype=bool)
-    figures = {loss: task.problem.judged_by(Press(loss=loss)).evaluate(every).objectives[0, 0]
-               for loss in ("squares", "huber", "median")}
-    assert figures["median"] < figures["huber"] < 0.8 * figures["squares"]

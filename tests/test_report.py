@@ -2,39 +2,28 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import re
 import shlex
 import sys
 from collections.abc import Callable
-from dataclasses import replace
-from html import unescape
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from scipy.stats import chi2
 
 import termsel
 from termsel.cli import plot
 from termsel.cli.main import cli
-from termsel.errors import TermselError
-from termsel.files.thumbnail import thumbnail
 from termsel.record.base import plain
-from termsel.record.figures import rmse_interval
-from termsel.report.plots import KINDS, chart, save
+from termsel.report.plots import KINDS
 from termsel.results.repeat import command, not_by_command
 
 altair = pytest.importorskip("altair")
 pytest.importorskip("vl_convert")
 
-HOSTILE = ("</script><img src=x onerror=alert(1)>", "{{7*7}} ${x} %s",
-           "\u0627\u0644\u0646\u0642\u0637\u0629 42", "a \"quoted\" & 'single' id", "x" * 200,
-           "=cmd|' /C calc'!A0", "datum['id']")
 Call = Callable[..., SimpleNamespace]
 
 
@@ -104,20 +93,6 @@ def test_the_map_on_the_ground_is_in_metres(searched: Path) -> None:
         result.accuracy.ground.total, rel=1e-3)
 
 
-def test_the_interval_of_an_rmse_is_that_of_chi_squared() -> None:
-    low, high = rmse_interval(2.0, 15)
-    assert low == pytest.approx(2 * np.sqrt(30 / chi2.ppf(0.95, 30)))
-    assert high == pytest.approx(2 * np.sqrt(30 / chi2.ppf(0.05, 30)))
-
-
-def test_the_interval_covers_the_rmse_as_often_as_it_says() -> None:
-    rng = np.random.default_rng(1)
-    errors = rng.normal(size=(4000, 12, 2))
-    totals = np.sqrt((errors**2).sum(axis=2).mean(axis=1))
-    inside = [low <= np.sqrt(2) <= high for low, high in (rmse_interval(t, 12) for t in totals)]
-    assert np.mean(inside) == pytest.approx(0.9, abs=0.015)
-
-
 def test_members_of_a_front_have_the_errors_that_the_record_says(searched: Path) -> None:
     view = termsel.read_result(searched).view
     front = view.record.front
@@ -161,38 +136,12 @@ def test_the_bands_of_empires_are_their_countries(empires: termsel.Result) -> No
                 if row["evaluations"] == one.evaluations] == list(one.empires)
 
 
-def test_the_empires_in_the_history_are_those_of_the_search() -> None:
-    seen: list[list[int]] = []
-
-    def look(progress: Any) -> None:
-        details = progress.generation.details
-        if "empire" in details:
-            seen.append([int((details["empire"] == i).sum()) for i in range(3)])
-
-    result = termsel.run("poly-terms", solver="ica", evaluations=900, observers=[look],
-                         options={"population": 12, "imperialists": 0.25, "contested": 3})
-    assert [list(one.empires) for one in result.history] == seen
-    assert 0 in seen[-1]  # one has vanished, and keeps its place
-
-
 def test_who_enables_a_renderer_of_altair_gets_it(chosen: termsel.Result) -> None:
     drawn = chosen.plot.candidates()
     with altair.renderers.enable("mimetype"):
         shown = drawn._repr_mimebundle_()
     assert any("vegalite" in kind for part in (shown if isinstance(shown, tuple) else (shown,))
                for kind in part)
-
-
-def test_a_long_search_is_thinned_and_keeps_its_ends() -> None:
-    from termsel.report.charts.search import spaced
-
-    history = [{"evaluations": i} for i in range(10_007)]
-    shown = spaced(history, 400)
-    assert len(shown) == 400
-    assert (shown[0], shown[-1]) == (history[0], history[-1])
-    gaps = np.diff([one["evaluations"] for one in shown])
-    assert gaps.max() - gaps.min() <= 1
-    assert spaced(history[:400], 400) == history[:400]
 
 
 def test_frequencies_are_those_of_the_selections(searched: Path, repeated: Path) -> None:
@@ -214,75 +163,6 @@ def test_frequencies_are_those_of_the_selections(searched: Path, repeated: Path)
     assert {term for term, row in shown.items() if row.get("used")} == set(said["stable"])
     assert all(row["share"] == pytest.approx(said["frequency"][term], abs=1e-4)
                for term, row in shown.items())
-
-
-@pytest.mark.parametrize("kind", ["residuals", "ground", "worst"])
-def test_residuals_of_rounding_alone_are_not_exaggerated(kind: str, tmp_path: Path) -> None:
-    ground = np.array([[0.0, 0, 0], [900, 100, 5], [300, 800, 9]])
-    image = np.array([[5.5, 7.25], [455.1, 30.4], [160.7, 401.3]])
-    result = termsel.run("poly-terms", features=termsel.FeatureSet(
-        termsel.Points(("a", "b", "c"), image, ground, roles=("control",) * 3)))
-    drawn = getattr(result.plot, kind)()
-    for param in drawn.to_dict().get("params", []):
-        if param.get("name") == "exaggeration":
-            assert param["value"] == 1
-    from termsel.report.plots import save
-    save(drawn, tmp_path / "map.png")
-    assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_the_map_of_uncertainty_reaches_to_the_last_feature() -> None:
-    features = termsel.simulate_scene("ikonos-hamedan", n_lines=0)
-    view = termsel.run("poly-terms", solver="all-terms", features=replace(
-        features, image_size=None)).view
-    image = features.points.image
-    for axis, (low, high) in (("line", ("line", "line2")), ("sample", ("sample", "sample2"))):
-        column = image[:, 0 if axis == "line" else 1]
-        margin = 0.04 * np.ptp(column)
-        assert min(cell[low] for cell in view.sigma) < column.min() + margin
-        assert max(cell[high] for cell in view.sigma) > column.max() - margin
-
-
-@pytest.mark.filterwarnings("error")
-def test_a_result_without_heights_is_shown_in_metres() -> None:
-    scene = termsel.run(dataset="old-map").features
-    assert np.isnan(scene.points.ground[:, 2]).all()
-    result = termsel.run("poly-terms", features=replace(scene, crs="EPSG:2100"))
-    assert result.view.units_per_metre == 1.0
-
-
-@pytest.mark.parametrize(("errors", "broken"), [
-    ([60.0, 1, 0.9, 0.8], {"F0"}), ([80.0, 40, 1, 0.9, 0.8, 0.7, 0.5], {"F0", "F1"}),
-    ([8.0, 4, 2, 1], set()), ([1.0], set()), ([0.0, 0.0], set()), ([], set())])
-def test_one_blunder_does_not_flatten_all_bars(errors: list[float], broken: set[str]) -> None:
-    from termsel.report.charts import bars
-
-    view: Any = SimpleNamespace(worst=[
-        {"id": f"F{i}", "role": "control", "distance": error,
-         "blunder": "certain" * (i == 0 and error > 9)}
-        for i, error in enumerate(errors)])
-    shown = max(rows_of(bars.worst_bars(view)).values(), key=len, default=[])
-    assert {row["id"] for row in shown if row.get("broken")} == broken
-    assert {row["label"] for row in shown if row.get("broken")} == {
-        f"{error:.3g} px" + ", blunder" * (i == 0) for i, error in enumerate(errors)
-        if f"F{i}" in broken}
-    ends = [row["end"] for row in shown]
-    assert not broken or max(ends) < 12 * float(np.median(ends))
-    assert bool(bars.broken(view)) == bool(broken)  # which the caption says
-
-
-@pytest.mark.parametrize(("crs", "unit", "axes"), [
-    ("EPSG:4979", 9e-6, ("longitude [°], EPSG:4979", "latitude [°]")),
-    ("EPSG:32639", 1.0, ("x [m], EPSG:32639", "y [m]")),
-    ("EPSG:2263", 1 / 0.3048006, ("x [0.3048 m], EPSG:2263", "y [0.3048 m]")),
-    ("local", None, ("x [unit not known], local", "y [unit not known]"))])
-def test_axes_on_the_ground_have_units(crs: str, unit: float | None,
-                                       axes: tuple[str, str]) -> None:
-    from termsel.report.charts import maps
-
-    view: Any = SimpleNamespace(record=SimpleNamespace(data=SimpleNamespace(crs=crs)),
-                                units_per_metre=unit)
-    assert maps._axes(view) == axes
 
 
 def test_baselines_show_the_record(chosen: termsel.Result) -> None:
@@ -401,21 +281,6 @@ def test_the_page_allows_nothing_but_itself(searched: Path, tmp_path: Path) -> N
     assert not re.search(r"(?:src|href)=[\"']?(?:https?:|//)", head)
 
 
-def test_hostile_ids_are_text(tmp_path: Path) -> None:
-    features = termsel.simulate_scene("ikonos-hamedan", n_lines=0)
-    points = features.points
-    ids = (*HOSTILE, *points.ids[len(HOSTILE):])
-    named = features.with_(points=termsel.Points(
-        ids, points.image, points.ground, points.sigma, points.roles))
-    termsel.run("poly-terms", features=named, solver="random", evaluations=100).report(
-        tmp_path / "page.html")
-    text = (tmp_path / "page.html").read_text()
-    assert "<img" not in text[:text.index("<script>")]
-    assert text.count("</script>") == 3
-    for name in HOSTILE:
-        assert f">{name}<" in unescape(text) or f"{name}</button>" in unescape(text)
-
-
 def test_a_page_of_a_thousand_features_is_small(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     middle = rng.uniform(0, 4000, (1000, 1, 2))
@@ -498,54 +363,3 @@ def test_the_image_lies_below_the_residuals(searched: Path, call: Call, tmp_path
     assert not page.exists()
     assert call("report", searched, "-o", page, "--image", tmp_path / "right.tif").exit_code == 0
     assert "data:image/jpeg;base64," in page.read_text()
-
-
-@pytest.mark.parametrize(("size", "shown"), [((400, 3000), (133, 1000)), ((50, 60), (50, 60))])
-def test_an_image_is_reduced_to_a_thousand_pixels(size: tuple[int, int], shown: tuple[int, int],
-                                                  tmp_path: Path) -> None:
-    rasterio = pytest.importorskip("rasterio")
-    with rasterio.open(tmp_path / "a.tif", "w", driver="GTiff", height=size[0], width=size[1],
-                       count=1, dtype="uint16") as image:
-        image.write(np.linspace(0, 60_000, size[0] * size[1]).reshape(size), 1)
-    text, own = thumbnail(tmp_path / "a.tif")
-    assert own == size
-    content = base64.b64decode(text.partition(",")[2])
-    with rasterio.MemoryFile(content) as file, file.open() as jpeg:
-        assert jpeg.shape == shown
-        assert jpeg.read(1).min() < 120 < 240 < jpeg.read(1).max()
-
-
-NAMES = ("constructor", "toString", "valueOf", "hasOwnProperty", "__proto__")
-
-
-def test_ids_may_be_what_objects_of_javascript_have(tmp_path: Path) -> None:
-    scene = termsel.simulate_scene("ikonos-hamedan")
-    image = scene.points.image.copy()
-    image[:5] += [8, 5]  # so that they are among the worst
-    points = replace(scene.points, ids=(*NAMES, *scene.points.ids[5:]), image=image)
-    result = termsel.run("rfm-terms", features=termsel.FeatureSet(points, crs=scene.crs),
-                         strategy="as-asked", solver="all-terms", criterion="press")
-    save(chart(result.view, "worst"), tmp_path / "worst.svg")
-    drawn = (tmp_path / "worst.svg").read_text()
-    shown = {row["id"] for row in result.view.worst[:25]} & set(NAMES)
-    assert len(shown) > 2
-    assert all(f">{name}" in drawn for name in shown)
-    result.report(tmp_path / "page.html")
-    page = (tmp_path / "page.html").read_text()
-    for name in NAMES:
-        assert f'"{name}\\u2060"' in page
-        assert f'"id":"{name}"' not in page
-
-
-@pytest.mark.parametrize("suffix", [".svg", ".png", ".pdf"])
-def test_a_fault_of_the_drawing_library_ends_no_process_of_ours(
-        suffix: str, tmp_path: Path) -> None:
-    def of(name: str) -> Any:
-        return altair.Chart(altair.Data(values=[{"a": name}])).mark_text().encode(text="a:N")
-
-    with pytest.raises(TermselError, match="cannot draw this chart: a fault of compiled code"):
-        save(of("a\x1bb"), tmp_path / f"bad{suffix}")  # the library aborts its process
-    with pytest.raises(TermselError, match="cannot draw this chart"):
-        save(of("\ud800"), tmp_path / f"bad{suffix}")  # it raises
-    save(of("a"), tmp_path / f"good{suffix}")
-    assert [path.name for path in tmp_path.iterdir()] == [f"good{suffix}"]

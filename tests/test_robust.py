@@ -3,112 +3,28 @@
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from scipy.optimize import least_squares, minimize
 
 import termsel
-from termsel.adjustment.equations import Equations
 from termsel.candidates.blunders import find_blunders
-from termsel.candidates.portfolio import Choice, Portfolio, choose, choose_features
+from termsel.candidates.portfolio import choose, choose_features
 from termsel.candidates.repetition import repeated
-from termsel.candidates.robust import HUBER, TUKEY, reweighted
 from termsel.candidates.shrunken import average, average_with_lines
 from termsel.cli.main import cli
-from termsel.fits.diagnosis import NORMAL_MEDIAN
 from termsel.io.result_folder import read_result
 from termsel.measurements.control import Control
 from termsel.measurements.features import FeatureSet, Lines, no_lines
 from termsel.measurements.roles import observe
 from termsel.measurements.scaling import scaling_of
 from termsel.models.polynomial import Polynomial3D
-from termsel.runs.auto import owdis
 from termsel.simulate import scene_truth, simulate_scene
 
 QUICK = {"population": 40, "polish": False}
-
-
-def system(wrong: int = 0) -> Equations:
-    rng = np.random.default_rng(0)
-    A = rng.normal(size=(60, 4))
-    b = A @ [1.0, -2.0, 0.5, 3.0] + rng.normal(0, 0.1, 60)
-    b[:wrong] += 5.0
-    return Equations(A, b, np.arange(60))
-
-
-def scale_at(equations: Equations, x: np.ndarray) -> float:
-    return float(np.median(np.abs(equations.b - equations.A @ x))) / NORMAL_MEDIAN
-
-
-def test_huber_is_that_of_scipy() -> None:
-    equations = system(wrong=8)
-    x, weights = reweighted(equations, biweight=False)
-    found = least_squares(lambda y: equations.A @ y - equations.b, np.zeros(4), loss="huber",
-                          f_scale=HUBER * scale_at(equations, x), xtol=1e-14, ftol=1e-14)
-    np.testing.assert_allclose(x, found.x, atol=1e-5)
-    assert (weights[:8] < 0.1).all()
-    assert np.median(weights[8:]) == 1.0
-
-
-def test_the_biweight_minimises_its_own_loss() -> None:
-    equations = system(wrong=15)
-    x, weights = reweighted(equations, biweight=True)
-    scale = scale_at(equations, x)
-
-    def loss(y: np.ndarray) -> float:
-        u = np.minimum(np.abs(equations.b - equations.A @ y) / scale / TUKEY, 1.0)
-        return float((1.0 - (1.0 - u**2) ** 3).sum())
-
-    found = minimize(loss, x, method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-14})
-    np.testing.assert_allclose(x, found.x, atol=1e-5)
-    assert (weights[:15] == 0.0).all()
-    assert (weights[15:] > 0.0).all()
-    np.testing.assert_allclose(x, [1.0, -2.0, 0.5, 3.0], atol=0.1)
-
-
-def test_a_row_beyond_the_limit_of_the_biweight_has_no_weight() -> None:
-    equations = system()
-    x, _ = reweighted(equations, biweight=True)
-    scale = scale_at(equations, x)
-    b = equations.b.copy()
-    b[0] = float(equations.A[0] @ x) + 1.5 * TUKEY * scale
-    moved = replace(equations, b=b)
-    x, weights = reweighted(moved, biweight=True)
-    ratio = np.abs(moved.b - moved.A @ x) / scale_at(moved, x)
-    assert TUKEY < ratio[0] < 2 * TUKEY
-    assert weights[0] == 0.0
-
-
-def test_without_outliers_all_three_agree() -> None:
-    equations = system()
-    plain = np.linalg.lstsq(equations.A, equations.b)[0]
-    for biweight in (False, True):
-        np.testing.assert_allclose(reweighted(equations, biweight)[0], plain, atol=0.02)
-
-
-def test_rows_that_fit_exactly_end_the_iteration() -> None:
-    equations = system()
-    exact = replace(equations, b=equations.A @ [1.0, 2.0, 3.0, 4.0])
-    np.testing.assert_allclose(reweighted(exact, biweight=True)[0], [1.0, 2.0, 3.0, 4.0])
-
-
-@pytest.mark.parametrize("name", ["huber", "tukey"])
-def test_a_robust_fit_by_its_name_is_not_moved_by_blunders(name: str) -> None:
-    scene = simulate_scene("ikonos-hamedan", n_points=60, n_lines=0)
-    image = scene.points.image.copy()
-    image[:6] += 80.0
-    spoilt = scene.with_(points=replace(scene.points, image=image, roles=("",) * 60))
-    independent = simulate_scene("ikonos-hamedan", n_points=50, n_lines=0, seed=5).points
-    robust, plain = (termsel.fit(spoilt, one).rmse(independent) for one in (name, "quadratic"))
-    assert robust is not None
-    assert plain is not None
-    assert robust.total < 2.0
-    assert plain.total > 5.0
 
 
 def control_of(seed: int = 0, **more: int) -> FeatureSet:
@@ -471,53 +387,3 @@ def test_lines_that_are_not_used_say_nothing_of_the_prediction() -> None:
     assert not any(one.used for one in result.residuals if one.kind != "point")
     assert result.predicted is not None
     assert result.predicted.rmse < 1.3  # the lines are off by 12 px
-
-
-@pytest.fixture(scope="module")
-def few_lines() -> tuple[FeatureSet, Choice]:
-    scene = simulate_scene("ikonos-hamedan", n_points=24, n_lines=24, wrong_lines=0)
-    control = scene.with_(points=replace(scene.points, roles=()))
-    choice = choose_features(Control.of(control, True))
-    assert choice is not None
-    return control, choice
-
-
-def test_owdis_is_searched_once_where_it_does_not_help(
-        few_lines: tuple[FeatureSet, Choice], monkeypatch: pytest.MonkeyPatch) -> None:
-    control, choice = few_lines
-    monkeypatch.setattr(owdis, "_held_out", None)
-    found, errors = owdis.with_selected_lines(Control.of(control, True), choice, Portfolio(), 1)
-    assert (found.chosen, errors) == (choice.chosen, None)
-    assert found.reason.startswith(choice.reason)
-    assert re.search(r"OWDIS selects \d+ of 24 lines\. .*must be better by more than 3\.$",
-                     found.reason)
-
-
-def test_where_owdis_is_taken_all_structures_are_shown(
-        few_lines: tuple[FeatureSet, Choice], monkeypatch: pytest.MonkeyPatch) -> None:
-    control, choice = few_lines
-    worse = replace(choice, chosen=replace(choice.chosen, squares=1e3 * choice.chosen.squares))
-    some = Control.of(control.take(np.arange(len(control)) < 40), True)
-    monkeypatch.setattr(owdis, "_selected", lambda *given: some)
-    monkeypatch.setattr(owdis, "_held_out", lambda *given: np.full((24, 2), 1e-3))
-    found, _ = owdis.with_selected_lines(Control.of(control, True), worse, Portfolio(), 1)
-    assert len(found.chosen.fit.control.lines) == 16
-    assert [one.name for one in found.judged] == [one.name for one in choice.judged]
-
-
-def test_owdis_is_taken_for_errors_of_points_that_it_did_not_select_by(
-        few_lines: tuple[FeatureSet, Choice], monkeypatch: pytest.MonkeyPatch) -> None:
-    control, choice = few_lines
-    worse = replace(choice, chosen=replace(choice.chosen, squares=1e3 * choice.chosen.squares))
-    monkeypatch.setattr(owdis, "FOLDS_WITH_LINES", 2)
-    found, errors = owdis.with_selected_lines(Control.of(control, True), worse, Portfolio(), 1)
-    assert found.reason.endswith("so these lines are used.")
-    assert len(found.chosen.fit.control.points) == 24
-    assert 0 < len(found.chosen.fit.control.lines) < 24
-    image = control.points.image.copy()
-    image[0] += 3.0, -4.0
-    moved = control.with_(points=replace(control.points, image=image))
-    _, again = owdis.with_selected_lines(Control.of(moved, True), worse, Portfolio(), 1)
-    assert errors is not None
-    assert again is not None
-    np.testing.assert_allclose(again[0] - errors[0], (3.0, -4.0), atol=1e-9)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import itertools
-import json
 import logging
 import re
 import shutil
@@ -21,11 +20,10 @@ import pytest
 import termsel
 from benchmarks import accuracy, solver_table
 from termsel import TermselError
-from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
+from termsel.formats.readers.csv_tables import write_points_csv
 from termsel.solvers.ledger import Progress
 from termsel.studies import compare
 from termsel.studies.cells import cell
-from termsel.studies.cells.images import IMAGES, folders_of
 from termsel.studies.cells.journal import CellRecord
 from termsel.studies.cells.table import TIMES
 from termsel.studies.execution import work
@@ -225,23 +223,6 @@ def test_the_time_of_a_cell_is_that_without_compilation(monkeypatch: pytest.Monk
     assert [kind[1:3] for kind in kinds] == [(7, 0.25), (7, 25.0)]
 
 
-def test_an_image_that_cannot_be_is_a_row_whatever_its_problem(call: Call, tmp_path: Path) -> None:
-    _images(tmp_path, 1)
-    (tmp_path / "image9.csv").unlink()
-    lines = termsel.prepare("owdis-lines").features.lines
-    assert lines is not None
-    write_lines_csv(lines.take(np.arange(1)), tmp_path / "lines.csv", crs="local")
-    study = termsel.compare(data=[{"points": str(tmp_path / "image0.csv"), "crs": "local"},
-                                  {"lines": str(tmp_path / "lines.csv"), "crs": "local"}])
-    assert [row["state"] for row in study.rows] == ["failed", "done"]
-    assert "1 is control; owdis-lines needs at least 2" in study.rows[0]["reason"]
-    done = call("compare", "--lines", tmp_path / "lines.csv", "--crs", "local", "--out",
-                tmp_path / "out")
-    assert done.exit_code == 2
-    assert "1 is control" in done.stderr
-    assert not (tmp_path / "out").exists()
-
-
 @pytest.mark.parametrize("option", ["--seeds", "--splits"])
 def test_options_have_the_limits_of_the_study_file(option: str, call: Call, tmp_path: Path) -> None:
     done = call("compare", "--problem", "poly-terms", option, 100_001, "--dry-run")
@@ -256,69 +237,6 @@ def test_options_of_every_search_may_stand_next_to_a_solver() -> None:
     alone, refined = study.rows
     assert alone["refinement_evaluations"] == 0 < refined["refinement_evaluations"]
     assert alone["optimum"] == refined["optimum"] <= refined["fitness"] <= alone["fitness"]
-
-
-def _images(folder: Path, number: int) -> None:
-    """Write points of several images, the last of them with a blunder and an unreadable file."""
-    points = termsel.prepare("poly-terms").features.points
-    for i in range(number):
-        rng = np.random.default_rng(i)
-        chosen = points.take(np.sort(rng.permutation(len(points))[:30]))
-        write_points_csv(chosen, folder / f"image{i}.csv", crs="local")
-    (folder / "image9.csv").write_text("id,line,sample,x,y\nP1,1,2,abc,4\n")
-
-
-def test_a_collection_has_a_row_and_a_folder_an_image_the_worst_first(
-        call: Call, tmp_path: Path) -> None:
-    _images(tmp_path, 3)
-    done = call("compare", "--points", tmp_path / "image*.csv", "--crs", "local", "--out",
-                tmp_path / "out", "--problem", "poly-terms")
-    assert done.exit_code == 0, done.stderr
-    rows = rows_of(tmp_path / "out")
-    assert rows[0]["state"] == "failed"
-    assert "abc" in rows[0]["reason"]
-    predicted = [float(row["predicted"]) for row in rows[1:]]
-    assert predicted == sorted(predicted, reverse=True)
-    for row in rows[1:]:
-        folder = next(path for path in (tmp_path / "out" / IMAGES).iterdir()
-                      if Path(row["data"]).name in path.name)
-        record = json.loads((folder / "result.json").read_text())
-        assert record["predicted"]["rmse"] == float(row["predicted"])
-        assert termsel.read_result(folder).selection.terms
-
-
-def test_a_file_that_cannot_be_read_is_a_row_and_one_named_twice_is_read_once(
-        tmp_path: Path) -> None:
-    _images(tmp_path, 1)
-    study = termsel.compare(problems=["poly-terms"], solvers=["random"], budget={"evaluations": 50},
-                            data=[{"crs": "local", "points": [str(tmp_path / "image*.csv"),
-                                                              str(tmp_path / "image0.csv")]}])
-    assert [row["state"] for row in study.rows] == ["done", "failed"]
-    assert "abc" in study.rows[1]["reason"]
-
-
-def test_no_two_images_share_a_folder() -> None:
-    labels = {"data": "a/x.csv", "split": 0, "problem": "rfm-terms", "strategy": "auto"}
-    assert folders_of({"1": labels, "2": {**labels, "split": 3},
-                       "3": {**labels, "data": "y.csv"}}) == {
-        "1": "a_x.csv", "2": "a_x.csv-split-3", "3": "y.csv"}
-    assert folders_of({"1": labels, "2": {**labels, "problem": "poly-terms"}}) == {
-        "1": "a_x.csv-rfm-terms", "2": "a_x.csv-poly-terms"}
-    for other in ("a_x.csv", "A/x.csv"):
-        with pytest.raises(TermselError, match="the same folder"):
-            folders_of({"1": labels, "2": {**labels, "data": other}})
-
-
-def test_a_folder_with_files_of_other_things_is_refused(call: Call, tmp_path: Path) -> None:
-    _images(tmp_path, 1)
-    points = tmp_path / "image0.csv"
-    own = points.rename(tmp_path / "study.csv")
-    before = own.read_bytes()
-    done = call("compare", "--points", own, "--crs", "local", "--problem", "poly-terms", "--solver",
-                "random", "--evaluations", "50", "--out", tmp_path)
-    assert done.exit_code == 2
-    assert "study.csv" in done.stderr
-    assert own.read_bytes() == before
 
 
 @pytest.mark.parametrize("content", [

@@ -7,12 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from termsel import FeatureSet, Points
-from termsel.fits.least_squares import fit
-from termsel.formats.rpc_files import rpb_text
-from termsel.measurements.scaling import scaling_of
-from termsel.models.rational import RationalFunctions
-from termsel.models.rpc_fit import rpc_of
+from termsel import FeatureSet, Points, RationalFunctions, rpc_of
+from termsel.toolkit import LeastSquares, rpb_text, scaling_of
 from termsel_rpc.simulated import RPC_FILE, nominal_sensor
 
 LOWEST, HIGHEST = 1650.0, 2050.0
@@ -27,7 +23,9 @@ def main() -> None:
     ground = np.column_stack([sensor.locate(grid[:, :2], grid[:, 2]), grid[:, 2]])
     control = FeatureSet(Points(tuple(map(str, range(len(grid)))), grid[:, :2], ground),
                          crs="EPSG:4979", image_size=(sensor.n_lines, sensor.n_samples))
-    found = rpc_of(fit(RationalFunctions(), control, scaling_of(control)))
+    model = RationalFunctions()
+    found = rpc_of(LeastSquares().fit(model, control, scaling_of(control), *(
+        np.ones(n, dtype=bool) for n in (len(model.terms), len(control)))))
     RPC_FILE.write_text(rpb_text(found.rpc))
     away = found.rpc.project(ground) - grid[:, :2]
     print(f"{found.how}: at most {np.abs(away).max():.2g} px from the sensor")

@@ -9,10 +9,10 @@ from __future__ import annotations
 ROOMS = {
     "__main__": "entry of the command line",
     "toolkit": "what packages build on next to the names of termsel",
+    "testing": "conformance suites for every kind of thing that plugins provide",
     "cli": "commands, one module each",
     "check": "certificates of proofs, by integers alone; it imports no other room",
     "sklearn": "the deprecated name of the package termsel-sklearn",
-    "testing": "conformance suites for every kind of thing that plugins provide",
     "studies": "many runs: cells, journal, executors, tables",
     "runs": "one run: task, search, choice, assessment, judgement",
     "io": "verbs on files: read, export, project, rectify, the folder of a result",

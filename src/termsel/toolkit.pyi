@@ -3,6 +3,9 @@ from .adjustment.monomials import Exponents as Exponents
 from .adjustment.monomials import graded_exponents as graded_exponents
 from .adjustment.monomials import monomial_name as monomial_name
 from .adjustment.monomials import monomials as monomials
+from .adjustment.solve import solve as solve
+from .candidates.blunders import find_blunders as find_blunders
+from .candidates.portfolio import choose as choose
 from .cli.bars import search_bar as search_bar
 from .cli.bars import share_bar as share_bar
 from .cli.messages import echo as echo
@@ -62,6 +65,8 @@ from .formats.heights import surface_of as surface_of
 from .formats.readers.table import Table as Table
 from .formats.readers.table import is_number as is_number
 from .formats.readers.vector import open_layer as open_layer
+from .formats.rpc_files import rpb_text as rpb_text
+from .formats.rpc_files import rpc_items as rpc_items
 from .formats.rpc_files import rpc_txt_text as rpc_txt_text
 from .formats.vrt import picture_for as picture_for
 from .formats.vrt import vrt_text as vrt_text
@@ -102,6 +107,7 @@ from .measurements.tables.attributes import distinct as distinct
 from .measurements.twins import twins as twins
 from .models.poles import guard_points as guard_points
 from .models.poles import pole_violation as pole_violation
+from .plugins.kinds import KINDS as KINDS
 from .plugins.registry import registry as registry
 from .priors.cameras import turned as turned
 from .problems.base import WORST as WORST
@@ -152,6 +158,7 @@ from .runs.search.recommend import recommended as recommended
 from .runs.task.provenance import versions as versions
 from .runs.task.request import DATA_OPTIONS as DATA_OPTIONS
 from .runs.task.request import Request as Request
+from .runs.task.request import Setup as Setup
 from .runs.task.task import prepared as prepared
 from .simulate.wgs84 import from_ecef as from_ecef
 from .simulate.wgs84 import to_ecef as to_ecef
@@ -163,19 +170,24 @@ from .solvers.bridges.pymoo_operators import operators as operators
 from .solvers.bridges.pymoo_problem import steps as steps
 from .solvers.genetic.operators import crossover as crossover
 from .solvers.genetic.operators import mutation as mutation
+from .solvers.ledger import Ledger as Ledger
 from .solvers.ledger import Progress as Progress
+from .solvers.proofs.exact import gap as gap
 from .solvers.proofs.proof import TIE as TIE
+from .solvers.regression.base import regressions as regressions
 from .solvers.search import Observer as Observer
 from .studies.cells.cell import Cell as Cell
 from .studies.cells.images import IMAGES as IMAGES
 from .studies.cells.images import file_word as file_word
 from .studies.cells.images import folders_of as folders_of
 from .studies.cells.journal import CellRecord as CellRecord
+from .studies.cells.table import TIMES as TIMES
 from .studies.cells.table import WAITING as WAITING
 from .studies.cells.table import Row as Row
 from .studies.execution.executors import AHEAD as AHEAD
 from .studies.execution.executors import DIED as DIED
 from .studies.execution.executors import Stop as Stop
+from .studies.execution.progress import StudyProgress as StudyProgress
 from .studies.execution.work import Outcome as Outcome
 from .studies.execution.work import do as do
 from .studies.execution.work import failed as failed
@@ -184,6 +196,7 @@ from .studies.groups import Runs as Runs
 from .studies.groups import group as group
 from .studies.groups import length as length
 from .studies.outputs import StudyOutput as StudyOutput
+from .studies.outputs import write_outputs as write_outputs
 from .studies.plan.spec import MEASURES as MEASURES
 from .testing.cases import Case as Case
 from .testing.cases import Suite as Suite

@@ -11,8 +11,8 @@ from tests.lint.violations import Violation
 STUBS = {"termsel": "__init__.pyi", "termsel.toolkit": "toolkit.pyi"}
 """Modules whose names stand in a stub."""
 
-LISTED = ("simulate", "testing", "check")
-"""Rooms whose names stand in ``__all__``."""
+LISTED = ("simulate/__init__", "testing/__init__", "testing/problems", "check/__init__")
+"""Modules whose names stand in ``__all__``."""
 
 
 def public_names(package: Path) -> dict[str, set[str]]:
@@ -22,20 +22,22 @@ def public_names(package: Path) -> dict[str, set[str]]:
         if (package / stub).exists():
             names[module] = {alias.name for node in _parsed(package / stub).body
                              if isinstance(node, ast.ImportFrom) for alias in node.names}
-    for room in LISTED:
-        path = package / room / "__init__.py"
+    for module in LISTED:
+        path = package / f"{module}.py"
+        name = f"termsel.{module.removesuffix('/__init__').replace('/', '.')}"
         for node in _parsed(path).body if path.exists() else ():
             if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
-                names[f"termsel.{room}"] = set(ast.literal_eval(node.value))
-    names.setdefault("termsel", set()).update(
-        module.partition(".")[2] for module in names if "." in module)
+                names[name] = set(ast.literal_eval(node.value))
+    for module in [name for name in names if "." in name]:
+        above, _, name = module.rpartition(".")
+        names.setdefault(above, set()).add(name)
     return names
 
 
 def violations(root: Path) -> Iterator[Violation]:
-    """Yield each import of a plugin, apart from its tests, of what is not public."""
+    """Yield each import of a plugin or its tests of what is not public."""
     public = public_names(root / "src/termsel")
-    for path in sorted((root / "plugins").glob("*/src/**/*.py")):
+    for path in sorted((root / "plugins").rglob("*.py")):
         for node in ast.walk(_parsed(path)):
             if isinstance(node, ast.Import):
                 wanted = [(alias.name, "") for alias in node.names]

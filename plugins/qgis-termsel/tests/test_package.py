@@ -13,9 +13,8 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from termsel.cli.main import cli
+from termsel.testing import invoke
 
 PLUGIN = Path(__file__).parents[1]
 GIVEN = {"email": "someone@example.org", "repository": "https://example.org/termsel",
@@ -156,9 +155,9 @@ def test_the_dock_works_in_qt_6(tmp_path: Path) -> None:
     if python is None:
         pytest.skip("PyQt6 is not installed")
     files = tmp_path / "files"
-    assert CliRunner().invoke(cli, ["example", str(files)]).exit_code == 0
-    done = CliRunner().invoke(cli, ["run", "--points", str(files / "gcps.csv"), "--out",
-                                    str(tmp_path / "result")])
+    assert invoke("example", files).exit_code == 0
+    done = invoke("run", "--points", files / "gcps.csv", "--out",
+                  tmp_path / "result")
     assert done.exit_code == 0, done.output
     environment = {**os.environ, "PYTHONPATH": str(PLUGIN), "QT_QPA_PLATFORM": "offscreen"}
     ran = subprocess.run(

@@ -15,9 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner
 
-from termsel.cli.main import cli
+from termsel.testing import invoke
 
 fcntl = pytest.importorskip("fcntl")  # QGIS is tested on Linux
 
@@ -59,9 +58,9 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Place:
 def write_files(folder: Path) -> None:
     """Write the files of the session and the settings of QGIS."""
     folder.parent.mkdir()
-    assert CliRunner().invoke(cli, ["example", str(folder)]).exit_code == 0
+    assert invoke("example", folder).exit_code == 0
     if find_spec("termsel_block"):
-        assert CliRunner().invoke(cli, ["block-example", str(folder / "block")]).exit_code == 0
+        assert invoke("block-example", folder / "block").exit_code == 0
     stand_in(folder)
     settings = folder.parent / "profiles" / "default" / "QGIS" / "QGIS3.ini"
     settings.parent.mkdir(parents=True)
@@ -139,9 +138,8 @@ def test_qgis_process_gives_the_result_of_the_command_line(place: Place) -> None
         env={**environment, "QT_QPA_PLATFORM": "offscreen"}, capture_output=True, text=True,
         timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
-    same = CliRunner().invoke(cli, [
-        "run", "--points", str(files["points"]), "--dem", str(files["dem"]),
-        "--out", str(folder / "same")])
+    same = invoke("run", "--points", files["points"], "--dem", files["dem"],
+                  "--out", folder / "same")
     assert same.exit_code == 0, same.output
     records = [record_of(folder / name) for name in ("result", "same")]
     for record in records:

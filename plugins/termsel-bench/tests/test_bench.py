@@ -11,14 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 pytest.importorskip("termsel_bench", reason="termsel-bench is not installed: "
                     "pip install -e plugins/termsel-bench")
 
 import termsel
 from termsel import TermselError, simulate_scene
-from termsel.cli.main import cli
+from termsel.testing import invoke
 from termsel_bench.methods.base import AUTO, PEERS, Method
 from termsel_bench.methods.scripts import Cubic
 from termsel_bench.protocol import Score, Work, score
@@ -63,7 +62,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 def run(*words: object, code: int = 0) -> str:
     """Return what the command prints."""
-    result = CliRunner().invoke(cli, ["bench", *map(str, words)], catch_exceptions=False)
+    result = invoke("bench", *map(str, words))
     assert result.exit_code == code, result.output
     return result.output
 

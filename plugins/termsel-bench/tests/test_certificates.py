@@ -19,8 +19,7 @@ pytest.importorskip("termsel_bench", reason="termsel-bench is not installed: "
                     "pip install -e plugins/termsel-bench")
 
 import termsel
-from termsel import check
-from termsel.enumeration.columns.system import SubsetSystem
+from termsel import SubsetSystem, check
 from termsel_bench import certificate
 
 

@@ -14,10 +14,9 @@ pytest.importorskip("termsel_block", reason="termsel-block is not installed: "
                     "pip install -e plugins/termsel-block")
 
 import jsonschema  # type: ignore[import-untyped]
-from click.testing import CliRunner
 
 from termsel import FeatureSet, Points, Rpc, TermselError, read_result, read_rpc
-from termsel.cli.main import cli
+from termsel.testing import invoke
 from termsel_block.accuracy import in_space, independent_points, predicted, rmse
 from termsel_block.adjustment import log_bayes_factor
 from termsel_block.block import Block, BlockImage, Ties
@@ -253,10 +252,10 @@ def test_parts_are_what_ties_join() -> None:
 @pytest.fixture(scope="module")
 def example(tmp_path_factory: pytest.TempPathFactory) -> Example:
     folder = tmp_path_factory.mktemp("block") / "place"
-    done = CliRunner().invoke(cli, ["block-example", str(folder)])
+    done = invoke("block-example", folder)
     assert done.exit_code == 0, done.output
-    done = CliRunner().invoke(cli, ["block", str(folder / "block.toml"), "--out",
-                                    str(folder / "adjusted"), "--json", "--quiet"])
+    done = invoke("block", folder / "block.toml", "--out",
+                  folder / "adjusted", "--json", "--quiet")
     assert done.exit_code == 0, done.output
     return folder, json.loads(done.stdout)
 
@@ -272,8 +271,8 @@ def test_every_image_becomes_a_result(example: Example) -> None:
         assert "block of 3 images" in alone.notes[0]
         ground = own(block.images[i]).points.ground
         assert np.abs(alone.fit.project(ground) - result.project(i, ground)).max() < 0.3
-    done = CliRunner().invoke(cli, ["export", str(folder / "adjusted/C"), "--to", "rpb",
-                                    "--output", str(folder / "refined.RPB")])
+    done = invoke("export", folder / "adjusted/C", "--to", "rpb",
+                  "--output", folder / "refined.RPB")
     assert done.exit_code == 0, done.output
     alone = read_result(folder / "adjusted/C")
     points = own(block.images[2]).points
@@ -309,7 +308,7 @@ def test_what_is_wrong_is_said_and_nothing_written(
     folder, _ = example
     bad = folder / "bad.toml"
     bad.write_text((folder / "block.toml").read_text().replace(*edit))
-    done = CliRunner().invoke(cli, ["block", str(bad), "--out", str(folder / "new"), "--quiet"])
+    done = invoke("block", bad, "--out", folder / "new", "--quiet")
     assert done.exit_code == 2
     assert message in done.output
     assert "Traceback" not in done.output
@@ -358,8 +357,8 @@ def test_the_package_that_rpcs_require_is_asked_for_at_once(
 
 def test_a_folder_that_is_taken_is_refused(example: Example) -> None:
     folder, _ = example
-    done = CliRunner().invoke(cli, ["block", str(folder / "block.toml"), "--out",
-                                    str(folder / "adjusted"), "--quiet"])
+    done = invoke("block", folder / "block.toml", "--out",
+                  folder / "adjusted", "--quiet")
     assert done.exit_code == 2
     assert "there is a block in this folder already" in done.output
 
@@ -387,8 +386,8 @@ def test_a_block_in_plane_coordinates() -> None:
 def test_what_is_read_is_not_replaced(example: Example) -> None:
     folder, _ = example
     before = (folder / "ties.csv").read_bytes()
-    done = CliRunner().invoke(cli, ["block", str(folder / "block.toml"), "--out", str(folder),
-                                    "--overwrite", "--quiet"])
+    done = invoke("block", folder / "block.toml", "--out", folder,
+                  "--overwrite", "--quiet")
     assert done.exit_code == 2
     assert "reads this file" in done.output
     assert (folder / "ties.csv").read_bytes() == before

@@ -12,10 +12,9 @@ import pytest
 pytest.importorskip("termsel_block", reason="termsel-block is not installed: "
                     "pip install -e plugins/termsel-block")
 
-from click.testing import CliRunner
 
 from termsel import TermselError
-from termsel.cli.main import cli
+from termsel.testing import invoke
 from termsel_block.joint import adjust
 from termsel_block.selecting import OwdisBlock, _only, _without_check, select
 from termsel_block.simulated import simulate_block
@@ -94,20 +93,19 @@ def test_without_check_points_nothing_is_selected() -> None:
 
 def test_the_command_writes_a_table(tmp_path: Path) -> None:
     place, table = tmp_path / "place", tmp_path / "enough.csv"
-    run = CliRunner().invoke
-    assert run(cli, ["block-example", str(place), "--check", "6"]).exit_code == 0
+    assert invoke("block-example", place, "--check", 6).exit_code == 0
     asked = ["block-select", str(place / "block.toml"), "-o", str(table), "--most", "10",
              "--candidates", "20", "--evaluations", "300"]
-    done = run(cli, [*asked, "--json"])
+    done = invoke(*asked, "--json")
     assert done.exit_code == 0, done.output
     record = json.loads(done.stdout)
     assert record["problem"] == "owdis-block"
     rows = table.read_text().splitlines()
     assert len(rows) == 1 + len(record["control"]) + len(record["ties"]) <= 11
-    again = run(cli, asked)
+    again = invoke(*asked)
     assert again.exit_code == 2
     assert "--overwrite" in again.output
-    bad = run(cli, [*asked, "--overwrite", "--solver", "gaa"])
+    bad = invoke(*asked, "--overwrite", "--solver", "gaa")
     assert bad.exit_code == 2
     assert "gaa" in bad.output
     assert table.read_text().splitlines() == rows

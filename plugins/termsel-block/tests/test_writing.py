@@ -13,10 +13,9 @@ import pytest
 pytest.importorskip("termsel_block", reason="termsel-block is not installed: "
                     "pip install -e plugins/termsel-block")
 
-from click.testing import CliRunner
 
 from termsel import Result, TermselError
-from termsel.cli.main import cli
+from termsel.testing import invoke
 from termsel_block import folders
 from termsel_block.block_file import read_ties
 from termsel_block.folders import write_block
@@ -85,7 +84,7 @@ def test_places_become_a_layer_or_a_point_cloud(
     adjusted, target = str(written[2]), tmp_path / f"places ü.{suffix}"
     if suffix == "las":
         pytest.importorskip("laspy")
-    done = CliRunner().invoke(cli, ["block-points", adjusted, "-o", str(target)])
+    done = invoke("block-points", adjusted, "-o", target)
     assert done.exit_code == 0, done.output
     rows = [row.split(",") for row in (written[2] / "ties.csv").read_text().splitlines()[1:]]
     expected = np.array([row[1:] for row in rows], float)
@@ -106,7 +105,7 @@ def test_places_become_a_layer_or_a_point_cloud(
             cloud[name] for name in ("sigma_east", "sigma_north", "sigma_up", "images"))])
     np.testing.assert_allclose(found[:, :2], expected[:, :2], atol=6e-9)
     np.testing.assert_allclose(found[:, 2:], expected[:, 2:], atol=6e-4, rtol=1e-6)
-    again = CliRunner().invoke(cli, ["block-points", adjusted, "-o", str(target)])
+    again = invoke("block-points", adjusted, "-o", target)
     assert again.exit_code == 2
     assert "--overwrite" in again.output
 
@@ -119,8 +118,8 @@ def test_places_that_cannot_be_written_are_refused(
         written: Written, tmp_path: Path, folder: str, target: str, message: str) -> None:
     if target == "a.laz" and (not find_spec("laspy") or find_spec("lazrs")):
         pytest.skip("LAZ can be written")
-    done = CliRunner().invoke(cli, ["block-points", str(written[2].parent / folder), "-o",
-                                    str(tmp_path / target)])
+    done = invoke("block-points", written[2].parent / folder, "-o",
+                  tmp_path / target)
     assert done.exit_code == 2
     assert message in done.output
     assert "Traceback" not in done.output

@@ -19,8 +19,7 @@ import pytest
 
 import termsel
 from termsel import TermselError
-from termsel.studies.cells.table import TIMES
-from termsel.studies.execution.progress import StudyProgress
+from termsel.toolkit import TIMES, StudyProgress
 
 pytest.importorskip("distributed")
 
@@ -109,17 +108,16 @@ def test_a_cluster_gives_what_one_process_gives_whatever_is_lost(cluster: Cluste
 
 def test_workers_without_a_plugin_are_named_before_anything_runs(
         cluster: Cluster, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from termsel.studies import compare
-    from termsel.studies.cells.journal import read_journal
 
     asked = {**ASKED, "budget": {"evaluations": 50}}
     for needed, said in ({"termsel-other": "1.0"}, "lacks termsel-other, which the study needs"), (
             {"numpy": "0.1"}, "has numpy .*, this machine 0.1"):
-        monkeypatch.setattr(compare, "_plugins", lambda _cells, _spec, needed=needed: needed)
+        monkeypatch.setattr("termsel.studies.compare._plugins",
+                            lambda _cells, _spec, needed=needed: needed)
         out = tmp_path / next(iter(needed))
         with pytest.raises(TermselError, match=rf"worker tcp://127\.0\.0\.1:\d+ {said}"):
             termsel.compare(**asked, scheduler=cluster.address, out=out)
-        assert not read_journal(out).records
+        assert not termsel.read_study(out).records
 
 
 SBATCH = """#!/bin/sh

@@ -8,16 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 
 pytest.importorskip("termsel_formats", reason="termsel-formats is not installed: "
                     "pip install -e plugins/termsel-formats")
 
 import termsel
 from termsel import FeatureSet, Points, TermselError
-from termsel.cli.main import cli
-from termsel.io.result_folder import write_result
-from termsel.testing import Check, checks
+from termsel.testing import Check, checks, invoke
+from termsel.toolkit import write_result
 from termsel_formats import compared
 
 rasterio = pytest.importorskip("rasterio")
@@ -159,7 +158,7 @@ def test_an_rpc_is_told_apart_from_one_at_the_height_0(tmp_path: Path) -> None:
 
 
 def call(*words: object) -> Result:
-    return CliRunner().invoke(cli, [str(word) for word in words])
+    return invoke(*words)
 
 
 def test_the_command_warns_and_prints_json(result: termsel.Result, tmp_path: Path) -> None:

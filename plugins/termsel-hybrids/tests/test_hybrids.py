@@ -13,13 +13,9 @@ pytest.importorskip("termsel_hybrids", reason="termsel-hybrids is not installed:
                     "pip install -e plugins/termsel-hybrids")
 
 import termsel
-from termsel import FeatureSet, Lines, Points, SensorModel
-from termsel.adjustment import solve
-from termsel.fits.least_squares import fit
-from termsel.models.projective import DLT2D
-from termsel.models.rpc_fit import rpc_of
-from termsel.plugins.registry import registry
+from termsel import DLT2D, FeatureSet, Lines, Points, SensorModel, rpc_of
 from termsel.testing import Check, checks
+from termsel.toolkit import LeastSquares, registry, solve
 from termsel_hybrids import Hybrid1, Hybrid3, Multiquadric, Pointwise
 from termsel_hybrids.by_axis import Polynomial2DByAxis, Polynomial3DByAxis
 
@@ -358,7 +354,8 @@ def test_a_line_is_left_out_as_a_whole() -> None:
     assert found is not None
     assert found.n == len(control) == len(control.points) + len(lines)
     last = np.arange(len(control)) == len(control) - 1
-    without = fit(result.fit.model, control, result.fit.scaling, used=~last)
+    without = LeastSquares().fit(result.fit.model, control, result.fit.scaling,
+                                 np.ones(len(result.fit.model.terms), dtype=bool), ~last)
     assert np.abs(without.line_errors()[-1]).max() > np.abs(result.fit.line_errors()[-1]).max()
 
 

@@ -11,15 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 pytest.importorskip("termsel_iiif", reason="termsel-iiif is not installed: "
                     "pip install -e plugins/termsel-iiif")
 
 import termsel
 from termsel import FeatureSet, Points, Result, TermselError, export, read
-from termsel.cli.main import cli
-from termsel.testing import check, checks
+from termsel.testing import check, checks, invoke
 from termsel_iiif.annotation import MASK, SOURCE, TRANSFORMATION, corners, maps_of
 from termsel_iiif.reader import AnnotationReader
 from termsel_iiif.viewer import KINDS, degrees, forward, kind_of, mercator
@@ -338,7 +336,7 @@ def test_what_reading_says_of_a_map_of_few_points_is_a_command_that_works(
     read(path)
     words = caplog.text.split("; ")[1].split(" fits the same")[0].split()
     assert words == ["--model", "tps", "--criterion", "press"]
-    done = CliRunner().invoke(cli, ["run", "--points", str(path), *words])
+    done = invoke("run", "--points", path, *words)
     assert done.exit_code == 0, done.output
     assert "all 4 points" in done.output
 

@@ -13,13 +13,11 @@ import pytest
 pytest.importorskip("termsel_match", reason="termsel-match is not installed: "
                     "pip install -e plugins/termsel-match")
 
-from click.testing import CliRunner
 from numpy.typing import NDArray
 from pyproj import Transformer
 
-from termsel import Points
-from termsel.cli.main import cli
-from termsel.errors import TermselError
+from termsel import Points, TermselError
+from termsel.testing import invoke
 from termsel_match.simulated.world import CRS, World
 from termsel_match.simulated.world_files import write_world
 
@@ -79,7 +77,7 @@ def altered(place: Place, tmp_path: Path) -> Callable[..., Path]:
 def says() -> Callable[..., tuple[int, str]]:
     """Return what gives exit code and text of a command; 2 for a message to the user."""
     def run(*words: object) -> tuple[int, str]:
-        done = CliRunner().invoke(cli, [str(word) for word in words])
+        done = invoke(*words)
         if isinstance(done.exception, TermselError):
             return 2, str(done.exception)
         assert done.exception is None or isinstance(done.exception, SystemExit), done.exception

@@ -14,9 +14,8 @@ pytest.importorskip("termsel_match", reason="termsel-match is not installed: "
 
 import termsel
 from termsel import TermselError
-from termsel.plugins.kinds import KINDS
-from termsel.plugins.registry import registry
 from termsel.testing import checks
+from termsel.toolkit import KINDS, registry
 from termsel_match.matchers import Matcher, Matches, Window
 from termsel_match.matchers.phase import Phase
 from termsel_match.matchers.sift import Sift

@@ -9,10 +9,9 @@ from scipy.stats import ks_2samp
 
 import termsel
 import termsel_optimisers
-from termsel import search
-from termsel.solvers.genetic.ga import GeneticAlgorithm
-from termsel.solvers.ledger import Ledger
+from termsel import GeneticAlgorithm, search
 from termsel.testing import Check, checks
+from termsel.toolkit import Ledger
 from termsel_optimisers.deap_algorithms import Deap
 from termsel_optimisers.survivals import AgeMoea2, SmsEmoa, Spea2
 

@@ -18,7 +18,6 @@ import numpy as np
 import pymoo.algorithms.moo
 import pymoo.algorithms.soo.nonconvex
 import pytest
-from click.testing import CliRunner
 from deap import algorithms, base, tools
 from pymoo.algorithms.moo.moead import MOEAD
 from pymoo.algorithms.moo.nsga2 import NSGA2
@@ -33,13 +32,10 @@ from pymoo.operators.sampling.rnd import BinaryRandomSampling
 from pymoo.optimize import minimize
 
 import termsel
-from termsel import TermselError, search
-from termsel.cli.main import cli
-from termsel.solvers.genetic.ga import GeneticAlgorithm
-from termsel.solvers.ledger import Progress
-from termsel.testing import Check, checks, problems
-from termsel.testing.problems import Watched
-from termsel.testing.trial import Counted, global_states
+from termsel import GeneticAlgorithm, TermselError, search
+from termsel.testing import Check, checks, global_states, invoke, problems
+from termsel.testing.problems import Counted, Watched
+from termsel.toolkit import Progress
 from termsel_optimisers import from_deap, from_pymoo, to_deap
 from termsel_optimisers.deap_algorithms import Deap
 from termsel_optimisers.pymoo_algorithms import ALGORITHMS, SINGLE, UNFIT, Pymoo
@@ -389,9 +385,9 @@ def test_a_loop_is_found_where_the_command_runs(tmp_path: Path,
         "        population = varAnd(chosen, toolbox, 0.9, 0.2)\n")
     monkeypatch.chdir(tmp_path)
     before = list(sys.path)
-    shown = CliRunner().invoke(cli, [
-        "run", "--problem", "poly-terms", "--solver", "deap", "--set", "algorithm=a_loop_here:loop",
-        "--evaluations", "100", "--set", "solver.population=20", "--json"])
+    shown = invoke("run", "--problem", "poly-terms", "--solver", "deap",
+                   "--set", "algorithm=a_loop_here:loop", "--evaluations", "100",
+                   "--set", "solver.population=20", "--json")
     assert sys.path == before
     assert shown.exit_code == 0, shown.output
     assert json.loads(shown.stdout)["solver"] == "deap"

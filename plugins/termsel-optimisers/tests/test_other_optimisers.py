@@ -29,11 +29,9 @@ from pymoo.parallelization.starmap import StarmapParallelization
 
 import termsel
 from termsel import TermselError, search
-from termsel.problems.segments import SEGMENTS
-from termsel.solvers.bridges.pymoo_problem import Variables
-from termsel.solvers.ledger import Ledger
 from termsel.testing import problems
-from termsel.testing.trial import Counted
+from termsel.testing.problems import Counted
+from termsel.toolkit import SEGMENTS, Ledger
 from termsel_optimisers import from_ask_tell, from_deap, from_pymoo, to_deap
 
 HOW_TO = Path(__file__).parents[3] / "docs" / "how-to"
@@ -136,7 +134,7 @@ def test_variables_of_all_types_evolve_by_their_types() -> None:
     script = minimize(termsel.to_pymoo(problem), MixedVariableGA(pop_size=20), ("n_gen", 10),
                       seed=1)
     assert script.X["integers.0"] == int(script.X["integers.0"])
-    genes = np.array([[script.X[name] for name in Variables(problem.genome).named]], dtype=float)
+    genes = np.array([[script.X[name] for name in termsel.to_pymoo(problem).vars]], dtype=float)
     valid = problem.genome.repair(genes, np.random.default_rng(0))
     assert script.F[0] == pytest.approx(problem.evaluate(valid).objectives[0, 0])
     bits = search(problems.twelve_terms(), mine(), evaluations=200)

@@ -8,14 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import termsel
-from termsel.candidates.blunders import find_blunders
-from termsel.candidates.portfolio import choose
-from termsel.cli.main import cli
-from termsel.measurements.control import Control
-from termsel.measurements.features import FeatureSet, FloatArray, Points
+from termsel import Control, FeatureSet, Points
+from termsel.testing import invoke
+from termsel.toolkit import FloatArray, choose, find_blunders
 from termsel_photos import maps, simulate_map
 
 
@@ -24,7 +21,7 @@ def total(errors: FloatArray) -> float:
 
 
 def run(*words: str) -> str:
-    done = CliRunner().invoke(cli, list(words), catch_exceptions=False)
+    done = invoke(*words)
     assert done.exit_code == 0, done.output
     return done.output
 
@@ -71,8 +68,8 @@ def test_the_field_leaves_as_grids_and_refuses_what_cannot_hold_it(folder: Path,
     # GDAL counts from the corner of a pixel.
     image = np.array([[one.row, one.col] for one in gcps]) - 0.5
     np.testing.assert_allclose(exported.project(ground), image, atol=1e-3)
-    refused = CliRunner().invoke(cli, ["export", str(folder), "--to", "orthority-geojson", "-o",
-                                       str(tmp_path / "x.json")])
+    refused = invoke("export", folder, "--to", "orthority-geojson", "-o",
+                     tmp_path / "x.json")
     assert refused.exit_code == 2
     assert "cannot hold this result" in refused.output
     assert "geolocation-vrt" in refused.output

@@ -12,10 +12,9 @@ pytest.importorskip("termsel_rivals", reason="termsel-rivals is not installed: "
 
 import termsel
 from termsel import Bits, Generation, Genome
-from termsel.measurements.features import BoolArray, FloatArray
-from termsel.solvers.proofs.exact import gap
 from termsel.testing import problems
 from termsel.testing.problems import Toy
+from termsel.toolkit import BoolArray, FloatArray, gap
 from termsel_rivals.colony import AntColony, deposit, grafts, renew, settled
 
 

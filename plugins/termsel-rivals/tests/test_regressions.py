@@ -12,11 +12,8 @@ pytest.importorskip("termsel_rivals", reason="termsel-rivals is not installed: "
                     "pip install -e plugins/termsel-rivals")
 
 import termsel
-from termsel import FeatureSet, Points, Regression, TermRegression
-from termsel.adjustment.equations import Equations
-from termsel.adjustment.solve import solve
-from termsel.fits.least_squares import fit
-from termsel.solvers.regression.base import regressions
+from termsel import Equations, FeatureSet, Points, Regression, TermRegression
+from termsel.toolkit import LeastSquares, regressions, solve
 from termsel_rivals.lasso import Lasso, PathPiece, lasso_path
 from termsel_rivals.nested import (
     NestedRegression,
@@ -269,8 +266,10 @@ def test_residuals_of_nested_regression_are_those_of_the_quotient() -> None:
         chosen = NestedRegression().choose(part)
         terms = np.zeros(78, dtype=bool)
         terms[part.genes[chosen]] = True
-        fitted = fit(task.model, task.observations.control, task.scaling, terms)
-        errors = fitted.errors(task.observations.control.points)[:, side]
+        control = task.observations.control
+        fitted = LeastSquares().fit(task.model, control, task.scaling, terms,
+                                    np.ones(len(control), dtype=bool))
+        errors = fitted.errors(control.points)[:, side]
         np.testing.assert_allclose(
             rational_errors(part, chosen)[:, 0] * part.pixels, errors, atol=1e-6)
         assert 2 <= chosen.sum() <= 23

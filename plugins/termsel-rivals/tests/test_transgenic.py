@@ -11,11 +11,9 @@ pytest.importorskip("termsel_rivals", reason="termsel-rivals is not installed: "
                     "pip install -e plugins/termsel-rivals")
 
 import termsel
-from termsel import Evaluation, GeneticAlgorithm
-from termsel.measurements.features import BoolArray, FloatArray
-from termsel.problems.base import WORST
-from termsel.solvers.search import search
+from termsel import Evaluation, GeneticAlgorithm, search
 from termsel.testing.problems import narrow
+from termsel.toolkit import WORST, BoolArray, FloatArray
 from termsel_rivals import TransgenicGA, transgenic
 from termsel_rivals.transgenic import qualification
 

@@ -14,13 +14,11 @@ from numpy.typing import NDArray
 pytest.importorskip("termsel_rpc", reason="termsel-rpc is not installed: "
                     "pip install -e plugins/termsel-rpc")
 
-from click.testing import CliRunner
 
 import termsel
 from termsel import FeatureSet, Points, Result, Rpc, read_rpc
-from termsel.cli.main import cli
-from termsel.formats.rpc_files import rpb_text, rpc_items, rpc_txt_text
-from termsel.testing import checks
+from termsel.testing import checks, invoke
+from termsel.toolkit import rpb_text, rpc_items, rpc_txt_text
 from termsel_rpc.belief import KINDS, Belief, grid
 from termsel_rpc.correction import CANDIDATES
 from termsel_rpc.jitter import CANDIDATE as JITTERED
@@ -292,7 +290,7 @@ def test_clearly_better_points_are_preferred_to_an_rpc() -> None:
 
 
 def command(*words: object) -> tuple[int, str]:
-    found = CliRunner().invoke(cli, [*map(str, words)])
+    found = invoke(*map(str, words))
     return found.exit_code, found.output
 
 

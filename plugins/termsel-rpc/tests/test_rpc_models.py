@@ -14,15 +14,21 @@ pytest.importorskip("termsel_rpc", reason="termsel-rpc is not installed: "
                     "pip install -e plugins/termsel-rpc")
 
 import termsel
-from termsel import FeatureSet, Lines, Points, Rpc, Scaling, SensorModel, TermselError, read_rpc
-from termsel.fits.fit import Fit
-from termsel.fits.least_squares import fit
-from termsel.formats.rpc_files import rpb_text
-from termsel.measurements.scaling import scaling_of
-from termsel.models.rpc_fit import rpc_of
-from termsel.plugins.registry import registry
+from termsel import (
+    FeatureSet,
+    Fit,
+    Lines,
+    Points,
+    Rpc,
+    Scaling,
+    SensorModel,
+    TermselError,
+    read_rpc,
+    rpc_of,
+)
 from termsel.simulate import read_geometry, scene_truth, write_geometry
 from termsel.testing import Check, checks
+from termsel.toolkit import LeastSquares, registry, rpb_text, scaling_of
 from termsel_rpc import Ce90, PushbroomRefine, RpcAffine, RpcDrift, RpcField, RpcJitter, RpcShift
 from termsel_rpc.simulated import (
     CANDIDATES,
@@ -143,11 +149,17 @@ def test_fit_is_that_of_least_squares_on_what_gdal_projects(
     assert len(fitted.model.terms) == 2 * width
 
 
+def least_squares(model: SensorModel, control: FeatureSet) -> Fit:
+    """Return the fit of all terms to all control, whether or not it determines them."""
+    return LeastSquares().fit(model, control, scaling_of(control), *(
+        np.ones(n, dtype=bool) for n in (len(model.terms), len(control))))
+
+
 def refined(name: str, file: object, ground: FloatArray, image: FloatArray, *,
             crs: str = "EPSG:4979") -> Fit:
     model: SensorModel = registry().get("models", name)(rpc=str(file))
     control = FeatureSet(Points(tuple(map(str, range(len(ground)))), image, ground), crs=crs)
-    return fit(model, control, scaling_of(control))
+    return least_squares(model, control)
 
 
 @pytest.mark.parametrize("vendor", VENDORS)
@@ -213,7 +225,7 @@ def test_lines_refine_as_points_do() -> None:
     along = rng.uniform(-0.2, 0.2, (12, 2, 1)) * (image[:, 1:] - image[:, :1])
     lines = Lines(tuple(f"L{i}" for i in range(12)), image + along, vertices)
     control = FeatureSet(lines=lines, crs="EPSG:4979")
-    fitted = fit(RpcAffine(rpc=CANDIDATES), control, scaling_of(control))
+    fitted = least_squares(RpcAffine(rpc=CANDIDATES), control)
     others = ground_of(rpc, 30, seed=1)
     seen = rpc.project(others)
     np.testing.assert_allclose(fitted.project(others), seen + polynomial(seen, 3) @ BIAS,
@@ -271,7 +283,7 @@ def refined_pushbroom(true: object, n: int = 30, **options: str) -> Fit:
     ground = ground_of(read_rpc(RPC_FILE), n)
     image = true.project(ground)  # type: ignore[attr-defined]
     control = FeatureSet(Points(tuple(map(str, range(n))), image, ground), crs="EPSG:4979")
-    return fit(PushbroomRefine(geometry=CANDIDATES, **options), control, scaling_of(control))
+    return least_squares(PushbroomRefine(geometry=CANDIDATES, **options), control)
 
 
 @pytest.mark.parametrize("biases", ["position", "both"])

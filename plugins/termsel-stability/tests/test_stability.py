@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 from dataclasses import replace
 from itertools import pairwise
@@ -12,16 +13,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import termsel
-from termsel.cli.main import cli
-from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
-from termsel.measurements.features import FeatureSet, Lines, Points
-from termsel.models.polynomial import Polynomial3D
-from termsel.runs.task.request import Setup
-from termsel.runs.task.task import prepared
-from termsel.solvers.search import search
+from termsel import (
+    FeatureSet,
+    Lines,
+    Points,
+    Polynomial3D,
+    search,
+    write_lines_csv,
+    write_points_csv,
+)
+from termsel.testing import invoke
+from termsel.toolkit import Setup, prepared
 from termsel_stability import frequencies as module
 from termsel_stability import stability
 
@@ -93,8 +97,8 @@ def test_a_term_is_stable_from_the_threshold_on() -> None:
 def test_stable_terms_that_are_no_model_are_said_to_be() -> None:
     words = ["stability", "--problem", "poly-terms", "--repeats", "2", "--evaluations", "50",
              "--threshold", "1", "--set", "force_on=", "--set", "degree=8"]
-    done = CliRunner().invoke(cli, words)
-    record = json.loads(CliRunner().invoke(cli, [*words, "--json"]).stdout)
+    done = invoke(*words)
+    record = json.loads(invoke(*words, "--json").stdout)
     last = done.output.splitlines()[-1]
     assert (last == "The stable terms alone are no model. Lower --threshold.") == (
         not record["determined"])
@@ -103,10 +107,10 @@ def test_stable_terms_that_are_no_model_are_said_to_be() -> None:
 def test_command() -> None:
     words = ["stability", "--problem", "rfm-terms", "--model", "poly3d", "--set", "degree=2",
              "--repeats", "3", "--evaluations", "200"]
-    done = CliRunner().invoke(cli, words)
+    done = invoke(*words)
     assert done.exit_code == 0, done.output
     assert "line.num:X" in done.output
-    record = json.loads(CliRunner().invoke(cli, [*words, "--json"]).stdout)
+    record = json.loads(invoke(*words, "--json").stdout)
     assert record["repeats"] == 3
     assert set(record["frequency"]) == set(Polynomial3D(degree=2).terms)
     assert record["determined"]
@@ -117,7 +121,7 @@ def test_command() -> None:
         f"Fitted to control and check together: {independent['total']:.3f} px on "
         f"{independent['n']} independent points."]
     command = done.output.strip().splitlines()[-1].split()[1:]
-    again = CliRunner().invoke(cli, [*command, "--json"])
+    again = invoke(*command, "--json")
     assert again.exit_code == 0, again.output
     result = json.loads(again.stdout)
     assert result["selection"]["terms"] == record["stable"]
@@ -134,7 +138,7 @@ def test_the_command_it_prints_repeats_the_data_of_its_own(tmp_path: Path) -> No
              "--set", "loss=squares", "--set", "force_off=line.num:XY", "--repeats", "3",
              "--off", features.points.ids[0], "--role", f"{features.points.ids[1]}=control",
              "--generations", "50", "--seconds", "100", "--out", str(tmp_path / "out")]
-    done = CliRunner().invoke(cli, words)
+    done = invoke(*words)
     assert done.exit_code == 0, done.output
     record = json.loads((tmp_path / "out/stability.json").read_text())
     printed = shlex.split(done.stdout.splitlines()[-1])
@@ -144,7 +148,7 @@ def test_the_command_it_prints_repeats_the_data_of_its_own(tmp_path: Path) -> No
                         ("--set", "degree=2"), ("--set", f"off={features.points.ids[0]}"),
                         ("--set", f"role={features.points.ids[1]}=control")):
         assert (name, value) in pairwise(printed)
-    again = CliRunner().invoke(cli, [*printed[1:], "--json"])
+    again = invoke(*printed[1:], "--json")
     assert again.exit_code == 0, again.output
     result = json.loads(again.stdout)
     assert result["selection"]["terms"] == record["stable"]
@@ -153,10 +157,9 @@ def test_the_command_it_prints_repeats_the_data_of_its_own(tmp_path: Path) -> No
 
 
 def test_the_command_leaves_out_options_of_the_searches() -> None:
-    done = CliRunner().invoke(cli, [
-        "stability", "--problem", "rfm-terms", "--dataset", "irs1c-mashad", "--model", "poly3d",
-        "--solver", "ga", "--set", "population=20", "--fit-crs", "geocentric", "--repeats", "2",
-        "--evaluations", "100"])
+    done = invoke("stability", "--problem", "rfm-terms", "--dataset", "irs1c-mashad",
+                  "--model", "poly3d", "--solver", "ga", "--set", "population=20",
+                  "--fit-crs", "geocentric", "--repeats", "2", "--evaluations", "100")
     assert done.exit_code == 0, done.output
     printed = done.stdout.splitlines()[-1]
     assert "--dataset irs1c-mashad" in printed
@@ -165,7 +168,7 @@ def test_the_command_leaves_out_options_of_the_searches() -> None:
 
 
 def test_it_takes_whatever_run_takes() -> None:
-    names = [{option for one in cli.get_command(None, name).params for option in one.opts}
+    names = [set(re.findall(r"^ +(?:-\w, )?(--[a-z-]+)", invoke(name, "--help").stdout, re.M))
              for name in ("run", "stability")]
     assert names[0] - names[1] == {"--verbose"}
     assert names[1] - names[0] == {"--repeats", "--threshold"}
@@ -188,15 +191,15 @@ def test_lines_go_with_points_and_are_in_the_command(tmp_path: Path) -> None:
     write_lines_csv(features.lines, tmp_path / "my lines.csv")
     words = ["--points", str(tmp_path / "p.csv"), "--lines", str(tmp_path / "my lines.csv"),
              "--crs", "local", "--set", "mixed=true", "--model", "poly3d", "--set", "degree=2"]
-    done = CliRunner().invoke(cli, [
-        "stability", "--problem", "rfm-terms", *words, "--repeats", "2", "--evaluations", "60",
-        "--strategy", "auto", "--quiet", "--export", "points-csv", "--out", str(tmp_path / "out")])
+    done = invoke("stability", "--problem", "rfm-terms", *words, "--repeats", "2",
+                  "--evaluations", "60", "--strategy", "auto", "--quiet",
+                  "--export", "points-csv", "--out", tmp_path / "out")
     assert done.exit_code == 0, done.output
     assert "Note: the strategy auto searches for no terms." in done.stderr
     printed = shlex.split(done.stdout.splitlines()[-1])
     assert set(zip(words[:6:2], words[1:6:2], strict=True)) <= set(pairwise(printed))
-    again = CliRunner().invoke(cli, [*printed[1:], "--json", "--out", str(tmp_path / "again"),
-                                     "--export", "points-csv"])
+    again = invoke(*printed[1:], "--json", "--out", tmp_path / "again",
+                   "--export", "points-csv")
     assert again.exit_code == 0, again.output
     record = json.loads((tmp_path / "out/stability.json").read_text())
     assert json.loads(again.stdout)["selection"]["terms"] == record["stable"]
@@ -205,10 +208,9 @@ def test_lines_go_with_points_and_are_in_the_command(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_exported_is_said(tmp_path: Path) -> None:
-    done = CliRunner().invoke(cli, [
-        "stability", "--problem", "poly-terms", "--repeats", "12", "--evaluations", "5",
+    done = invoke("stability", "--problem", "poly-terms", "--repeats", "12", "--evaluations", "5",
         "--threshold", "1", "--set", "force_on=", "--set", "degree=8", "--solver", "random",
-        "--export", "points-csv", "--out", str(tmp_path)])
+                  "--export", "points-csv", "--out", tmp_path)
     assert done.exit_code == 2
     assert "are no model, so nothing is exported" in done.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["stability.json"]
@@ -246,9 +248,8 @@ def test_ctrl_c_ends_it_and_keeps_what_is_complete(
         return replace(found, interrupted=len(calls) == after)
 
     monkeypatch.setattr(module, "search", interrupted)
-    done = CliRunner().invoke(cli, [
-        "stability", "--problem", "poly-terms", "--repeats", "5", "--evaluations", "50", "--out",
-        str(tmp_path)])
+    done = invoke("stability", "--problem", "poly-terms", "--repeats", "5", "--evaluations", "50",
+                  "--out", tmp_path)
     assert done.exit_code == 130
     assert len(calls) == after
     if complete:
@@ -260,9 +261,8 @@ def test_ctrl_c_ends_it_and_keeps_what_is_complete(
 
 def test_data_that_cannot_be_read_leave_no_folder(tmp_path: Path) -> None:
     (tmp_path / "bad.csv").write_text("id,line,sample,x,y\na,1,2,three,4\n")
-    done = CliRunner().invoke(cli, [
-        "stability", "--points", str(tmp_path / "bad.csv"), "--crs", "local",
-        "--out", str(tmp_path / "out")])
+    done = invoke("stability", "--points", tmp_path / "bad.csv", "--crs", "local",
+                  "--out", tmp_path / "out")
     assert done.exit_code == 2
     assert "bad.csv, line 2, column 'x'" in done.output
     assert not (tmp_path / "out").exists()

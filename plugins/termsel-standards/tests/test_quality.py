@@ -11,16 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner
 
 pytest.importorskip("termsel_standards", reason="termsel-standards is not installed: "
                     "pip install -e plugins/termsel-standards")
 
 import termsel
 from termsel import Result, TermselError, export
-from termsel.cli.main import cli
-from termsel.io.result_folder import write_result
-from termsel.testing import check
+from termsel.testing import check, invoke
+from termsel.toolkit import write_result
 from termsel_standards.quality.report import quality_of
 from termsel_standards.quality.writers import FgdcXml, Iso19157Json, Iso19157Xml
 
@@ -182,9 +180,9 @@ def test_plane_coordinates_and_lost_images_are_refused(result: Result, tmp_path:
         quality_of(local)
     (tmp_path / "run").mkdir()
     write_result(result, tmp_path / "run")
-    shown = CliRunner().invoke(cli, ["export", str(tmp_path / "run"), "--to", "iso19157-xml",
-                                     "--output", str(tmp_path / "a.xml"),
-                                     "--image", str(tmp_path / "none.tif")])
+    shown = invoke("export", tmp_path / "run", "--to", "iso19157-xml",
+                   "--output", tmp_path / "a.xml",
+                   "--image", tmp_path / "none.tif")
     assert shown.exit_code == 2
     assert "none.tif" in shown.output
     assert not (tmp_path / "a.xml").exists()

@@ -8,28 +8,27 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 
 pytest.importorskip("termsel_standards", reason="termsel-standards is not installed: "
                     "pip install -e plugins/termsel-standards")
 
 import termsel
 from termsel import TermselError
-from termsel.cli.main import cli
-from termsel.io.example import write_example
+from termsel.testing import invoke
 from termsel_standards import write_sigma
 
 rasterio, pyproj = pytest.importorskip("rasterio"), pytest.importorskip("pyproj")
 
 
 def call(*words: object) -> Result:
-    return CliRunner().invoke(cli, [str(word) for word in words])
+    return invoke(*words)
 
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("sigma") / "files"
-    write_example(folder)
+    assert invoke("example", folder).exit_code == 0
     for name, *words in (("relief", "--points", folder / "gcps.csv"),
                          ("plain", "--points", folder / "points.csv")):
         assert call("run", *words, "--out", folder / name, "--quiet").exit_code == 0
@@ -174,7 +173,7 @@ def test_it_replaces_nothing_that_it_reads_and_nothing_unasked(files: Path, tmp_
 def test_a_full_disk_leaves_no_half_file(files: Path, tmp_path: Path) -> None:
     code = ("import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
             "resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000)); "
-            "from termsel.cli.main import cli; cli(sys.argv[1:])")
+            "import runpy; runpy.run_module('termsel', run_name='__main__')")
     done = subprocess.run([sys.executable, "-c", code, "sigma", files / "plain", "-o",
                            tmp_path / "s.tif"], capture_output=True, text=True, check=False)
     assert done.returncode == 2, done.stderr

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -20,9 +19,8 @@ pytest.importorskip("termsel_standards", reason="termsel-standards is not instal
 
 import termsel
 from termsel import Result, TermselError, export
-from termsel.cli.main import cli
-from termsel.io.result_folder import write_result
-from termsel.testing import check
+from termsel.testing import check, invoke
+from termsel.toolkit import write_result
 from termsel_standards import GroundErrors, errors_of, read_errors, statements_of
 from termsel_standards.stac import StacItem
 from termsel_standards.statement import ASPRS, class_of, distribution_of
@@ -199,11 +197,11 @@ def test_a_fit_that_has_used_the_points_is_not_tested_by_them(result: Result) ->
 def test_the_command_states_and_prints_json(result: Result, tmp_path: Path) -> None:
     (tmp_path / "run").mkdir()
     write_result(result, tmp_path / "run")
-    shown = CliRunner().invoke(cli, ["accuracy", str(tmp_path / "run")])
+    shown = invoke("accuracy", tmp_path / "run")
     assert shown.exit_code == 0
     assert "NSSDA horizontal: Tested" in shown.output
     assert "was performed using ONLY 26" in shown.output.replace("\n    ", " ")
-    as_json = CliRunner().invoke(cli, ["accuracy", str(tmp_path / "run"), "--json"])
+    as_json = invoke("accuracy", tmp_path / "run", "--json")
     assert json.loads(as_json.output)["horizontal"] == pytest.approx(
         statements_of(errors_of(result)).horizontal)
 
@@ -224,7 +222,7 @@ def test_a_bad_table_is_refused_with_its_place(text: str, said: str, tmp_path: P
     with pytest.raises(TermselError) as fault:
         read_errors(path)
     assert said in str(fault.value)
-    shown = CliRunner().invoke(cli, ["accuracy", str(path)])
+    shown = invoke("accuracy", path)
     assert shown.exit_code == 2
     assert "Traceback" not in shown.output
 
@@ -232,7 +230,7 @@ def test_a_bad_table_is_refused_with_its_place(text: str, said: str, tmp_path: P
 def test_nobody_knows_what_the_points_of_a_table_took_part_in(tmp_path: Path) -> None:
     path = tmp_path / "example.csv"
     path.write_text(EXAMPLE)
-    shown = CliRunner().invoke(cli, ["accuracy", str(path)]).output
+    shown = invoke("accuracy", path).output
     assert "5 check points, which must have taken no part in any choice" in shown
 
 

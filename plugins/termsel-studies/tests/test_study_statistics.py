@@ -382,7 +382,7 @@ def test_iohinspector_reads_the_data(study: termsel.Study, tmp_path: Path) -> No
 def test_parquet_and_csv_hold_the_same(study: termsel.Study, tmp_path: Path) -> None:
     pd = pytest.importorskip("pandas")
     pytest.importorskip("pyarrow")
-    from termsel.studies.outputs import write_outputs
+    from termsel.toolkit import write_outputs
 
     written = write_outputs(study, tmp_path)
     assert [path.name for path in written if path.suffix != ".svg"] == [
@@ -414,7 +414,7 @@ def test_figures_are_those_that_the_runs_allow(study: termsel.Study) -> None:
 def test_the_page_of_a_study_says_what_its_summary_says(study: termsel.Study,
                                                         tmp_path: Path) -> None:
     pytest.importorskip("vl_convert")
-    from termsel.studies.outputs import write_outputs
+    from termsel.toolkit import write_outputs
 
     write_outputs(study, tmp_path)
     page = unescape((tmp_path / "report.html").read_text())

@@ -20,6 +20,8 @@ Both recognise what they are given: a model, solver, criterion, objective, candi
 set, reader, writer or command. Given the name of a package, they check the installed plugin,
 whatever it provides.
 
+`invoke` runs a command line, and `termsel.testing.problems` has small problems for searches.
+
 Name a check that must fail, with the reason: ``expected_failures={"control_kinds": "requires
 points"}``. It then fails if it passes, so that the list stays correct. pytest is not required.
 A check that takes more than two minutes with one object fails.
@@ -32,10 +34,12 @@ from collections.abc import Callable
 from typing import Any
 
 from termsel.testing.cases import Check
+from termsel.testing.commands import invoke
 from termsel.testing.suites import check, checks
+from termsel.testing.trial import global_states
 from termsel.testing.writers import example_results
 
-__all__ = ["Check", "check", "checks", "example_results"]
+__all__ = ["Check", "check", "checks", "example_results", "global_states", "invoke"]
 
 _POSITIONAL: dict[str, tuple[str, ...]] = {
     "model": (), "solver": (), "criterion": (), "problem": (), "dataset": (), "plugin": (),

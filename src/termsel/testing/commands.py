@@ -14,6 +14,22 @@ if TYPE_CHECKING:
     from click.testing import Result
 
 
+def invoke(*words: object) -> Result:
+    """Run a command line of termsel in this process: ``invoke("run", "--points", path)``.
+
+    Returns
+    -------
+    click.testing.Result
+        With `exit_code`, `stdout` and `stderr`; the code is 2 for what the user can correct. Other
+        exceptions are faults, and pass.
+    """
+    from click.testing import CliRunner
+
+    from termsel.cli.main import cli
+
+    return CliRunner().invoke(cli, [str(word) for word in words], catch_exceptions=False)
+
+
 @dataclass(frozen=True)
 class Typed:
     """A command and the words that are typed after it."""

@@ -26,6 +26,9 @@ from termsel.problems.selection import SelectionProblem
 from termsel.testing.cases import require
 from termsel.testing.scenes import imaged, numbered
 
+__all__ = ["Counted", "Toy", "Watched", "bound", "hopeless", "narrow", "optimum", "trap",
+           "twelve_terms", "two_aims", "typed"]
+
 SIZE = 12
 
 Judge = Callable[[BoolArray], tuple[FloatArray, FloatArray]]
@@ -79,6 +82,19 @@ class Watched(ProblemAround):
             self.best = min(self.best, (float(found.violation[first]),
                                         float(found.objectives[first, 0])))
         return found
+
+
+class Counted(ProblemAround):
+    """A problem with the number of genes that are on as its last objective."""
+
+    def __init__(self, inner: Problem) -> None:
+        super().__init__(inner)
+        self.objectives = (*inner.objectives, "on")
+
+    def evaluate(self, genes: BoolArray) -> Evaluation:
+        """Return the evaluation of the inner problem, and the count."""
+        found = self.inner.evaluate(genes)
+        return Evaluation(np.column_stack([found.objectives, genes.sum(axis=1)]), found.violation)
 
 
 def require_genes(genome: Genome, genes: object, who: str) -> None:

@@ -12,27 +12,14 @@ from typing import Any
 import numpy as np
 
 from termsel.errors import TermselError
-from termsel.measurements.features import BoolArray
-from termsel.problems.base import Evaluation, Problem, ProblemAround
+from termsel.problems.base import Problem
 from termsel.solvers.base import Generation, Solver
 from termsel.solvers.ledger import Progress
 from termsel.solvers.search import Search, search
+from termsel.testing.problems import Counted
 
 FEW = 4
 """Generations checked if more would not show more."""
-
-
-class Counted(ProblemAround):
-    """A problem with the number of genes that are on as its last objective."""
-
-    def __init__(self, inner: Problem) -> None:
-        super().__init__(inner)
-        self.objectives = (*inner.objectives, "on")
-
-    def evaluate(self, genes: BoolArray) -> Evaluation:
-        """Return the evaluation of the inner problem, and the count."""
-        found = self.inner.evaluate(genes)
-        return Evaluation(np.column_stack([found.objectives, genes.sum(axis=1)]), found.violation)
 
 
 @dataclass(frozen=True, eq=False)
