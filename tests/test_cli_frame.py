@@ -95,6 +95,18 @@ def test_help_imports_nothing_heavy():
                          "importlib.metadata", "termsel.cli.run"}
 
 
+def test_what_few_use_is_imported_by_those_who_use_it():
+    code = ("import sys; sys.argv = ['termsel', 'list', 'models']\n"
+            "from termsel.__main__ import main\n"
+            "try: main()\n"
+            "except SystemExit: import termsel.runs.run; print(*sys.modules, file=sys.stderr)")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(done.stderr.split())
+    assert {"termsel_rpc.jitter", "termsel.adjustment.kernels"} <= loaded
+    assert not loaded & {"numba", "scipy.stats", "scipy.spatial", "scipy.optimize",
+                         "scipy.interpolate", "pymoo", "pyproj"}
+
+
 def test_help_tells_all_commands_as_they_tell_themselves(call):
     text = call("--help").stdout
     for name, (_, summary) in COMMANDS.items():

@@ -60,7 +60,7 @@ from own import kernel
 from termsel.adjustment.compiled import is_compiled
 told = is_compiled(kernel)
 kernel(1.0)
-print(told, bool(kernel.stats.cache_hits))
+print(told, bool(kernel.made.stats.cache_hits))
 """
 
 
@@ -127,7 +127,7 @@ def test_a_counter_that_begins_with_a_constant_is_any_integer(
     monkeypatch.syspath_prepend(tmp_path)
     counting = importlib.import_module("counting")
     assert counting.counts(3) == 6
-    assert len(counting.more.signatures) == 1
+    assert len(counting.more.made.signatures) == 1
 
 
 def test_a_run_that_may_compile_nothing_says_so() -> None:

@@ -1,97 +1,56 @@
-"""How functions are compiled."""
+"""Functions that numba compiles when they are first called.
+
+Numba takes long to import, and much of what termsel does calls no kernel.
+"""
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Callable, Iterable, Mapping
-from functools import cache
-from pickle import UnpicklingError
+from collections.abc import Callable
+from functools import cached_property, partial, update_wrapper
 from typing import Any, TypeVar, cast
-
-import numba
-from numba.core import types
-from numba.core.caching import FunctionCache
-from numba.core.runtime import rtsys
-
-from termsel.errors import TermselError
-
-log = logging.getLogger(__name__)
-
-_UNREADABLE = (EOFError, UnpicklingError, OSError, AttributeError, ImportError)
-"""What reading kept code raises that is damaged, or is of a version with other names."""
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
-class _Cache(FunctionCache):
-    """Machine code on disk that is compiled again if it is damaged, and need not be kept."""
+class Later:
+    """What stands for a kernel, or a part of kernels, until it is called or compiled."""
 
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the code kept, None if there is none."""
-        try:
-            # Numba first makes itself ready to compile, too, which takes 0.2 s.
-            rtsys.initialize(target_context)  # what arrays are allocated by
-            with self._guard_against_spurious_io_errors():
-                return self._load_overload(sig, target_context)
-        except _UNREADABLE:  # emptied, truncated, not to be read
-            self._forget()
-            return None
+    def __init__(self, made: Callable[[], Any]) -> None:
+        self._make = made
 
-    def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep the code if the disk takes it."""
-        try:
-            super().save_overload(sig, data)
-        except _UNREADABLE as error:
-            log.info("The compiled code cannot be kept: %s", error)
+    @cached_property
+    def made(self) -> Any:
+        """What numba knows."""
+        return self._make()
 
-    def has_code(self) -> bool:
-        """Return whether code of this very source, compiled by this numba, is kept."""
-        try:
-            return bool(self._cache_file._load_index())
-        except _UNREADABLE:  # it will be compiled again
-            return False
+    @property
+    def _numba_type_(self) -> Any:
+        """What numba asks for where a kernel that it compiles uses this."""
+        from termsel.adjustment.dispatchers import type_of
 
-    def _forget(self) -> None:
-        try:
-            self.flush()
-        except OSError as error:
-            log.info("The compiled code cannot be kept: %s", error)
+        return type_of(self.made)
+
+    def __call__(self, *args: Any) -> Any:
+        return self.made(*args)
 
 
 def compiled(function: _Function, **flags: Any) -> _Function:
     """Compile on first call and keep the machine code on disk, where there is a place for it.
 
-    Flags are those of `numba.njit`. Raises TermselError where numba is to compile nothing.
+    Flags are those of `numba.njit`. The first call raises TermselError where numba is to compile
+    nothing.
     """
-    if numba.config.DISABLE_JIT:  # which intrinsics of the kernels cannot do
-        raise TermselError("NUMBA_DISABLE_JIT is set, and termsel cannot compute without compiled "
-                           "code", hint="Unset NUMBA_DISABLE_JIT, then repeat the command.")
-    dispatcher = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True,
-                            **flags)(function)
-    of_types = dispatcher.get_call_template
+    return cast(_Function, update_wrapper(Later(partial(_dispatcher, function, flags)), function))
 
-    def of_plain_types(args: Iterable[Any], keywords: Mapping[str, Any]) -> Any:
-        """Take a counter that begins with a constant for any integer, lest what is called with it
-        be compiled for that constant, too."""
-        return of_types(tuple(map(types.unliteral, args)),
-                        {name: types.unliteral(one) for name, one in keywords.items()})
 
-    dispatcher.get_call_template = of_plain_types
-    try:
-        dispatcher._cache = _Cache(function)  # as numba does for cache=True
-    except RuntimeError:  # numba finds no folder that it can write to
-        _say_that_nothing_is_kept()
-    return cast(_Function, dispatcher)
+def _dispatcher(function: Callable[..., Any], flags: dict[str, Any]) -> Any:
+    from termsel.adjustment.dispatchers import dispatcher_of
+
+    return dispatcher_of(function, flags)
 
 
 def is_compiled(function: Callable[..., Any]) -> bool:
     """Return whether a function that `compiled` returned can be called at once."""
-    kept = cast(Any, function)._cache
-    return bool(cast(Any, function).signatures) or (isinstance(kept, _Cache) and kept.has_code())
+    from termsel.adjustment.dispatchers import has_code
 
-
-@cache
-def _say_that_nothing_is_kept() -> None:
-    """Tell the user, once."""
-    log.warning("Note: compiled code cannot be kept here. Every run takes some 10 s longer. "
-                "Set NUMBA_CACHE_DIR to a folder that you can write to.")
+    return has_code(cast(Later, function).made)

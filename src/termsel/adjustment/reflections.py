@@ -10,12 +10,10 @@ Compiled kernels are kept on disk until `kernels.py` changes; numba does not see
 
 from __future__ import annotations
 
-from functools import reduce
+from functools import partial, reduce
 from typing import Any
 
-import numba
-from llvmlite import ir
-from numba.extending import intrinsic
+from termsel.adjustment.compiled import Later
 
 LANES = 8
 """Columns of a panel."""
@@ -32,6 +30,10 @@ def _reflector(count: int) -> Any:
     With reflections I - beta v v' it subtracts v1 a1 + v2 a2 from the rows of panel P, where
     a1 = beta1 v1' P and a2 = beta2 (v2' P - (v2' v1) a1).
     """
+    import numba
+    from llvmlite import ir
+    from numba.extending import intrinsic
+
     row_of_lanes = ir.VectorType(ir.DoubleType(), LANES)
     undefined = ir.Constant(row_of_lanes, ir.Undefined)
     first = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
@@ -119,5 +121,5 @@ def _reflector(count: int) -> Any:
     return intrinsic(apply)
 
 
-apply_one = _reflector(1)
-apply_two = _reflector(2)
+apply_one = Later(partial(_reflector, 1))
+apply_two = Later(partial(_reflector, 2))

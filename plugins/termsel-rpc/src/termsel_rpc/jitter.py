@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import BSpline
 
 from termsel import Control, Fit, Option, Rpc, Undetermined
 from termsel_rpc.correction import CorrectedRpc
@@ -72,6 +71,8 @@ def splines(lines: FloatArray, rpc: Rpc, intervals: int) -> FloatArray:
 
     They add up to 1. Beyond the lines of the RPC's image they are those of its edge.
     """
+    from scipy.interpolate import BSpline  # takes long, and few fit splines
+
     step = 2 / intervals
     knots = -1 + step * np.arange(-_DEGREE, intervals + _DEGREE + 1)
     unit = np.clip((lines - rpc.image_offset[0]) / abs(rpc.image_scale[0]), -1, 1 - 1e-12)

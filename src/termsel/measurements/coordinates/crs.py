@@ -111,7 +111,7 @@ def metres_per_unit(crs: str) -> float | None:
     crs = normalise(crs)
     if UTM.fullmatch(crs):
         return 1.0
-    known = None if crs == LOCAL else _with_pyproj(crs)
+    known = None if crs == LOCAL or crs in WGS84 else _with_pyproj(crs)
     return float(known.axis_info[0].unit_conversion_factor) \
         if known is not None and known.is_projected else None
 

@@ -1,0 +1,100 @@
+"""How functions are compiled, by numba; `compiled` says when."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache
+from pickle import UnpicklingError
+from typing import Any
+
+import numba
+from numba.core import types
+from numba.core.caching import FunctionCache
+from numba.core.registry import cpu_target
+from numba.core.runtime import rtsys
+
+from termsel.errors import TermselError
+
+log = logging.getLogger(__name__)
+
+_UNREADABLE = (EOFError, UnpicklingError, OSError, AttributeError, ImportError)
+"""What reading kept code raises that is damaged, or is of a version with other names."""
+
+
+class _Cache(FunctionCache):
+    """Machine code on disk that is compiled again if it is damaged, and need not be kept."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the code kept, None if there is none."""
+        try:
+            # Numba first makes itself ready to compile, too, which takes 0.2 s.
+            rtsys.initialize(target_context)  # what arrays are allocated by
+            with self._guard_against_spurious_io_errors():
+                return self._load_overload(sig, target_context)
+        except _UNREADABLE:  # emptied, truncated, not to be read
+            self._forget()
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep the code if the disk takes it."""
+        try:
+            super().save_overload(sig, data)
+        except _UNREADABLE as error:
+            log.info("The compiled code cannot be kept: %s", error)
+
+    def has_code(self) -> bool:
+        """Return whether code of this very source, compiled by this numba, is kept."""
+        try:
+            return bool(self._cache_file._load_index())
+        except _UNREADABLE:  # it will be compiled again
+            return False
+
+    def _forget(self) -> None:
+        try:
+            self.flush()
+        except OSError as error:
+            log.info("The compiled code cannot be kept: %s", error)
+
+
+def type_of(made: Any) -> types.Type:
+    """Return the type of a dispatcher or an intrinsic in kernels that use it."""
+    known = cpu_target.typing_context
+    known.refresh()
+    return known.resolve_value_type(made)
+
+
+def dispatcher_of(function: Callable[..., Any], flags: dict[str, Any]) -> Any:
+    """Return what compiles a function for the types it is called with (see `compiled`)."""
+    if numba.config.DISABLE_JIT:  # which intrinsics of the kernels cannot do
+        raise TermselError("NUMBA_DISABLE_JIT is set, and termsel cannot compute without compiled "
+                           "code", hint="Unset NUMBA_DISABLE_JIT, then repeat the command.")
+    dispatcher = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True,
+                            **flags)(function)
+    of_types = dispatcher.get_call_template
+
+    def of_plain_types(args: Iterable[Any], keywords: Mapping[str, Any]) -> Any:
+        """Take a counter that begins with a constant for any integer, lest what is called with it
+        be compiled for that constant, too."""
+        return of_types(tuple(map(types.unliteral, args)),
+                        {name: types.unliteral(one) for name, one in keywords.items()})
+
+    dispatcher.get_call_template = of_plain_types
+    try:
+        dispatcher._cache = _Cache(function)  # as numba does for cache=True
+    except RuntimeError:  # numba finds no folder that it can write to
+        _say_that_nothing_is_kept()
+    return dispatcher
+
+
+def has_code(dispatcher: Any) -> bool:
+    """Return whether a dispatcher can be called at once."""
+    kept = dispatcher._cache
+    return bool(dispatcher.signatures) or (isinstance(kept, _Cache) and kept.has_code())
+
+
+@cache
+def _say_that_nothing_is_kept() -> None:
+    """Tell the user, once."""
+    log.warning("Note: compiled code cannot be kept here. Every run takes some 10 s longer. "
+                "Set NUMBA_CACHE_DIR to a folder that you can write to.")
