@@ -187,7 +187,7 @@ def test_without_independent_points_the_interval_is_for_the_true_accuracy() -> N
     assert result.accuracy is None
     assert result.predicted is not None
     assert result.predicted.points is None
-    assert "Predicted RMSE of any further points" in result.summary(verbose=True)
+    assert "Predicted RMSE of further points like the control" in result.summary(verbose=True)
 
 
 def test_a_search_has_accuracy_and_no_prediction() -> None:

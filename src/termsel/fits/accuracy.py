@@ -19,8 +19,9 @@ from termsel.errors import counted
 from termsel.fits.fit import Fit
 from termsel.fits.normality import chances_if_normal
 from termsel.fits.uncertainty import shared_variance
+from termsel.measurements.control import Control, with_usual_heights
 from termsel.measurements.coordinates.metres import in_metres
-from termsel.measurements.features import FloatArray, Points
+from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.record.figures import (
     CONFIDENCE,
     Accuracy,
@@ -76,10 +77,32 @@ def predicted_rmse(errors: FloatArray, effective: float, points: int,
                      points=points or None)
 
 
-def predicted_by(fitted: Fit, errors: FloatArray, points: int) -> Predicted:
-    """Return the RMSE that held-out errors predict for a fit (see `predicted_rmse`)."""
-    return predicted_rmse(errors, fitted.effective, points, shared_variance(
-        fitted.model, fitted.scaled_control.take(fitted.used)))
+def predicted_by(fitted: Fit, errors: FloatArray, points: int,
+                 ground: FloatArray | None = None) -> Predicted:
+    """Return the RMSE that held-out errors predict for a fit (see `predicted_rmse`).
+
+    With the ground (m, 3) of the points, it is that at their heights, unlike the control's or not.
+    """
+    mine = fitted.control.take(fitted.used)
+    found = predicted_rmse(errors, fitted.effective, points, shared_variance(
+        fitted.model, fitted.scaling.features(mine)))
+    more = 0.0 if ground is None else _by_heights(fitted, mine, ground)
+    # What a metre of height does is one normal vector for all places, so that its square by the
+    # mean of that is exponentially distributed.
+    low, high = np.sqrt(-more * np.log1p([-(1 - CONFIDENCE) / 2, -(1 + CONFIDENCE) / 2]))
+    rmse, low, high = np.hypot([found.rmse, found.low, found.high],
+                               [more**0.5, low, high]).tolist()
+    return Predicted(rmse, low, high, points=points or None)
+
+
+def _by_heights(fitted: Fit, control: FeatureSet, ground: FloatArray) -> float:
+    """Return the mean square error that places (m, 3) add by heights unlike the control's [px^2].
+    """
+    usual = with_usual_heights(Control(control, fitted.scaling, False), ground)
+    if usual is ground:
+        return 0.0
+    more = np.nan_to_num(fitted.sigma(ground)**2 - fitted.sigma(usual)**2)
+    return float(max(more.sum(axis=1).mean(), 0.0))
 
 
 _Distances = TypeVar("_Distances", InImage, OnGround)

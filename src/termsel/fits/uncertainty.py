@@ -189,6 +189,6 @@ def _propagated(model: Fittable, control: FeatureSet, terms: BoolArray, adjustme
     slopes = (model.project(moved, ground) - model.project(back, ground)) \
         / (2 * steps[:, None, None])                                           # (k, m, 2)
     along = np.linalg.solve(r.T, slopes.reshape(len(steps), -1))
-    factors = adjustment.sigma0 * along.T.reshape(len(ground), 2, -1)
+    factors = adjustment.sigma0 * along.T.reshape(len(ground), 2, len(steps))
     return Spread((factors**2).sum(axis=2), np.full(2, adjustment.sigma0**2), factors), \
         np.bincount(equations.feature, (errors / left) ** 2, len(control)).astype(np.float64)

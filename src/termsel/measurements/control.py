@@ -31,6 +31,12 @@ MEASURED = 0.5
 
 MEASURED_PART = 1e-3
 
+OTHER = 1.5
+"""How many times as far off a plane other places are whose heights are not those of the control."""
+
+MANY, BEST = 12, 5 / 6
+"""Number of points from which on they show how well they are measured, and the part by which."""
+
 ENOUGH = 8
 """Number of features from which on two of them may carry the relief. Without two of fewer, hardly
 anything is left that could be off a plane."""
@@ -123,12 +129,51 @@ def off_plane(control: Control, ground: FloatArray) -> tuple[FloatArray, FloatAr
     return off * control.scaling.ground_scale[2], off * effect
 
 
+def with_usual_heights(control: Control, ground: FloatArray) -> FloatArray:
+    """Return places (m, 3) with heights as far off a plane as the control's are (mean squares).
+
+    Unchanged where they are already, but for `OTHER`, and where a height is not known.
+    """
+    if control.features.without_height() or not np.isfinite(_effect(control)):
+        return ground
+    (plane, z, _), scaled = _vertices(control), control.scaling.ground(ground)
+    fitted = np.linalg.lstsq(plane, z)[0]
+    off = np.nan_to_num(scaled[:, 2] - _plane_at(scaled) @ fitted)
+    usual = np.linalg.norm(z - plane @ fitted) / np.sqrt(max(len(z) - plane.shape[1], 1))
+    here = np.linalg.norm(off) / np.sqrt(max(len(off), 1))
+    if here <= max(OTHER * usual, FLAT):
+        return ground
+    off *= (1.0 - usual / here) * control.scaling.ground_scale[2]
+    return ground - np.pad(off[:, None], ((0, 0), (2, 0)))
+
+
 def _tells(control: Control, rest: FloatArray) -> bool:
     """Return whether scaled heights off a plane tell what a height does."""
     if not np.abs(rest).max(initial=0.0) > FLAT:
         return False
-    noise = min(MEASURED, MEASURED_PART * control.scaling.image_scale)
-    return bool(np.linalg.norm(rest) * _effect(control) > noise)
+    return bool(np.linalg.norm(rest) * _effect(control) > _noise(control))
+
+
+def _noise(control: Control) -> float:
+    """Return the standard deviation of a measurement [px], or more where many points show it.
+
+    They do so by what a quadratic polynomial leaves, without the points that fit worst: blunders
+    would hide what heights do.
+    """
+    least = min(MEASURED, MEASURED_PART * control.scaling.image_scale)
+    points = control.scaled.points
+    if len(control.features.lines) or len(points) < MANY:
+        return least
+    x, y, z = points.ground.T
+    columns, image = np.stack([x**0, x, y, z, x * x, x * y, y * y], axis=1), points.image
+    for kept in (len(points), round(BEST * len(points))):
+        q = np.linalg.qr(columns)[0]
+        left = image - q @ (q.T @ image)
+        free = np.maximum(1.0 - (q**2).sum(axis=1), np.finfo(float).eps)
+        best = np.argsort(np.linalg.norm(left, axis=1) / free)[:round(BEST * kept)]
+        square = (left**2).sum() / (len(image) - columns.shape[1]) / 2
+        columns, image = columns[best], image[best]
+    return max(least, float(np.sqrt(square)) * control.scaling.image_scale)
 
 
 def _effect(control: Control) -> float:

@@ -108,7 +108,7 @@ class Predicted(RecordPart, frozen=True, omit_defaults=False):
     """A predicted RMSE with its interval."""
 
     rmse: Size
-    """Of points held out in folds [px]."""
+    """Of points held out in folds, and of what heights of independent points add [px]."""
     low: Size
     """Lower end of the interval [px]."""
     high: Size

@@ -117,7 +117,7 @@ class Strategy(RecordPart, frozen=True):
     reason: str
     """Why it was chosen, with the figures that decided."""
     predicted: float | None
-    """Predicted RMSE of the whole choice [px], or null."""
+    """RMSE of points held out from the whole choice, in folds [px], or null."""
     folds: Count
     """Folds in which the choice was repeated."""
     fitted_to: Roles

@@ -86,6 +86,9 @@ def _accuracy(record: Record) -> Iterator[Block]:
         if predicted:
             yield _prediction(predicted)
     if (strategy := record.strategy) and strategy.predicted is not None:
+        if predicted and predicted.rmse > strategy.predicted:
+            yield ("The independent points have heights unlike the control's. At the control's "
+                   f"heights the predicted RMSE is {rounded(strategy.predicted)} px.")
         yield Detail(
             f"The predicted RMSE is that of the whole choice, repeated in {strategy.folds} folds."
             if strategy.folds > EXACT + 1 else
@@ -158,7 +161,7 @@ def _shape(of: InImage | OnGround, unit: str, rmse: dict[str, float]) -> Iterato
 
 def _prediction(predicted: Predicted) -> str:
     of = f"of {counted(predicted.points, 'independent point')}" if predicted.points \
-        else "of any further points"
+        else "of further points like the control's"
     return (f"Predicted RMSE {of}: {rounded(predicted.rmse)} px "
             f"({100 * predicted.level:.0f} % interval {rounded(predicted.low)} to "
             f"{rounded(predicted.high)} px).")

@@ -156,8 +156,8 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
     if errors is not None and not len(chosen.fit.control.lines):
         errors = errors[:len(both.points)]  # what lines were predicted to be says nothing
     expected = None if errors is None else predicted_by(
-        chosen.fit, errors, len(observations.independent))
-    predicted = None if expected is None else expected.rmse
+        chosen.fit, errors, len(observations.independent), observations.independent.ground)
+    held_out = None if errors is None else float(np.sqrt((errors**2).sum(axis=1).mean()))
     observations = with_lines(clean, observations.control.lines)
     fitted = in_role(chosen.fit, observations)
     model = fitted.model
@@ -183,8 +183,8 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
         selection=Selection(select(model.terms, fitted.terms),
                             select(observations.control.ids, fitted.used)),
         feasible=True, rmse=rmse, baselines=others(clean),
-        judgement=judge_choice(chosen.candidate, predicted, figures(fitted, agreeing),
-                               others(agreeing), setup.features.noise),
+        judgement=judge_choice(chosen.candidate, None if expected is None else expected.rmse,
+                               figures(fitted, agreeing), others(agreeing), setup.features.noise),
         notes=(*_on_rpc(control, portfolio, chosen), *_few(setup), *of_data,
                *_notes(setup.model, clean, errors, said, plane=not model.uses_height,
                        determined=not enough, known=chosen.candidate.from_one),
@@ -201,7 +201,7 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
         diagnosis=diagnose(fitted),
         features=observations.features, versions=versions(),
         plugins=plugins_of(setup, model=type(model), candidate=chosen.candidate),
-        strategy=Strategy("auto", chosen.name, choice.reason, predicted, folds,
+        strategy=Strategy("auto", chosen.name, choice.reason, held_out, folds,
                           ("control", "check"), tuple(CandidateRow(
                               one.name, one.fit.model.name, int(one.fit.terms.sum()),
                               one.fit.effective, finite_or_none(one.predicted))
@@ -220,7 +220,8 @@ def _final_fit(chosen: Judged, points: Points, heights: bool, portfolio: Portfol
     more = points.take([role in ASSIGNABLE and name not in blunders
                         for name, role in zip(points.ids, points.roles, strict=True)])
     every = merged(control.with_(points=more))
-    if len(every) == len(control):
+    # A plane model must not be fitted to points whose heights do tell.
+    if len(every) == len(control) or (not heights and Control.of(every).heights):
         return None
     final = portfolio.ask(chosen.candidate, "refit", chosen.fit, Control.of(every, heights))
     return final if final is not None and final.determined and not has_pole(final) else None

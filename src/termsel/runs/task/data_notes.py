@@ -21,6 +21,9 @@ SOME = 5
 NAMED = 5
 """Groups of points that a note names."""
 
+HIGH = 100.0
+"""Height for which it is said what it may do [m]."""
+
 NARROW = 0.02
 """Spread across the main direction of all features, by that along it, up to which they lie on a
 line."""
@@ -84,8 +87,10 @@ def _on_carriers(both: FeatureSet, carrying: tuple[str, ...]) -> Iterator[str]:
 
 def _on_flat(control: Control, others: Points) -> Iterator[str]:
     """Yield that heights tell nothing, and what they may do at other points."""
-    z = control.features.ground_vertices()[:, 2]
-    if len(carriers(control)) < len(control):
+    vertices, carrying = control.features.ground_vertices(), carriers(control)
+    z = vertices[~np.isin(np.array(control.features.ids)[control.features.vertex_feature],
+                          carrying if len(carrying) < len(control) else ()), 2]
+    if len(carrying) < len(control):
         pass
     elif (z == z[0]).all():
         yield (f"All heights are {z[0]:g}, so they were not used. If they are not known, leave "
@@ -93,6 +98,13 @@ def _on_flat(control: Control, others: Points) -> Iterator[str]:
     else:
         yield (f"The heights of the {control.features.word} differ too little from a plane to "
                "tell what a height does, so they were not used.")
+    above, does = off_plane(control, vertices[:1] + np.array([0.0, 0.0, HIGH]))
+    if does[0] > 0.0:
+        low, high = (f"{round(float(one), 1) + 0.0:g}" for one in (z.min(), z.max()))
+        covered = f"the height {low} m alone" if low == high else \
+            f"heights from {low} to {high} m on one plane"
+        yield (f"The control covers {covered}. A place is uncertain by some "
+               f"{_rounded(HIGH * does[0] / above[0])} px for each {HIGH:g} m above or below it.")
     off, effect = off_plane(control, others.ground)
     far = effect > MEASURED
     if far.any():
