@@ -25,6 +25,7 @@ PAGES: dict[str, tuple[str, ...]] = {
     "paper-konugurthi": ("paper_tables", "konugurthi"),
     "control-features": ("control_features",),
     "benchmark": ("open_benchmark",),
+    "flat-control": ("flat_control",),
     "plan": ("plan", "--processes", "2"),
     "lines": ("lines", "--processes", "2"),
     "old-maps": ("old_maps", "--processes", "2"),

@@ -10,14 +10,15 @@ from termsel_scanner.photos import CANDIDATES as PHOTOS
 from termsel_scanner.photos import Frame, Panoramic
 from termsel_scanner.scanner import Scanner
 from termsel_scanner.sensors import SENSORS, Sensor
+from termsel_scanner.tracked import TrackedScanner
 
-__all__ = ["SENSORS", "Frame", "Panoramic", "Scanner", "Sensor"]
+__all__ = ["SENSORS", "Frame", "Panoramic", "Scanner", "Sensor", "TrackedScanner"]
 
 
 @hookimpl
 def termsel_models() -> Iterable[type[SensorModel]]:
-    """Return the scanner, the frame and the panoramic camera."""
-    return [Scanner, Frame, Panoramic]
+    """Return the scanners, the frame and the panoramic camera."""
+    return [Scanner, TrackedScanner, Frame, Panoramic]
 
 
 @hookimpl

@@ -9,6 +9,7 @@ import numpy as np
 from termsel import Candidate, Control, Fit, SensorModel, Undetermined
 from termsel_scanner.physical import RobustFit
 from termsel_scanner.scanner import Scanner
+from termsel_scanner.tracked import SUFFIXES, TrackedScanner
 
 COLUMN = "sensor"
 """Column of a table of points that names the sensor."""
@@ -39,7 +40,7 @@ class NamedScanner(Candidate):
             return f"it is for {FEWEST} to {MOST} control points, without lines"
         if features.without_height() or features.crs in ("", "local"):
             return "it needs heights and a CRS"
-        Scanner(sensor=named)
+        _scanner(named)
         return None
 
     def fit_control(self, control: Control) -> Fit:
@@ -47,12 +48,17 @@ class NamedScanner(Candidate):
         named = sensor_of(control)
         if not named:
             raise Undetermined("no sensor is named", hint=f"Name it in a column {COLUMN!r}.")
-        model = Scanner(sensor=named)
+        model = _scanner(named)
+        if not isinstance(model, Scanner):
+            return self._fitted(model, control)
         prepared = model.prepared(control.scaling, control.features.crs)
         latitude = prepared.geographic(control.scaled.points.ground)[:, 1]
         line = control.features.points.image[:, 0]
         north = float((latitude - latitude.mean()) @ (line - line.mean()))
         model = Scanner(sensor=named, track="ascending" if north > 0 else "descending")
+        return self._fitted(model, control)
+
+    def _fitted(self, model: SensorModel, control: Control) -> Fit:
         return self.estimator.fit(model, control.features, control.scaling,
                                   np.ones(len(model.terms), dtype=bool),
                                   np.ones(len(control), dtype=bool))
@@ -67,9 +73,18 @@ class NamedScanner(Candidate):
 
     def describe(self, fitted: Fit) -> str:
         """Return whose constants were used."""
+        if isinstance(fitted.model, TrackedScanner):
+            return f"The points name the metadata {fitted.model.source}, with orbit and attitude."
         assert isinstance(fitted.model, Scanner)
         return (f"The points name the sensor {fitted.model.options['sensor']}. Its constants: "
                 f"{fitted.model.source}.")
+
+
+def _scanner(named: str) -> Scanner | TrackedScanner:
+    """Return the scanner of a sensor's name, of a file of constants, or of one of metadata."""
+    if named.lower().endswith(SUFFIXES):
+        return TrackedScanner(metadata=named)
+    return Scanner(sensor=named)
 
 
 def sensor_of(control: Control) -> str:

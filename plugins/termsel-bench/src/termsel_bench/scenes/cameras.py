@@ -92,22 +92,23 @@ class Flying(Turning):
 
 
 def image_of(kind: str, seed: int, ranges: Ranges, count: int,
-             measured: int | None = None) -> FeatureSet:
+             measured: int | None = None, level: float = -1.0) -> FeatureSet:
     """Return so many points of a simulated image, their image positions with noise.
 
     With `measured` only the first so many have noise; the others are where the camera sees them.
+    Ground below `level`, between -1 and 1 of the hills' heights, is a plain at the height 0.
     """
     for attempt in range(20):
         rng = np.random.default_rng([ranges.number, ALL_KINDS.index(kind), seed, attempt])
         try:
-            return _image_of(kind, rng, ranges, count, measured)
+            return _image_of(kind, rng, ranges, count, measured, level)
         except TermselError:  # drawn so that the place is not in view
             continue
     raise RuntimeError(f"no image of the kind {kind} was found")
 
 
 def _image_of(kind: str, rng: Generator, ranges: Ranges, count: int,
-              measured: int | None) -> FeatureSet:
+              measured: int | None, level: float) -> FeatureSet:
     lines, samples = (int(n) for n in rng.integers(*ranges.size, 2))
     lon, lat = rng.uniform(-170, 170), rng.uniform(*ranges.latitude)
     pixel = float(np.exp(rng.uniform(*np.log(ranges.pixel))))
@@ -121,7 +122,9 @@ def _image_of(kind: str, rng: Generator, ranges: Ranges, count: int,
     tried = (40 if measured is None else 16) * count
     plan = rng.uniform(-0.8, 0.8, (tried, 2)) * width
     ground = from_ecef(middle + np.pad(plan, ((0, 0), (0, 1))) @ axes)
-    ground[:, 2] = relief + _heights(rng, plan / width, ranges.waves) * relief
+    height = _heights(rng, plan / width, ranges.waves)
+    ground[:, 2] = (1.0 + height) * relief if level == -1.0 else (
+        2.0 * np.maximum(height - level, 0.0) * relief)
     image = _seen(kind, rng, ranges, (lines, samples), pixel, (lon, lat, relief), axes, ground,
                   (to_ecef(ground) - middle) @ axes.T)
     inside = ((image > 0.02 * np.array([lines, samples]))
