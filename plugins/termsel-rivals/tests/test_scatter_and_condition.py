@@ -47,7 +47,8 @@ def test_scatter_matrix_finds_true_terms_and_is_stepwise_by_f(seed: int) -> None
 
 def test_scatter_matrix_takes_no_collinear_term() -> None:
     part, _ = sparse(1)
-    twin = part.columns[:, 2] + 1e-3 * part.columns[:, 4]
+    own = np.random.default_rng(4).normal(size=len(part.columns))
+    twin = part.columns[:, 2] + 1e-3 * own
     both = part_of(np.column_stack([part.columns, twin]), part.target)
     strict = ScatterMatrix(tolerance=1e-2).choose(both)
     assert not (strict[2] and strict[-1])

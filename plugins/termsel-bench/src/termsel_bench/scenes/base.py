@@ -72,6 +72,20 @@ class BenchSet:
         return self.features.crs in ("EPSG:4979", "EPSG:4326")
 
 
+def means_of(text: str) -> tuple[list[float], list[float]]:
+    """Return the means of the columns of numbers of a file, and the units of their decimals.
+
+    Of the text of an RPC there is one mean, of all its numbers; blank heights count as 0.
+    """
+    if not text.startswith("#"):
+        return [float(np.mean([float(row.split()[1]) for row in text.splitlines()]))], [1e-5]
+    header, *rows = [row.split(",") for row in text.splitlines()[1:]]
+    first = [name.startswith("line") for name in header].index(True)
+    values = np.array([[float(cell or 0.0) for cell in row[first:]] for row in rows])
+    return values.mean(axis=0).tolist(), [
+        10.0 ** -len(cell.partition(".")[2]) for cell in rows[0][first:]]
+
+
 def rounded(one: BenchSet) -> BenchSet:
     """Return the set with the decimals of its files, so that machines agree on it."""
     def place(ground: FloatArray) -> FloatArray:

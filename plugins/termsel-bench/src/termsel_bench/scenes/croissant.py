@@ -13,8 +13,8 @@ from typing import Any
 
 import termsel_bench
 from termsel.toolkit import write_text
-from termsel_bench.scenes.base import INDEPENDENT, BenchSet
-from termsel_bench.scenes.catalogue import METADATA, SETS, made
+from termsel_bench.scenes.base import INDEPENDENT, BenchSet, means_of
+from termsel_bench.scenes.catalogue import MEANS, METADATA, SETS, made
 
 VERSION = "1.0.0"
 """Of the sets: figures of different versions cannot be compared."""
@@ -74,10 +74,13 @@ def described(sets: Iterable[BenchSet]) -> dict[str, Any]:
                  for column, (kind, meaning) in COLUMNS.items()]} for one in found]}
 
 
-def freeze(path: Path) -> None:
-    """Write the metadata of all sets as they are simulated here."""
-    write_text(path, json.dumps(described(map(made, SETS)), indent=1) + "\n")
+def freeze(folder: Path) -> None:
+    """Write the metadata and the means of all sets as they are simulated here."""
+    sets = [made(name) for name in SETS]
+    write_text(folder / METADATA, json.dumps(described(sets), indent=1) + "\n")
+    means = {file: means_of(text)[0] for one in sets for file, text in one.files().items()}
+    write_text(folder / MEANS, json.dumps(means, indent=0) + "\n")
 
 
 if __name__ == "__main__":
-    freeze(Path(str(termsel_bench.__file__)).with_name(METADATA))
+    freeze(Path(str(termsel_bench.__file__)).parent)
