@@ -108,6 +108,11 @@ def test_leaving_out_blocks_of_any_height(weight: float) -> None:
     used = rng.random((20, 9)) < 0.9
     solutions, determined = leave_one_out(equations, terms, used)
     assert determined.any()
+    for p in range(20):  # one alone is solved by another way
+        alone, known = leave_one_out(equations, terms[p:p + 1], used[p:p + 1])
+        assert known.tolist() == [determined[p]]
+        if determined[p]:
+            assert alone[:, 0] == pytest.approx(solutions[:, p], abs=1e-9)
     for p, f in itertools.product(np.flatnonzero(determined), range(9)):
         if used[p, f]:
             rows = used[p][feature] & (feature != f)
@@ -126,8 +131,10 @@ def test_a_feature_that_alone_tells_a_term_but_for_rounding_is_indispensable(
     A[:, 1] = [1.0, *(left / np.sqrt(6) * np.resize([1.0, -1.0], 6)), 0.0]
     A[:, 0] = [0.0, *np.ones(7)]
     equations = Equations(A, np.arange(8.0), np.arange(8), np.zeros(2))
-    found = leave_one_out(equations, np.ones((1, 2), dtype=bool), np.ones((1, 8), dtype=bool))[1]
-    assert found.tolist() == [determined]
+    for many in (1, 2):  # one alone is solved by another way
+        found = leave_one_out(equations, np.ones((many, 2), dtype=bool),
+                              np.ones((many, 8), dtype=bool))[1]
+        assert found.tolist() == [determined] * many
 
 
 def test_an_indispensable_feature_makes_a_selection_infeasible() -> None:

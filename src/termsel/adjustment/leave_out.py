@@ -19,12 +19,16 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
+from scipy import linalg
 
 from termsel.adjustment.compiled import compiled, is_compiled
 from termsel.adjustment.equations import Equations
 from termsel.adjustment.reflections import LANES, apply_one
 from termsel.adjustment.solve import TOLERANCE
 from termsel.measurements.features import BoolArray, FloatArray, IntArray
+
+FEW = 1000
+"""Rows of a single system up to which its kernel is not worth its compilation."""
 
 Work = tuple[FloatArray, FloatArray, FloatArray]
 """Of the reflections: vectors, factors, and space that single reflections do not need."""
@@ -187,6 +191,8 @@ def leave_one_out(equations: Equations, terms: BoolArray, features: BoolArray,
     if m > len(equations.b):
         first = np.append(first, m)
         features = np.concatenate([features, np.ones((len(features), 1), dtype=bool)], axis=1)
+    if len(terms) == 1 and m <= FEW:
+        return _of_one(source, first, terms[0], features[0], n)
     panels = np.empty((2, k // LANES + 1, m, LANES))
     work = np.empty((k, m)), np.empty(k), np.empty(k)
     room = np.empty((k + 1, m)), np.empty((k, n + 1)), np.empty((tallest, tallest))
@@ -196,6 +202,44 @@ def leave_one_out(equations: Equations, terms: BoolArray, features: BoolArray,
     _leave_out(source, first, np.ascontiguousarray(terms), np.ascontiguousarray(features),
                TOLERANCE, (panels[0], panels[1]), work, room, index, solutions, determined)
     return solutions, determined
+
+
+def _of_one(source: FloatArray, first: IntArray, terms: BoolArray, features: BoolArray,
+            n: int) -> tuple[FloatArray, BoolArray]:
+    """Solve one system through LAPACK: terms (k,), features (n,) and any pseudo-observations."""
+    chosen, used = np.flatnonzero(terms), np.flatnonzero(features[:n])
+    solutions = np.zeros((n, len(terms)))
+    rows = np.flatnonzero(np.repeat(features, np.diff(first)))
+    A, b = source[np.ix_(rows, chosen)], source[rows, -1]
+    undetermined = solutions[:, None], np.zeros(1, dtype=bool)
+    if len(chosen) >= len(rows):
+        return undetermined
+    q, r = np.linalg.qr(A)
+    if (np.abs(np.diag(r)) <= TOLERANCE * np.linalg.norm(A, axis=0)).any():
+        return undetermined
+    along = q.T @ b
+    errors = b - q @ along
+    errors -= q @ (q.T @ errors)  # what rounding left along the columns
+    height = np.diff(first)[used]
+    start = np.cumsum(height) - height
+    of_each = np.zeros((len(chosen), len(height)))
+    for tall in np.unique(height):  # features with as many rows at once
+        some = np.flatnonzero(height == tall)
+        at = start[some, None] + np.arange(tall)
+        mine = q[at]
+        left = np.eye(tall) - mine @ mine.swapaxes(1, 2)  # I - Q_i Q_i'
+        pivots = left.copy()
+        for j in range(tall):
+            if (pivots[:, j, j] <= TOLERANCE).any():  # the others do not determine the terms
+                return undetermined
+            pivots[:, j + 1:, j + 1:] -= (pivots[:, j + 1:, j, None] * pivots[:, None, j, j + 1:]
+                                          / pivots[:, j, j, None, None])
+        weighed = np.linalg.solve(left, errors[at][..., None])
+        of_each[:, some] = (mine.swapaxes(1, 2) @ weighed)[..., 0].T
+    change = linalg.solve_triangular(r, np.column_stack([along, -of_each]), check_finite=False)
+    change[:, 1:] += change[:, :1]
+    solutions[np.ix_(used, chosen)] = change[:, 1:].T
+    return solutions[:, None], np.ones(1, dtype=bool)
 
 
 def needs_compilation() -> bool:
