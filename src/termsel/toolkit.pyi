@@ -191,10 +191,6 @@ from .studies.execution.progress import StudyProgress as StudyProgress
 from .studies.execution.work import Outcome as Outcome
 from .studies.execution.work import do as do
 from .studies.execution.work import failed as failed
-from .studies.groups import Groups as Groups
-from .studies.groups import Runs as Runs
-from .studies.groups import group as group
-from .studies.groups import length as length
 from .studies.outputs import StudyOutput as StudyOutput
 from .studies.outputs import write_outputs as write_outputs
 from .studies.plan.spec import MEASURES as MEASURES

@@ -13,10 +13,11 @@ import pytest
 from msgspec import structs
 
 import termsel
-from termsel.toolkit import CellRecord, FloatArray, Groups, Runs, group
-from termsel_bench.ioh import ioh_files
+from termsel.toolkit import CellRecord, FloatArray
 from termsel_studies.claims import claims, size_in_words
 from termsel_studies.fronts import front_figures, indicators, non_dominated
+from termsel_studies.groups import Groups, Runs, group
+from termsel_studies.ioh import ioh_files
 from termsel_studies.pages import latex, markdown, tables_of
 from termsel_studies.significance import (
     compare_methods,

@@ -1,4 +1,4 @@
-"""An open benchmark, certificates of proofs, and files of studies for IOHprofiler, for termsel."""
+"""An open benchmark, and certificates of proofs, for termsel."""
 
 from __future__ import annotations
 
@@ -23,9 +23,8 @@ def termsel_commands(cli: click.Group) -> None:
 
 @hookimpl
 def termsel_parts() -> Iterable[Part]:
-    """Return what writes certificates of proofs, and studies for IOHprofiler."""
-    from termsel.toolkit import Part, StudyOutput
+    """Return what writes certificates of proofs."""
+    from termsel.toolkit import Part
     from termsel_bench.certificate import certifier
-    from termsel_bench.ioh import FOLDER, write
 
-    return [Part("certificate", certifier), Part("study", StudyOutput((FOLDER,), write))]
+    return [Part("certificate", certifier)]

@@ -23,6 +23,8 @@ __all__ = ["report", "summary"]
 def termsel_parts() -> Iterable[Part]:
     """Return what is made of a study."""
     from termsel.toolkit import Part, StudyOutput
+    from termsel_studies import ioh
     from termsel_studies.report import FILES, report, summary, write
 
-    return [Part("study", StudyOutput(FILES, write, summary, report))]
+    return [Part("study", StudyOutput((ioh.FOLDER,), ioh.write)),
+            Part("study", StudyOutput(FILES, write, summary, report))]

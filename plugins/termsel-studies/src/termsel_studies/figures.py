@@ -15,14 +15,12 @@ from termsel.toolkit import (
     METHODS,
     WIDTH,
     Figure,
-    Groups,
     data,
-    group,
-    length,
     require_altair,
     spread_scale,
     with_unit,
 )
+from termsel_studies.groups import Groups, group, length
 from termsel_studies.significance import (
     Comparison,
     compare_methods,

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.toolkit import FloatArray, Groups
+from termsel.toolkit import FloatArray
+from termsel_studies.groups import Groups
 
 BEYOND = 1.1
 """Where the reference point lies: as far from the best values as the worst, and a tenth more."""

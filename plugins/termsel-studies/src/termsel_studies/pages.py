@@ -6,9 +6,10 @@ import math
 from typing import Any
 
 from termsel import Study, TableBlock
-from termsel.toolkit import Groups, Row, counted, group
+from termsel.toolkit import Row, counted
 from termsel_studies.claims import claims
 from termsel_studies.fronts import front_figures
+from termsel_studies.groups import Groups, group
 from termsel_studies.significance import compare_methods, effect_size, medians_of
 from termsel_studies.summaries import Summary, summaries
 

@@ -9,7 +9,8 @@ from itertools import combinations
 
 import numpy as np
 
-from termsel.toolkit import FloatArray, Groups
+from termsel.toolkit import FloatArray
+from termsel_studies.groups import Groups
 from termsel_studies.summaries import quantiles
 
 SIGNIFICANCE = 0.05

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from termsel.toolkit import TIE, Groups, Runs, length
+from termsel.toolkit import TIE
+from termsel_studies.groups import Groups, Runs, length
 
 _HUGE = 1e300
 """Stands for infinity where quantiles are interpolated."""

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from termsel import Study, __version__
-from termsel.toolkit import CellRecord, Groups, file_word, group, length, write_text
+from termsel.toolkit import CellRecord, file_word, write_text
+from termsel_studies.groups import Groups, group, length
 
 FOLDER = "ioh"
 

@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from termsel.studies.cells.journal import CellRecord
-from termsel.studies.cells.table import WAITING, Row
+from termsel.toolkit import WAITING, CellRecord, Row
 
 METHOD = ("strategy", "model", "criterion", "solver")
 INSTANCE = ("problem", "data", "split")
