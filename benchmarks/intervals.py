@@ -96,8 +96,9 @@ Made by `python -m benchmarks.intervals --write`: {scenes} simulated scenes of {
 other terrain, points and errors. Two structures are fitted to {control} control points. Nothing is
 chosen. The true RMSE is that of {many} other points. Both intervals are for nine in ten.
 
-- The interval *of independent points* stands next to their RMSE. It takes their errors as normal,
-  independent and alike in line and sample.
+- The interval *of independent points* stands next to their RMSE. It takes their errors as
+  independent. Degrees of freedom come from the errors: fewer where line and sample differ, or where
+  some errors are much larger than others.
 - The *predicted* interval comes from leave-one-out over the control. It is for the RMSE of just so
   many independent points.
 - The summary names errors that are *not normal* where the test of Shapiro and Wilk has p below
@@ -106,10 +107,10 @@ chosen. The true RMSE is that of {many} other points. Both intervals are for nin
 """
 
 END = """
-The interval of independent points is a little narrow: it holds in 81 to 88 %, not in 90. Errors
-are not quite normal, and those of neighbours are alike, as relief and the sensor leave them so.
-Read it as one for four in five. The predicted interval holds in 78 to 91 %, least where the affine
-structure is wrong for many points.
+The interval of independent points holds in 88 to 96 %. With two degrees of freedom of a point it
+held in 81 to 88 %: errors are not normal, and line and sample differ, as relief and the sensor
+leave them so. The predicted interval holds in 82 to 95 %, least where few points have to tell many
+coefficients, or where an affine structure is wrong for many points.
 
 More points see more: a fit to 30 control points has errors of its own, so its mean error is not
 zero, and from 26 points on the test sees that relief leaves no normal errors.

@@ -23,6 +23,7 @@ from termsel.fits.accuracy import (
     predicted_by,
     predicted_rmse,
 )
+from termsel.fits.residuals import freedom_of, rmse_of
 from termsel.fits.uncertainty import _Belief, shared_variance
 from termsel.measurements.control import Control
 from termsel.measurements.coordinates.metres import in_metres
@@ -86,7 +87,7 @@ def test_interval_without_parameters_is_that_of_normal_errors() -> None:
     """Those of 40 points have chi-squared distributed squares."""
     errors = np.ones((40, 2)) / np.sqrt(2)  # alike, so that normal ones are more spread
     found = predicted_rmse(errors, 0.0, 0)
-    low, high = rmse_interval(1.0, 40)
+    low, high = rmse_interval(1.0, 80)
     assert found.low == pytest.approx(low, rel=0.04)
     assert found.high == pytest.approx(high, rel=0.04)
 
@@ -326,3 +327,40 @@ def test_figures_of_standards_are_written_as_all_distances() -> None:
                        criterion="press").summary(verbose=True)
     assert re.search(r"NSSDA: \d,\d{3} m, ", text)
     assert re.search(r"ASPRS 2024: \d,\d{3} m, ", text)
+
+
+def test_the_interval_of_an_rmse_is_that_of_chi_squared() -> None:
+    low, high = rmse_interval(2.0, 30)
+    assert low == pytest.approx(2 * np.sqrt(30 / stats.chi2.ppf(0.95, 30)))
+    assert high == pytest.approx(2 * np.sqrt(30 / stats.chi2.ppf(0.05, 30)))
+
+
+@pytest.mark.parametrize("kind", ["alike", "one axis", "heavy tails", "equal axes"])
+def test_the_interval_covers_the_rmse_as_often_as_it_says(kind: str) -> None:
+    rng = np.random.default_rng(1)
+    errors = rng.normal(size=(2000, 26, 2))
+    if kind == "one axis":
+        errors *= [1.0, 4.0]
+    elif kind == "heavy tails":
+        errors *= np.sqrt(rng.exponential(size=(2000, 26, 1)))
+    elif kind == "equal axes":
+        errors[..., 1] = errors[..., 0]
+    truth, inside = np.sqrt((errors**2).sum(axis=2).mean()), []
+    for some in errors:
+        found = rmse_of(some, len(some))
+        assert found is not None
+        assert found.freedom is not None
+        low, high = rmse_interval(found.total, found.freedom)
+        inside.append(low <= truth <= high)
+    assert 0.85 <= np.mean(inside) <= 0.94
+
+
+@pytest.mark.parametrize(("errors", "freedom"), [
+    ([[3.0, 4.0]], 25.0**2 / (9.0**2 + 16.0**2)),        # one point: by its axes
+    ([[1.0, 1.0], [1.0, 1.0]], 4.0),                      # two of each
+    ([[0.0, 2.0], [0.0, 2.0]], 2.0),                      # one axis alone
+    ([[2.0, 2.0], [0.0, 0.0]], 2 * 4.0**2 / (8.0**2 / 4)),  # squared distances of 8 and 0
+    ([[0.0, 0.0]], None), ([[np.inf, 0.0]], None), ([[1e200, 0.0]], None)])
+def test_degrees_of_freedom_by_hand(errors: list[list[float]], freedom: float | None) -> None:
+    assert freedom_of(np.array(errors), len(errors)) == (
+        None if freedom is None else pytest.approx(freedom))

@@ -9,10 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
 
 import termsel
-from termsel.record.figures import rmse_interval
 
 altair = pytest.importorskip("altair")
 pytest.importorskip("vl_convert")
@@ -21,20 +19,6 @@ pytest.importorskip("vl_convert")
 def rows_of(chart: object) -> dict[str, list[dict[str, object]]]:
     """Return all data of a chart."""
     return chart.to_dict()["datasets"]  # type: ignore[attr-defined]
-
-
-def test_the_interval_of_an_rmse_is_that_of_chi_squared() -> None:
-    low, high = rmse_interval(2.0, 15)
-    assert low == pytest.approx(2 * np.sqrt(30 / chi2.ppf(0.95, 30)))
-    assert high == pytest.approx(2 * np.sqrt(30 / chi2.ppf(0.05, 30)))
-
-
-def test_the_interval_covers_the_rmse_as_often_as_it_says() -> None:
-    rng = np.random.default_rng(1)
-    errors = rng.normal(size=(4000, 12, 2))
-    totals = np.sqrt((errors**2).sum(axis=2).mean(axis=1))
-    inside = [low <= np.sqrt(2) <= high for low, high in (rmse_interval(t, 12) for t in totals)]
-    assert np.mean(inside) == pytest.approx(0.9, abs=0.015)
 
 
 def test_the_empires_in_the_history_are_those_of_the_search() -> None:

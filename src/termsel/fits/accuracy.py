@@ -18,6 +18,7 @@ from scipy.special import stdtrit
 from termsel.errors import counted
 from termsel.fits.fit import Fit
 from termsel.fits.normality import chances_if_normal
+from termsel.fits.residuals import freedom_of
 from termsel.fits.uncertainty import shared_variance
 from termsel.measurements.control import Control, with_usual_heights
 from termsel.measurements.coordinates.metres import in_metres
@@ -58,12 +59,11 @@ def predicted_rmse(errors: FloatArray, effective: float, points: int,
 
     No constant says how large the uncertainties of its logarithm are.
     """
-    squares, n = (errors**2).sum(axis=1), len(errors)
-    rmse = float(np.sqrt(squares.mean()))
-    if rmse == 0:
-        return Predicted(0.0, 0.0, 0.0, points=points or None)
-    # As the squares show it, or that of normal errors where this is larger.
-    spread = max(squares.var(ddof=1) / squares.mean() ** 2, 1.0)
+    n, freedom = len(errors), freedom_of(errors, len(errors))
+    rmse = float(np.sqrt((errors**2).sum(axis=1).mean()))
+    if freedom is None:
+        return Predicted(rmse, rmse, rmse, points=points or None)
+    spread = 2 * n / freedom  # relative variance of a squared distance
     redundancy = max(2 * n - effective, 2.0)
     shared = effective / 2 / n**2 if shared is None else shared
     quantile = stdtrit(redundancy, (1 + CONFIDENCE) / 2)
@@ -113,7 +113,8 @@ def distances(kind: Callable[..., _Distances], errors: FloatArray) -> _Distances
     first, second = np.sqrt((errors**2).mean(axis=0)).tolist()
     return kind(len(errors), first, second, float(np.hypot(first, second)),
                 float(np.linalg.norm(errors, axis=1).max()), float(ce90(errors)),
-                tuple(errors.mean(axis=0).tolist()), chances_if_normal(errors))
+                tuple(errors.mean(axis=0).tolist()), chances_if_normal(errors),
+                freedom_of(errors, len(errors)))
 
 
 def accuracy_of(fitted: Fit, independent: Points) -> Accuracy | None:

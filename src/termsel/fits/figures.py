@@ -60,12 +60,12 @@ def _of_role(rmse: Rmse | None) -> RoleRmse:
     if rmse is None:
         return RoleRmse(None, None, None, 0)
     return RoleRmse(finite_or_none(rmse.line), finite_or_none(rmse.sample),
-                    finite_or_none(rmse.total), rmse.n)
+                    finite_or_none(rmse.total), rmse.n, rmse.freedom)
 
 
 def rmse_from(record: RmseByRole) -> dict[str, Rmse | None]:
     """Return the RMSE by role that `rmse_record` gave a record for."""
-    return {role: Rmse(number(one.line), number(one.sample), number(one.total), one.n)
+    return {role: Rmse(number(one.line), number(one.sample), number(one.total), one.n, one.freedom)
             if one.n else None for role, one in record.by_role.items()}
 
 

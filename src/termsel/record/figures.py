@@ -16,15 +16,15 @@ SIGNIFICANT = 0.05
 """Chance below which a coefficient is called significant."""
 
 
-def rmse_interval(total: float, points: int) -> tuple[float, float]:
+def rmse_interval(total: float, freedom: float) -> tuple[float, float]:
     """Return the interval of the RMSE [px] that endlessly many such points would have.
 
-    Of errors in line and sample that are independent, normal and alike, so that their squares have
-    a chi-squared distribution.
+    The squares of independent errors have a chi-squared distribution of so many degrees of freedom:
+    two of a point if its errors are normal and alike in line and sample, otherwise fewer.
     """
     from scipy.special import chdtri  # scenes are simulated and read without it
 
-    tail, freedom = (1 - CONFIDENCE) / 2, 2 * points
+    tail = (1 - CONFIDENCE) / 2
     return (total * float(np.sqrt(freedom / chdtri(freedom, tail))),
             total * float(np.sqrt(freedom / chdtri(freedom, 1 - tail))))
 
@@ -40,11 +40,13 @@ class RoleRmse(RecordPart, frozen=True):
     """Of the distances [px]."""
     n: Count
     """Number of features."""
+    freedom: Size | None = None
+    """Degrees of freedom of the squared errors; absent before 0.3, then two of a feature."""
 
     @property
     def interval(self) -> tuple[float, float] | None:
         """Interval of the RMSE of endlessly many such points [px]; None without a total."""
-        return rmse_interval(self.total, self.n) if self.total else None
+        return rmse_interval(self.total, self.freedom or 2 * self.n) if self.total else None
 
 
 class RmseByRole(RecordPart, frozen=True):
@@ -139,11 +141,13 @@ class InImage(RecordPart, frozen=True):
     normal: tuple[float, float] | None = None
     """Of line and of sample the chance that normal errors look so little normal (Shapiro and Wilk
     1965); absent for fewer than 8 points, more than 5000, or equal errors."""
+    freedom: Size | None = None
+    """Degrees of freedom of the squared errors; absent before 0.3, then two of a point."""
 
     @property
     def interval(self) -> tuple[float, float]:
         """Interval of the RMSE of endlessly many such points [px]."""
-        return rmse_interval(self.total, self.n) if self.total else (0.0, 0.0)
+        return rmse_interval(self.total, self.freedom or 2 * self.n) if self.total else (0.0, 0.0)
 
 
 class OnGround(RecordPart, frozen=True):
@@ -166,6 +170,8 @@ class OnGround(RecordPart, frozen=True):
     normal: tuple[float, float] | None = None
     """Of x and of y the chance that normal errors look so little normal (Shapiro and Wilk
     1965); absent for fewer than 8 points, more than 5000, or equal errors."""
+    freedom: Size | None = None
+    """Degrees of freedom of the squared errors; absent before 0.3, then two of a point."""
 
 
 class StandardFigure(RecordPart, frozen=True, omit_defaults=False):
