@@ -13,7 +13,7 @@ import pytest
 
 import termsel
 from termsel.candidates.base import Candidate, Judged
-from termsel.candidates.portfolio import BETTER, CLEARLY, Portfolio, best_of, choose
+from termsel.candidates.portfolio import BETTER, CLEARLY, EXPECTED, Portfolio, best_of, choose
 from termsel.candidates.structures import CANDIDATES, Structure, named
 from termsel.errors import TermselError
 from termsel.fits.fit import Estimator, Fit, HeldOut, Undetermined
@@ -91,16 +91,18 @@ def judged_as(candidate: Candidate, control: Control, squares: FloatArray) -> Ju
     return Judged(candidate, candidate.fit_control(control), squares)
 
 
-@pytest.mark.parametrize(("prior", "gain", "chosen"), [
-    (False, CLEARLY - 0.1, "shrunken-quadratic"), (False, CLEARLY + 0.1, "mine"),
-    (True, BETTER - 0.1, "shrunken-quadratic"), (True, BETTER + 0.1, "mine")])
-def test_a_candidate_with_a_prior_needs_less(control: Control, prior: bool, gain: float,
-                                             chosen: str) -> None:
+@pytest.mark.parametrize(("of", "gain", "chosen"), [
+    ("", CLEARLY - 0.1, "shrunken-quadratic"), ("", CLEARLY + 0.1, "mine"),
+    ("central", EXPECTED - 0.1, "shrunken-quadratic"), ("central", EXPECTED + 0.1, "mine"),
+    ("has_prior", BETTER - 0.1, "shrunken-quadratic"), ("has_prior", BETTER + 0.1, "mine")])
+def test_a_candidate_with_a_prior_or_a_central_one_needs_less(
+        control: Control, of: str, gain: float, chosen: str) -> None:
     noise = np.random.default_rng(1).normal(size=len(control))
     noise = (noise - noise.mean()) / noise.std(ddof=1)
     factor = np.exp(-0.1 * (gain / np.sqrt(len(control)) + noise))
     shrunken, mine = named("shrunken-quadratic"), Known(
-        "mine", "a known model", Polynomial3D(degree=2), has_prior=prior)
+        "mine", "a known model", Polynomial3D(degree=2), has_prior=of == "has_prior",
+        central=of == "central")
     assert shrunken is not None
     choice = best_of([judged_as(shrunken, control, np.ones(len(control))),
                       judged_as(mine, control, factor)])

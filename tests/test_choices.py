@@ -78,7 +78,7 @@ def gain_of(standard_errors: float, n: int = 40) -> FloatArray:
 
 @pytest.mark.parametrize(("cubic", "dlt", "chosen"), [
     (0.9, -9.0, "shrunken-quadratic"), (1.02, -9.0, "shrunken-cubic"),
-    (0.0, 2.9, "shrunken-quadratic"), (0.0, 3.1, "dlt")])
+    (0.0, 1.9, "shrunken-quadratic"), (0.0, 2.1, "dlt")])
 def test_what_must_be_better_by_how_much(cubic: float, dlt: float, chosen: str,
                                          monkeypatch: pytest.MonkeyPatch) -> None:
     control = photograph(0.2, 40)

@@ -113,6 +113,9 @@ class Candidate(ABC):
         Whether it is for features that are too few for any candidate with a prior.
     only_shown : bool
         Whether it is shown for comparison and never chosen.
+    central : bool
+        Whether it is a central projection, as whole images may be: two standard errors are then
+        enough for it in place of three.
     from_one : bool
         Whether one feature is enough, as the candidate knows what features do not determine. Then
         two or three are not taken for a model that they determine exactly.
@@ -132,6 +135,7 @@ class Candidate(ABC):
     needs: tuple[str, ...] = ()
     for_few: bool = False
     only_shown: bool = False
+    central: bool = False
     from_one: bool = False
 
     @property

@@ -22,9 +22,10 @@ from termsel.measurements.control import Control
 from termsel.measurements.features import FloatArray, no_lines
 from termsel.models.base import SensorModel
 
-BETTER, CLEARLY = 1.0, 3.0
+BETTER, EXPECTED, CLEARLY = 1.0, 2.0, 3.0
 """Standard errors by which the logarithms of squared errors must be smaller: of a candidate with a
-prior than of the one before it, and of any other that no prior contains."""
+prior than of the one before it, of a central projection, and of any other that no prior contains.
+"""
 
 LEAST = "It has the smallest leave-one-out RMSE."
 """Why a candidate is chosen where none has a prior."""
@@ -129,13 +130,13 @@ def choose(control: Control, portfolio: Portfolio | None = None, watch: Watch | 
     needs no points to be left out. The quadratic one is taken unless the cubic one is better by
     BETTER standard errors (the rule of Breiman et al. 1984), and likewise any further candidate
     with a prior of its own. What none of them contains is taken only if it is better by CLEARLY
-    standard errors, since the best of several is so partly by luck: projective and rational models,
-    and few terms of their own. Where the points call for a random field, the shrunken polynomial
-    with it takes the place of those without. Logarithms of squared errors are compared, lest a few
-    great errors make everything uncertain. Where features are too few for any candidate with a
-    prior, the smallest sum of squares decides: similarities and a plane affine polynomial are then
-    candidates too. With `whole`, candidates that others contain are judged all the same, to be
-    shown.
+    standard errors, since the best of several is so partly by luck: rational models, and few terms
+    of their own. There is one central projection, for which EXPECTED is enough. Where the points
+    call for a random field, the shrunken polynomial with it takes the place of those without.
+    Logarithms of squared errors are compared, lest a few great errors make everything uncertain.
+    Where features are too few for any candidate with a prior, the smallest sum of squares decides:
+    similarities and a plane affine polynomial are then candidates too. With `whole`, candidates
+    that others contain are judged all the same, to be shown.
     """
     portfolio = portfolio or Portfolio()
     offered = portfolio.offered(control)
@@ -197,11 +198,16 @@ def best_of(candidates: Iterable[Judged], portfolio: Portfolio | None = None) ->
             base = one if _gain(one, base) > asked else base
     others = [one for one in judged
               if not (one.candidate.has_prior or _contained(one.candidate, priors))]
-    rivals = [base, *(one for one in others if _gain(one, base) > CLEARLY)]
+    rivals = [base, *(one for one in others if _gain(one, base) > _asked(one, base))]
     chosen = min(rivals, key=lambda one: one.predicted)
     said[:0] = [reason for one in dict.fromkeys((chosen, base))
                 if (reason := portfolio.ask(one.candidate, "describe", one.fit))]
     return Choice(chosen, judged, _reason(chosen, base, said, others, judged))
+
+
+def _asked(one: Judged, base: Judged) -> float:
+    """Return by how many standard errors a candidate that no prior contains must be better."""
+    return EXPECTED if one.candidate.central and not base.candidate.from_one else CLEARLY
 
 
 def choose_features(control: Control, portfolio: Portfolio | None = None,
@@ -236,9 +242,10 @@ def _reason(chosen: Judged, base: Judged, said: Sequence[str], others: Sequence[
     if others:
         nearest = chosen if chosen is not base else max(others, key=lambda one: _gain(one, base))
         smaller = (" and have a smaller RMSE"
-                   if nearest is not chosen and _gain(nearest, base) > CLEARLY else "")
+                   if nearest is not chosen and _gain(nearest, base) > _asked(nearest, base)
+                   else "")
         said.append(f"{_compared(nearest, base)}; it must be better by more than "
-                    f"{CLEARLY:g}{smaller}.")
+                    f"{_asked(nearest, base):g}{smaller}.")
     if any("standard error" in one for one in said):
         said.append("Standard errors are those of logarithms of squared leave-one-out errors.")
     least = min(judged, key=lambda one: one.predicted).candidate

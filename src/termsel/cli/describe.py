@@ -135,7 +135,8 @@ def _describe_candidate(entry: Entry) -> None:
             "with the smallest leave-one-out RMSE, where points are few" if one.for_few else
             "where it is better by one standard error, or instead of what it contains"
             if one.has_prior else
-            "where it is better by three standard errors and has the smaller RMSE",
+            f"where it is better by {'two' if one.central else 'three'} standard errors and has "
+            "the smaller RMSE",
             "contains": ", ".join(one.contains), "needs": ", ".join(one.needs)})
     echo(f"\nFit it alone with termsel.fit(features, {entry.name!r}).")
 
