@@ -228,6 +228,8 @@ BAD_WORDS = {
                       "--set 'order' is not of the form KEY=VALUE. For example --set population="),
     "set twice": (["--problem", "rfm-terms", "--set", "order=1", "--set", "order=2"],
                   "--set order is given twice. Give it once."),
+    "two files of points": (["--points", "a.csv", "--points=b.csv"],
+                            "--points is given 2 times; it takes one value."),
     "unknown model": (["--problem", "rfm-terms", "--model", "rpc"],
                       "unknown model 'rpc'. Known: affine, dlt2d, "),
     "unknown solver": (["--problem", "rfm-terms", "--solver", "gaa"],

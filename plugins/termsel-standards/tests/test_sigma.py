@@ -146,7 +146,8 @@ def test_what_cannot_be_is_refused(files: Path, tmp_path: Path, words: tuple[obj
                                    said: str) -> None:
     words = tuple(files / str(word) if str(word).endswith((".tif", ".csv")) else word
                   for word in words)
-    done = call("sigma", files / "plain", "-o", tmp_path / "s.tif", *words)
+    out = () if "-o" in words else ("-o", tmp_path / "s.tif")
+    done = call("sigma", files / "plain", *out, *words)
     assert done.exit_code == 2
     assert said in done.stderr.replace("\n", " ")
     assert not list(tmp_path.iterdir())

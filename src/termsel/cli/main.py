@@ -83,6 +83,8 @@ class Commands(click.Group):
 
             known = [*COMMANDS, *registry().names("commands")]
             raise unknown_name("command", args[0], known, registry().hint(args[0], "commands"))
+        if command is not None and not ctx.resilient_parsing:
+            _refuse_repeated(command, args[1:])
         return args[0], command, args[1:]
 
     def format_commands(
@@ -152,6 +154,17 @@ class Commands(click.Group):
             echo("Interrupted.", err=True)
             sys.exit(INTERRUPTED)
         sys.exit(value if isinstance(value, int) else 0)
+
+
+def _refuse_repeated(command: click.Command, words: list[str]) -> None:
+    """Refuse an option of one value that is given twice: click would drop the first in silence."""
+    for option in command.params:
+        if isinstance(option, click.Option) and not (
+                option.multiple or option.is_flag or option.count):
+            times = sum(word.partition("=")[0] in option.opts for word in words)
+            if times > 1:
+                raise click.UsageError(
+                    f"{option.opts[0]} is given {times} times; it takes one value.")
 
 
 def _near(error: click.ClickException) -> str:
