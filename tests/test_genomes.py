@@ -205,6 +205,15 @@ def subset_problem() -> Toy:
     return Toy(genome, lambda x: ((genome.chosen(x) @ weight)[:, None], np.zeros(len(x))))
 
 
+def test_children_of_subsets_keep_what_both_parents_have() -> None:
+    # 5 is first in one parent and last in the other, so that no column holds it in both.
+    genome = Genome([Subset("s", labels("s", 12), 4)])
+    genes = np.tile([[5, 7, 9, 11], [0, 2, 4, 5]], (50, 1))
+    children = crossover(genes, genome, 1.0, np.random.default_rng(1))
+    assert (children == 5).any(axis=1).all()
+    assert len({tuple(child) for child in children.tolist()}) > 10
+
+
 @pytest.mark.parametrize("solver", ["ga-steady", "ga", "pso", "swap"])
 def test_solvers_find_the_best_subset(solver: str) -> None:
     problem = subset_problem()

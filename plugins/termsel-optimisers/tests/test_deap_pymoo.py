@@ -431,5 +431,3 @@ def test_a_loop_that_does_nothing_is_named(monkeypatch: pytest.MonkeyPatch) -> N
     found = search(problems.twelve_terms(), from_deap(own_box, stuck)(population=10),
                    observers=[observe])
     assert (found.evaluations, found.interrupted) == (10, True)
-    assert Deap(algorithm="mine:loop").runs_code_of_users
-    assert not Deap().runs_code_of_users

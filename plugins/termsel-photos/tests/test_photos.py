@@ -55,6 +55,15 @@ def test_centre_and_terms_of_a_photo_are_found(distorted: Path) -> None:
     assert plain.total > 3 * rmse.total
 
 
+def test_terms_under_the_same_parameters_are_evaluated_each() -> None:
+    problem = termsel.prepare("distortion").problem
+    genes = problem.genome.random(np.random.default_rng(2), 12)
+    genes[:, -2:] = genes[0, -2:]  # the centre
+    each = [problem.evaluate(one[None]).objectives[0, 0] for one in genes]
+    assert len(set(each)) > 3
+    np.testing.assert_allclose(problem.evaluate(genes).objectives[:, 0], each)
+
+
 def test_parameters_reach_record_report_and_exports(distorted: Path, tmp_path: Path) -> None:
     record = json.loads((distorted / "result.json").read_text())
     parameters = record["selection"]["parameters"]

@@ -93,9 +93,6 @@ class Solver(Configurable, ABC):
     uses_chance: ClassVar[bool] = True
     """Whether another seed may give another result. A study runs solvers without chance once."""
 
-    runs_code_of_users: bool = False
-    """Whether it runs a loop or an algorithm of a user's, which may never return."""
-
     @abstractmethod
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
         """Yield one generation after another, the initial population first.

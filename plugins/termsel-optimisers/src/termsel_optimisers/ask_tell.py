@@ -76,7 +76,6 @@ def from_ask_tell(factory: Callable[[Problem, np.random.Generator], AskTell], *,
         __doc__ = doc.splitlines()[0]
         max_objectives = most
         segments: ClassVar[tuple[type[AnySegment], ...]] = SEGMENTS
-        runs_code_of_users = True
 
         def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
             with blamed(factory, called, CHECK):

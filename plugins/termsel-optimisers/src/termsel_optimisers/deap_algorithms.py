@@ -57,10 +57,6 @@ class Deap(Solver):
                "eaMuPlusLambda and eaMuCommaLambda.", float, 0.0, 1.0),
     )
 
-    def __init__(self, **options: Any) -> None:
-        super().__init__(**options)
-        self.runs_code_of_users = ":" in self.options["algorithm"]
-
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
         """Yield generations without end (see `Solver.generations`)."""
         o = self.options
@@ -215,7 +211,6 @@ def from_deap(toolbox_factory: Callable[[Problem], base.Toolbox],
         __doc__ = doc.splitlines()[0]
         segments = SEGMENTS
         declared_options = (POPULATION,)
-        runs_code_of_users = True
 
         def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
             n = self.options["population"]

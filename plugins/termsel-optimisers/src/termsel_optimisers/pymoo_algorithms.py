@@ -167,7 +167,6 @@ def from_pymoo(algorithm: Algorithm, *, name: str | None = None) -> type[Solver]
         min_objectives = 2 if several else 1
         max_objectives = 1 if single else 8
         segments = SEGMENTS
-        runs_code_of_users = True
 
         def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
             # The generator itself is as that of `pymoo.optimize.minimize` with the same seed.

@@ -54,7 +54,7 @@ def heard(running: Iterator[Generation], solver: Solver, ledger: Ledger,
     Nothing but Ctrl-C ends code that neither yields nor evaluates. The ledger counts evaluations;
     `tell` takes what the progress shows, and is called in another thread.
     """
-    if is_own(type(solver)) and not solver.runs_code_of_users:
+    if is_own(type(solver)):
         yield from running
         return
     silence = _Silence(solver, ledger, tell)
