@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
 
 pytest.importorskip("termsel_match", reason="termsel-match is not installed: "
                     "pip install -e plugins/termsel-match")
@@ -92,6 +93,19 @@ def test_what_is_no_pair_is_refused(views: tuple[Path, dict[str, View]], says: A
                       folder / "dem.tif", "--count", 12, "-o", tmp_path / "ties.csv", "--quiet")
     assert code == 2
     assert said in text
+    assert not (tmp_path / "ties.csv").exists()
+
+
+def test_a_raster_without_heights_is_named(views: tuple[Path, dict[str, View]], says: Any,
+                                           tmp_path: Path) -> None:
+    folder, _ = views
+    with rasterio.open(folder / "dem.tif") as dem, rasterio.open(
+            tmp_path / "blank.tif", "w", **{**dem.profile, "nodata": -9999.0}) as blank:
+        blank.write(np.full((1, *dem.shape), -9999.0, dem.dtypes[0]))
+    code, text = says("match-ties", folder / "A.tif", folder / "B.tif", "--dem",
+                      tmp_path / "blank.tif", "-o", tmp_path / "ties.csv", "--quiet")
+    assert code == 2
+    assert "blank.tif: this raster has no heights where the images are" in " ".join(text.split())
     assert not (tmp_path / "ties.csv").exists()
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from termsel import TermselError, get, open_dem
 from termsel.toolkit import write_text
 from termsel_match.images.masks import open_masked
-from termsel_match.images.rasters import FloatArray, GreyRaster, grid
+from termsel_match.images.rasters import FloatArray, grid
 from termsel_match.images.starts import Start, start_of, turned
 from termsel_match.images.warps import COVERS, Reference
 from termsel_match.matchers import Matcher
@@ -147,7 +147,7 @@ def match_ties(
     until = None if seconds is None else monotonic() + seconds
     all_pairs = list(combinations(range(len(paths)), 2))
     members: dict[tuple[int, float, float], list[tuple[int, float, float]]] = {}
-    pairs = []
+    pairs, seen = [], False
     for done, (i, j) in enumerate(all_pairs):
         def tell(share: float, done: int = done) -> None:
             if progress is not None:
@@ -157,7 +157,9 @@ def match_ties(
                           tell)
         with open_masked(paths[i], band, masks) as picture, \
                 _seen_by(paths[j], starts[j], starts[i], dem, band, masks) as other:
-            if not _overlap(picture, other):
+            there = other.seen(grid(picture.size, (COVERS, COVERS)))
+            seen |= bool(np.isfinite(there).any())
+            if not _overlap(other, there):
                 pairs.append(PairOfImages(names[i], names[j], 0, 0))
                 continue
             found = in_cells(picture, other, looking)[0]
@@ -172,6 +174,9 @@ def match_ties(
     rows = [(f"T{number:04d}", names[image], line, sample)
             for number, (first, others) in enumerate(members.items(), 1)
             for image, line, sample in (first, *others)]
+    if not seen:
+        raise TermselError("this raster has no heights where the images are", file=Path(dem),
+                           hint="Give heights of the place by --dem.")
     if not rows:
         raise TermselError("no two of the images have ties", file=paths[0],
                            hint="Do they show the same ground? Give a larger --search, another "
@@ -195,8 +200,7 @@ def _seen_by(path: Path, own: Start, start: Start, dem: Path | str, band: int | 
         yield RawReference(picture, own.crs, start, heights, own.height, None, own)
 
 
-def _overlap(picture: GreyRaster, other: RawReference) -> bool:
-    seen = other.seen(grid(picture.size, (COVERS, COVERS)))
+def _overlap(other: RawReference, seen: FloatArray) -> bool:
     with np.errstate(invalid="ignore"):
         inside = ((seen >= 0) & (seen <= np.array(other.picture.size) - 1)).all(axis=1)
     return bool(inside.any())
