@@ -47,14 +47,14 @@ def plane(n: int, mirrored: bool) -> FeatureSet:
                              image + rng.normal(0, 0.3, (n, 2)), ground), crs="local")
 
 
-@pytest.mark.parametrize(("kept", "n", "told"), [(True, 4, ""), (False, 4, "some 4 s longer"),
-                                                 (False, 2, "")])
+@pytest.mark.parametrize(("kept", "n", "told"), [(True, 8, ""), (False, 8, "some 2 s longer"),
+                                                 (False, 4, "")])
 def test_auto_announces_only_what_it_compiles_itself(
         kept: bool, n: int, told: str, monkeypatch: pytest.MonkeyPatch,
         caplog: pytest.LogCaptureFixture) -> None:
     """Not what a search compiles, which would be announced at each of its runs."""
     monkeypatch.setattr("termsel.adjustment.kernels.needs_compilation", lambda: True)
-    monkeypatch.setattr("termsel.adjustment.leave_out.needs_compilation", lambda: not kept)
+    monkeypatch.setattr("termsel.priors.held_out.needs_compilation", lambda: not kept)
     with caplog.at_level("INFO", logger="termsel"):
         termsel.run(features=some(n))
     assert told in caplog.text

@@ -96,5 +96,5 @@ def has_code(dispatcher: Any) -> bool:
 @cache
 def _say_that_nothing_is_kept() -> None:
     """Tell the user, once."""
-    log.warning("Note: compiled code cannot be kept here. Every run takes some 10 s longer. "
+    log.warning("Note: compiled code cannot be kept here. Every run takes some 5 s longer. "
                 "Set NUMBA_CACHE_DIR to a folder that you can write to.")

@@ -21,7 +21,7 @@ from functools import partial
 import numpy as np
 from scipy import linalg
 
-from termsel.adjustment.compiled import compiled, is_compiled
+from termsel.adjustment.compiled import compiled
 from termsel.adjustment.equations import Equations
 from termsel.adjustment.reflections import LANES, apply_one
 from termsel.adjustment.solve import TOLERANCE
@@ -240,8 +240,3 @@ def _of_one(source: FloatArray, first: IntArray, terms: BoolArray, features: Boo
     change[:, 1:] += change[:, :1]
     solutions[np.ix_(used, chosen)] = change[:, 1:].T
     return solutions[:, None], np.ones(1, dtype=bool)
-
-
-def needs_compilation() -> bool:
-    """Return True if the first call will spend some seconds on compilation."""
-    return not is_compiled(_leave_out)

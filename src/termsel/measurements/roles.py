@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from termsel.measurements.coordinates.longitudes import without_jump
 from termsel.measurements.features import (
     ROLES,
     FeatureSet,
+    IntArray,
     Lines,
     Points,
     no_lines,
@@ -163,7 +164,7 @@ def observe(
     from lines alone, all become check and independent points. Raises TermselError if the control
     that is required is not there.
     """
-    features = without_jump(in_order(features))
+    features, labels = _ordered(features)
     points = features.points
     if control == "points" and not len(points):
         raise TermselError("the problem needs control points and there are none",
@@ -177,7 +178,6 @@ def observe(
     roles = np.array(points.roles, dtype=object)
     if split is not None:
         roles[roles != "off"] = ""
-    labels = twins(points.ground)
     given = {label: role for label, role in zip(labels, roles, strict=True)
              if role not in ("", "off")}
     for i in np.flatnonzero(roles == ""):
@@ -192,6 +192,13 @@ def observe(
         roles[roles == "control"] = "off"
     return by_roles(features.with_(points=unchecked(points, roles=tuple(roles)),
                                    lines=no_lines() if control == "points" else features.lines))
+
+
+@lru_cache(maxsize=2)
+def _ordered(features: FeatureSet) -> tuple[FeatureSet, IntArray]:
+    """Return features in order, without jumps, and their twins; cells of a study share theirs."""
+    features = without_jump(in_order(features))
+    return features, twins(features.points.ground)
 
 
 def in_order(features: FeatureSet) -> FeatureSet:

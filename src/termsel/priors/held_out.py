@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from termsel.adjustment.compiled import compiled
+from termsel.adjustment.compiled import compiled, is_compiled
 from termsel.measurements.features import FloatArray, IntArray
 from termsel.priors.shrinkage import Side
 
@@ -208,3 +208,8 @@ def _mean_chance(line_strain: FloatArray, sample_strain: FloatArray, line: IntAr
         _raise(power, half, m, share)
         for p in range(m):
             total[p] += share[p]
+
+
+def needs_compilation() -> bool:
+    """Return True if the first call will spend some seconds on compilation."""
+    return not is_compiled(_leave_out)

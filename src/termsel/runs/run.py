@@ -12,7 +12,7 @@ from typing import Any
 
 from msgspec import convert
 
-from termsel.adjustment import kernels, leave_out
+from termsel.adjustment import kernels
 from termsel.candidates.portfolio import Portfolio
 from termsel.criteria import Criterion
 from termsel.errors import TermselError
@@ -25,6 +25,7 @@ from termsel.measurements.features import FeatureSet
 from termsel.models.base import SensorModel
 from termsel.models.rpc import Rpc
 from termsel.plugins.registry import registry
+from termsel.priors import held_out
 from termsel.problems.recipes import Recipe
 from termsel.record.search import SearchLimits
 from termsel.results.result import Result
@@ -42,8 +43,11 @@ from termsel.threads import one_blas_thread
 
 log = logging.getLogger(__name__)
 
-SEARCH_COMPILES, AUTO_COMPILES = 10, 4
+SEARCH_COMPILES, AUTO_COMPILES = 4, 2
 """Seconds that the first run of a search, and of the strategy auto, spends on compilation."""
+
+SURE = 6
+"""Points from which on auto surely calls what it compiles."""
 
 
 @one_blas_thread
@@ -198,7 +202,7 @@ def _chosen(request: Request, seed: int, observers: Iterable[Observer], out: Pat
         setup = replace(setup, model=registry().get("models", "poly2d")())
     observations = observe(setup, LEAST if setup.features.rpc is None else 1)
     # Whether a search of lines follows, which compiles more, is not known yet.
-    compiles = len(observations.together) > LEAST and leave_out.needs_compilation()
+    compiles = len(observations.together.points) >= SURE and held_out.needs_compilation()
     return _written(lambda: choose_for(setup, observations, seed, observers), out, overwrite,
                     AUTO_COMPILES if compiles else 0)
 
