@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,7 @@ from termsel_match.judgement.along import along
 from termsel_match.judgement.evidence import other_place, structure, unsupported
 from termsel_match.judgement.repeats import repetition
 from termsel_match.judgement.selection import select_points
+from termsel_match.judgement.verdict import reasons
 from termsel_match.simulated.world import CRS, World
 
 SIZE = (1000, 1000)
@@ -220,6 +222,20 @@ def test_another_place_is_told_from_chance(seed: int) -> None:
     assert found.count >= 12
     assert np.allclose(found.away, [40, -12], atol=0.6)
     assert other_place(image[:3], alike[:3], 2.0, SIZE) is None
+
+
+@pytest.mark.parametrize(("change", "said"), [
+    ({}, ()), ({"median": 2.1}, ("Half of the independent candidates",)),
+    ({"rmse": 2.1}, ("The RMSE of those that agree is 2.10 px; accepted are 2 px.",)),
+    ({"sigma": np.nan}, ("The predicted standard deviation",)),
+    ({"agrees": np.arange(60) < 3}, ("Only 3 of 60 independent candidates agree",))])
+def test_each_limit_is_a_reason(change: dict[str, Any], said: tuple[str, ...]) -> None:
+    found: Any = SimpleNamespace(**{
+        "independent": np.ones(60, dtype=bool), "agrees": np.ones(60, dtype=bool), "median": 2.0,
+        "rmse": 2.0, "sigma": 2.0, "structure": None, "other": None, **change})
+    refused = reasons(found, found, 2.0)
+    assert len(refused) == len(said)
+    assert all(reason.startswith(word) for reason, word in zip(refused, said, strict=True))
 
 
 def test_parts_without_candidates_are_named() -> None:
