@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import pytest
@@ -154,6 +155,14 @@ def test_lines_about_the_search(changed: dict[str, Any], lines: list[str]) -> No
      "Fitted in EPSG:32639; coordinates are given in EPSG:4979, heights EGM96")])
 def test_what_the_control_is(changed: dict[str, Any], line: str) -> None:
     assert line in text(data=changed).splitlines()
+
+
+@pytest.mark.parametrize(("changed", "word"), [
+    (counts(lines=0), "points"), (counts(control=0, lines=40), "lines"),
+    (counts(lines=40), "features")])
+def test_the_opening_calls_the_control_what_it_is(changed: dict[str, Any], word: str) -> None:
+    assert any(re.search(rf"terms, (all )?\d+( of \d+)? {word}\b", line)
+               for line in opening(data=changed))
 
 
 @pytest.mark.parametrize(("n_features", "n_terms", "lines"), [

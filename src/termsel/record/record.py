@@ -79,6 +79,11 @@ class Counts(RecordPart, frozen=True):
     off: Count
     """Features that took no part."""
 
+    @property
+    def word(self) -> str:
+        """What the control is: points, lines, or features if it is both."""
+        return "points" if not self.lines else "features" if self.control else "lines"
+
 
 class IdsByRole(RecordPart, frozen=True):
     """Ids of features by role."""

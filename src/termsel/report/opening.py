@@ -100,7 +100,7 @@ def _model(record: Record) -> str:
     whole = (selection.n_terms, selection.n_features) == (offered.n_terms, offered.n_features)
     return (f"{title}, {share(selection.n_terms, offered.n_terms)} terms, "
             f"{share(selection.n_features, offered.n_features)} "
-            f"{'lines' if record.data.counts.lines else 'points'}{'' if whole else by}"
+            f"{record.data.counts.word}{'' if whole else by}"
             + ("." if record.feasible else ". Do not use it: its fit did not converge."
                if record.adjustment.converged is False else
                ". Do not use it: not all conditions hold."))

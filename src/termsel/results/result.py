@@ -384,13 +384,11 @@ class Result(Glance):
             (counts.control, "control point"), (counts.lines, "control line"),
             (counts.check, "check point"), (counts.independent, "independent point")) if n]
         used = len(record.selection.features) + counts.check * bool(self.strategy)
-        what = ("features" if counts.lines and counts.control else
-                "lines" if counts.lines else "points")
         out = [one.id for one in self.outliers if one.excluded]
         title = title_of(record) + f" ({self.model})" * bool(self.strategy)
         return f"Result: {title}, {counted(len(self.selection.terms), 'term')}", {
             "data": f"{self.data.source}; {', '.join(features)}",
-            "fitted to": f"{used} {what}" + (
+            "fitted to": f"{used} {counts.word}" + (
                 f"; exported: fitted to {len(self.final.control)}" if self.final else ""),
             "blunders left out": ", ".join(out) or "none",
             "accuracy": accuracy_of(record),
