@@ -27,7 +27,7 @@ from termsel.measurements.features import FloatArray, no_lines
 from termsel.report.theme import BLUNDER, CONTROL, INDEPENDENT, UNUSED, data, require_altair, styled
 from termsel.simulate import simulate_scene
 from termsel.solvers.proofs.proof import limits_of
-from termsel.toolkit import Runs, group
+from termsel_studies.groups import Runs, group
 from termsel_studies.summaries import quantiles, reachable, wilson
 
 HERE = Path(__file__).parent
