@@ -7,9 +7,6 @@ from numpy.typing import ArrayLike
 
 from termsel.measurements.features import FeatureSet, FloatArray, IntArray
 
-FLAT = 1e-14
-"""Width of a hull, by the largest coordinate, that counts as none."""
-
 
 def spatial_order(xy: ArrayLike) -> IntArray:
     """Return an order (n,) of points (n, 2): neighbours in it are neighbours in the plane."""
@@ -62,39 +59,12 @@ def beyond(control: FloatArray, places: FloatArray) -> FloatArray:
     The largest distance from a side of the hull, divided by the longer side of the control's box; 0
     inside, infinite if the control has no hull.
     """
-    sides = _hull_sides(control)
-    if sides is None:
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        sides = ConvexHull(control).equations
+    except (QhullError, ValueError):  # fewer than three, or on one line
         return np.full(len(places), np.inf)
     with np.errstate(over="ignore"):  # places near the largest number are infinitely far
         outside = (places @ sides[:, :2].T + sides[:, 2]).max(axis=1)
         return np.asarray(np.maximum(outside, 0.0) / np.ptp(control, axis=0).max())
-
-
-def _hull_sides(places: FloatArray) -> FloatArray | None:
-    """Return outward unit normals of a convex hull, and minus its distance from 0, shape (k, 3).
-
-    None of fewer than three places, or on one line. By Andrew's monotone chain: scipy's hull takes
-    longer to import.
-    """
-    if len(places) < 3 or not np.isfinite(places).all():
-        return None
-    middle = places.mean(axis=0)
-    ordered = np.unique(places - middle, axis=0).tolist()
-    corners: list[list[float]] = []
-    for half in (ordered, ordered[::-1]):
-        chain: list[list[float]] = []
-        for x, y in half:
-            while len(chain) > 1 and ((chain[-1][0] - chain[-2][0]) * (y - chain[-2][1])
-                                      <= (chain[-1][1] - chain[-2][1]) * (x - chain[-2][0])):
-                chain.pop()
-            chain.append([x, y])
-        corners += chain[:-1]
-    hull = np.array(corners).reshape(-1, 2)
-    side = np.roll(hull, -1, axis=0) - hull
-    normal = np.column_stack([side[:, 1], -side[:, 0]])
-    # Twice the area by the longest side is the width, which rounding alone may leave.
-    longest = np.hypot(*side.T).max(initial=0.0)
-    if abs((normal * hull).sum()) <= FLAT * longest * max(longest, np.abs(places).max()):
-        return None
-    normal /= np.hypot(*side.T)[:, None]
-    return np.column_stack([normal, -(normal * (hull + middle)).sum(axis=1)])
