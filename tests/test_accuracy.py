@@ -271,7 +271,7 @@ def test_metres_of_degrees_of_feet_and_of_nothing() -> None:
 
 
 def _of(x: float, y: float) -> OnGround:
-    return OnGround(30, x, y, float(np.hypot(x, y)), 3 * x, 2 * x)
+    return OnGround(x=x, y=y, n=30, total=float(np.hypot(x, y)), maximum=3 * x, ce90=2 * x)
 
 
 def test_standards_have_figures_only_where_their_rules_hold() -> None:

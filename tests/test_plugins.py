@@ -9,6 +9,7 @@ import pytest
 
 import termsel
 from termsel.errors import TermselError
+from termsel.guard.parts import own_packages
 from termsel.plugins import builtin, hookspecs
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.loading import HOOKS
@@ -202,6 +203,14 @@ def test_an_unknown_name_lists_the_known_ones_and_who_may_have_it(install, regis
     with pytest.raises(TermselError, match="unknown model 'multiquadric'") as found:
         registry().get("models", "multiquadric")
     assert "not installed" not in str(found.value)
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "commands"])
+def test_all_that_packages_of_this_project_provide_is_known_without_them(kind):
+    known = own_packages()
+    assert {entry.full_name for entry in process_registry().entries(kind)
+            if entry.provided_by in known
+            and entry.name not in known[entry.provided_by]} == set()
 
 
 def test_a_plugin_is_asked_once(install, registry):

@@ -110,11 +110,12 @@ _Distances = TypeVar("_Distances", InImage, OnGround)
 
 def distances(kind: Callable[..., _Distances], errors: FloatArray) -> _Distances:
     """Return the figures of errors (n, 2), of line and sample [px], or of x and y [m]."""
-    first, second = np.sqrt((errors**2).mean(axis=0)).tolist()
-    return kind(len(errors), first, second, float(np.hypot(first, second)),
-                float(np.linalg.norm(errors, axis=1).max()), float(ce90(errors)),
-                tuple(errors.mean(axis=0).tolist()), chances_if_normal(errors),
-                freedom_of(errors, len(errors)))
+    axes = dict(zip(("line", "sample") if kind is InImage else ("x", "y"),
+                    np.sqrt((errors**2).mean(axis=0)).tolist(), strict=True))
+    return kind(**axes, n=len(errors), total=float(np.hypot(*axes.values())),
+                maximum=float(np.linalg.norm(errors, axis=1).max()), ce90=float(ce90(errors)),
+                mean=tuple(errors.mean(axis=0).tolist()), normal=chances_if_normal(errors),
+                freedom=freedom_of(errors, len(errors)))
 
 
 def accuracy_of(fitted: Fit, independent: Points) -> Accuracy | None:

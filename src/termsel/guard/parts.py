@@ -19,9 +19,10 @@ class Part:
     Parameters
     ----------
     place : str
-        "study": a `StudyOutput`, what is made of a study. "scheduler": what runs
-        cells, called as `termsel_cluster.on_cluster`. "certificate": what makes the writer of a
-        certificate, called as `termsel_bench.certificate.certifier`.
+        "study": a `StudyOutput`, what is made of a study. "study-map": what makes a map of its
+        images, called as `termsel_studies.map_of`. "scheduler": what runs cells, called as
+        `termsel_cluster.on_cluster`. "certificate": what makes the writer of a certificate, called
+        as `termsel_bench.certificate.certifier`.
     value : object
         What the place takes.
     """

@@ -238,7 +238,7 @@ def termsel_parts() -> Iterable[Part]:
     Returns
     -------
     iterable of Part
-        Of the places "study", "scheduler" and "certificate" (see `termsel.toolkit.Part`).
+        Of the places that `termsel.toolkit.Part` lists.
     """
 
 

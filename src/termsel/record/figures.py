@@ -121,15 +121,11 @@ class Predicted(RecordPart, frozen=True, omit_defaults=False):
     """Number of independent points whose RMSE the interval is for; null for the true accuracy."""
 
 
-class InImage(RecordPart, frozen=True):
-    """Errors of independent points in the image [px]."""
+class Errors(RecordPart, frozen=True, kw_only=True):
+    """Errors of independent points, in the image [px] or on the ground [m]."""
 
     n: Count
     """Number of points."""
-    line: Size
-    """RMSE of line."""
-    sample: Size
-    """RMSE of sample."""
     total: Size
     """RMSE of the distances."""
     maximum: Size
@@ -137,41 +133,35 @@ class InImage(RecordPart, frozen=True):
     ce90: Size
     """Distance that nine in ten points do not exceed."""
     mean: tuple[float, float] | None = None
-    """Mean errors, of line and of sample; absent before 0.3."""
+    """Mean errors, of line and of sample, or of x and of y; absent before 0.3."""
     normal: tuple[float, float] | None = None
-    """Of line and of sample the chance that normal errors look so little normal (Shapiro and Wilk
-    1965); absent for fewer than 8 points, more than 5000, or equal errors."""
+    """Of each axis the chance that normal errors look so little normal (Shapiro and Wilk 1965);
+    absent for fewer than 8 points, more than 5000, or equal errors."""
     freedom: Size | None = None
     """Degrees of freedom of the squared errors; absent before 0.3, then two of a point."""
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Interval of the RMSE of endlessly many such points [px]."""
+        """Interval of the RMSE of endlessly many such points."""
         return rmse_interval(self.total, self.freedom or 2 * self.n) if self.total else (0.0, 0.0)
 
 
-class OnGround(RecordPart, frozen=True):
+class InImage(Errors, frozen=True, kw_only=True):
+    """Errors of independent points in the image [px]."""
+
+    line: Size
+    """RMSE of line."""
+    sample: Size
+    """RMSE of sample."""
+
+
+class OnGround(Errors, frozen=True, kw_only=True):
     """Errors of independent points on the ground, each at its height [m]."""
 
-    n: Count
-    """Number of points."""
     x: Size
     """RMSE to the east."""
     y: Size
     """RMSE to the north."""
-    total: Size
-    """RMSE of the distances."""
-    maximum: Size
-    """Largest distance."""
-    ce90: Size
-    """Distance that nine in ten points do not exceed."""
-    mean: tuple[float, float] | None = None
-    """Mean errors, of x and of y; absent before 0.3."""
-    normal: tuple[float, float] | None = None
-    """Of x and of y the chance that normal errors look so little normal (Shapiro and Wilk
-    1965); absent for fewer than 8 points, more than 5000, or equal errors."""
-    freedom: Size | None = None
-    """Degrees of freedom of the squared errors; absent before 0.3, then two of a point."""
 
 
 class StandardFigure(RecordPart, frozen=True, omit_defaults=False):

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from termsel.display import Glance
-from termsel.errors import TermselError, counted, requires
+from termsel.errors import counted, requires
+from termsel.guard.parts import part
 from termsel.studies.cells.journal import CellRecord
 from termsel.studies.cells.table import Row, columns_of, rows_of
 from termsel.studies.plan.spec import Spec
@@ -94,14 +95,9 @@ class Study(Glance):
         Raises
         ------
         TermselError
-            If geopandas is not installed, or the study has no folder.
+            If geopandas or termsel-studies is not installed, or the study has no folder.
         """
-        from termsel.studies.cells.outlines import map_of
-
-        if self.folder is None:
-            raise TermselError("this study was run without a folder, so its images are not kept",
-                               hint="Pass out= to termsel.compare.")
-        return map_of(self.rows, self.columns, self.cells, self.folder)
+        return part("study-map", "maps of studies require")(self)
 
     def _glance(self) -> tuple[str, Mapping[str, str]]:
         spec = self.spec

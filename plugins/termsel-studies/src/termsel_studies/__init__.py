@@ -14,9 +14,10 @@ if TYPE_CHECKING:
     from termsel_studies.report import report, summary
 
 # What only a finished study needs is not imported for `termsel run`.
-__getattr__, _, _ = lazy_loader.attach(__name__, submod_attrs={"report": ["report", "summary"]})
+__getattr__, _, _ = lazy_loader.attach(__name__, submod_attrs={
+    "outlines": ["map_of"], "report": ["report", "summary"]})
 
-__all__ = ["report", "summary"]
+__all__ = ["map_of", "report", "summary"]
 
 
 @hookimpl
@@ -24,7 +25,8 @@ def termsel_parts() -> Iterable[Part]:
     """Return what is made of a study."""
     from termsel.toolkit import Part, StudyOutput
     from termsel_studies import ioh
+    from termsel_studies.outlines import map_of
     from termsel_studies.report import FILES, report, summary, write
 
     return [Part("study", StudyOutput((ioh.FOLDER,), ioh.write)),
-            Part("study", StudyOutput(FILES, write, summary, report))]
+            Part("study-map", map_of), Part("study", StudyOutput(FILES, write, summary, report))]

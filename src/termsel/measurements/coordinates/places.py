@@ -32,12 +32,8 @@ def squared_distances(a: FloatArray, b: FloatArray) -> FloatArray:
 
     As `scipy.spatial` takes them, whose import takes longer than most sets of points.
     """
-    square = np.zeros((len(a), len(b)))
-    for one, other in zip(a.T, b.T, strict=True):
-        along = np.subtract.outer(one, other)
-        along *= along
-        square += along
-    return square
+    return np.asarray(sum(np.subtract.outer(one, other)**2
+                          for one, other in zip(a.T, b.T, strict=True)))
 
 
 def centres(control: FeatureSet) -> FloatArray:

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from termsel.errors import requires
-from termsel.io.result_folder import read_result
-from termsel.measurements.coordinates.crs import horizontal
-from termsel.studies.cells.images import IMAGES, folders_of
-from termsel.studies.cells.table import Row
+from termsel import Study, TermselError, read_result
+from termsel.toolkit import IMAGES, folders_of, horizontal, requires
 
 if TYPE_CHECKING:
     import geopandas as gpd
@@ -18,20 +13,22 @@ if TYPE_CHECKING:
 LONGITUDE_LATITUDE = "EPSG:4326"
 
 
-def map_of(rows: Sequence[Row], columns: Sequence[str], cells: Mapping[str, Mapping[str, Any]],
-           folder: Path) -> gpd.GeoDataFrame:
+def map_of(study: Study) -> gpd.GeoDataFrame:
     """Return rows of a study with the outline of each image's control.
 
-    `cells` are the labels of all cells by key, `folder` that of the study. Images without a result
-    are left out. Raises TermselError without geopandas, or where a result cannot be read.
+    Images without a result are left out. Raises TermselError without geopandas, without the folder
+    of the study, or where a result cannot be read.
     """
+    if study.folder is None:
+        raise TermselError("this study was run without a folder, so its images are not kept",
+                           hint="Pass out= to termsel.compare.")
     with requires("maps of images require", "geopandas", "geopandas"):
         import geopandas as gpd
         import shapely
-    folders = folders_of(cells)
+    folders, rows = folders_of(study.cells), study.rows
     found: dict[str, tuple[str, Any]] = {}
     for key in (row["cell"] for row in rows if row["state"] == "done" and row["cell"] in folders):
-        features = read_result(folder / IMAGES / folders[key]).features
+        features = read_result(study.folder / IMAGES / folders[key]).features
         places = features.ground_vertices()[:, :2]
         found[key] = horizontal(features.crs), shapely.multipoints(places).convex_hull
     known = any(crs for crs, _ in found.values())
@@ -39,6 +36,6 @@ def map_of(rows: Sequence[Row], columns: Sequence[str], cells: Mapping[str, Mapp
                 if known else outline for key, (crs, outline) in found.items() if crs or not known}
     there = [row for row in rows if row["cell"] in outlines]
     return gpd.GeoDataFrame(
-        {name: [row[name] for row in there] for name in columns},
+        {name: [row[name] for row in there] for name in study.columns},
         geometry=[outlines[row["cell"]] for row in there],
         crs=LONGITUDE_LATITUDE if known else None)
