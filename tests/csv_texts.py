@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 from termsel.formats.base import Reader
 from termsel.formats.readers.csv_tables import (
     LinesCsv,
     PointsCsv,
 )
+from termsel.io.read import find_reader
+from termsel.measurements.features import FeatureSet
 
 READERS: list[type[Reader]] = [PointsCsv, LinesCsv]
 POINTS = "id,role,line,sample,x,y,z\n"
@@ -21,3 +25,9 @@ def put(folder: Path, text: str | bytes, name: str = "data.csv") -> Path:
     path = folder / name
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return path
+
+
+def read_file(path: Path, readers: Iterable[type[Reader]], format: str | None = None,
+              options: Mapping[str, Any] | None = None) -> FeatureSet:
+    """Return the features of a file by the reader that recognises it."""
+    return find_reader(path, readers, format, options).read(path)

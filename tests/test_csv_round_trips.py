@@ -18,9 +18,8 @@ from termsel.formats.readers.csv_tables import (
     write_lines_csv,
     write_points_csv,
 )
-from termsel.io.read import read_file
 from termsel.measurements.features import ROLES, Lines, Points
-from tests.csv_texts import LINES, POINTS, READERS, put
+from tests.csv_texts import LINES, POINTS, READERS, put, read_file
 
 # Round trips
 

@@ -13,11 +13,11 @@ import termsel
 from termsel.errors import TermselError
 from termsel.guard.faults import PluginFault
 from termsel.io.export import export
-from termsel.io.read import read_file
 from termsel.measurements.features import FeatureSet
 from termsel.plugins.registry import Registry
 from termsel.results.result import Result
 from termsel.runs.run import run
+from tests.csv_texts import read_file
 from tests.faulty import altered, always, leaving, raising, told_of
 
 

@@ -22,10 +22,10 @@ from termsel.fits.residuals import Residual, Residuals
 from termsel.formats.readers.geojson_points import GeoJsonPoints
 from termsel.formats.readers.ground_lines import GeoJsonLines
 from termsel.formats.readers.qgis_points import QgisPoints
-from termsel.io.read import read_file
 from termsel.measurements.features import FeatureSet, Lines, Points
 from termsel.plugins.registry import registry
 from termsel.testing import Check, checks
+from tests.csv_texts import read_file
 
 UTM = ('PROJCRS["WGS 84 / UTM zone 31N",BASEGEOGCRS["WGS 84",DATUM["World Geodetic System 1984",'
        'ELLIPSOID["WGS 84",6378137,298.257223563,LENGTHUNIT["metre",1]]],PRIMEM["Greenwich",0,'

@@ -13,9 +13,9 @@ from termsel.formats.readers.csv_tables import (
     LinesCsv,
     PointsCsv,
 )
-from termsel.io.read import read_features, read_file
+from termsel.io.read import read_features
 from termsel.measurements.features import FeatureSet
-from tests.csv_texts import LINES, POINTS, READERS, A, L, put
+from tests.csv_texts import LINES, POINTS, READERS, A, L, put, read_file
 
 
 def read(folder: Path, text: str | bytes) -> FeatureSet:

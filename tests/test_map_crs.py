@@ -121,3 +121,12 @@ def test_images_that_are_as_narrow_or_as_wide_as_that_are_mapped(
     monkeypatch.setattr(module, "_USUAL", (16, 450))
     with pytest.raises(termsel.TermselError, match=r"lines and 8\d\d samples"):
         made(scene("EPSG:25832", 11.0, 47.4), tmp_path, overwrite=True, resolution=1.0)
+
+
+def test_an_image_of_which_single_places_are_known_has_no_map(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    outline = np.full((21, 21, 2), np.nan)
+    outline[3, 4] = outline[9, 12] = 5e5, 5.2e6
+    monkeypatch.setattr(module, "_ground", lambda *_: outline)
+    with pytest.raises(termsel.TermselError, match="outside the raster of heights"):
+        module.grid_of_image(scene("EPSG:25832", 11.0, 47.4), "EPSG:25832", dem=None, height=110.0)

@@ -202,6 +202,10 @@ def _nested(depth: int) -> dict[str, Any]:
                              "maximum": float("inf")}}},
      r"damaged at \$\.accuracy\.image\.maximum: expected `float`"),
     # Python 3.13 and later goes deep enough to see the type.
+    ({"lookups": 10**6}, "there are more lookups than evaluations"),
+    ({"rmse": {role: {"line": 1.0, "sample": 1.0, "total": -2.0, "n": 3}
+               for role in ("control", "check", "independent")}},
+     r"damaged at \$\.rmse\.control\.total: expected `float` >= 0\.0"),
     ({"options": _nested(600)},
      r"this result is damaged(: it is nested too deeply| at \$\.options\.problem)"),
     ({"fit": {"estimator": "magic", "options": {}, "effective": None, "held_out": None,

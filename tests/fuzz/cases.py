@@ -140,7 +140,7 @@ def _laid(seed: Seed, folder: Path, random: Random) -> Path:
 
 def _sealed(content: bytes) -> bytes:
     """Return a record with the checksum of what it now holds, so that more of it is read."""
-    with contextlib.suppress(ValueError, RecursionError, TypeError, KeyError):
+    with contextlib.suppress(ValueError, RecursionError, TypeError, KeyError, AttributeError):
         record = json.loads(content)
         record[SEALS]["record"] = of_record(record)
         return json.dumps(record).encode()

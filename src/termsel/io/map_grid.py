@@ -117,11 +117,11 @@ def grid_of_image(result: Result, crs: str, resolution: float | None = None, *,
 
     outline, unit = _ground(result, dem, height, crs), _unit(crs)
     known = outline[np.isfinite(outline).all(axis=-1)]
-    if not len(known):
+    along, across = (np.linalg.norm(np.diff(outline, axis=axis), axis=-1) for axis in (0, 1))
+    if np.isnan(along).all() or np.isnan(across).all():
         raise TermselError("the image is outside the raster of heights", file=dem,
                            hint="Give a raster that covers the image.")
     (top, left), (bottom, right) = result.fit.image_box()
-    along, across = (np.linalg.norm(np.diff(outline, axis=axis), axis=-1) for axis in (0, 1))
     pixels = [np.nanmedian(along) * (_OUTLINE - 1) / max(bottom - top, 1.0),
               np.nanmedian(across) * (_OUTLINE - 1) / max(right - left, 1.0)]
     of_image = float(f"{min(pixels):.2g}")

@@ -166,12 +166,6 @@ def _read_frame(frame: Any, crs: str | None, options: Mapping[str, Any]) -> Feat
     return measured
 
 
-def read_file(path: Path, readers: Iterable[type[Reader]], format: str | None = None,
-              options: Mapping[str, Any] | None = None) -> FeatureSet:
-    """Return the features of a file by `find_reader`; TermselError if its content is invalid."""
-    return find_reader(path, readers, format, options).read(path)
-
-
 def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None = None,
                 options: Mapping[str, Any] | None = None) -> Reader:
     """Return the first reader that recognises the content of a file.
@@ -258,9 +252,10 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
     A file that holds points and lines is given as both; with `either`, it may have points or lines
     alone. Areas become points or lines. `formats` names readers, in the order of the files.
 
-    Raises TermselError as `read_file`; if no file's reader has such an option; if a file holds no
-    features of its kind, or others that were not asked for; if the CRS is not known or stated twice
-    and differently; if coordinates cannot be in it; if features of two kinds have one id.
+    Raises TermselError as `find_reader`; if the content is invalid; if no file's reader has such an
+    option; if a file holds no features of its kind, or others that were not asked for; if the CRS
+    is not known or stated twice and differently; if coordinates cannot be in it; if features of two
+    kinds have one id.
     """
     if points is None and lines is None and areas is None:
         raise TermselError("no file of features is given",

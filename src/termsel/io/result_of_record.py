@@ -58,6 +58,7 @@ def _or_of_another(content: dict[str, Any]) -> str:
         "dev" in written and written != __version__) else ""
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of coefficients or places such as 1e300
 def result_from(record: Record, features: FeatureSet) -> Result:
     """Return the result of a record and its features, each point with its role."""
     observations = by_roles(features)
@@ -167,8 +168,7 @@ def _model_type(plugin: PluginRecord | None, name: str) -> type[SensorModel]:
 
 def _refuse_other_model(record: Record, fitted: Fit, observations: Observations) -> None:
     """Refuse a model that has changed since the run, as another version of a plugin may have."""
-    with np.errstate(over="ignore", invalid="ignore"):  # of coefficients such as 1e300
-        now = figures(fitted, observations)
+    now = figures(fitted, observations)
     # Leave-one-out of what auto chose is told by what it predicts, not here.
     for role, rmse in rmse_from(record.rmse).items():
         again = now.get(role)

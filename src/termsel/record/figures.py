@@ -24,7 +24,7 @@ def rmse_interval(total: float, freedom: float) -> tuple[float, float]:
     """
     from scipy.special import chdtri  # scenes are simulated and read without it
 
-    tail = (1 - CONFIDENCE) / 2
+    tail, freedom = (1 - CONFIDENCE) / 2, max(freedom, 1.0)
     return (total * float(np.sqrt(freedom / chdtri(freedom, tail))),
             total * float(np.sqrt(freedom / chdtri(freedom, 1 - tail))))
 
@@ -32,11 +32,11 @@ def rmse_interval(total: float, freedom: float) -> tuple[float, float]:
 class RoleRmse(RecordPart, frozen=True):
     """RMSE over the features of one role [px]; null where there are none."""
 
-    line: float | None
+    line: Size | None
     """Along lines [px]."""
-    sample: float | None
+    sample: Size | None
     """Along samples [px]."""
-    total: float | None
+    total: Size | None
     """Of the distances [px]."""
     n: Count
     """Number of features."""

@@ -367,3 +367,7 @@ class Record(RecordPart, frozen=True, kw_only=True):
     that auto chose, those that plugins provide."""
     checksums: Checksums | None = None
     """Checksums by which `termsel.read_result` refuses a result that was changed."""
+
+    def __post_init__(self) -> None:
+        if self.lookups > self.evaluations:
+            raise ValueError("there are more lookups than evaluations")

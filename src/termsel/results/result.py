@@ -187,7 +187,7 @@ class Result(Glance):
     @property
     def hit_rate(self) -> float:
         """Share of all evaluations that were looked up."""
-        return self.lookups / self.evaluations
+        return self.lookups / max(self.evaluations, 1)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of result.json, without its checksums."""
