@@ -24,7 +24,7 @@ from termsel.solvers.budget import SEARCH_OPTIONS
 from termsel.studies.cells.identity import made_of
 from termsel.studies.cells.table import LABELS, columns_of
 from termsel.studies.plan.data import Data, of_dataset
-from termsel.studies.plan.spec import STRATEGIES, Part, Spec
+from termsel.studies.plan.spec import STRATEGIES, Asked, Spec
 
 MOST_KINDS, MOST_CELLS = 1000, 500_000
 """Combinations and cells of a study. Each is checked before the first runs, in some 5 ms and 20 us.
@@ -98,7 +98,7 @@ def _require_few(spec: Spec, data: int) -> None:
                                hint="Divide it into several studies.")
 
 
-def _own_data(spec: Spec, problem: Part | None) -> Data:
+def _own_data(spec: Spec, problem: Asked | None) -> Data:
     if problem is None:
         raise spec.places.error(("data",), "the study names neither data nor a problem",
                                 "Write [[data]] and points = \"*.csv\", or problems = [\"...\"].")
@@ -109,9 +109,9 @@ def _own_data(spec: Spec, problem: Part | None) -> Data:
     return of_dataset(recipe.dataset)
 
 
-def _of_data(spec: Spec, kinds: _Kinds, problem: Part | None, name: str | None, data: Data,
+def _of_data(spec: Spec, kinds: _Kinds, problem: Asked | None, name: str | None, data: Data,
              others: list[Data], split: int) -> Iterator[Cell]:
-    asked: Part | None = problem or (Part(name, name) if name else None)
+    asked: Asked | None = problem or (Asked(name, name) if name else None)
     for strategy in spec.strategies:
         methods = [(None, None, None)] if strategy == "auto" else [
             (model, criterion, solver) for model in spec.models or (None,)
@@ -162,7 +162,7 @@ class _Kinds:
         self._known: dict[Any, _Kind] = {}
         self._used: set[str] = set()
 
-    def kind(self, strategy: str, parts: Mapping[str, Part | None], data: Data,
+    def kind(self, strategy: str, parts: Mapping[str, Asked | None], data: Data,
              others: list[Data]) -> _Kind:
         """Return a kind, checked on these data or, where they do not serve, on others."""
         key = (strategy, *(part and part.label for part in parts.values()))
@@ -180,7 +180,7 @@ class _Kinds:
                     ("options", key), f"no cell of the study has the option {key!r}",
                     "`termsel describe NAME` lists the options of a problem, model or solver.")
 
-    def _checked(self, strategy: str, parts: Mapping[str, Part | None],
+    def _checked(self, strategy: str, parts: Mapping[str, Asked | None],
                  data: list[Data]) -> _Kind:
         spec, first = self._spec, None
         measures = _measures_of(spec)
@@ -216,7 +216,7 @@ class _Kinds:
         return _Kind({}, {}, chance=False, reason=str(first), unfit=spec.places.error(
             named.path if named else (), first.what, first.hint))
 
-    def _asked(self, strategy: str, parts: Mapping[str, Part | None], data: Data,
+    def _asked(self, strategy: str, parts: Mapping[str, Asked | None], data: Data,
                options: Mapping[str, Any]) -> Setup:
         problem = parts["problem"]
         assert problem is not None
@@ -233,7 +233,7 @@ class _Kinds:
         except TermselError as error:
             raise self._at_fault(parts, error) from error
 
-    def _at_fault(self, parts: Mapping[str, Part | None], error: TermselError) -> TermselError:
+    def _at_fault(self, parts: Mapping[str, Asked | None], error: TermselError) -> TermselError:
         """Return the error with the place of the part, or the option, that it is about."""
         for word, part in parts.items():
             key = error.name.removeprefix(f"{word}.")
@@ -245,7 +245,7 @@ class _Kinds:
         problem = parts["problem"]
         return self._spec.places.error(problem.path if problem else (), error.what, error.hint)
 
-    def _options(self, strategy: str, parts: Mapping[str, Part | None],
+    def _options(self, strategy: str, parts: Mapping[str, Asked | None],
                  request: Setup) -> dict[str, Any]:
         """Return the options of each part, and those for every cell that some part has."""
         declared: dict[str, tuple[Option, ...]] = {"data": DATA_OPTIONS}
@@ -280,7 +280,7 @@ class _Kinds:
         return chosen
 
 
-def _cell(spec: Spec, strategy: str, parts: Mapping[str, Part | None], kind: _Kind, data: Data,
+def _cell(spec: Spec, strategy: str, parts: Mapping[str, Asked | None], kind: _Kind, data: Data,
           split: int, seed: int) -> Cell:
     problem = parts["problem"]
     labels = {

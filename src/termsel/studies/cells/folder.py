@@ -17,7 +17,7 @@ from termsel.studies.cells.cell import Cell
 from termsel.studies.cells.journal import read_journal
 from termsel.studies.cells.table import LABELS
 from termsel.studies.execution.progress import StudyProgress, Tally
-from termsel.studies.plan.spec import FILES, PARTS, READING, Part, Source, Spec, spec_of
+from termsel.studies.plan.spec import FILES, PARTS, READING, Asked, Source, Spec, spec_of
 from termsel.studies.study import Study
 
 PLAN = "plan.json"
@@ -100,7 +100,7 @@ def table_of(spec: Spec) -> dict[str, Any]:
     return {key: value for key, value in table.items() if value}
 
 
-def _named(part: Part) -> dict[str, Any]:
+def _named(part: Asked) -> dict[str, Any]:
     return {"name": part.name, "label": part.label, **part.options}
 
 

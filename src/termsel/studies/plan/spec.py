@@ -34,7 +34,7 @@ _BOMB = re.compile(r"\.(?:[\"'\w \t-]{0,80}\.){100}")  # dotted keys cost the sq
 
 
 @dataclass(frozen=True)
-class Part:
+class Asked:
     """A problem, model, solver or criterion of a study."""
 
     name: str
@@ -61,11 +61,11 @@ class Spec:
     """What a study asks for."""
 
     title: str = ""
-    problems: tuple[Part, ...] = ()
+    problems: tuple[Asked, ...] = ()
     # Where no model, solver or criterion is named, each problem has its own.
-    models: tuple[Part, ...] = ()
-    solvers: tuple[Part, ...] = ()
-    criteria: tuple[Part, ...] = ()
+    models: tuple[Asked, ...] = ()
+    solvers: tuple[Asked, ...] = ()
+    criteria: tuple[Asked, ...] = ()
     strategies: tuple[str, ...] = ()
     data: tuple[Source, ...] = ()  # none: the data set of each problem
     seeds: tuple[int, ...] = (1,)
@@ -149,10 +149,10 @@ def _as_in_a_file(value: Any) -> Any:
     return value
 
 
-def _parts(at: Places, kind: str, given: Any) -> tuple[Part, ...]:
+def _parts(at: Places, kind: str, given: Any) -> tuple[Asked, ...]:
     if not isinstance(given, Sequence) or isinstance(given, str):
         raise at.error((kind,), f"{kind} is not a list", f'Write {kind} = ["name", ...].')
-    found: list[Part] = []
+    found: list[Asked] = []
     for i, one in enumerate(given):
         path: Keys = (kind, i)
         part = _part(at, path, one)
@@ -166,27 +166,27 @@ def _parts(at: Places, kind: str, given: Any) -> tuple[Part, ...]:
     return tuple(found)
 
 
-def _part(at: Places, path: Keys, given: Any) -> Part:
+def _part(at: Places, path: Keys, given: Any) -> Asked:
     if isinstance(given, str):
-        return Part(given, given, path=path)
+        return Asked(given, given, path=path)
     if isinstance(given, Configurable):
         shown = {option.name: given.options[option.name] for option in given.declared_options
                  if given.options[option.name] != option.default}
         label = ", ".join([given.name, *(f"{key}={_plain(value)}" for key, value in shown.items())])
-        return Part(given.name, label, path=path, thing=given)
+        return Asked(given.name, label, path=path, thing=given)
     if not isinstance(given, Mapping):
         name = getattr(given, "name", None)
         if not isinstance(name, str):
             raise at.error(path, f"{given!r} is neither a name nor a table",
                            'Write "name", or {name = "name", option = value}.')
-        return Part(name, name, path=path, thing=given)
+        return Asked(name, name, path=path, thing=given)
     name = given.get("name")
     if not isinstance(name, str):
         raise at.error(path, "a table has no name", 'Write {name = "...", option = value}.')
     options = _options(at, path, {key: value for key, value in given.items()
                                   if key not in ("name", "label")})
     told = ", ".join([name, *(f"{key}={_plain(value)}" for key, value in options.items())])
-    return Part(name, str(given.get("label", told)), options, path=path)
+    return Asked(name, str(given.get("label", told)), options, path=path)
 
 
 def _plain(value: Any) -> str:
