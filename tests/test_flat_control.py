@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import pytest
 import termsel
 from termsel.fits.accuracy import predicted_by
 from termsel.measurements.control import Control, with_usual_heights
-from termsel.measurements.features import FeatureSet, FloatArray, Points
+from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points
 from termsel.simulate import pushbroom_at
 
 OTHERS = 60
@@ -130,3 +131,26 @@ def test_places_like_the_control_change_nothing() -> None:
 
 def test_a_plane_model_is_not_fitted_to_independent_points_on_mountains() -> None:
     assert termsel.run(features=scene("affine", "level", 12)).final is None
+
+
+def test_lines_on_a_plain_predict_what_mountains_add() -> None:
+    points = scene("affine", "level", 24).points
+    ends = points.take(np.arange(24))
+    lines = Lines(tuple(f"L{i}" for i in range(12)), ends.image.reshape(-1, 2, 2),
+                  ends.ground.reshape(-1, 2, 3))
+    result = termsel.run("rfm-terms-lines", strategy="auto", features=FeatureSet(
+        points.take(np.arange(24, len(points))), lines, crs="EPSG:32639"))
+    true = result.rmse["independent"]
+    assert true is not None
+    assert result.predicted is not None
+    assert result.predicted.low < true.total < result.predicted.high
+    assert true.total > 10.0
+
+
+def test_a_blank_height_does_not_let_a_plane_fit_take_mountains() -> None:
+    features = scene("affine", "level", 15)
+    ground = features.points.ground.copy()
+    ground[-1, 2] = np.nan
+    assert termsel.run(features=features).final is None
+    assert termsel.run(features=features.with_(
+        points=replace(features.points, ground=ground))).final is None

@@ -29,13 +29,7 @@ import numpy as np
 from scipy.special import chdtr, gammaincinv
 
 from termsel.candidates.base import Judged, Suspects
-from termsel.candidates.contradictions import (
-    STRAIN,
-    UNLIKELY,
-    Division,
-    Test,
-    polynomial_of,
-)
+from termsel.candidates.contradictions import STRAIN, UNLIKELY, Division, Test, polynomial_of
 from termsel.candidates.portfolio import Portfolio, choose
 from termsel.candidates.robust import reweighted
 from termsel.candidates.shrunken import Averaging

@@ -12,7 +12,8 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from copy import copy
 from difflib import get_close_matches
@@ -137,7 +138,7 @@ class Commands(click.Group):
             value = super().main(args, prog_name, complete_var, False, **extra)
         except TermselError as error:
             echo(f"Error: {error}", err=True)
-            typed = shlex.join([*(sys.argv[1:] if args is None else args),
+            typed = shlex.join([*_without(sys.argv[1:] if args is None else args, error.options),
                                 *chain.from_iterable(error.options.items())])
             if error.options and is_printable(typed):  # what is shown otherwise cannot be pasted
                 asks = "?" in "".join(error.options.values())
@@ -156,15 +157,27 @@ class Commands(click.Group):
         sys.exit(value if isinstance(value, int) else 0)
 
 
+def _without(words: Sequence[str], options: Mapping[str, str]) -> Iterator[str]:
+    """Yield words without some options and their values."""
+    given = iter(words)
+    for word in given:
+        if word in options:
+            next(given, None)
+        elif word.partition("=")[0] not in options:
+            yield word
+
+
 def _refuse_repeated(command: click.Command, words: list[str]) -> None:
     """Refuse an option of one value that is given twice: click would drop the first in silence."""
-    for option in command.params:
-        if isinstance(option, click.Option) and not (
+    parser = command.make_parser(click.Context(command, resilient_parsing=True))
+    try:
+        order = parser.parse_args(list(words))[2]
+    except click.UsageError:  # the command says so itself
+        return
+    for option, times in Counter(order).items():
+        if times > 1 and isinstance(option, click.Option) and not (
                 option.multiple or option.is_flag or option.count):
-            times = sum(word.partition("=")[0] in option.opts for word in words)
-            if times > 1:
-                raise click.UsageError(
-                    f"{option.opts[0]} is given {times} times; it takes one value.")
+            raise click.UsageError(f"{option.opts[0]} is given {times} times; it takes one value.")
 
 
 def _near(error: click.ClickException) -> str:

@@ -20,7 +20,7 @@ from termsel.fits.fit import Fit
 from termsel.fits.normality import chances_if_normal
 from termsel.fits.residuals import freedom_of
 from termsel.fits.uncertainty import shared_variance
-from termsel.measurements.control import Control, with_usual_heights
+from termsel.measurements.control import Control, off_plane, with_usual_heights
 from termsel.measurements.coordinates.metres import in_metres
 from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.record.figures import (
@@ -59,7 +59,7 @@ def predicted_rmse(errors: FloatArray, effective: float, points: int,
 
     No constant says how large the uncertainties of its logarithm are.
     """
-    n, freedom = len(errors), freedom_of(errors, len(errors))
+    n, freedom = len(errors), freedom_of(errors)
     rmse = float(np.sqrt((errors**2).sum(axis=1).mean()))
     if freedom is None:
         return Predicted(rmse, rmse, rmse, points=points or None)
@@ -98,11 +98,13 @@ def predicted_by(fitted: Fit, errors: FloatArray, points: int,
 def _by_heights(fitted: Fit, control: FeatureSet, ground: FloatArray) -> float:
     """Return the mean square error that places (m, 3) add by heights unlike the control's [px^2].
     """
-    usual = with_usual_heights(Control(control, fitted.scaling, False), ground)
+    flat = Control(control, fitted.scaling, False)
+    usual = with_usual_heights(flat, ground)
     if usual is ground:
         return 0.0
-    more = np.nan_to_num(fitted.sigma(ground)**2 - fitted.sigma(usual)**2)
-    return float(max(more.sum(axis=1).mean(), 0.0))
+    more = (fitted.sigma(ground)**2 - fitted.sigma(usual)**2).sum(axis=1)
+    more = np.where(np.isfinite(more), more, off_plane(flat, ground)[1]**2)
+    return float(max(more.mean(), 0.0))
 
 
 _Distances = TypeVar("_Distances", InImage, OnGround)
@@ -115,7 +117,7 @@ def distances(kind: Callable[..., _Distances], errors: FloatArray) -> _Distances
     return kind(**axes, n=len(errors), total=float(np.hypot(*axes.values())),
                 maximum=float(np.linalg.norm(errors, axis=1).max()), ce90=float(ce90(errors)),
                 mean=tuple(errors.mean(axis=0).tolist()), normal=chances_if_normal(errors),
-                freedom=freedom_of(errors, len(errors)))
+                freedom=freedom_of(errors))
 
 
 def accuracy_of(fitted: Fit, independent: Points) -> Accuracy | None:

@@ -139,11 +139,11 @@ def rmse_of(errors: FloatArray, n: int) -> Rmse | None:
         return None
     with np.errstate(over="ignore"):  # beyond all numbers is infinite
         line, sample = np.sqrt((errors**2).mean(axis=0)).tolist()
-    return Rmse(line, sample, float(np.hypot(line, sample)), n, freedom_of(errors, n))
+    return Rmse(line, sample, float(np.hypot(line, sample)), n, freedom_of(errors))
 
 
-def freedom_of(errors: FloatArray, n: int) -> float | None:
-    """Return the degrees of freedom of squared errors, shape (..., 2), of n features.
+def freedom_of(errors: FloatArray) -> float | None:
+    """Return the degrees of freedom of squared errors, shape (..., 2).
 
     Those of the chi-squared distribution with the variance that the sum of squares has: of normal
     errors, by the mean squares of line and of sample (Satterthwaite 1946); or, if that variance is
@@ -151,8 +151,8 @@ def freedom_of(errors: FloatArray, n: int) -> float | None:
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         squares = (errors**2).reshape(-1, 2)
-        mean, distances = squares.mean(axis=0), squares.sum(axis=1)
-        axes = float((mean**2).sum())
+        squares = squares / squares.mean(axis=0).sum()  # lest squares of squares overflow
+        distances = squares.sum(axis=1)
         spread = float(distances.var(ddof=1)) / 2 if len(distances) > 1 else 0.0
-        freedom = n * np.divide(float(mean.sum())**2, max(axes, spread))
+        freedom = len(distances) / max(float((squares.mean(axis=0)**2).sum()), spread)
     return float(freedom) if np.isfinite(freedom) else None

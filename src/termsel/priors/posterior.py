@@ -14,14 +14,7 @@ import numpy as np
 from termsel.adjustment.monomials import Exponents, monomials
 from termsel.measurements.features import FloatArray, IntArray
 from termsel.priors.held_out import Prediction, leave_each_out, mean_chance
-from termsel.priors.shrinkage import (
-    CANCELLED,
-    TINY,
-    Design,
-    Side,
-    design_of,
-    shrinkage_of,
-)
+from termsel.priors.shrinkage import CANCELLED, TINY, Design, Side, design_of, shrinkage_of
 
 SIZES = np.append(0.0, 10.0 ** np.arange(-0.5, 5.5, 0.5))
 """Standard deviations of quadratic coefficients by that of the noise: 0, which is the affine model,

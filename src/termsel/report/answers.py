@@ -86,7 +86,7 @@ def _accuracy(record: Record) -> Iterator[Block]:
         if predicted:
             yield _prediction(predicted)
     if (strategy := record.strategy) and strategy.predicted is not None:
-        if predicted and predicted.rmse > strategy.predicted:
+        if predicted and rounded(predicted.rmse) != rounded(strategy.predicted):
             yield ("The independent points have heights unlike the control's. At the control's "
                    f"heights the predicted RMSE is {rounded(strategy.predicted)} px.")
         yield Detail(
@@ -155,7 +155,7 @@ def _shape(of: InImage | OnGround, unit: str, rmse: dict[str, float]) -> Iterato
         test = "The same test on the ground" if ground else "Test of normality (Shapiro, Wilk)"
         chances = [f"{axis} {one:.2g}" for axis, one in zip(rmse, of.normal, strict=True)]
         said = f"{test}: p of {', '.join(chances)}."
-        yield f"{said} These errors are not normal; the intervals assume it." \
+        yield f"{said} These errors are not normal; the intervals allow for it." \
             if min(of.normal) < _UNLIKELY and not ground else Detail(said)
 
 

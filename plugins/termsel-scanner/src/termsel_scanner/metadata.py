@@ -71,7 +71,7 @@ def metadata_of(given: str) -> Metadata:
     if given.startswith("{"):
         try:
             return Metadata(**{name: _frozen(one) for name, one in json.loads(given).items()})
-        except (ValueError, TypeError) as error:
+        except (ValueError, TypeError, RecursionError) as error:
             raise TermselError(f"the metadata of the result cannot be read: {error}",
                                hint="Run the fit again.") from error
     path = Path(given)
@@ -120,7 +120,7 @@ def _from_dimap(root: ElementTree.Element, name: str) -> Metadata:
     if not period > 0 or min(lines, samples) < 1:
         raise TermselError("the line period or the size of the image is not positive")
     for what, some in (("Ephemeris/Points", times), ("Satellite_Attitudes", moments)):
-        # The spline needs four positions about the scene; angles are straight beyond the last ones.
+        # Both are interpolated between two times, and angles go straight on beyond the last ones.
         if len(some) < 2 or (np.diff(some) <= 0).any() or some[0] > ends[1] or some[-1] < ends[0]:
             raise TermselError(f"{what} has no two times in a row that belong to the scene")
     near, close = (_about(some, ends) for some in (times, moments))

@@ -10,12 +10,7 @@ import numpy as np
 
 from termsel.errors import TermselError, first_of
 from termsel.formats.base import Reader, located, read_head
-from termsel.formats.readers.geojson import (
-    Feature,
-    numbers_at,
-    read_geojson,
-    sniff_geojson,
-)
+from termsel.formats.readers.geojson import Feature, numbers_at, read_geojson, sniff_geojson
 from termsel.formats.readers.tables import read_table
 from termsel.formats.readers.vector import LAYER, is_vector, read_layer
 from termsel.measurements.features import FeatureSet, FloatArray, Lines

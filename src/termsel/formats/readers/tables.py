@@ -38,12 +38,7 @@ from termsel.measurements.tables.columns import (
     matches,
     parse_columns,
 )
-from termsel.measurements.tables.numbers import (
-    COMMA,
-    POINT,
-    BadCell,
-    decimal_signs,
-)
+from termsel.measurements.tables.numbers import COMMA, POINT, BadCell, decimal_signs
 from termsel.options import Option
 
 log = logging.getLogger(__name__)

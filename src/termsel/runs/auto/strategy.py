@@ -221,7 +221,8 @@ def _final_fit(chosen: Judged, points: Points, heights: bool, portfolio: Portfol
                         for name, role in zip(points.ids, points.roles, strict=True)])
     every = merged(control.with_(points=more))
     # A plane model must not be fitted to points whose heights do tell.
-    if len(every) == len(control) or (not heights and Control.of(every).heights):
+    known = every.take(~np.isin(every.ids, every.without_height()))
+    if len(every) == len(control) or (not heights and len(known) and Control.of(known).heights):
         return None
     final = portfolio.ask(chosen.candidate, "refit", chosen.fit, Control.of(every, heights))
     return final if final is not None and final.determined and not has_pole(final) else None

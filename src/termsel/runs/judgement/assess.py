@@ -16,14 +16,7 @@ from termsel.candidates.ridge import RidgeByOrder
 from termsel.errors import TermselError, unknown_name
 from termsel.fits.accuracy import accuracy_of
 from termsel.fits.diagnosis import diagnose
-from termsel.fits.figures import (
-    Baseline,
-    Rmses,
-    baseline,
-    figures,
-    residuals_of,
-    rmse_record,
-)
+from termsel.fits.figures import Baseline, Rmses, baseline, figures, residuals_of, rmse_record
 from termsel.fits.fit import Fit
 from termsel.fits.least_squares import fit
 from termsel.guard.faults import HINT, wrong
