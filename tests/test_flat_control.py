@@ -10,7 +10,7 @@ import pytest
 
 import termsel
 from termsel.fits.accuracy import predicted_by
-from termsel.measurements.control import Control, with_usual_heights
+from termsel.measurements.control import Control, off_plane, with_usual_heights
 from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points
 from termsel.simulate import pushbroom_at
 
@@ -154,3 +154,20 @@ def test_a_blank_height_does_not_let_a_plane_fit_take_mountains() -> None:
     assert termsel.run(features=features).final is None
     assert termsel.run(features=features.with_(
         points=replace(features.points, ground=ground))).final is None
+
+
+def test_heights_in_feet_do_what_they_do_in_metres() -> None:
+    pytest.importorskip("pyproj")
+    points = scene("affine", "level", 12).points
+    feet = points.ground * [1.0, 1.0, 3937.0 / 1200.0]
+    notes, effects = [], []
+    for ground, vertical in ((points.ground, 5703), (feet, 6360)):  # NAVD88, in m and in feet
+        crs = f"EPSG:32618+{vertical}"
+        control = Control.of(FeatureSet(Points(
+            points.ids[:12], points.image[:12], ground[:12]), crs=crs))
+        effects.append(off_plane(control, ground)[1])
+        found = termsel.run(features=FeatureSet(replace(points, ground=ground), crs=crs))
+        notes.append([note for note in found.notes if " m a" in note])
+    np.testing.assert_allclose(*effects, rtol=1e-6)
+    assert len(notes[0]) == 2
+    assert notes[0] == notes[1]

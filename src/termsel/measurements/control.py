@@ -15,7 +15,7 @@ from typing import Self
 
 import numpy as np
 
-from termsel.measurements.coordinates.metres import plan_of
+from termsel.measurements.coordinates.metres import height_unit, plan_of
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, IntArray
 from termsel.measurements.scaling import Scaling, in_fit_crs, scaling_of
 
@@ -188,7 +188,8 @@ def _effect(control: Control) -> float:
         return np.inf
     across = np.sqrt(plan.var(axis=0).sum())
     image = np.sqrt(features.image_vertices().var(axis=0).sum())
-    return float(PARALLAX * control.scaling.ground_scale[2] * image / across) if across else np.inf
+    metres = control.scaling.ground_scale[2] * height_unit(features.fit_crs or features.crs)
+    return float(PARALLAX * metres * image / across) if across else np.inf
 
 
 def _vertices(control: Control) -> tuple[FloatArray, FloatArray, IntArray]:

@@ -116,6 +116,14 @@ def metres_per_unit(crs: str) -> float | None:
         if known is not None and known.is_projected else None
 
 
+def metres_per_height(crs: str) -> float:
+    """Return the unit of heights [m]: that of a vertical axis, 1 where the CRS has none."""
+    crs = normalise(crs)
+    known = None if crs in (LOCAL, "", *WGS84) or UTM.fullmatch(crs) else _with_pyproj(crs)
+    return float(known.axis_info[2].unit_conversion_factor) \
+        if known is not None and len(known.axis_info) > 2 else 1.0
+
+
 def to_wgs84(crs: str) -> Transformation:
     """Return the `transformation` to WGS84 longitude, latitude and ellipsoidal height."""
     return transformation(crs, "EPSG:4979")

@@ -10,6 +10,7 @@ from termsel.measurements.coordinates.crs import (
     ellipsoid_of,
     is_geocentric,
     is_geographic,
+    metres_per_height,
     metres_per_unit,
 )
 from termsel.measurements.features import FloatArray
@@ -49,10 +50,15 @@ def plan_of(crs: str, ground: FloatArray) -> FloatArray | None:
     return plan if metres is None else metres
 
 
+def height_unit(crs: str) -> float:
+    """Return the unit of heights [m]; 1 where nobody knows it."""
+    return _kind(crs)[3] if crs else 1.0
+
+
 @lru_cache
-def _kind(crs: str) -> tuple[bool, bool, float | None]:
-    """Return whether a CRS is geographic, whether it is geocentric, and its unit in metres.
+def _kind(crs: str) -> tuple[bool, bool, float | None, float]:
+    """Return whether a CRS is geographic, whether it is geocentric, and its units in metres.
 
     It is asked at every fit, and pyproj takes its time.
     """
-    return is_geographic(crs), is_geocentric(crs), metres_per_unit(crs)
+    return is_geographic(crs), is_geocentric(crs), metres_per_unit(crs), metres_per_height(crs)

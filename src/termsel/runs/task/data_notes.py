@@ -9,7 +9,7 @@ import numpy as np
 from termsel.errors import counted
 from termsel.measurements.control import MEASURED, Control, carriers, off_plane
 from termsel.measurements.coordinates.longitudes import jumps
-from termsel.measurements.coordinates.metres import plan_of
+from termsel.measurements.coordinates.metres import height_unit, plan_of
 from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.measurements.roles import Observations
 from termsel.measurements.twins import groups, twins
@@ -98,19 +98,21 @@ def _on_flat(control: Control, others: Points) -> Iterator[str]:
     else:
         yield (f"The heights of the {control.features.word} differ too little from a plane to "
                "tell what a height does, so they were not used.")
-    above, does = off_plane(control, vertices[:1] + np.array([0.0, 0.0, HIGH]))
+    unit = height_unit(control.features.crs)
+    above, does = off_plane(control, vertices[:1] + np.array([0.0, 0.0, HIGH / unit]))
     if does[0] > 0.0:
-        low, high = (f"{round(float(one), 1) + 0.0:g}" for one in (z.min(), z.max()))
+        low, high = (f"{round(float(one) * unit, 1) + 0.0:g}" for one in (z.min(), z.max()))
         covered = f"the height {low} m alone" if low == high else \
             f"heights from {low} to {high} m on one plane"
-        yield (f"The control covers {covered}. A place is uncertain by some "
-               f"{_rounded(HIGH * does[0] / above[0])} px for each {HIGH:g} m above or below it.")
+        each = _rounded(HIGH / unit * does[0] / above[0])
+        yield (f"The control covers {covered}. A place is uncertain by some {each} px for each "
+               f"{HIGH:g} m above or below it.")
     off, effect = off_plane(control, others.ground)
     far = effect > MEASURED
     if far.any():
         yield (f"{counted(int(far.sum()), 'other point')} {'is' if far.sum() == 1 else 'are'} up "
-               f"to {_rounded(off.max())} m above or below their plane. What this does in the "
-               f"image is not known: some {_rounded(effect.max())} px, as views usually are.")
+               f"to {_rounded(off.max() * unit)} m above or below their plane. What this does in "
+               f"the image is not known: some {_rounded(effect.max())} px, as views usually are.")
 
 
 def _rounded(size: float) -> str:
