@@ -44,7 +44,7 @@ def errors(values: np.ndarray, survey: float = np.nan, places: np.ndarray | None
 
 @pytest.fixture(scope="module")
 def result() -> Result:
-    features = termsel.simulate_scene("ikonos-hamedan")
+    features = termsel.simulate_scene("ikonos-hamedan", n_lines=0)
     points = features.points
     sigma = np.array([f"{0.3 + 0.01 * (i % 7):g}" for i in range(len(points))], dtype=object)
     return termsel.run(features=replace(features, points=replace(points, attributes={
