@@ -17,6 +17,7 @@ class Note:
     Parameters
     ----------
     text, label : str
+        What is said, and what stands before it.
     """
 
     text: str
@@ -37,6 +38,7 @@ class Code:
     Parameters
     ----------
     text : str
+        Shown as it is, line by line.
     """
 
     text: str
