@@ -184,6 +184,13 @@ def test_bad_files(before: str, after: str, said: str, tmp_path: Path) -> None:
 
 def test_a_model_without_a_file_says_what_it_requires() -> None:
     with pytest.raises(TermselError, match="requires the metadata"):
-        TrackedScanner().source  # noqa: B018
+        assert TrackedScanner().source
     with pytest.raises(TermselError, match="cannot be read"):
         TrackedScanner(metadata="none.dim")
+
+
+@pytest.mark.parametrize("text", ["{", '{"source": 5}', '{"source": "a", "size": [2, "b"]}',
+                                  '{"source": ' + "[" * 100_000], ids=range(4))
+def test_damaged_metadata_of_a_result_are_refused(text: str) -> None:
+    with pytest.raises(TermselError, match="the metadata of the result cannot be read"):
+        TrackedScanner(metadata=text)

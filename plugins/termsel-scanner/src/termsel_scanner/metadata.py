@@ -11,15 +11,15 @@ Spot Image, SPOT 123-4-5 Geometry Handbook, GAEL-P135-DOC-001, issue 1 (2004), s
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import datetime
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -57,7 +57,7 @@ class Metadata:
 
     def text(self) -> str:
         """Return all as JSON, from which `metadata_of` reads it again."""
-        return json.dumps(asdict(self))
+        return msgspec.json.encode(self).decode()
 
 
 def metadata_of(given: str) -> Metadata:
@@ -70,8 +70,8 @@ def metadata_of(given: str) -> Metadata:
     """
     if given.startswith("{"):
         try:
-            return Metadata(**{name: _frozen(one) for name, one in json.loads(given).items()})
-        except (ValueError, TypeError, RecursionError) as error:
+            return msgspec.json.decode(given, type=Metadata)
+        except (msgspec.MsgspecError, RecursionError) as error:
             raise TermselError(f"the metadata of the result cannot be read: {error}",
                                hint="Run the fit again.") from error
     path = Path(given)
@@ -92,10 +92,6 @@ def _read(path: Path, _changed: int) -> Metadata:
         return _from_dimap(root, path.name)
     except TermselError as error:
         raise TermselError(f"{path}: {error.what}", hint=_HINT) from error
-
-
-def _frozen(value: Any) -> Any:
-    return tuple(map(_frozen, value)) if isinstance(value, list) else value
 
 
 def _from_dimap(root: ElementTree.Element, name: str) -> Metadata:
@@ -197,6 +193,10 @@ def _time(text: str) -> float:
             f"0.{fraction or 0}")
     except (ValueError, TypeError) as error:
         raise TermselError(f"{text!r} is no time") from error
+
+
+def _frozen(value: Any) -> Any:
+    return tuple(map(_frozen, value)) if isinstance(value, list) else value
 
 
 def _listed(values: Iterable[Any]) -> Any:

@@ -126,14 +126,10 @@ class TrackedScanner(Physical):
 
 def _state(said: Metadata, time: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return positions (..., 3) [m], and axes to starboard, ahead and up as columns (..., 3, 3)."""
-    times, places, speeds = (np.array(one) for one in (said.times, said.positions, said.velocities))
-    which = np.clip(np.searchsorted(times, time) - 1, 0, len(times) - 2)
-    span = (times[which + 1] - times[which])[..., None]
-    s = (time - times[which])[..., None] / span
-    p, q, u, v = places[which], places[which + 1], speeds[which] * span, speeds[which + 1] * span
-    # Hermite's cubic polynomial and its derivative.
-    b, c = 3.0 * (q - p) - 2.0 * u - v, 2.0 * (p - q) + u + v
-    station, motion = p + s * (u + s * (b + s * c)), u + s * (2.0 * b + 3.0 * s * c)
+    from scipy.interpolate import CubicHermiteSpline  # which other models need not import
+
+    orbit = CubicHermiteSpline(said.times, said.positions, said.velocities)
+    station, motion = orbit(time), orbit(time, 1)
     up = station / np.linalg.norm(station, axis=-1, keepdims=True)
     right = np.cross(motion, up)
     right /= np.linalg.norm(right, axis=-1, keepdims=True)
