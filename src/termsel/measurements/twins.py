@@ -10,16 +10,12 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from termsel.measurements.coordinates.places import squared_distances
 from termsel.measurements.features import FeatureSet, FloatArray, IntArray, Points
 from termsel.measurements.tables.attributes import rows_at
 
 NEAR = 0.01
 """Distance of twins, by the side of the square that each point has for itself; of their heights,
 by the spread of all heights."""
-
-FEW = 500
-"""Points whose distances are all taken sooner than a tree is imported."""
 
 
 def twins(ground: FloatArray, typical: FloatArray | None = None) -> IntArray:
@@ -29,6 +25,10 @@ def twins(ground: FloatArray, typical: FloatArray | None = None) -> IntArray:
     3), by default all, have the spread that decides what is near. NaN for heights that are not
     known.
     """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import KDTree
+
     n = len(ground)
     typical = ground if typical is None else typical
     if n < 2 or len(typical) < 2:
@@ -38,23 +38,10 @@ def twins(ground: FloatArray, typical: FloatArray | None = None) -> IntArray:
     low, high = np.quantile(typical, [0.25, 0.75], axis=0)
     unit = NEAR * 2 * (high - low) * np.array([len(typical) ** -0.5] * 2 + [1.0])
     rounding = np.finfo(float).eps * np.abs(places).max(axis=0)
-    pairs = _near(places / np.maximum(unit, np.maximum(rounding, np.finfo(float).tiny)))
-    if not len(pairs):
-        return np.arange(n, dtype=np.intp)
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
+    pairs = KDTree(places / np.maximum(unit, np.maximum(rounding, np.finfo(float).tiny))
+                   ).query_pairs(1.0, output_type="ndarray")
     edges = coo_array((np.ones(len(pairs)), pairs.T), shape=(n, n))
     return np.asarray(connected_components(edges, directed=False)[1], dtype=np.intp)
-
-
-def _near(places: FloatArray) -> IntArray:
-    """Return the pairs of places (n, 3) that are at most 1 from each other, shape (pairs, 2)."""
-    if len(places) <= FEW:
-        return np.argwhere(np.triu(squared_distances(places, places) <= 1.0, 1))
-    from scipy.spatial import KDTree
-
-    return np.asarray(KDTree(places).query_pairs(1.0, output_type="ndarray"))
 
 
 def merged(features: FeatureSet) -> FeatureSet:

@@ -30,7 +30,6 @@ from scipy.linalg import lapack
 
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.monomials import Exponents, graded_exponents, monomials
-from termsel.measurements.coordinates.places import squared_distances
 from termsel.measurements.features import FloatArray, IntArray, Points
 from termsel.priors.blunder_odds import blunder_odds
 from termsel.priors.foresight import foresee
@@ -275,8 +274,9 @@ def _with_field(columns: FloatArray, places: FloatArray, knots: FloatArray,
 
 def _matern(a: FloatArray, b: FloatArray, lengths: tuple[float, float]) -> FloatArray:
     """Return the correlations between places, shape (len(a), len(b))."""
-    r = squared_distances(a * np.sqrt(3.0) / lengths, b * np.sqrt(3.0) / lengths)
-    np.sqrt(r, out=r)
+    from scipy.spatial.distance import cdist
+
+    r = cdist(a * np.sqrt(3.0) / lengths, b * np.sqrt(3.0) / lengths)
     correlation: FloatArray = np.exp(-r)
     r += 1.0  # in place, as these are the largest arrays
     correlation *= r

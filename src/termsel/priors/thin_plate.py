@@ -24,7 +24,6 @@ from scipy.special import xlogy
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.adjustment.solve import TOLERANCE
-from termsel.measurements.coordinates.places import squared_distances
 from termsel.measurements.features import FloatArray, IntArray, Points
 
 PLANE = graded_exponents(1, 2)
@@ -213,5 +212,7 @@ def _axis(basis: tuple[FloatArray, FloatArray], target: FloatArray, smoothings: 
 
 def _kernel(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return r^2 log r of the distances r between places, shape (len(a), len(b))."""
-    square = squared_distances(a, b)
+    from scipy.spatial.distance import cdist
+
+    square = cdist(a, b, "sqeuclidean")
     return np.asarray(xlogy(square, square) / 2)

@@ -27,15 +27,6 @@ def spatial_order(xy: ArrayLike) -> IntArray:
     return order
 
 
-def squared_distances(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the squares of the distances between places, shape (len(a), len(b)).
-
-    As `scipy.spatial` takes them, whose import takes longer than most sets of points.
-    """
-    return np.asarray(sum(np.subtract.outer(one, other)**2
-                          for one, other in zip(a.T, b.T, strict=True)))
-
-
 def centres(control: FeatureSet) -> FloatArray:
     """Return the image position of each feature, the middle for lines, shape (f, 2)."""
     lines = control.lines
