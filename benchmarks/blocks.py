@@ -23,10 +23,10 @@ from termsel.runs.task.given import all_candidates
 from termsel.threads import one_blas_thread
 from termsel_block.accuracy import independent_points, predicted, rmse
 from termsel_block.block import Block
-from termsel_block.folders import image_result
-from termsel_block.frame import FloatArray
+from termsel_block.files.folders import image_result
+from termsel_block.geometry.frame import FloatArray
 from termsel_block.joint import BlockResult, adjust
-from termsel_block.record import record_of, times_seen
+from termsel_block.shown.record import record_of, times_seen
 from termsel_block.simulated import Simulated, simulate_block
 
 SEED = 300

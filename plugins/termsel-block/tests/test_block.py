@@ -18,15 +18,15 @@ import jsonschema  # type: ignore[import-untyped]
 from termsel import FeatureSet, Points, Rpc, TermselError, read_result, read_rpc
 from termsel.testing import invoke
 from termsel_block.accuracy import in_space, independent_points, predicted, rmse
-from termsel_block.adjustment import log_bayes_factor
 from termsel_block.block import Block, BlockImage, Ties
-from termsel_block.block_file import read_block
-from termsel_block.equations import Seen, pairs, solve
-from termsel_block.frame import FloatArray
+from termsel_block.estimation.adjustment import log_bayes_factor
+from termsel_block.estimation.equations import Seen, pairs, solve
+from termsel_block.files.block_file import read_block
+from termsel_block.geometry.frame import FloatArray
 from termsel_block.joint import BlockResult, adjust
-from termsel_block.record import joined, record_of
+from termsel_block.shown.record import joined, record_of
+from termsel_block.shown.summary import text_of
 from termsel_block.simulated import Simulated, simulate_block
-from termsel_block.summary import text_of
 
 Example = tuple[Path, dict[str, Any]]
 
@@ -154,8 +154,8 @@ def test_a_large_block_is_solved_as_a_small_one(
         monkeypatch: pytest.MonkeyPatch, whole: int) -> None:
     block = simulate_block(6, n_ties=60, rpcs=True, control=(3,), seed=3, independent=5).block
     dense = adjust(block)
-    monkeypatch.setattr("termsel_block.equations.DENSE", 0)
-    monkeypatch.setattr("termsel_block.equations.WHOLE", whole)
+    monkeypatch.setattr("termsel_block.estimation.equations.DENSE", 0)
+    monkeypatch.setattr("termsel_block.estimation.equations.WHOLE", whole)
     sparse = adjust(block)
     for i in range(6):
         np.testing.assert_allclose(sparse.adjusted.state.parameters[i],
@@ -350,7 +350,7 @@ def test_an_image_that_nothing_joins_is_named(example: Example) -> None:
 
 def test_the_package_that_rpcs_require_is_asked_for_at_once(
         example: Example, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("termsel_block.block_file.find_spec", {}.get)
+    monkeypatch.setattr("termsel_block.files.block_file.find_spec", {}.get)
     with pytest.raises(TermselError, match=r"pip install \./plugins/termsel-rpc"):
         read_block(example[0] / "block.toml")
 

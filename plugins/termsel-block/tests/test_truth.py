@@ -13,10 +13,10 @@ pytest.importorskip("termsel_block", reason="termsel-block is not installed: "
 
 from termsel_block.accuracy import independent_points, rmse
 from termsel_block.evidence.variances import posterior_mean
-from termsel_block.folders import image_result
-from termsel_block.frame import FloatArray
+from termsel_block.files.folders import image_result
+from termsel_block.geometry.frame import FloatArray
 from termsel_block.joint import BlockResult, adjust
-from termsel_block.record import record_of, times_seen
+from termsel_block.shown.record import record_of, times_seen
 from termsel_block.simulated import LAT, LON, Simulated, height, simulate_block
 
 

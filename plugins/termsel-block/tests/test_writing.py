@@ -16,11 +16,11 @@ pytest.importorskip("termsel_block", reason="termsel-block is not installed: "
 
 from termsel import Result, TermselError
 from termsel.testing import invoke
-from termsel_block import folders
-from termsel_block.block_file import read_ties
-from termsel_block.folders import write_block
+from termsel_block.files import folders
+from termsel_block.files.block_file import read_ties
+from termsel_block.files.folders import write_block
 from termsel_block.joint import BlockResult, adjust
-from termsel_block.record import record_of
+from termsel_block.shown.record import record_of
 from termsel_block.simulated import simulate_block
 
 Written = tuple[BlockResult, list[Result], Path]

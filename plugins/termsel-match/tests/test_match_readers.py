@@ -14,7 +14,7 @@ pytest.importorskip("termsel_match", reason="termsel-match is not installed: "
 
 from termsel import FeatureSet, Points, TermselError, read
 from termsel.testing import check, checks
-from termsel_match.points.asp import AspMatches
+from termsel_match.asp import AspMatches
 from termsel_match.points.readers import ArosicsTable, MatchesCsv
 
 # As GeoPandas saves the table: with an index, the geometry as text, and all columns.

@@ -19,16 +19,16 @@ if TYPE_CHECKING:
     import click
 
     from termsel_block.block import Block, BlockImage, Ties
-    from termsel_block.block_file import read_block
-    from termsel_block.folders import write_block
+    from termsel_block.files.block_file import read_block
+    from termsel_block.files.folders import write_block
+    from termsel_block.files.places import write_places
     from termsel_block.joint import BlockResult, adjust
-    from termsel_block.places import write_places
 
 # What is not needed for `termsel run` is not imported for it.
 __getattr__, _, _ = lazy_loader.attach(__name__, submod_attrs={
     "joint": ["BlockResult", "adjust"], "block": ["Block", "BlockImage", "Ties"],
-    "block_file": ["read_block"], "folders": ["write_block"],
-    "places": ["write_places"]})
+    "files.block_file": ["read_block"], "files.folders": ["write_block"],
+    "files.places": ["write_places"]})
 
 __all__ = ["Block", "BlockImage", "BlockResult", "Ties", "adjust", "read_block", "write_block",
            "write_places"]

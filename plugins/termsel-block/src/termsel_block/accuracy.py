@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from termsel import Points
-from termsel_block.frame import FloatArray
+from termsel_block.estimation.starts import intersect
+from termsel_block.geometry.frame import FloatArray
 from termsel_block.joint import BlockResult
-from termsel_block.starts import intersect
 
 _DRAWS = 400
 _LEVEL = 0.9

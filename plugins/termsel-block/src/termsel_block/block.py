@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from termsel import FeatureSet, Rpc
-from termsel_block.frame import FloatArray, IntArray
+from termsel_block.geometry.frame import FloatArray, IntArray
 
 CORRECTIONS = ("auto", "none", "shift", "drift", "affine", "smooth")
 """What `model` of an image with an RPC may say."""

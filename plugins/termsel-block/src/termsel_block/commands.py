@@ -41,10 +41,10 @@ def block(file: Path, folder: Path, overwrite: bool, as_json: bool, verbose: boo
     import msgspec
 
     from termsel.toolkit import share_bar
-    from termsel_block.block_file import read_block
-    from termsel_block.folders import SUMMARY, claim, write_block
+    from termsel_block.files.block_file import read_block
+    from termsel_block.files.folders import SUMMARY, claim, write_block
     from termsel_block.joint import adjust
-    from termsel_block.summary import text_of
+    from termsel_block.shown.summary import text_of
 
     read = read_block(file)
     claim(folder, [image.name for image in read.images], overwrite=overwrite, reads=[
@@ -98,7 +98,7 @@ def block_points(folder: Path, output: Path, overwrite: bool) -> None:
     Example:
       termsel block-points place/adjusted -o places.gpkg
     """
-    from termsel_block.places import write_places
+    from termsel_block.files.places import write_places
 
     n = write_places(folder, output, overwrite=overwrite)
     click.echo(f"Written: {output}, {n} places", err=True)
@@ -134,7 +134,7 @@ def block_select(file: Path, output: Path, solver: str, most: int | None, candid
 
     from termsel import require_replaceable
     from termsel.toolkit import write_text
-    from termsel_block.block_file import read_block
+    from termsel_block.files.block_file import read_block
     from termsel_block.selecting import rows_of, select, text_of
 
     block = read_block(file)

@@ -10,13 +10,13 @@ from functools import cached_property
 import numpy as np
 
 from termsel import TermselError, open_dem
-from termsel_block.adjustment import adjust_block
 from termsel_block.block import Block
-from termsel_block.cameras import Camera, groups_of
-from termsel_block.control import OwnControl, own_control
-from termsel_block.frame import FloatArray, Frame
-from termsel_block.starts import Given, start
-from termsel_block.unknowns import Adjusted, Heights, Measured
+from termsel_block.estimation.adjustment import adjust_block
+from termsel_block.estimation.starts import Given, start
+from termsel_block.estimation.unknowns import Adjusted, Heights, Measured
+from termsel_block.geometry.cameras import Camera, groups_of
+from termsel_block.geometry.control import OwnControl, own_control
+from termsel_block.geometry.frame import FloatArray, Frame
 
 _ABSURD = 0.05
 """Standard deviation of ties, over the extent of an image, above which they are no measurements."""

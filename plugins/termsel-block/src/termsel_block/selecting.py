@@ -30,8 +30,8 @@ from termsel import (
 from termsel.toolkit import RowSystem
 from termsel_block.accuracy import independent_points, rmse
 from termsel_block.block import Block, BlockImage
-from termsel_block.control import own_control
-from termsel_block.frame import BoolArray, FloatArray, IntArray
+from termsel_block.geometry.control import own_control
+from termsel_block.geometry.frame import BoolArray, FloatArray, IntArray
 from termsel_block.joint import BlockResult, adjust
 
 NAME = "owdis-block"

@@ -9,7 +9,7 @@ import numpy as np
 from termsel import FeatureSet, Points, Rpc, fit, rpc_of
 from termsel.simulate import Angle, Pushbroom, pushbroom_at
 from termsel_block.block import Block, BlockImage, Ties
-from termsel_block.frame import BoolArray, FloatArray, IntArray
+from termsel_block.geometry.frame import BoolArray, FloatArray, IntArray
 
 LON, LAT = 48.5, 34.8
 _METRES = 111_320.0

@@ -33,7 +33,7 @@ def termsel_commands(cli: click.Group) -> None:
 @hookimpl
 def termsel_readers() -> Iterable[type[Reader]]:
     """Return readers of what other programs have matched."""
-    from termsel_match.points.asp import AspMatches
+    from termsel_match.asp import AspMatches
     from termsel_match.points.readers import ArosicsTable, MatchesCsv
 
     return [ArosicsTable, AspMatches, MatchesCsv]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import fdtrc
 
-from termsel_block.frame import FloatArray
+from termsel_block.geometry.frame import FloatArray
 
 CHANCE = 1e-3
 """Probability by chance below which columns are tried; the whole block decides afterwards."""

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from termsel_block.cameras import Camera
-from termsel_block.frame import FloatArray
+from termsel_block.geometry.cameras import Camera
+from termsel_block.geometry.frame import FloatArray
 
 _OWN = 4.0
 """Weight of what all images say of a variance, as so many parameters of the image's own."""

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from termsel import Points, TermselError, open_raster, read
+from termsel_match.asp import AspMatches
 from termsel_match.images.rasters import open_picture
 from termsel_match.images.starts import start_of
 from termsel_match.images.warps import crs_of, references_of
-from termsel_match.points.asp import AspMatches
 from termsel_match.points.candidates import LEAST, Candidates
 from termsel_match.points.readers import MatchesCsv
 

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from termsel import Rpc, TermselError
-from termsel_block.adjustment import soft
-from termsel_block.cameras import Camera, PolynomialCamera, RpcCamera
-from termsel_block.control import OwnControl
-from termsel_block.frame import BoolArray, FloatArray, Frame, IntArray
-from termsel_block.unknowns import Heights, Measured, State
+from termsel_block.estimation.adjustment import soft
+from termsel_block.estimation.unknowns import Heights, Measured, State
+from termsel_block.geometry.cameras import Camera, PolynomialCamera, RpcCamera
+from termsel_block.geometry.control import OwnControl
+from termsel_block.geometry.frame import BoolArray, FloatArray, Frame, IntArray
 
 LEAST_TIES = 6
 """Ties with known places from which an image without control and RPC gets its first model."""

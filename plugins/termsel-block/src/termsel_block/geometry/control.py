@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from termsel import FeatureSet, Points, line_normals
-from termsel_block.frame import FloatArray, Frame
+from termsel_block.geometry.frame import FloatArray, Frame
 
 
 @dataclass(frozen=True, eq=False)

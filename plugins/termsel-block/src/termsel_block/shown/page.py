@@ -9,8 +9,8 @@ import numpy as np
 
 from termsel.toolkit import picture
 from termsel_block.joint import BlockResult
-from termsel_block.record import BlockRecord, times_seen
-from termsel_block.summary import opening
+from termsel_block.shown.record import BlockRecord, times_seen
+from termsel_block.shown.summary import opening
 
 _STYLE = """
 :root { color-scheme: light dark; --text: #1c2024; --page: #fff; --rule: #c9ced4; }

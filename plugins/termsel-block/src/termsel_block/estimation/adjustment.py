@@ -7,13 +7,13 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from termsel import TermselError
-from termsel_block.cameras import Camera
-from termsel_block.control import OwnControl
-from termsel_block.equations import Seen, Shared, Solved, pairs, solve
+from termsel_block.estimation.equations import Seen, Shared, Solved, pairs, solve
+from termsel_block.estimation.unknowns import Adjusted, Heights, Measured, State
 from termsel_block.evidence.growing import CHANCE, chance_of
 from termsel_block.evidence.variances import estimated
-from termsel_block.frame import FloatArray
-from termsel_block.unknowns import Adjusted, Heights, Measured, State
+from termsel_block.geometry.cameras import Camera
+from termsel_block.geometry.control import OwnControl
+from termsel_block.geometry.frame import FloatArray
 
 WRONG = 4.0
 """A measurement is a blunder if it is so many standard deviations off, in line or in sample."""

@@ -9,8 +9,8 @@ import msgspec
 import numpy as np
 
 from termsel_block.accuracy import in_space, independent_points, predicted, rmse
-from termsel_block.cameras import RpcCamera
-from termsel_block.frame import IntArray
+from termsel_block.geometry.cameras import RpcCamera
+from termsel_block.geometry.frame import IntArray
 from termsel_block.joint import BlockResult
 
 SCHEMA = "termsel-block-1"

@@ -18,8 +18,8 @@ import numpy as np
 from termsel import FeatureSet, TermselError, open_raster, read, read_rpc
 from termsel.toolkit import normalise
 from termsel_block.block import CORRECTIONS, Block, BlockImage, Ties
-from termsel_block.control import in_use
-from termsel_block.ties.asp import asp_rows, is_asp
+from termsel_block.files.asp import asp_rows, is_asp
+from termsel_block.geometry.control import in_use
 
 COLUMNS = {"id": ("id", "tie", "name", "point"), "image": ("image", "img", "scene"),
            "line": ("line", "row", "y_pix"), "sample": ("sample", "col", "column", "x_pix")}

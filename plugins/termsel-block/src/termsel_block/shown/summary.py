@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from termsel_block.record import BlockRecord
+from termsel_block.shown.record import BlockRecord
 
 _SHOWN = 10
 

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 
 from termsel import Rpc
-from termsel_block.frame import BoolArray, FloatArray, Frame
+from termsel_block.geometry.frame import BoolArray, FloatArray, Frame
 
 _STEP = 1.0
 """Metres on the ground over which derivatives are taken."""

@@ -16,11 +16,11 @@ import numpy as np
 from termsel import FeatureSet, Points, Result, TermselError, require_replaceable, run
 from termsel.toolkit import write_result, write_text
 from termsel_block.block import BlockImage
+from termsel_block.files.placing import together
 from termsel_block.joint import BlockResult
-from termsel_block.page import page_of
-from termsel_block.placing import together
-from termsel_block.record import BlockRecord, correction_of, record_of, schema, times_seen
-from termsel_block.summary import text_of
+from termsel_block.shown.page import page_of
+from termsel_block.shown.record import BlockRecord, correction_of, record_of, schema, times_seen
+from termsel_block.shown.summary import text_of
 
 RECORD, SUMMARY, PAGE, TIES, SCHEMA_FILE = (
     "block.json", "summary.txt", "report.html", "ties.csv", "block.schema.json")

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import linalg, sparse
 from scipy.sparse.linalg import splu
 
-from termsel_block.frame import FloatArray, IntArray
+from termsel_block.geometry.frame import FloatArray, IntArray
 
 DENSE = 1500
 """Most image parameters for which the reduced matrix is factorised as a dense one."""

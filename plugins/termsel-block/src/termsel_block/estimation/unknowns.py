@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from termsel_block.cameras import Camera
-from termsel_block.equations import Solved
-from termsel_block.frame import BoolArray, FloatArray, Frame, IntArray
+from termsel_block.estimation.equations import Solved
+from termsel_block.geometry.cameras import Camera
+from termsel_block.geometry.frame import BoolArray, FloatArray, Frame, IntArray
 
 _SLOPE_OVER = 10.0  # m
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from termsel import TermselError, require_replaceable
 from termsel.toolkit import LOCAL, horizontal, private_folder, write_bytes
-from termsel_block.folders import RECORD, TIES
-from termsel_block.frame import FloatArray
+from termsel_block.files.folders import RECORD, TIES
+from termsel_block.geometry.frame import FloatArray
 
 _STEPS = 1e-3, 1e-8
 """Steps of coordinates in LAS: of metres, and of degrees, which are a millimetre."""

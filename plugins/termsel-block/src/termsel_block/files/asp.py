@@ -28,7 +28,7 @@ def is_asp(file: Path) -> bool:
                                "not installed", file=file,
                                hint="In a clone of termsel: pip install ./plugins/termsel-match.")
         return False
-    from termsel_match.points.asp import is_matches
+    from termsel_match.asp import is_matches
 
     try:
         with file.open("rb") as opened:
@@ -46,7 +46,7 @@ def asp_rows(files: Sequence[Path], images: Sequence[str]) -> list[tuple[Path, i
     pairs: list[tuple[Path, int, Place, Place]] = []
     for file in files:
         left, right = _images(file, images)
-        from termsel_match.points.asp import read_matches
+        from termsel_match.asp import read_matches
 
         for number, (a, b) in enumerate(zip(*read_matches(file), strict=True), 1):
             pairs.append((file, number, (left, float(a[0]), float(a[1])),

@@ -1,4 +1,4 @@
-"""Reader of the matches of the Ames Stereo Pipeline, binary and as text."""
+"""Matches of the Ames Stereo Pipeline, binary and as text: public, for other packages, too."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ import numpy as np
 from termsel import FeatureSet, Reader, TermselError
 from termsel_match.images.rasters import FloatArray
 from termsel_match.points.readers import REFERENCE, bytes_of, text_of, with_ground
+
+__all__ = ["AspMatches", "is_matches", "read_matches"]
 
 _DIGITS = 19
 _CELLS = 11  # of an interest point as text, before its descriptor

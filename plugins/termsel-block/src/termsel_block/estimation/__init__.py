@@ -1,0 +1,1 @@
+"""The adjustment: its start, its unknowns, its equations and its steps."""

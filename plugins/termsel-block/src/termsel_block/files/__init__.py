@@ -1,0 +1,1 @@
+"""What a block is read from, and what it is written to."""

@@ -1,0 +1,1 @@
+"""Where things are: the frame, the models of images, and their control."""

@@ -1,0 +1,1 @@
+"""What people see of a block: its record, summary and page."""

@@ -1,1 +1,0 @@
-"""Ties as other programs write them."""
