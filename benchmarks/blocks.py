@@ -15,6 +15,8 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from benchmarks.block_bounds import bounds
+from benchmarks.block_kinds import KINDS, OWN, Kind, drawn
 from benchmarks.sets import put
 from termsel import FeatureSet, Points, rpc_of, write_rpc
 from termsel.candidates.portfolio import choose
@@ -32,33 +34,7 @@ from termsel_block.simulated import Simulated, simulate_block
 SEED = 300
 """The first of the seeds, none of which took part in choosing a constant."""
 
-OWN = 6
 _SINGLE = 6  # images of a block that are fitted alone, too: each takes seconds
-
-
-@dataclass(frozen=True)
-class Kind:
-    """A kind of block: images, control of the first ones, and which have an RPC."""
-
-    name: str
-    images: int
-    control: tuple[int, ...]
-    rpcs: bool = True
-    without_rpc: int | None = None
-    """Image that has none: with `rpcs` a block of mixed sensors."""
-    seeds: float = 1.0
-    """Times as many blocks as asked for."""
-
-
-KINDS = (
-    Kind("pair, 1 point", 2, (1, 1)), Kind("triplet, 1 point", 3, (1, 1, 1)),
-    Kind("pair", 2, (6, 0)), Kind("triplet", 3, (6, 6, 0)), Kind("triplet, 20 points", 3, (20, 0)),
-    Kind("triplet without RPCs", 3, (6, 6, 0), rpcs=False),
-    Kind("triplet, one without RPC", 3, (6, 6, 0), without_rpc=2),
-    Kind("strip of 12, control at one end", 12, (6, 6, 0), seeds=0.7),
-    Kind("strip of 12, control at both ends", 12, (6, *(0,) * 8, 6), seeds=0.5),
-    Kind("100 images, control in one of ten", 100, (6, *(0,) * 29) * 3, seeds=0.1),
-)
 
 
 @dataclass(frozen=True)
@@ -69,6 +45,9 @@ class Figures:
     own: tuple[float, ...]
     ratio_without: tuple[float, ...]
     ratio_own: tuple[float, ...]
+    bound_without: tuple[float, ...]
+    bound_own: tuple[float, ...]
+    to_bound: tuple[float, ...]
     inside: tuple[bool, ...]
     chi_square: float
     sigma_control: float
@@ -78,43 +57,48 @@ class Figures:
 @one_blas_thread
 def figures_of(kind: Kind, seed: int) -> Figures:
     """Return the figures of a block. Judging points are not those that an image alone takes."""
-    sigma = (0.3, 0.4, 0.5)[seed % 3]
-    simulated = simulate_block(
-        kind.images, n_ties=200 if kind.images < 50 else 100, control=kind.control, rpcs=kind.rpcs,
-        bias=(5.0, 20.0, 50.0)[seed % 3], noise=sigma, seed=seed, independent=80)
-    block = simulated.block
-    if kind.without_rpc is not None:
-        images = list(block.images)
-        images[kind.without_rpc] = replace(images[kind.without_rpc], rpc=None)
-        block = replace(block, images=tuple(images))
-    start = time.perf_counter()
-    result = adjust(block)
-    seconds = time.perf_counter() - start
-    rng, inside = np.random.default_rng([seed, 9]), []
-    errors: dict[bool, list[float]] = {True: [], False: []}
+    with drawn(kind, seed) as (simulated, block, bias, sigma):
+        start = time.perf_counter()
+        result = adjust(block)
+        seconds = time.perf_counter() - start
+        rng, inside = np.random.default_rng([seed, 9]), []
+        six: dict[int, Points] = {}
+        judging: dict[int, Points] = {}
+        errors, limit = {}, {}
+        for i in range(kind.images):
+            points = independent_points(result, i)
+            assert points is not None
+            order = rng.permutation(len(points))
+            judging[i] = points.take(order[OWN:])
+            errors[i] = rmse(judging[i].image - result.project(i, judging[i].ground))
+            expected = predicted(result, i)
+            inside.append(expected.low <= errors[i] <= expected.high)
+            six[i] = points.take(order[:OWN])
+            if len(result.control[i]) == 2 * OWN:
+                six[i] = _control(result, i)
+        if kind.rpcs and kind.without_rpc is None:
+            limit = bounds(simulated, result, bias, kind.drift, sigma, six, judging)
+        covariance = result.adjusted.solved.covariance_of_ties()
     ratios: dict[bool, list[float]] = {True: [], False: []}
+    ends: dict[bool, list[float]] = {True: [], False: []}
     for i in range(kind.images):
-        points = independent_points(result, i)
-        assert points is not None
-        order = rng.permutation(len(points))
-        judging = points.take(order[OWN:])
-        error = rmse(judging.image - result.project(i, judging.ground))
-        expected = predicted(result, i)
-        inside.append(expected.low <= error <= expected.high)
         has = len(result.control[i]) > 0
-        errors[has].append(error)
-        few = len(result.control[i]) not in (0, 2 * OWN)
-        if few or len(ratios[has]) >= _SINGLE // 2:
+        if len(result.control[i]) not in (0, 2 * OWN):
             continue
-        mine = _control(result, i) if has else points.take(order[:OWN])
-        ratios[has].append(error / _alone(block, i, mine, judging))
+        if i in limit:
+            ends[has].append(limit[i].block / limit[i].six)
+        if len(ratios[has]) < _SINGLE // 2:
+            ratios[has].append(errors[i] / _alone(block, i, six[i], judging[i]))
     away = result.adjusted.state.ties - result.frame.local(simulated.ties)
     seen = times_seen(result) > 1
-    covariance = result.adjusted.solved.covariance_of_ties()[seen]
-    chi = np.einsum("ti,tij,tj->t", away[seen], np.linalg.inv(covariance), away[seen]).mean() / 3
-    return Figures(tuple(errors[False]), tuple(errors[True]), tuple(ratios[False]),
-                   tuple(ratios[True]), tuple(inside), float(chi),
-                   (sigma / result.adjusted.state.sigma_control) ** 2, seconds)
+    chi = np.einsum("ti,tij,tj->t", away[seen], np.linalg.inv(covariance[seen]), away[seen])
+    with_own = [len(known) > 0 for known in result.control]
+    return Figures(
+        tuple(errors[i] for i in errors if not with_own[i]),
+        tuple(errors[i] for i in errors if with_own[i]), tuple(ratios[False]), tuple(ratios[True]),
+        tuple(ends[False]), tuple(ends[True]), tuple(errors[i] / limit[i].block for i in limit),
+        tuple(inside), float(chi.mean()) / 3, (sigma / result.adjusted.state.sigma_control) ** 2,
+        seconds)
 
 
 def _control(result: BlockResult, i: int) -> Points:
@@ -204,16 +188,23 @@ def row(kind: Kind, found: list[Figures]) -> str:
         if not len(values):
             return ""
         return f"{np.median(values):.2f}" + (f" ({values.max():.2f})" if most else "")
+
+    def end(name: str) -> str:
+        return cell(every(name))
+    to_bound = every("to_bound")
+    near = f"{np.sqrt((to_bound**2).mean()):.2f}" if len(to_bound) else ""
     return (f"| {kind.name} | {len(found)} | {cell(every('without'))} | {cell(every('own'))} "
-            f"| {cell(every('ratio_without'), True)} | {cell(every('ratio_own'), True)} "
+            f"| {end('bound_without')} | {cell(every('ratio_without'), True)} "
+            f"| {end('bound_own')} | {cell(every('ratio_own'), True)} | {near} "
             f"| {np.mean([one.chi_square for one in found]):.2f} "
             f"| {np.mean([one.sigma_control for one in found]):.2f} "
             f"| {every('inside').mean():.0%} | {np.median([one.seconds for one in found]):.1f} |")
 
 
-HEAD = """| block | blocks | px without control | px with control | without over six own \
-| with over alone | chi-square, ties | chi-square, control | in 90 % | s |
-|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|"""
+HEAD = """| block | blocks | px without control | px with control | without over six own: bound \
+| reached | with over alone: bound | reached | RMSE to bound | chi-square, ties \
+| chi-square, control | in 90 % | s |
+|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|"""
 
 
 def grown(counts: Iterable[int], n_ties: int) -> str:

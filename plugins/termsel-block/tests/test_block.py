@@ -19,8 +19,8 @@ from termsel import FeatureSet, Points, Rpc, TermselError, read_result, read_rpc
 from termsel.testing import invoke
 from termsel_block.accuracy import in_space, independent_points, predicted, rmse
 from termsel_block.block import Block, BlockImage, Ties
-from termsel_block.estimation.adjustment import log_bayes_factor
 from termsel_block.estimation.equations import Seen, pairs, solve
+from termsel_block.evidence.factors import log_bayes_factor
 from termsel_block.files.block_file import read_block
 from termsel_block.geometry.frame import FloatArray
 from termsel_block.joint import BlockResult, adjust
@@ -229,7 +229,7 @@ def test_an_rpc_of_another_place_is_named(vendors: Simulated) -> None:
     images = list(vendors.block.images)
     moved = replace(vendor(images[2]), ground_offset=(20.0, 10.0, 300.0))
     images[2] = replace(images[2], rpc=moved, features=None)
-    with pytest.raises(TermselError, match="'I3'"):
+    with pytest.raises(TermselError, match="the ties of 'I3' are"):
         adjust(replace(vendors.block, images=tuple(images)))
     images[2] = replace(vendors.block.images[2], rpc=vendors.block.images[2].rpc)
     images[0] = replace(images[0], rpc=moved)

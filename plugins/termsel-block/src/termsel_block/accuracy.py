@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from termsel import Points
+from termsel_block.estimation.adjustment import MEDIAN
 from termsel_block.estimation.starts import intersect
+from termsel_block.evidence.variances import TAIL
 from termsel_block.geometry.frame import FloatArray
 from termsel_block.joint import BlockResult
 
@@ -63,15 +65,31 @@ def predicted(result: BlockResult, i: int, seed: int = 0) -> Spread:
         places = result.frame.local(features.points.ground)
     columns = result.camera(i).first_order(places)[1]
     rng = np.random.default_rng([seed, i])
-    root = np.linalg.cholesky(result.covariances[i] + 1e-12 * np.eye(2 * columns.shape[1]))
+    covariance = result.covariances[i]
+    root = np.linalg.cholesky(covariance + 1e-12 * np.eye(len(covariance)))
     draws = (root @ rng.standard_normal((len(root), _DRAWS))).reshape(2, columns.shape[1], _DRAWS)
+    draws = draws * np.sqrt(_unsure(result, i, rng))
     squares = (np.einsum("nm,amd->adn", columns, draws) ** 2).sum(axis=0).mean(axis=1)
-    # The variance of control is itself known from few measurements; its mean is that of the state.
+    # The variance of control is known from few measurements; the state has its median.
     known = state.freedom_control
-    noise = state.sigma_control**2 * (known - 2) / rng.chisquare(known, _DRAWS)
+    noise = state.sigma_control**2 * (known - MEDIAN) / rng.chisquare(known, _DRAWS)
     errors = np.sqrt(squares + 2 * noise)
     low, high = np.quantile(errors, [(1 - _LEVEL) / 2, (1 + _LEVEL) / 2])
     return Spread(float(np.sqrt((errors**2).mean())), float(low), float(high))
+
+
+def _unsure(result: BlockResult, i: int, rng: np.random.Generator) -> FloatArray:
+    """Return draws (2, m, draws) of what variances of parameters are over what is stated.
+
+    What the prior alone holds is as uncertain as the variance of the prior, which all columns of a
+    group share. What measurements hold is not.
+    """
+    groups, state = np.array(result.camera(i).groups), result.adjusted.state
+    by_prior = np.diag(result.covariances[i]).reshape(2, -1) / state.variances[i]
+    factor = np.ones((len(groups), _DRAWS))
+    for name in dict.fromkeys(groups.tolist()):
+        factor[groups == name] = (TAIL - 2) / rng.chisquare(TAIL, _DRAWS)
+    return np.asarray(1 + np.clip(by_prior, 0, 1)[:, :, None] * (factor - 1))
 
 
 def in_space(result: BlockResult) -> InSpace | None:

@@ -13,12 +13,13 @@ from termsel import TermselError, open_dem
 from termsel_block.block import Block
 from termsel_block.estimation.adjustment import adjust_block
 from termsel_block.estimation.starts import Given, start
-from termsel_block.estimation.unknowns import Adjusted, Heights, Measured
+from termsel_block.estimation.unknowns import Adjusted, Measured
 from termsel_block.geometry.cameras import Camera, groups_of
-from termsel_block.geometry.control import OwnControl, own_control
+from termsel_block.geometry.control import OwnControl, in_use, own_control
 from termsel_block.geometry.frame import FloatArray, Frame
+from termsel_block.geometry.heights import Heights, Surface
 
-_ABSURD = 0.05
+_ABSURD = 0.01
 """Standard deviation of ties, over the extent of an image, above which they are no measurements."""
 _TOLD = 8
 """Ties of an image from which on their extent tells that of the image."""
@@ -45,7 +46,7 @@ class BlockResult:
     @cached_property
     def covariances(self) -> list[FloatArray]:
         """Covariance of each image's parameters [px2], by image axis, then column."""
-        return self.adjusted.solved.reduced.own()
+        return self.adjusted.solved.own[:len(self.block.images)]
 
     @cached_property
     def ties(self) -> FloatArray:
@@ -98,8 +99,6 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
     with ExitStack() as files:
         dem = files.enter_context(open_dem(block.dem, block.crs)) if block.dem else None
 
-        mean, spread = _heights(block)
-        heights = Heights(frame, mean, spread, dem)
         given = []
         for i, image in enumerate(block.images):
             mine = block.ties.image == i
@@ -107,6 +106,7 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
                 image.name, Measured(block.ties.tie[mine], block.ties.place[mine]),
                 own_control(image.features, frame), image.rpc,
                 groups_of("affine" if image.model == "auto" else image.model)))
+        heights = heights_of(block, frame, dem)
         state = start(given, len(block.ties.names), frame, heights)
         adjusted = adjust_block(
             state, [image.measured for image in given], [image.control for image in given],
@@ -143,12 +143,18 @@ def _places(block: Block) -> FloatArray:
     return places
 
 
-def _heights(block: Block) -> tuple[float, float]:
-    """Return what is known of heights before: their mean and spread [m]."""
+def heights_of(block: Block, frame: Frame, dem: Surface | None) -> Heights:
+    """Return what is known of heights before."""
+    features = [image.features for image in block.images if image.features is not None]
+    known = np.concatenate([np.empty((0, 3)), *(in_use(own).ground for own in features),
+                            *(own.lines.ground.reshape(-1, 3) for own in features)])
+    known = np.unique(known, axis=0)  # images see the same control
     rpcs = [image.rpc for image in block.images if image.rpc is not None]
     if rpcs:
-        return (float(np.mean([rpc.ground_offset[2] for rpc in rpcs])),
-                float(np.max([abs(rpc.ground_scale[2]) for rpc in rpcs])))
-    own = np.concatenate([image.features.points.ground[:, 2] for image in block.images
-                          if image.features is not None])
-    return float(own.mean()), max(3 * float(own.std()), 100.0)
+        mean = float(np.mean([rpc.ground_offset[2] for rpc in rpcs]))
+        spread = float(np.max([abs(rpc.ground_scale[2]) for rpc in rpcs]))
+    else:
+        mean, spread = float(known[:, 2].mean()), max(3 * float(known[:, 2].std()), 100.0)
+    over = known[:, 2] - (mean if dem is None else dem(known[:, :2]))
+    crowd = np.median(np.bincount(block.ties.image, minlength=len(block.images)))
+    return Heights(frame, mean, spread, dem, over[np.isfinite(over)], float(crowd))

@@ -238,9 +238,14 @@ def _independent(result: BlockResult) -> float | None:
 def _placed(result: BlockResult, i: int, rows: FloatArray) -> FloatArray:
     """Return rows of one image's parameters (n, 2m) among those of all images."""
     slices = result.adjusted.solved.reduced.slices
-    whole = np.zeros((len(rows), slices[-1].stop))
+    whole = np.zeros((len(rows), _columns(result)))
     whole[:, slices[i]] = rows
     return whole
+
+
+def _columns(result: BlockResult) -> int:
+    """Return how many parameters the images have; what heights share follows them."""
+    return result.adjusted.solved.reduced.slices[len(result.block.images) - 1].stop
 
 
 def _check_rows(block: Block, result: BlockResult) -> tuple[FloatArray, FloatArray]:
@@ -294,12 +299,13 @@ def _tie_rows(result: BlockResult, ties: IntArray,
               ) -> list[tuple[str, FloatArray, FloatArray]]:
     """Return label, rows and targets of ties whose places are eliminated."""
     solved, state = result.adjusted.solved, result.adjusted.state
-    total = solved.reduced.slices[-1].stop
+    total = _columns(result)
     if len(ties) * total**2 > _MOST_ROWS:
-        raise TermselError(f"{len(ties)} ties of {len(solved.seen)} images are too many to select "
-                           "from", hint="Give fewer candidates of ties, or part of the block.")
+        raise TermselError(f"{len(ties)} ties of {len(state.cameras)} images are too many to "
+                           "select from",
+                           hint="Give fewer candidates of ties, or part of the block.")
     of: dict[int, list[tuple[int, int]]] = {int(tie): [] for tie in ties}
-    for i, (part, used) in enumerate(zip(solved.seen, state.in_use, strict=True)):
+    for i, (part, used) in enumerate(zip(solved.seen[:-1], state.in_use, strict=True)):
         for n in np.flatnonzero(used):
             if int(part.tie[n]) in of:
                 of[int(part.tie[n])].append((i, int(n)))
@@ -321,7 +327,7 @@ def _tie_rows(result: BlockResult, ties: IntArray,
 def _spread_ties(result: BlockResult, count: int) -> IntArray:
     """Return ties in use in two images or more: all, or as many that are well distributed."""
     state, seen = result.adjusted.state, np.zeros(len(result.adjusted.state.ties))
-    for part, used in zip(result.adjusted.solved.seen, state.in_use, strict=True):
+    for part, used in zip(result.adjusted.solved.seen[:-1], state.in_use, strict=True):
         np.add.at(seen, part.tie, used)
     usable = np.flatnonzero(seen > 1)
     if len(usable) <= count:

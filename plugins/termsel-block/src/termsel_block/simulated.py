@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +16,23 @@ LON, LAT = 48.5, 34.8
 _METRES = 111_320.0
 _ROWS = 20  # stacks one below the other, before the next strip begins
 _STEP = 0.6  # from one stack to the next, in widths of an image
+
+
+VIEWS = (18.0, 20.0), (4.0, 95.0), (22.0, 170.0)
+"""Angle off nadir and azimuth [degrees] of the three images of a stack."""
+
+_MEAN = 1700.0  # m
+
+
+@dataclass(frozen=True)
+class Hills:
+    """The ground: how high its hills are, and where."""
+
+    relief: float = 1.0
+    phases: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+
+
+HILLS = Hills()
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +59,9 @@ def simulate_block(
     check: int = 0,
     size: int = 12000,
     gsd: float = 2.5,
+    views: tuple[tuple[float, float], ...] = VIEWS,
+    hills: Hills = HILLS,
+    vendor_height: float = 0.0,
     seed: int = 0,
 ) -> Simulated:
     """Return a block of images of one strip of hilly ground.
@@ -72,14 +93,20 @@ def simulate_block(
         Further ones that judge a selection.
     size, gsd : int and float
         Lines and samples of each image, and pixels on the ground [m].
+    views : tuple of (float, float)
+        Angle off nadir and azimuth of the images of a stack, about [degrees].
+    hills : Hills
+        The ground.
+    vendor_height : float
+        What the vendor takes the mean height of the ground for, less what it is [m].
     seed : int
     """
     rng = np.random.default_rng(seed)
-    known = [_sensor(i, size, gsd, rng) for i in range(n_images)]
+    known = [_sensor(i, size, gsd, views, rng) for i in range(n_images)]
     sensors = [_shaken(sensor, jitter[i], size, np.random.default_rng([seed, 2, i]))
                if i < len(jitter) else sensor for i, sensor in enumerate(known)]
     width = size * gsd
-    places, image, index = _seen_ties(sensors, n_images, n_ties, width, size, rng)
+    places, image, index = _seen_ties(sensors, n_images, n_ties, width, size, hills, rng)
     place = image + rng.normal(0, noise, image.shape)
     count = len(places)
     # Of their own generator: the rest of the block is the same without them.
@@ -91,7 +118,8 @@ def simulate_block(
     ties = Ties(tuple(f"T{i}" for i in range(count)), index[:, 0], index[:, 1], place)
     images = []
     of_stacks = [max(control[k:k + 3], default=0) for k in range(0, n_images, 3)]
-    given, stack = _known_places(sensors, of_stacks, independent + check, width, rng)
+    given, stack = _known_places(sensors, of_stacks, independent + check, width, hills,
+                                  rng)
     for i, sensor in enumerate(sensors):
         n = control[i] if i < len(control) else 0
         is_control = stack >= 0
@@ -101,18 +129,20 @@ def simulate_block(
         roles = np.array(points.roles, object)
         roles[judging[:check]] = "check"
         points = replace(points, roles=tuple(roles.tolist()))
-        rpc = _vendor(known[i], bias, drift, size, rng) if rpcs else None
+        rpc = _vendor(known[i], bias, drift, size, vendor_height, rng) if rpcs else None
         images.append(BlockImage(f"I{i + 1}", FeatureSet(
             points, crs="EPSG:4979", image_size=(size, size)), rpc, size=(size, size)))
     return Simulated(Block("EPSG:4979", tuple(images), ties), tuple(sensors), places)
 
 
-def height(place: FloatArray) -> FloatArray:
+def height(place: FloatArray, hills: Hills = HILLS) -> FloatArray:
     """Return the heights of the simulated ground [m] at longitudes and latitudes (n, 2)."""
     east = (place[:, 0] - LON) * _METRES * np.cos(np.radians(LAT)) / 1000
     north = (place[:, 1] - LAT) * _METRES / 1000
-    return np.asarray(1700 + 180 * np.sin(east / 3.1) * np.cos(north / 4.3)
-                      + 60 * np.sin(east / 1.1 + 1) + 40 * np.cos(north / 0.9))
+    a, b, c, d = hills.phases
+    return np.asarray(_MEAN + hills.relief * (
+        180 * np.sin(east / 3.1 + a) * np.cos(north / 4.3 + b)
+        + 60 * np.sin(east / 1.1 + 1 + c) + 40 * np.cos(north / 0.9 + d)))
 
 
 def _middle(stack: int, width: float) -> tuple[float, float]:
@@ -122,13 +152,14 @@ def _middle(stack: int, width: float) -> tuple[float, float]:
     return LON + column * step / np.cos(np.radians(LAT)), LAT - row * step
 
 
-def _sensor(i: int, size: int, gsd: float, rng: np.random.Generator) -> Pushbroom:
+def _sensor(i: int, size: int, gsd: float, views: Sequence[tuple[float, float]],
+            rng: np.random.Generator) -> Pushbroom:
     """Return the scanner of the i-th image."""
     middle = _middle(i // 3, size * gsd)
-    angle = (18.0, 4.0, 22.0)[i % 3] + rng.uniform(-3, 3)
-    azimuth = (20.0, 95.0, 170.0)[i % 3] + rng.uniform(-10, 10)
+    angle = views[i % len(views)][0] + rng.uniform(-3, 3)
+    azimuth = views[i % len(views)][1] + rng.uniform(-10, 10)
     sensor = pushbroom_at(
-        middle[0] + rng.normal(0, 0.03) * size * gsd / _METRES, middle[1], height=1700.0,
+        middle[0] + rng.normal(0, 0.03) * size * gsd / _METRES, middle[1], height=_MEAN,
         off_nadir=angle, look_azimuth=azimuth, gsd=gsd, image_size=(size, size),
         altitude=680e3, inclination=98.1)
     ifov, end = sensor.ifov, size * sensor.line_period / 2
@@ -152,7 +183,7 @@ def _shaken(sensor: Pushbroom, amplitude: float, size: int, rng: np.random.Gener
 
 
 def _seen_ties(sensors: list[Pushbroom], n: int, n_ties: int, width: float, size: int,
-               rng: np.random.Generator) -> tuple[FloatArray, FloatArray, IntArray]:
+               hills: Hills, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, IntArray]:
     """Return places of ties, and line and sample with (tie, image) of each measurement."""
     places: list[FloatArray] = []
     images, indices = [], []
@@ -164,7 +195,7 @@ def _seen_ties(sensors: list[Pushbroom], n: int, n_ties: int, width: float, size
         some = max(n_ties // 4, 1) if n > 3 else n_ties
         east = rng.uniform(-0.55, 0.55, some) * width / _METRES / np.cos(np.radians(LAT))
         xy = np.column_stack([lon + east, lat + rng.uniform(-0.55, 0.55, some) * width / _METRES])
-        ground = np.column_stack([xy, height(xy)])
+        ground = np.column_stack([xy, height(xy, hills)])
         rows = []
         near = (np.abs(middles[:, 1] - lat) < reach) & (
             np.abs(middles[:, 0] - lon) * np.cos(np.radians(LAT)) < reach)
@@ -188,7 +219,7 @@ def _seen_ties(sensors: list[Pushbroom], n: int, n_ties: int, width: float, size
 
 
 def _known_places(sensors: list[Pushbroom], control: list[int], independent: int, width: float,
-                  rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
+                  hills: Hills, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
     """Return places of each stack's control, then of independent points all over the block.
 
     With them the stack of each; -1 for independent ones.
@@ -199,7 +230,7 @@ def _known_places(sensors: list[Pushbroom], control: list[int], independent: int
     where = np.concatenate([of_control, rng.choice(stacks, independent * stacks)])
     middle = np.array([_middle(int(stack), width) for stack in where]).reshape(-1, 2)
     away = rng.uniform(-half, half, middle.shape) / [np.cos(np.radians(LAT)), 1.0]
-    return (np.column_stack([middle + away, height(middle + away)]),
+    return (np.column_stack([middle + away, height(middle + away, hills)]),
             np.concatenate([of_control, np.full(independent * stacks, -1)]).astype(np.intp))
 
 
@@ -220,7 +251,7 @@ def _points(sensor: Pushbroom, ground: FloatArray, use: BoolArray, is_control: B
                       "control" if is_control[k] else "independent" for k in rows))
 
 
-def _vendor(sensor: Pushbroom, bias: float, drift: float, size: int,
+def _vendor(sensor: Pushbroom, bias: float, drift: float, size: int, off: float,
             rng: np.random.Generator) -> Rpc:
     """Return the RPC of a scanner with errors of attitude, as its vendor makes it."""
     end = size * sensor.line_period / 2
@@ -232,7 +263,8 @@ def _vendor(sensor: Pushbroom, bias: float, drift: float, size: int,
 
     known = replace(sensor, roll=wrong(sensor.roll), pitch=wrong(sensor.pitch))
     steps = np.linspace(0, size - 1, 13)
-    grid = np.stack(np.meshgrid(steps, steps, np.linspace(1300, 2100, 5)), axis=-1).reshape(-1, 3)
+    heights = _MEAN + off + np.linspace(-400, 400, 5)
+    grid = np.stack(np.meshgrid(steps, steps, heights), axis=-1).reshape(-1, 3)
     ground = np.column_stack([known.locate(grid[:, :2], grid[:, 2]), grid[:, 2]])
     points = Points(tuple(map(str, range(len(grid)))), grid[:, :2], ground)
     return rpc_of(fit(FeatureSet(points, crs="EPSG:4979", image_size=(size, size)), "rfm")).rpc

@@ -7,13 +7,16 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from termsel import TermselError
+from termsel_block.estimation import common
 from termsel_block.estimation.equations import Seen, Shared, Solved, pairs, solve
-from termsel_block.estimation.unknowns import Adjusted, Heights, Measured, State
+from termsel_block.estimation.unknowns import Adjusted, Measured, State
+from termsel_block.evidence.factors import log_bayes_factor
 from termsel_block.evidence.growing import CHANCE, chance_of
 from termsel_block.evidence.variances import estimated
 from termsel_block.geometry.cameras import Camera
 from termsel_block.geometry.control import OwnControl
 from termsel_block.geometry.frame import FloatArray
+from termsel_block.geometry.heights import Heights
 
 WRONG = 4.0
 """A measurement is a blunder if it is so many standard deviations off, in line or in sample."""
@@ -23,6 +26,9 @@ AGAINST = -1.0
 
 _PRIOR_COUNT = 4.0
 """Weight of the ties' precision in that of control, as so many points."""
+
+MEDIAN = 2 / 3
+"""What a distribution chi-square of n degrees of freedom has its median below n, about."""
 
 _CONVERGED = 1e-3  # px
 _SETTLED = 0.02  # relative change of a standard deviation
@@ -62,7 +68,7 @@ def adjust_block(state: State, measured: Sequence[Measured], control: Sequence[O
     factor, by the ratio of Savage and Dickey over the whole block's posterior, is below one is
     dropped. Columns for jitter are tried where residuals call for them (`evidence.growing`).
     """
-    shared = pairs([part.tie for part in measured], len(state.ties))
+    shared = pairs([*(part.tie for part in measured), np.arange(len(state.ties))], len(state.ties))
     run = _Run(state, measured, control, heights, shared)
     report = progress or _nothing
     state.in_use = state.in_use or [np.ones(len(part.tie), bool) for part in measured]
@@ -84,7 +90,7 @@ def adjust_block(state: State, measured: Sequence[Measured], control: Sequence[O
     steps += run.iterate(robust=False, limit=_STEPS, report=report)
     residuals, of_control = run.residuals()
     return Adjusted(state, run.solved, residuals, of_control, evidence, steps, run.converged,
-                    run.freedom)
+                    heights.offset, heights.sigma, run.freedom)
 
 
 class _Run:
@@ -101,6 +107,7 @@ class _Run:
         self.state, self.measured, self.control = state, measured, control
         self.heights, self.shared = heights, shared
         self.slopes: dict[int, FloatArray] = {}
+        self.kept: dict[int, tuple[Camera, FloatArray, FloatArray, FloatArray]] = {}
         self.large = sum(2 * len(camera.groups) for camera in state.cameras) > _SLOW
 
     def iterate(self, *, robust: bool, limit: int, report: Callable[[float], None],
@@ -135,7 +142,7 @@ class _Run:
                 zip(state.cameras, self.measured, self.control, strict=True)):
             parameters = state.parameters[i]
             place = state.ties[mine.tie]
-            image, columns = camera.first_order(place)
+            image, columns = self._first_order(i)
             computed = image + columns @ parameters
             residual = mine.place - computed
             weight = np.where(state.in_use[i], state.sigma_ties**-2, 0.0)
@@ -148,10 +155,12 @@ class _Run:
             precision = np.diag(np.repeat(1 / state.variances[i][None], 2, axis=0).ravel())
             own.append(block + precision)
             right.append(rest - precision @ parameters.T.ravel())
-        of_ties, right_of_ties = self.heights.equations(state.ties)
+        of_heights, normal, aim, of_ties, right_of_ties = common.of_heights(
+            self.heights, state.ties)
         of_ties = of_ties + np.eye(3) * _UNSEEN**-2
         try:
-            self.solved = solve(seen, own, right, of_ties, right_of_ties, self.shared)
+            self.solved = solve([*seen, of_heights], [*own, normal], [*right, aim], of_ties,
+                                right_of_ties, self.shared)
         except (np.linalg.LinAlgError, RuntimeError) as error:
             raise TermselError("the block is not determined by its control and ties",
                                hint="Give control to an image, or RPCs, or more ties.") from error
@@ -159,12 +168,14 @@ class _Run:
 
     def _take(self, robust: bool, wide: float) -> None:
         """Take the step, or the part of it that does not make things worse."""
-        state, solved = self.state, self.solved
+        state, solved, heights = self.state, self.solved, self.heights
         parameters, ties, before = state.parameters, state.ties, self._cost(robust, wide)
+        offset, steps = heights.offset, solved.steps[:len(parameters)]
         for halvings in range(_HALVINGS):
             self.share = 0.5**halvings
             state.parameters = [old + self.share * step.reshape(2, -1).T
-                                for old, step in zip(parameters, solved.steps, strict=True)]
+                                for old, step in zip(parameters, steps, strict=True)]
+            heights.offset = offset + self.share * float(solved.steps[-1][0])
             state.ties = ties + self.share * solved.ties
             if self._cost(robust, wide) <= before * (1 + _CONVERGED):
                 break
@@ -183,6 +194,15 @@ class _Run:
             far = square / _ROBUST**2 * (robust and wide == 1.0)
             total += float((square / (1 + far)) @ state.control_in_use[i])
         return total
+
+    def _first_order(self, i: int) -> tuple[FloatArray, FloatArray]:
+        """Return the known part and the columns of an image's ties, computed once for a state."""
+        camera, ties = self.state.cameras[i], self.state.ties
+        kept = self.kept.get(i)
+        if kept is None or kept[0] is not camera or kept[1] is not ties:
+            kept = camera, ties, *camera.first_order(ties[self.measured[i].tie])
+            self.kept[i] = kept
+        return kept[2], kept[3]
 
     def _of_control(self, i: int, camera: Camera, known: OwnControl, robust: bool,
                     ) -> tuple[FloatArray, FloatArray]:
@@ -207,7 +227,7 @@ class _Run:
     def _moved(self) -> float:
         """Return how far the last step moved the image of any tie or control, at most [px]."""
         far = 0.0
-        for part, step in zip(self.solved.seen, self.solved.steps, strict=True):
+        for part, step in zip(self.solved.seen[:-1], self.solved.steps[:-1], strict=True):
             if len(part.tie):
                 used = part.weight > 0
                 moved = (part.columns @ step.reshape(2, -1).T + np.einsum(
@@ -220,9 +240,10 @@ class _Run:
     def residuals(self) -> tuple[list[FloatArray], list[FloatArray]]:
         """Return the residuals of ties and of control in each image [px]."""
         state = self.state
-        of_ties = [mine.place - camera.project(parameters, state.ties[mine.tie])
-                   for camera, parameters, mine in zip(
-                       state.cameras, state.parameters, self.measured, strict=True)]
+        of_ties = []
+        for i, (parameters, mine) in enumerate(zip(state.parameters, self.measured, strict=True)):
+            image, columns = self._first_order(i)
+            of_ties.append(mine.place - image - columns @ parameters)
         return of_ties, [self._rows(i, camera, known)[1] if len(known) else np.empty(0)
                          for i, (camera, known) in enumerate(
                              zip(state.cameras, self.control, strict=True))]
@@ -230,8 +251,8 @@ class _Run:
     def estimate(self, robust: bool) -> bool:
         """Estimate the standard deviations and variances; return whether they settled."""
         state = self.state
-        covariances = self.solved.reduced.own()
-        before = np.array([state.sigma_ties, state.sigma_control])
+        covariances = self.solved.own[:-1]
+        before = np.array([state.sigma_ties, state.sigma_control, self.heights.sigma])
         of_ties, of_control = self.residuals()
         determined = spent = rows = 0.0
         squares = 0.0
@@ -262,15 +283,16 @@ class _Run:
         self.freedom = freedom + rows - spent
         if freedom > 1:
             state.sigma_ties = max(float(np.sqrt(total / freedom)), _LEAST_SIGMA)
-        # Few points say little of their own precision: the ties' counts as four of them. The mean
-        # of the posterior, 2 below its redundancy, makes standard deviations true.
+        # Few points say little of their own precision: the ties' counts as four of them. This is
+        # about the median of the posterior, whose mean is far above it where points are few.
         expected = max(rows - spent, 0.0)
-        state.sigma_control = float(np.sqrt(
-            (squares + _PRIOR_COUNT * state.sigma_ties**2) / (expected + _PRIOR_COUNT - 2)))
+        state.sigma_control = float(np.sqrt((squares + _PRIOR_COUNT * state.sigma_ties**2)
+                                            / (expected + _PRIOR_COUNT - MEDIAN)))
         state.freedom_control = expected + _PRIOR_COUNT
         state.variances = estimated(
             state.cameras, state.parameters, covariances, state.variances)
-        after = np.array([state.sigma_ties, state.sigma_control])
+        self.heights.estimate(state.ties, self.solved.of_ties, each > 1.0)
+        after = np.array([state.sigma_ties, state.sigma_control, self.heights.sigma])
         return bool(np.abs(after / before - 1).max() < _SETTLED)
 
     def grow(self, fixed: Sequence[bool]) -> bool:
@@ -296,7 +318,7 @@ class _Run:
         """Drop the groups that the evidence is against; return whether there were any."""
         state, dropped = self.state, False
         for i, (camera, covariance) in enumerate(
-                zip(state.cameras, self.solved.reduced.own(), strict=True)):
+                zip(state.cameras, self.solved.own[:-1], strict=True)):
             if len(fixed) and fixed[i]:
                 continue
             names = np.tile(camera.groups, 2)
@@ -324,8 +346,15 @@ class _Run:
         state = self.state
         of_ties, of_control = self.residuals()
         changed = False
-        for i, residual in enumerate(of_ties):
+        away, rays = np.zeros(len(state.ties)), np.zeros(len(state.ties))
+        for mine, residual in zip(self.measured, of_ties, strict=True):
+            np.add.at(away, mine.tie, np.abs(residual).max(axis=1, initial=0.0))
+            np.add.at(rays, mine.tie, 1)
+        for i, (mine, residual) in enumerate(zip(self.measured, of_ties, strict=True)):
             good = np.abs(residual).max(axis=1, initial=0.0) <= WRONG * state.sigma_ties
+            # Weights that fall give what two rays differ by to one of them, whichever that is.
+            good |= (rays[mine.tie] == 2) & (
+                away[mine.tie] <= WRONG * np.sqrt(2) * state.sigma_ties)
             changed |= bool((good != state.in_use[i]).any())
             state.in_use[i] = good
         count = np.zeros(len(state.ties))
@@ -349,26 +378,3 @@ def _nothing(share: float) -> None:
 def soft(ratio: FloatArray) -> FloatArray:
     """Return weights that fall with the ratio of residual and standard deviation."""
     return np.asarray(1 / (1 + (ratio / _ROBUST) ** 2) ** 2)
-
-
-def log_bayes_factor(mean: FloatArray, covariance: FloatArray, prior: FloatArray) -> float:
-    """Return the logarithm of the evidence for parameters over that for zeros.
-
-    Parameters
-    ----------
-    mean, covariance : ndarray, shapes (k,) and (k, k)
-        Of the posterior.
-    prior : ndarray, shape (k,)
-        Variances of the prior, whose mean is 0.
-
-    Notes
-    -----
-    The ratio of Savage and Dickey: density of the prior at zero over that of the posterior.
-    """
-    sign, logarithm = np.linalg.slogdet(covariance)
-    if sign <= 0:
-        return 0.0
-    quadratic = float(mean @ np.linalg.solve(covariance, mean))
-    return 0.5 * (quadratic + float(logarithm) - float(np.log(prior).sum()))
-
-

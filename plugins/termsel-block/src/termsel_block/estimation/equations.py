@@ -66,6 +66,11 @@ class Solved:
     of_ties: FloatArray
     seen: tuple[Seen, ...]
 
+    @cached_property
+    def own(self) -> list[FloatArray]:
+        """Covariance of each image's parameters."""
+        return self.reduced.own()
+
     def covariance_of_ties(self) -> FloatArray:
         """Return the covariance of each tie's place (t, 3, 3) [m2], parameters' included.
 
@@ -78,7 +83,7 @@ class Solved:
         gains = [np.einsum("tij,tkj->tik", self.of_ties[part.tie], coupling)
                  for part, coupling in zip(self.seen, self.coupling, strict=True)]
         if blocks is None:
-            for part, gain, own in zip(self.seen, gains, self.reduced.own(), strict=True):
+            for part, gain, own in zip(self.seen, gains, self.own, strict=True):
                 np.add.at(total, part.tie, gain @ own @ gain.transpose(0, 2, 1))
             return total
         for i, j, at_i, at_j in pairs([part.tie for part in self.seen], len(total)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,10 +10,12 @@ import numpy as np
 
 from termsel import Rpc, TermselError
 from termsel_block.estimation.adjustment import soft
-from termsel_block.estimation.unknowns import Heights, Measured, State
+from termsel_block.estimation.equations import pairs
+from termsel_block.estimation.unknowns import Measured, State
 from termsel_block.geometry.cameras import Camera, PolynomialCamera, RpcCamera
 from termsel_block.geometry.control import OwnControl
 from termsel_block.geometry.frame import BoolArray, FloatArray, Frame, IntArray
+from termsel_block.geometry.heights import Heights
 
 LEAST_TIES = 6
 """Ties with known places from which an image without control and RPC gets its first model."""
@@ -73,6 +76,8 @@ def start(images: Sequence[Given], count: int, frame: Frame, heights: Heights) -
         if known.sum() < LEAST_TIES:
             _refuse(images, waiting, located)
         cameras[best], parameters[best] = _by_ties(images[best].measured, known, ties)
+    # What no two images see stays in the middle, so that all places are numbers.
+    ties[~located] = np.median(ties[located], axis=0) if located.any() else 0.0
     everything = [camera for camera in cameras if camera is not None]
     state = State(everything, [p for p in parameters if p is not None], ties,
                   [np.square(camera.spread) for camera in everything])
@@ -100,11 +105,10 @@ def _refuse_elsewhere(images: Sequence[Given], cameras: Sequence[Camera | None],
     TermselError
         Naming the images.
     """
-    with_rpc = [(image, camera) for image, camera in zip(images, cameras, strict=True)
-                if isinstance(camera, RpcCamera)]
-    total, seen = np.zeros((count, 2)), np.zeros(count)
-    placed = []
-    for image, camera in with_rpc:
+    placed: dict[int, FloatArray] = {}
+    for i, (image, camera) in enumerate(zip(images, cameras, strict=True)):
+        if not isinstance(camera, RpcCamera):
+            continue
         known = image.control
         if len(known):
             computed = camera.first_order(known.local)[0]
@@ -114,23 +118,21 @@ def _refuse_elsewhere(images: Sequence[Given], cameras: Sequence[Camera | None],
                                    f"control: half of it is {np.median(away):.3g} px away or more",
                                    hint="Give the RPC of this image; x must be longitude or "
                                         "easting.")
-        tie = image.measured.tie
-        at = np.column_stack([np.ones(len(tie)), image.measured.place]) @ _inverse(
+        place = image.measured.place
+        placed[i] = np.column_stack([np.ones(len(place)), place]) @ _inverse(
             camera, np.zeros((len(camera.groups), 2)))
-        np.add.at(total, tie, at)
-        np.add.at(seen, tie, 1)
-        placed.append(at)
-    apart = []
-    for (image, camera), at in zip(with_rpc, placed, strict=True):
-        tie = image.measured.tie
-        shared = seen[tie] > 1
-        if shared.any():
-            others = ((total[tie] - at) / np.maximum(seen[tie] - 1, 1)[:, None])[shared]
-            if np.median(np.abs(at[shared] - others)) > 2 * camera.area()[1].max():
-                apart.append(image.name)
-    if apart:
-        raise TermselError(f"by their RPCs the images {', '.join(map(repr, apart[:5]))} do not see "
-                           "the places that their ties say they share",
+    apart, near = Counter[int](), Counter[int]()
+    for i, j, rows, others in pairs([image.measured.tie for image in images], count):
+        if i in placed and j in placed and i != j:
+            widths = [camera.area()[1].max() for k in (i, j) if (camera := cameras[k]) is not None]
+            far = np.median(np.abs(placed[i][rows] - placed[j][others])) > 2 * max(widths)
+            (apart if far else near).update((i, j))
+    # One RPC of another place is apart from most images that share ties, and those from it alone.
+    named = [i for i in apart if apart[i] > near[i]] or list(apart)
+    if named:
+        names = ", ".join(repr(images[i].name) for i in sorted(named)[:5])
+        raise TermselError(f"the ties of {names} are not where the RPCs of other images see "
+                           "them",
                            hint="One of these RPCs is of another image, or the ties are wrong.")
 
 

@@ -1,17 +1,12 @@
-"""What a block is adjusted from and for: measurements, unknowns, heights, and the outcome."""
+"""What a block is adjusted from and for: measurements, unknowns, and the outcome."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
-
-import numpy as np
 
 from termsel_block.estimation.equations import Solved
 from termsel_block.geometry.cameras import Camera
-from termsel_block.geometry.frame import BoolArray, FloatArray, Frame, IntArray
-
-_SLOPE_OVER = 10.0  # m
+from termsel_block.geometry.frame import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,52 +34,6 @@ class State:
 
 
 @dataclass(frozen=True, eq=False)
-class Heights:
-    """What is known of the heights of ties before: a surface, or a mean and its uncertainty [m].
-
-    `surface` gives heights of ground coordinates x and y (n, 2); where it has none, and without it,
-    `mean` and `spread` hold. `sigma` is the standard deviation of the surface.
-    """
-
-    frame: Frame
-    mean: float
-    spread: float
-    surface: Callable[[FloatArray], FloatArray] | None = None
-    sigma: float = 5.0
-
-    def equations(self, ties: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what they add to the ties' normal equations, (t, 3, 3) and (t, 3)."""
-        away, weight, height = self._away(ties)
-        row = np.zeros((len(ties), 3))
-        row[:, 2] = 1.0  # up is up, within the milliradians that a block is wide
-        if self.surface is not None:
-            for axis in range(2):
-                there = ties.copy()
-                there[:, axis] += _SLOPE_OVER
-                slope = (self.surface(self.frame.ground(there)[:, :2]) - height) / _SLOPE_OVER
-                row[:, axis] = np.where(np.isfinite(slope), -slope, 0.0)
-        return (np.einsum("t,ti,tj->tij", weight, row, row),
-                (weight * away)[:, None] * row)
-
-    def cost(self, ties: FloatArray) -> float:
-        """Return the sum of squares of how far ties (t, 3) are off, over their variances."""
-        away, weight, _ = self._away(ties)
-        return float((weight * away**2).sum())
-
-    def _away(self, ties: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return what ties lack in height, its weight, and the height of the surface."""
-        ground = self.frame.ground(ties)
-        away, weight = self.mean - ground[:, 2], np.full(len(ties), self.spread**-2)
-        height = np.full(len(ties), np.nan)
-        if self.surface is not None:
-            height = self.surface(ground[:, :2])
-            known = np.isfinite(height)
-            away = np.where(known, height - ground[:, 2], away)
-            weight = np.where(known, self.sigma**-2, weight)
-        return away, weight, height
-
-
-@dataclass(frozen=True, eq=False)
 class Adjusted:
     """A block as adjusted.
 
@@ -101,6 +50,8 @@ class Adjusted:
         Of each image: logarithm of the Bayes factor of each group of columns that was weighed.
     steps : int
     converged : bool
+    offset, roughness : float
+        How far heights are off the surface as a whole, and each by itself [m].
     freedom : float
         Redundancy: measurements less the unknowns that they determine.
     """
@@ -112,4 +63,6 @@ class Adjusted:
     evidence: list[dict[str, float]]
     steps: int
     converged: bool
+    offset: float
+    roughness: float
     freedom: float

@@ -16,6 +16,10 @@ _GRID = np.geomspace(1e-4, 1e2, 121)
 """Standard deviations over the first guess that are weighed."""
 
 
+TAIL = 4.0
+"""Degrees of freedom of the prior: without data the mean of the variance is twice the guess's."""
+
+
 def estimated(cameras: Sequence[Camera], parameters: Sequence[FloatArray],
               covariances: Sequence[FloatArray], variances: Sequence[FloatArray],
               ) -> list[FloatArray]:
@@ -69,5 +73,6 @@ def posterior_mean(mean: FloatArray, variance: FloatArray, prior: FloatArray,
     spread = 1 + sigma**2 * precision
     logarithm = 0.5 * (right**2 * sigma**2 / spread - np.log(spread)).sum(axis=1)
     # On a logarithmic grid the measure of a standard deviation is itself.
-    weight = np.exp(logarithm - logarithm.max()) * _GRID / (1 + _GRID**2)
+    weight = np.exp(logarithm - logarithm.max()) * _GRID / (1 + _GRID**2 / TAIL) ** (
+        (TAIL + 1) / 2)
     return float((weight * sigma[:, 0] ** 2).sum() / weight.sum())

@@ -167,8 +167,10 @@ def _features(stated: _Image, folder: Path, crs: str, dem: Path | None, path: Pa
                            hint="Transform it, or state its CRS as that of the block.")
     heights = np.concatenate([features.points.ground[:, 2], features.lines.ground[..., 2].ravel()])
     if np.isnan(heights).any():
-        raise TermselError(f"{int(np.isnan(heights).sum())} places of the control of image "
-                           f"{stated.name!r} have no height", file=points or path,
+        n = int(np.isnan(heights).sum())
+        raise TermselError(f"{n} {'place' if n == 1 else 'places'} of the control of image "
+                           f"{stated.name!r} {'has' if n == 1 else 'have'} no height",
+                           file=points or path,
                            hint="Give heights, or a raster of them as dem in the block's file.")
     return features
 

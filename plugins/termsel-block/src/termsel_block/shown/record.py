@@ -15,6 +15,13 @@ from termsel_block.joint import BlockResult
 
 SCHEMA = "termsel-block-1"
 
+_COARSE = 2.0
+"""Standard deviation of a tie [px] that is worth a doubt."""
+_BENT = 50.0
+"""Difference of a correction over an image [px]: vendors' RPCs drift by far less."""
+_OFF = 12.0
+"""Metres that a DEM is off as a whole: geoid and ellipsoid are tens apart."""
+
 
 class WrongTie(msgspec.Struct, frozen=True):
     """A measurement of a tie that was left out."""
@@ -113,8 +120,30 @@ def record_of(result: BlockResult) -> BlockRecord:
         adjusted.state.sigma_ties, adjusted.state.sigma_control, adjusted.freedom, adjusted.steps,
         adjusted.converged, _datum(images),
         [[block.images[i].name for i in part] for part in parts], (east, north, up),
-        _wrong_ties(result), _wrong_control(result), list(block.notes),
+        _wrong_ties(result), _wrong_control(result), [*block.notes, *doubts(result)],
         None if space is None else SpaceRecord(space.east, space.north, space.up, space.n))
+
+
+def doubts(result: BlockResult) -> list[str]:
+    """Return what is unlikely of good data, as sentences."""
+    adjusted, said = result.adjusted, []
+    if adjusted.state.sigma_ties > _COARSE:
+        said.append(f"Ties agree to {adjusted.state.sigma_ties:.1f} px only, which is coarse for "
+                    "measurements: check RPCs and ties.")
+    for i, image in enumerate(result.block.images):
+        ties = adjusted.state.ties[result.block.ties.tie[result.block.ties.image == i]]
+        camera = result.camera(i)
+        if isinstance(camera, RpcCamera) and len(ties):
+            bent = camera.first_order(ties)[1] @ adjusted.state.parameters[i]
+            if np.ptp(bent, axis=0).max() > _BENT:
+                said.append(f"The correction of the RPC of {image.name} differs by "
+                            f"{np.ptp(bent, axis=0).max():.0f} px over the image: is it of another "
+                            "image?")
+    if result.block.dem is not None and abs(adjusted.offset) > _OFF:
+        said.append(f"The ground is {abs(adjusted.offset):.0f} m "
+                    f"{'above' if adjusted.offset > 0 else 'below'} the DEM, by control and ties: "
+                    "check what its heights refer to.")
+    return said
 
 
 def _image(result: BlockResult, i: int) -> ImageRecord:

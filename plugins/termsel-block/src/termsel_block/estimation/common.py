@@ -1,0 +1,28 @@
+"""The offset of all heights as an unknown: as one more image, which sees each tie's height."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from termsel_block.estimation.equations import Seen
+from termsel_block.geometry.frame import FloatArray
+from termsel_block.geometry.heights import Heights
+
+
+def of_heights(heights: Heights, ties: FloatArray,
+               ) -> tuple[Seen, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return what heights add: their rows, to the offset's equations, and to each tie's.
+
+    Of the two image axes of `Seen` the first is the height. The second has rows of zeros, whose
+    parameter stays zero.
+    """
+    seen, count = heights.observed(ties), len(ties)
+    weight = np.where(seen.joint, seen.weight, 0.0)
+    slopes, residual = np.zeros((count, 2, 3)), np.zeros((count, 2))
+    slopes[:, 0], residual[:, 0] = seen.row, seen.away
+    normal, right = heights.of_offset()
+    alone = seen.weight - weight
+    return (Seen(np.arange(count), np.full((count, 1), -1.0), slopes, residual, weight),
+            np.diag([normal, 1.0]), np.array([right, 0.0]),
+            np.einsum("t,ti,tj->tij", alone, seen.row, seen.row),
+            (alone * seen.away)[:, None] * seen.row)

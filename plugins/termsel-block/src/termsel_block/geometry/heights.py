@@ -1,0 +1,162 @@
+"""What is known of heights before: a surface, how far it is off as a whole, and its roughness."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from termsel_block.geometry.frame import BoolArray, FloatArray, Frame
+
+Surface = Callable[[FloatArray], FloatArray]
+"""Heights at ground coordinates x and y (n, 2)."""
+
+_SLOPE_OVER = 10.0  # m
+_LIKE_GROUND, _LIKE_ERRORS = 6.0, 30.0
+"""Independent heights in an image at most: neighbours share hills, and a DEM's errors."""
+_OFF = 10.0
+"""Standard deviation of how far a DEM is off as a whole [m]: most are by another geoid."""
+_OF_GROUND, _OF_ERRORS = 20.0, 5.0
+"""Usual roughness of level ground and of a DEM's errors [m]: it counts as `_AS_MANY` ties do."""
+_LEAST_SIGMA = 0.5  # m
+_AS_MANY = 2.0
+_FAR = 4.0  # robust standard deviations beyond which a height tells nothing more of the roughness
+_MAD = 1.4826
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """Each tie's height as an observation: surface plus offset less height, with its derivative.
+
+    Parameters
+    ----------
+    row : ndarray, shape (t, 3)
+        Derivative of the height over the surface by the place.
+    away : ndarray, shape (t,)
+        What the tie lacks [m].
+    weight : ndarray, shape (t,)
+        Inverse variance [1/m2].
+    joint : ndarray of bool, shape (t,)
+        Whether the offset is part of it.
+    """
+
+    row: FloatArray
+    away: FloatArray
+    weight: FloatArray
+    joint: BoolArray
+
+
+@dataclass(eq=False)
+class Heights:
+    """Heights are those of a surface, plus an offset that all share, plus what each has of its own.
+
+    The surface is a DEM, or level at the mean that RPCs or control state. The offset is an unknown
+    of the adjustment; heights of control tell it, too. So in a pair, whose ties cannot tell their
+    height, the ground is as high as control says, within its roughness, and no better.
+
+    Parameters
+    ----------
+    frame : Frame
+    mean, spread : float
+        Height and its uncertainty where there is no DEM [m].
+    surface : callable, optional
+        Heights of the DEM at ground coordinates x and y (n, 2); not finite where it has none.
+    control : ndarray, shape (k,)
+        Heights of control over the surface [m].
+    crowd : float
+        Ties of an image, so that those which share a hill do not count as if each were by itself.
+    """
+
+    frame: Frame
+    mean: float
+    spread: float
+    surface: Surface | None = None
+    control: FloatArray = field(default_factory=lambda: np.empty(0))
+    crowd: float = 1.0
+    offset: float = 0.0
+    sigma: float = np.nan
+    """Roughness: standard deviation of a height over the surface [m]."""
+
+    def __post_init__(self) -> None:
+        if np.isnan(self.sigma):
+            self.sigma = self.spread if self.surface is None else _OF_ERRORS
+
+    @property
+    def _many(self) -> float:
+        """Heights of one image or of control that count by themselves."""
+        return _LIKE_GROUND if self.surface is None else _LIKE_ERRORS
+
+    def observed(self, ties: FloatArray) -> Observed:
+        """Return the heights of ties (t, 3) as observations."""
+        away, joint = self._away(ties)
+        weight = np.full(len(ties), self.sigma**-2 / max(self.crowd / self._many, 1.0))
+        weight[~joint] = self.spread**-2
+        row = np.zeros((len(ties), 3))
+        row[:, 2] = 1.0  # up is up, within the milliradians that a block is wide
+        if self.surface is not None:
+            height = self.surface(self.frame.ground(ties)[:, :2])
+            for axis in range(2):
+                there = ties.copy()
+                there[:, axis] += _SLOPE_OVER
+                slope = (self.surface(self.frame.ground(there)[:, :2]) - height) / _SLOPE_OVER
+                row[:, axis] = np.where(np.isfinite(slope), -slope, 0.0)
+        return Observed(row, away, weight, joint)
+
+    def equations(self, ties: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what they add to the ties' normal equations, (t, 3, 3) and (t, 3)."""
+        seen = self.observed(ties)
+        return (np.einsum("t,ti,tj->tij", seen.weight, seen.row, seen.row),
+                (seen.weight * seen.away)[:, None] * seen.row)
+
+    def of_offset(self) -> tuple[float, float]:
+        """Return what the prior and control add to the offset's normal equation."""
+        prior = (self.spread / 2 if self.surface is None else _OFF) ** -2
+        each = self._of_control()
+        return (prior + each * len(self.control),
+                each * float((self.control - self.offset).sum()) - prior * self.offset)
+
+    def _of_control(self) -> float:
+        """Return the weight of a height of control."""
+        return self.sigma**-2 / max(len(self.control) / self._many, 1.0)
+
+    def cost(self, ties: FloatArray) -> float:
+        """Return the sum of squares of what is off, over the variances."""
+        away, joint = self._away(ties)
+        each = self.sigma**-2 / max(self.crowd / self._many, 1.0)
+        prior = (self.spread / 2 if self.surface is None else _OFF) ** -2
+        return float(each * (away[joint] ** 2).sum() + (away[~joint] ** 2).sum() / self.spread**2
+                     + prior * self.offset**2
+                     + self._of_control() * ((self.control - self.offset) ** 2).sum())
+
+    def estimate(self, ties: FloatArray, covariance: FloatArray, seen: BoolArray) -> None:
+        """Estimate the roughness by the ties (t, 3) that are seen, and by control.
+
+        Parameters
+        ----------
+        covariance : ndarray, shape (t, 3, 3)
+            Of the ties' places, with the images as they are [m2].
+        """
+        all_seen = self.observed(ties)
+        at = seen & all_seen.joint
+        row, away = all_seen.row[at], all_seen.away[at]
+        variance = np.einsum("ti,tij,tj->t", row, covariance[at], row)
+        # As if each tie had the whole of its own prior, and not the part that crowding leaves.
+        precision = np.maximum(1 / variance - all_seen.weight[at], 0.0) + self.sigma**-2
+        square = np.concatenate([away**2 + 1 / precision, (self.control - self.offset) ** 2])
+        if not len(square):
+            return
+        most = (_FAR * _MAD) ** 2 * float(np.median(square))
+        usual = _OF_GROUND if self.surface is None else _OF_ERRORS
+        self.sigma = max(float(np.sqrt((np.minimum(square, most).sum() + _AS_MANY * usual**2)
+                                       / (len(square) + _AS_MANY))), _LEAST_SIGMA)
+
+    def _away(self, ties: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Return what ties lack in height, and where the offset is part of it."""
+        ground = self.frame.ground(ties)
+        over = self.mean - ground[:, 2]
+        if self.surface is None:
+            return over + self.offset, np.ones(len(ties), bool)
+        height = self.surface(ground[:, :2])
+        known = np.isfinite(height)
+        return np.where(known, height + self.offset - ground[:, 2], over), known

@@ -1,0 +1,104 @@
+"""What heights of ties are known by: control, a DEM, and how rough the ground is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("termsel_block", reason="termsel-block is not installed: "
+                    "pip install -e plugins/termsel-block")
+
+from termsel_block.accuracy import independent_points, predicted, rmse
+from termsel_block.geometry.frame import FloatArray, Frame
+from termsel_block.geometry.heights import Heights
+from termsel_block.joint import BlockResult, adjust
+from termsel_block.shown.record import record_of
+from termsel_block.simulated import LAT, LON, Hills, Simulated, height, simulate_block
+
+
+def error(result: BlockResult, i: int) -> float:
+    """Return the RMSE of the independent points of an image [px]."""
+    points = independent_points(result, i)
+    assert points is not None
+    return rmse(points.image - result.project(i, points.ground))
+
+
+def dem(path: Path, hills: Hills, off: float) -> Path:
+    """Write the heights of the simulated ground, off by so many metres."""
+    rasterio = pytest.importorskip("rasterio")
+    n, half = 400, 0.3
+    step = 2 * half / n
+    lon, lat = LON - half + step * (np.arange(n) + 0.5), LAT + half - step * (np.arange(n) + 0.5)
+    places = np.stack(np.meshgrid(lon, lat), axis=-1).reshape(-1, 2)
+    with rasterio.open(
+            path, "w", driver="GTiff", width=n, height=n, count=1, dtype="float32",
+            crs="EPSG:4979",
+            transform=rasterio.transform.from_origin(LON - half, LAT + half, step, step)) as raster:
+        raster.write((height(places, hills) + off).reshape(n, n).astype(np.float32), 1)
+    return path
+
+
+def pair(**keywords: object) -> Simulated:
+    """Return a pair whose second image has no control, and an RPC tens of pixels off."""
+    return simulate_block(2, rpcs=True, control=(12, 0), bias=30.0, seed=5, independent=40,
+                          **keywords)  # type: ignore[arg-type]
+
+
+def test_control_of_the_other_image_tells_how_high_a_plain_is() -> None:
+    flat = adjust(pair(hills=Hills(0.02), vendor_height=80.0).block)
+    assert flat.adjusted.offset == pytest.approx(-80, abs=4)
+    assert flat.adjusted.roughness < 10
+    hilly = adjust(pair(vendor_height=80.0).block)
+    assert hilly.adjusted.roughness == pytest.approx(130, rel=0.4)
+    # Rays tell nothing of the height, so that the ground does, the better the plainer it is.
+    assert predicted(flat, 1).rmse < 0.3 * predicted(hilly, 1).rmse
+    assert error(flat, 1) < 1.5
+
+
+def test_a_dem_holds_a_pair_even_if_it_refers_to_another_surface(tmp_path: Path) -> None:
+    simulated = pair()
+    without = adjust(simulated.block)
+    result = adjust(replace(simulated.block, dem=dem(tmp_path / "dem.tif", Hills(), -28.0)))
+    assert result.adjusted.offset == pytest.approx(28, abs=3)
+    assert error(result, 1) < 1.2
+    assert predicted(result, 1).rmse < 0.5 * predicted(without, 1).rmse
+    assert any("28 m above the DEM" in note or "27 m above the DEM" in note
+               for note in record_of(result).notes)
+
+
+def test_heights_are_linearised_as_they_are() -> None:
+    def slope(xy: FloatArray) -> FloatArray:
+        return np.asarray(0.1 * xy[:, 0] - 0.02 * xy[:, 1])
+
+    frame = Frame("local", np.zeros(3), np.eye(3))
+    heights = Heights(frame, 0.0, 100.0, slope, offset=3.0)
+    ties = np.array([[10.0, 20.0, 5.0], [-300.0, 40.0, 7.0]])
+    seen = heights.observed(ties)
+    for axis in range(3):
+        there = ties.copy()
+        there[:, axis] += 0.5
+        moved = heights.observed(there).away - seen.away
+        np.testing.assert_allclose(-moved / 0.5, seen.row[:, axis], atol=1e-9)
+    # Two ties without any error, and the usual one of a DEM counts as two.
+    heights.offset = 0.0
+    ties[:, 2] = slope(ties[:, :2])
+    heights.estimate(ties, np.tile(np.eye(3) * 1e-6, (2, 1, 1)), np.ones(2, bool))
+    assert heights.sigma == pytest.approx(5 / np.sqrt(2), rel=1e-3)
+
+
+def test_what_the_prior_alone_holds_is_as_uncertain_as_the_prior() -> None:
+    result = adjust(simulate_block(3, rpcs=True, control=(), seed=2, independent=20).block)
+    spread = predicted(result, 0)
+    assert spread.low < 0.6 * spread.rmse
+    assert spread.high > 1.3 * spread.rmse
+
+
+def test_the_rpc_of_another_image_of_the_place_is_doubted() -> None:
+    block = simulate_block(3, rpcs=True, control=(6, 6, 0), seed=1, independent=5).block
+    assert not record_of(adjust(block)).notes
+    images = (*block.images[:2], replace(block.images[2], rpc=block.images[0].rpc))
+    notes = record_of(adjust(replace(block, images=images))).notes
+    assert any("I3" in note and "another image" in note for note in notes)
