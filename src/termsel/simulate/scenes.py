@@ -13,6 +13,7 @@ from functools import lru_cache, partial
 
 import numpy as np
 from numpy.random import Generator
+from scipy.spatial import cKDTree
 
 from termsel.errors import TermselError, unknown_name
 from termsel.measurements.datasets import DatasetSpec
@@ -34,6 +35,7 @@ from termsel.simulate.wgs84 import SEMI_MAJOR
 
 _EDGE = 0.015  # fraction of the image at each edge without measurements
 _CANDIDATES = 24  # places tried for each point
+_LATEST = 500  # places to which distances are computed one by one
 _SMALLEST, _LARGEST = 4.0, 15.0  # sideways displacement of a mismatched line [px]
 
 
@@ -238,21 +240,41 @@ def _points(scene: Scene, rng: Generator, numbers: tuple[int, int, int]) -> Poin
     image = np.empty((count, 2))
     at_extremes = np.flatnonzero(roles == 0)[:2]
     image[at_extremes] = extremes[:len(at_extremes)]
-    done = np.zeros(count, dtype=bool)
-    done[at_extremes] = True
-    for i in np.flatnonzero(~done):
-        tried = extent * rng.uniform(_EDGE, 1 - _EDGE, (_CANDIDATES, 2))
-        apart = np.linalg.norm(tried[:, None] - image[done], axis=2)
-        # Best candidate (Mitchell 1991) over all points and over those of its role, which are
-        # three times as sparse.
-        same = roles[done] == roles[i]
-        room = np.minimum(apart.min(axis=1, initial=np.inf),
-                          apart[:, same].min(axis=1, initial=np.inf) / np.sqrt(3))
-        image[i] = tried[room.argmax()]
-        done[i] = True
+    placed, *of_role = (_Placed(np.empty((number, 2))) for number in (count, *numbers))
+    for i in np.concatenate([at_extremes, np.setdiff1d(np.arange(count), at_extremes)]):
+        of_same = of_role[roles[i]]
+        if i not in at_extremes:
+            tried = extent * rng.uniform(_EDGE, 1 - _EDGE, (_CANDIDATES, 2))
+            # Best candidate (Mitchell 1991) over all points and over those of its role, which are
+            # three times as sparse.
+            room = np.minimum(placed.away(tried), of_same.away(tried) / np.sqrt(3))
+            image[i] = tried[room.argmax()]
+        placed.add(image[i])
+        of_same.add(image[i])
     ground = _on_ground(scene.name, image)
     return Points(_ids("P", count), sensor.project(ground), ground, None,
                   tuple(ASSIGNABLE[role] for role in roles))
+
+
+class _Placed:
+    """Places in the image, of which a tree holds all but the latest."""
+
+    def __init__(self, space: FloatArray) -> None:
+        self._places, self._count, self._in_tree = space, 0, 0
+
+    def add(self, place: FloatArray) -> None:
+        """Take one more place."""
+        self._places[self._count] = place
+        self._count += 1
+        if self._count - self._in_tree == _LATEST:
+            self._in_tree = self._count
+            self._tree = cKDTree(self._places[:self._count])
+
+    def away(self, tried: FloatArray) -> FloatArray:
+        """Return how far each place tried is from the nearest; infinite without any."""
+        latest = self._places[self._in_tree:self._count]
+        away = np.linalg.norm(tried[:, None] - latest, axis=2).min(axis=1, initial=np.inf)
+        return np.minimum(away, self._tree.query(tried)[0]) if self._in_tree else away
 
 
 def _lines(scene: Scene, rng: Generator, count: int) -> Lines:
