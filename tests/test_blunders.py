@@ -219,7 +219,7 @@ def test_a_prediction_is_the_mean_over_all_solutions() -> None:
                       np.where(used, 1.0, 1e-3)[:, None] * np.ones((60, 2)),
                       scales_of(np.array(exponents)[order > 1]), int(used.sum()))
     assert found is not None
-    left, errors = (np.array([getattr(side, name)[side.cell, :45].T for side in found.sides])
+    left, errors = (np.array([getattr(side, name)[side.cell].T for side in found.at(slice(45))])
                     for name in ("left", "errors"))                               # (2, n, c)
     half = found.freedom // 2 - 1
     parts = (errors**2 / left).sum(axis=0)
@@ -235,6 +235,23 @@ def test_a_prediction_is_the_mean_over_all_solutions() -> None:
               "spread": np.einsum("nc,anc->na", share, 1 / left)}
     for name, expected in direct.items():
         np.testing.assert_allclose(getattr(found.left_out, name), expected, rtol=1e-7, atol=1e-12)
+
+
+def test_many_points_are_left_out_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    exponents = graded_exponents(2, 3)
+    order = np.array(exponents).sum(axis=1)
+    points = scaling_of(scene(61)).points(scene(61).points)
+
+    def predicted() -> dict[str, np.ndarray]:
+        found = posterior(monomials(points.ground, exponents), points.image, order, None,
+                          scales_of(np.array(exponents)[order > 1]), len(points))
+        assert found is not None
+        return vars(found.left_out)
+
+    whole = predicted()
+    monkeypatch.setattr("termsel.priors.posterior.AT_ONCE", 20)
+    for name, values in predicted().items():
+        np.testing.assert_allclose(values, whole[name], rtol=1e-9, atol=1e-12)
 
 
 def test_a_prediction_without_a_point_is_that_of_the_others() -> None:

@@ -347,3 +347,13 @@ def test_loading_needs_numpy_alone():
     code = ("import sys, termsel.simulate; "
             "assert not {'numba', 'scipy', 'deap', 'pymoo'} & set(sys.modules)")
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_many_points_are_as_far_apart_as_could_be(monkeypatch):
+    """A tree of all but the latest points answers as the distances to each would."""
+    def drawn():
+        return simulate_scene("ikonos-hamedan", roles=(90, 60, 50), n_lines=0).points.ground
+
+    each = drawn()
+    monkeypatch.setattr(scenes, "_LATEST", 7)
+    np.testing.assert_array_equal(drawn(), each)

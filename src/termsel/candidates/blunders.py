@@ -42,8 +42,9 @@ from termsel.priors.held_out import chance_of
 MOST = 1 / 3
 """Largest share of blunders."""
 
-STEP = 0.34
-"""Share of the points still to be set aside that one step takes."""
+STEP, LEAST_STEP = 0.34, 0.01
+"""Share of the points still to be set aside that one step takes, and of all points that it takes at
+least: of many points, the last steps would hardly differ."""
 
 CLEAR = 1.5
 """Errors by the largest one of points in use, beyond which a point is a blunder under a model that
@@ -152,7 +153,8 @@ def _core(control: Control, whole: Test) -> tuple[BoolArray, Test]:
     used, test = np.ones(len(control), dtype=bool), whole
     core = len(control) - int(MOST * len(control))
     while used.sum() > core:
-        count = max(1, int(STEP * (used.sum() - core)))
+        left = int(used.sum()) - core
+        count = max(1, int(STEP * left), min(left, int(LEAST_STEP * len(control))))
         worst = np.argsort(-np.where(used, test.strain, -1.0), kind="stable")[:count]
         fewer = used.copy()
         fewer[worst] = False
@@ -202,7 +204,7 @@ def _forward(control: Control, used: BoolArray, test: Test,
         now = used.copy()
         if back.size:
             likeliest = back[np.argsort(test.strain[back], kind="stable")]
-            now[likeliest[:max(1, back.size // 2)]] = True
+            now[likeliest[:max(1, back.size // 2, int(LEAST_STEP * n))]] = True
         else:
             bad = np.flatnonzero(used & test.far(n) & test.decided())
             if bad.size and (~used).sum() < int(MOST * n):

@@ -13,13 +13,18 @@ from termsel.measurements.control import Control, carriers
 from termsel.measurements.coordinates.places import ground_centres, spatial_order
 from termsel.measurements.features import FeatureSet, FloatArray
 
-MAX_FOLDS, FOLDS_WITH_LINES = 20, 10
-"""Most folds in which the whole choice is repeated; lines are many, and take longer."""
+FOLDS_WITH_LINES = 10
+"""Folds in which the whole choice is repeated where there are lines, which take longer."""
+
+FOLDS = ((500, 20), (5000, 10), (np.inf, 5))
+"""Folds for fewer points than a number: of many, four fifths predict all but as well as all."""
 
 
 def folds_of(control: FeatureSet) -> int:
     """Return in how many folds the whole choice is repeated."""
-    return min(FOLDS_WITH_LINES if len(control.lines) else MAX_FOLDS, len(control))
+    if len(control.lines):
+        return min(FOLDS_WITH_LINES, len(control))
+    return next(min(folds, len(control)) for below, folds in FOLDS if len(control) < below)
 
 
 def repeated(control: Control, portfolio: Portfolio | None = None,

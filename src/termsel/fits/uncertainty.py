@@ -149,9 +149,9 @@ class _Belief:
     def contest(self, weights: FloatArray) -> float:
         """Return the variance, over the solutions, of the logarithm of their mean square error."""
         found = self.found
-        each = sum((1.0 / side.left / w**2).mean(axis=1)[side.cell]
-                   for side, w in zip(found.sides, weights.T, strict=True))
-        logarithm = np.log(found.square * each)
+        each = sum((1.0 / side.left / w**2).sum(axis=1)[side.cell] for some in found.pieces
+                   for side, w in zip(found.at(some), weights[some].T, strict=True))
+        logarithm = np.log(found.square * each)  # up to what all solutions share
         return float(found.cells.share @ (logarithm - found.cells.share @ logarithm) ** 2)
 
     def squares(self) -> FloatArray:

@@ -54,8 +54,8 @@ def _log_density(posterior: Posterior, points: IntArray, form: float,
 
     By what each solution says of the point itself, shape (m, c).
     """
-    left, errors = (np.stack([getattr(side, name)[:, points].T.take(side.cell, axis=1)
-                              for side in posterior.sides]) for name in ("left", "errors"))
+    left, errors = (np.stack([getattr(side, name).T.take(side.cell, axis=1)
+                              for side in posterior.at(points)]) for name in ("left", "errors"))
     # The error without the point is e / l, of the variance 1 / l by that of the noise.
     squares = (errors / left) ** 2
     here = (squares * left).sum(axis=0)  # e^2 / l, what the point adds to the sum of squares

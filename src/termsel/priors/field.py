@@ -76,7 +76,6 @@ class FieldPart:
     lengths: tuple[float, float] | None  # None without a field
     # (k, k): of the lower triangle of the knots' covariance; empty without a field.
     inverse: FloatArray
-    columns: FloatArray  # (n, c): monomials at the points, and what spans the field
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,14 +182,17 @@ class Collocation:
         lead = len(self.turn)
         terms, weights = len(self.exponents), weights_of(self.points)
         total, rest, fields = np.zeros((terms, 2)), np.zeros_like(self.points.image), []
+        columns = monomials(self.points.ground, self.exponents)
+        places = columns[:, :lead] @ self.turn
         for share, part in self._likely:
             shrunk = np.stack([part.posterior.mean(axis)[0] for axis in (0, 1)], axis=1)
-            rest += share * (self.points.image - part.columns[:, lead:] @ shrunk)
+            spanned = _with_field(columns, places, self.knots, part.lengths, part.inverse)
+            rest += share * (self.points.image - spanned[:, lead:] @ shrunk)
             total[lead:] += share * shrunk[:terms - lead]
             if part.lengths and share > NEGLIGIBLE:
                 fields.append((part.lengths, share * part.inverse.T @ shrunk[terms - lead:]))
-        affine = self.parts[0].columns[:, :lead]
         # Those of each part fit what its other terms leave: their mean fits the mean of that.
+        affine = columns[:, :lead]
         for axis, w in enumerate(weights.T):
             total[:lead, axis] = np.linalg.lstsq(affine * w[:, None], rest[:, axis] * w)[0]
         return total, fields
@@ -209,7 +211,7 @@ def collocate(points: Points, variables: int) -> Collocation | None:
     return _collocated(image, ground, sigma, variables)
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=1)  # of many points one takes a great part of the memory
 def _collocated(image: bytes, ground: bytes, sigma: bytes | None,
                 variables: int) -> Collocation | None:
     """Return the collocation of points; a fit asks for the same one many times."""
@@ -242,7 +244,7 @@ def _collocated(image: bytes, ground: bytes, sigma: bytes | None,
             return None
         parts.append(FieldPart(
             solutions, solutions.cells.log + np.log(_belief(lengths) / len(solutions.scales)),
-            lengths, inverse, bare))
+            lengths, inverse))
     return Collocation(points, exponents, turn, knots, tuple(parts))
 
 

@@ -12,7 +12,8 @@ power takes some multiplications, and no logarithm. The chance of a larger F tha
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from functools import partial
 from typing import NamedTuple
 
@@ -20,7 +21,6 @@ import numpy as np
 
 from termsel.adjustment.compiled import compiled, is_compiled
 from termsel.measurements.features import FloatArray, IntArray
-from termsel.priors.shrinkage import Side
 
 LEAST = -300.0
 """Powers are not taken below this natural logarithm, lest numbers lose precision and time."""
@@ -48,7 +48,7 @@ def chance_of(statistic: FloatArray, freedom: int) -> FloatArray:
     return np.asarray(np.exp(-freedom / 2 * np.log1p(2 * statistic / freedom)))
 
 
-class _OfAxis(NamedTuple):
+class OfAxis(NamedTuple):
     """The u solutions of one axis, for n points."""
 
     left: FloatArray  # (u, n): 1 less the leverage of each point
@@ -67,16 +67,16 @@ class _Room(NamedTuple):
     sums: FloatArray  # (9, m)
 
 
-def leave_each_out(sides: tuple[Side, Side], square: FloatArray, least: FloatArray,
-                   share: FloatArray, log: float, half: int, count: int) -> Prediction:
-    """Return each of the first `count` points as all others predict it.
+def leave_each_out(line: OfAxis, sample: OfAxis, square: FloatArray, least: FloatArray,
+                   share: FloatArray, log: float, half: int) -> Prediction:
+    """Return each of some points as all others predict it.
 
-    The sides are the solutions of line and of sample, and which occur together in the c cells. Of
-    these come the sums of squares (c,), what remains of each at least (c,), and the probabilities
-    with all points (c,). `log` is the logarithm of the evidence with all points, `half` half the
-    degrees of freedom without one.
+    Line and sample have their solutions, and which occur together in the c cells. Of these come the
+    sums of squares (c,), what remains of each at least (c,), and the probabilities with all points
+    (c,). `log` is the logarithm of the evidence with all points, `half` half the degrees of freedom
+    without one.
     """
-    line, sample = (_OfAxis(side.left, side.errors, side.cell) for side in sides)
+    count = line.left.shape[1]
     figures = np.empty((count, 7))
     for start in range(0, count, AT_ONCE):
         width = min(AT_ONCE, count - start)
@@ -88,6 +88,14 @@ def leave_each_out(sides: tuple[Side, Side], square: FloatArray, least: FloatArr
                    room, figures)
     return Prediction(figures[:, :2], figures[:, 2], figures[:, 3], figures[:, 4:6],
                       log + figures[:, 6])
+
+
+def together(parts: Sequence[Prediction]) -> Prediction:
+    """Return the predictions of several parts of the points as one."""
+    if len(parts) == 1:
+        return parts[0]
+    return Prediction(*(np.concatenate([getattr(part, one.name) for part in parts])
+                        for one in fields(Prediction)))
 
 
 def mean_chance(strain: tuple[FloatArray, FloatArray], cell: tuple[IntArray, IntArray],
@@ -124,7 +132,7 @@ def _raise(power: FloatArray, exponent: int, count: int, share: FloatArray) -> N
 
 
 @_compiled
-def _of_solutions(one: _OfAxis, start: int, m: int, of_axis: FloatArray) -> None:
+def _of_solutions(one: OfAxis, start: int, m: int, of_axis: FloatArray) -> None:
     """Fill in 1 / l, its root, e / l and e^2 / l of m points."""
     for u in range(len(one.left)):
         for p in range(m):
@@ -136,7 +144,7 @@ def _of_solutions(one: _OfAxis, start: int, m: int, of_axis: FloatArray) -> None
 
 
 @_compiled
-def _leave_out(line: _OfAxis, sample: _OfAxis, square: FloatArray, least: FloatArray,
+def _leave_out(line: OfAxis, sample: OfAxis, square: FloatArray, least: FloatArray,
                weight: FloatArray, half: int, lowest: float, start: int, room: _Room,
                figures: FloatArray) -> None:
     """Fill rows of `figures`: two errors, chance, statistic, two variances, logarithm."""

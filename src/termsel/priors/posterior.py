@@ -13,8 +13,8 @@ import numpy as np
 
 from termsel.adjustment.monomials import Exponents, monomials
 from termsel.measurements.features import FloatArray, IntArray
-from termsel.priors.held_out import Prediction, leave_each_out, mean_chance
-from termsel.priors.shrinkage import CANCELLED, TINY, Design, Side, design_of, shrinkage_of
+from termsel.priors.held_out import OfAxis, Prediction, leave_each_out, mean_chance, together
+from termsel.priors.shrinkage import CANCELLED, TINY, Design, Side, Some, design_of, shrinkage_of
 
 SIZES = np.append(0.0, 10.0 ** np.arange(-0.5, 5.5, 0.5))
 """Standard deviations of quadratic coefficients by that of the noise: 0, which is the affine model,
@@ -40,6 +40,9 @@ fall and a relief; and their standard deviation in natural logarithms."""
 
 NO_NOISE = 1e-11
 """Noise that counts as none, as a part of the image's half-range."""
+
+AT_ONCE = 1 << 13
+"""Points that are left out in one go."""
 
 NEVER = 30.0
 """Solutions less likely than the likeliest by this, in natural logarithms, are left out."""
@@ -202,29 +205,44 @@ class Posterior:
         share = np.bincount(side.cell, self.cells.share, len(side.effective))
         return share @ side.coefficients, float(side.effective @ share)
 
+    def at(self, points: Some) -> tuple[OfAxis, OfAxis]:
+        """Return what the solutions of line and of sample leave of some points."""
+        line, sample = self.sides
+        left = line.left(points)
+        return (OfAxis(left, line.errors(points), line.cell),
+                OfAxis(left if self.designs[0] is self.designs[1] else sample.left(points),
+                       sample.errors(points), sample.cell))
+
+    @property
+    def pieces(self) -> list[slice]:
+        """The points in use, so many at once that the memory holds all solutions of them."""
+        return [slice(start, min(start + AT_ONCE, self.in_use))
+                for start in range(0, self.in_use, AT_ONCE)]
+
     @cached_property
     def left_out(self) -> Prediction:
         """What all points but one predict for it, for each point in use."""
-        square = self.square
-        return leave_each_out(self.sides, square, self.noise + TINY * square, self.cells.share,
-                              self.cells.log, self.freedom // 2 - 1, self.in_use)
+        square, share, log = self.square, self.cells.share, self.cells.log
+        least, half = self.noise + TINY * square, self.freedom // 2 - 1
+        return together([leave_each_out(*self.at(some), square, least, share, log, half)
+                         for some in self.pieces])
 
     def beyond(self, weight: float) -> Prediction:
         """Return what the points in use predict for the others, which weigh too little to matter.
         """
         share, strains = self.cells.share, []
         errors, spread, mean = (np.zeros((len(self.targets) - self.in_use, 2)) for _ in range(3))
-        for axis, side in enumerate(self.sides):
-            left = side.left[:, self.in_use:]                                         # (u, m)
-            error = side.errors[:, self.in_use:] / left / weight
+        at = self.at(slice(self.in_use, None))
+        for axis, side in enumerate(at):
+            left = side.left                                                          # (u, m)
+            error = side.errors / left / weight
             own = 1.0 + (1.0 - left) / weight**2
             strains.append(error**2 / own / 2)
             each, sure = (np.bincount(side.cell, one, len(left))
                           for one in (share, share * self.freedom / self.square))
             errors[:, axis], spread[:, axis] = each @ error, each @ own
             mean[:, axis] = sure @ strains[axis]
-        line, sample = self.sides
-        return Prediction(errors, mean_chance((strains[0], strains[1]), (line.cell, sample.cell),
+        return Prediction(errors, mean_chance((strains[0], strains[1]), (at[0].cell, at[1].cell),
                                               2.0 / self.square, share, self.freedom // 2),
                           mean.sum(axis=1), spread, np.full(len(errors), self.cells.log))
 
@@ -242,15 +260,16 @@ def posterior(columns: FloatArray, image: FloatArray, order: IntArray, weights: 
     """
     freedom = 2 * (in_use - int((order < 2).sum()))
     noise = 2 * in_use * (NO_NOISE * float(np.ptp(image, axis=0).max()) / 2) ** 2
-    weights = np.ones_like(image) if weights is None else weights
     few = scales.shape[1] if few is None else few
     # Line and sample have one design unless their weights differ.
-    alike = (weights[:, 0] == weights[:, 1]).all()
-    of_line = design_of(columns * weights[:, :1], order < 2, scales, few)
-    of_sample = of_line if alike else design_of(columns * weights[:, 1:], order < 2, scales, few)
+    alike = weights is None or (weights[:, 0] == weights[:, 1]).all()
+    of_line = design_of(columns if weights is None else columns * weights[:, :1], order < 2, scales,
+                        few)
+    of_sample = of_line if weights is None or alike else design_of(
+        columns * weights[:, 1:], order < 2, scales, few)
     if of_line is None or of_sample is None or freedom < 4:
         return None
-    targets = image * weights
+    targets = image if weights is None else image * weights
     line, sample = _odds(of_line, targets) if of_line is of_sample else (
         _odds(of_line, targets[:, :1]) + _odds(of_sample, targets[:, 1:]))
     return Posterior((line, sample), _cells([line, sample], freedom, noise, affine=affine), freedom,

@@ -7,6 +7,7 @@ measured along each column of U. A group is one set of scales, a solution a grou
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,6 +16,9 @@ import numpy as np
 from termsel.adjustment.orthogonal import orthogonal
 from termsel.adjustment.solve import TOLERANCE
 from termsel.measurements.features import BoolArray, FloatArray, IntArray
+
+Some = slice | IntArray
+"""Which points."""
 
 TINY = 1e-14
 """What is left of 1 by rounding error."""
@@ -95,7 +99,8 @@ def design_of(columns: FloatArray, free: BoolArray, scales: FloatArray,
     if len(lead) <= f:
         return None
     # Free columns first: q of the others is then without them.
-    q, r = orthogonal(np.concatenate([lead, columns[:, ~free]], axis=1))
+    q, r = orthogonal(columns if free[:f].all() else
+                      np.concatenate([lead, columns[:, ~free]], axis=1))
     if (np.abs(np.diag(r))[:f] <= TOLERANCE * np.linalg.norm(lead, axis=0)).any() \
             or (1.0 - (q[:, :f]**2).sum(axis=1)).min() < TOLERANCE:
         return None
@@ -107,11 +112,13 @@ class Side:
     """The u solutions of one axis."""
 
     cell: IntArray  # (c,): that of each cell of the posterior
-    left: FloatArray  # (u, n): 1 minus the leverage of each point
-    errors: FloatArray  # (u, n): what the fit leaves
     effective: FloatArray  # (u,): effective parameters
     coefficients: FloatArray  # (u, k): the shrunken ones
     free: FloatArray  # (f,): what is measured along the free columns
+    # Of some of the points, 1 minus the leverage and what the fit leaves, (u, m) each: solutions
+    # are hundreds, which times all points may be more than the memory holds.
+    left: Callable[[Some], FloatArray]
+    errors: Callable[[Some], FloatArray]
 
 
 class Shrinkage:
@@ -136,13 +143,13 @@ class Shrinkage:
 
     def _mine(self, every: FloatArray) -> FloatArray:
         """Return the rows of the solutions, of those of all groups and sizes, shape (u, k)."""
-        return np.asarray(every.reshape(-1, every.shape[2])[self._place])
+        count, sizes, k = every.shape
+        return np.asarray(every.reshape(count * sizes, k)[self._place])
 
-    @cached_property
-    def left(self) -> FloatArray:
-        """1 minus the leverage of each point, shape (u, n)."""
+    def left(self, points: Some) -> FloatArray:
+        """Return 1 minus the leverage of points, shape (u, n)."""
         design, (count, sizes, m) = self._design, self._keep.shape
-        places = np.ascontiguousarray(design.basis.T)
+        places = np.ascontiguousarray(design.basis[points].T)
         n = places.shape[1]
         left = np.empty((count, sizes, n))
         # (U' basis')^2 by what each direction leaves, and what no column explains.
@@ -153,7 +160,7 @@ class Shrinkage:
             along *= along
             np.matmul(self._keep[some], along, out=left[some])
         mine = self._mine(left)
-        mine += design.unexplained
+        mine += design.unexplained[points]
         return np.maximum(mine, TINY, out=mine)
 
     def side(self, target: FloatArray, which: IntArray) -> Side:
@@ -163,11 +170,12 @@ class Shrinkage:
         """
         design = self._design
         along = ((design.basis.T @ target) @ self._u)[:, None]                    # (g, 1, m)
-        errors = self._mine((self._keep * along) @ self._u.swapaxes(1, 2)) @ design.basis.T
-        errors += design.beyond(target)
+        kept = self._mine((self._keep * along) @ self._u.swapaxes(1, 2))
+        beyond = design.beyond(target)
         coefficients = self._mine((self._grown * along) @ self._vt * self._scales[:, None])
-        return Side(which, self.left, errors, self._effective, coefficients,
-                    design.explained[:, :len(design.lead)].T @ target)
+        return Side(which, self._effective, coefficients,
+                    design.explained[:, :len(design.lead)].T @ target, self.left,
+                    lambda points: np.asarray(kept @ design.basis[points].T + beyond[points]))
 
 
 class SharedShrinkage:
@@ -195,7 +203,7 @@ class SharedShrinkage:
         self._along = u.T @ design.basis.T                                           # (m, n)
 
     @cached_property
-    def left(self) -> FloatArray | None:
+    def all_left(self) -> FloatArray | None:
         """1 minus the leverage of each point, shape (u, n); None where rounding errors matter."""
         # Diagonal of W less that of W C (I + C'W C)^-1 C'W, of which hardly anything may remain.
         whole = self._keep @ self._along**2 + self._design.unexplained
@@ -207,8 +215,8 @@ class SharedShrinkage:
 
     def side(self, target: FloatArray, which: IntArray) -> Side:
         """Return the solutions for what is measured of one axis (see `Shrinkage.side`)."""
-        design = self._design
-        assert self.left is not None
+        design, left = self._design, self.all_left
+        assert left is not None
         along = self._along @ target
         mixed = self._turned @ along                                                 # (u, f)
         rest = self._keep * along - (mixed[:, None] @ self._turned)[:, 0]
@@ -217,8 +225,10 @@ class SharedShrinkage:
         coefficients[:, design.few:] *= (self._ratio * rest)[:, :len(self._vt)] @ self._vt
         effective = (design.explained.shape[1] - self._keep.sum(axis=1)
                      + (self._turned**2).sum(axis=(1, 2)))
-        return Side(which, self.left, rest @ self._along + design.beyond(target), effective,
-                    coefficients, design.explained[:, :len(design.lead)].T @ target)
+        errors = rest @ self._along + design.beyond(target)
+        return Side(which, effective, coefficients,
+                    design.explained[:, :len(design.lead)].T @ target,
+                    lambda points: left[:, points], lambda points: errors[:, points])
 
 
 def shrinkage_of(design: Design, group: IntArray, size: IntArray,
@@ -229,6 +239,6 @@ def shrinkage_of(design: Design, group: IntArray, size: IntArray,
     """
     if design.few < design.rest.shape[1]:
         shared = SharedShrinkage(design, group, size, sizes)
-        if shared.left is not None:
+        if shared.all_left is not None:
             return shared
     return Shrinkage(design, group, size, sizes)

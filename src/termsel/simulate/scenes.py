@@ -13,7 +13,6 @@ from functools import lru_cache, partial
 
 import numpy as np
 from numpy.random import Generator
-from scipy.spatial import cKDTree
 
 from termsel.errors import TermselError, unknown_name
 from termsel.measurements.datasets import DatasetSpec
@@ -267,13 +266,16 @@ class _Placed:
         self._places[self._count] = place
         self._count += 1
         if self._count - self._in_tree == _LATEST:
+            from scipy.spatial import cKDTree
+
             self._in_tree = self._count
             self._tree = cKDTree(self._places[:self._count])
 
     def away(self, tried: FloatArray) -> FloatArray:
         """Return how far each place tried is from the nearest; infinite without any."""
         latest = self._places[self._in_tree:self._count]
-        away = np.linalg.norm(tried[:, None] - latest, axis=2).min(axis=1, initial=np.inf)
+        away: FloatArray = np.linalg.norm(tried[:, None] - latest, axis=2).min(
+            axis=1, initial=np.inf)
         return np.minimum(away, self._tree.query(tried)[0]) if self._in_tree else away
 
 
