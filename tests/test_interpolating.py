@@ -166,6 +166,39 @@ def test_one_solution_is_universal_kriging(monkeypatch: pytest.MonkeyPatch) -> N
     np.testing.assert_allclose(found.spread(at)[0], np.stack([variance] * 2, axis=1), rtol=1e-4)
 
 
+def test_one_solution_for_few_points_is_a_thin_plate_spline(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    one_cell(monkeypatch)
+    monkeypatch.setattr(field, "_belief", lambda lengths: float(lengths == field.SPLINE) or 1e-300)
+    points, at = scattered(field.FEW - 1), scattered(12, seed=6).ground
+    found = collocate(points, 2)
+    field._collocated.cache_clear()
+    posterior._of_polynomial.cache_clear()
+    assert found is not None
+    # In the image, where the kernels have a mean variance of 1, and the size is 10.
+    one, other = (np.column_stack([np.ones(len(g)), g[:, :2]]) for g in (points.ground, at))
+    turn = np.linalg.lstsq(one, points.image)[0]
+    there, places = (np.pad(g @ turn, ((0, 0), (0, 1))) for g in (other, one))
+    square = ((places[:, None] - places) ** 2).sum(axis=2)
+    left = np.eye(len(one)) - one @ np.linalg.pinv(one)
+    smoothing = np.trace(left @ (square * np.log(np.sqrt(square) + np.eye(len(one))))) / len(one)
+    spline = thin_plates(replace(points, ground=places), (1.0, 1.0), smoothing / 100, "reml")
+    assert spline is not None
+    np.testing.assert_allclose(found.predict(at), spline.predict(there), atol=1e-9)
+    np.testing.assert_allclose(found.errors, spline.errors, atol=1e-9)
+    (variance, noise), (expected, of_spline) = found.spread(at), spline.spread(there)
+    np.testing.assert_allclose(variance / noise, expected / of_spline, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("count", "variables", "wanted"), [(19, 2, 1), (20, 2, 0), (19, 3, 0)])
+def test_a_spline_is_a_course_of_few_points_without_heights(
+        count: int, variables: int, wanted: int) -> None:
+    found = collocate(scattered(count), variables)
+    assert found is not None
+    assert sum(part.lengths == field.SPLINE for part in found.parts) == wanted
+    np.testing.assert_allclose(found.shares.sum(), 1.0)
+
+
 def test_what_is_foreseen_varies_within_solutions_and_between_them() -> None:
     """The law of total variance, with each solution by dense algebra."""
     points, at = scattered(12), scattered(5, seed=6).ground
@@ -289,6 +322,21 @@ def test_an_affine_scan_calls_for_no_field(seed: int) -> None:
     # Nor does it harm where it is asked for.
     field_errors = termsel.fit(control, "field").errors(others)
     assert total(field_errors) < 1.05 * total(choice.chosen.fit.errors(others))
+
+
+def test_few_points_of_joined_sheets_are_predicted_as_a_spline_does() -> None:
+    errors = []
+    for seed in range(8):
+        control, others = unseen(simulate_map(
+            seed=seed, n_points=112, sheets=(1, 2), local=0.0, joints=12.0), 12)
+        choice = choose(Control.of(control, False), whole=False)
+        assert choice is not None
+        errors.append([total(choice.chosen.fit.errors(others)),
+                       *(total(termsel.fit(control, name).errors(others))
+                         for name in ("tps", "shrunken-cubic"))])
+    auto, spline, cubic = np.exp(np.log(errors).mean(axis=0))
+    assert auto < 1.05 * spline
+    assert auto < 0.9 * cubic
 
 
 def test_models_of_points_refuse_what_they_cannot_do() -> None:

@@ -96,6 +96,9 @@ from .measurements.coordinates.crs import to_wgs84 as to_wgs84
 from .measurements.coordinates.crs import transformation as transformation
 from .measurements.coordinates.longitudes import nearest as nearest
 from .measurements.coordinates.metres import in_metres as in_metres
+from .measurements.coordinates.wgs84 import from_ecef as from_ecef
+from .measurements.coordinates.wgs84 import to_ecef as to_ecef
+from .measurements.coordinates.wgs84 import vertical as vertical
 from .measurements.features import BoolArray as BoolArray
 from .measurements.features import FloatArray as FloatArray
 from .measurements.features import no_lines as no_lines
@@ -160,9 +163,6 @@ from .runs.task.request import DATA_OPTIONS as DATA_OPTIONS
 from .runs.task.request import Request as Request
 from .runs.task.request import Setup as Setup
 from .runs.task.task import prepared as prepared
-from .simulate.wgs84 import from_ecef as from_ecef
-from .simulate.wgs84 import to_ecef as to_ecef
-from .simulate.wgs84 import vertical as vertical
 from .solvers.bridges.chance import OwnChance as OwnChance
 from .solvers.bridges.pareto import OPTIONS as OPTIONS
 from .solvers.bridges.pareto import Nsga2 as Nsga2

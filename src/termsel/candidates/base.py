@@ -260,3 +260,10 @@ def left_out_squares(fitted: Fit) -> FloatArray:
     fits = Fits(model, control.points, no_points(), fitted.scaling.image_scale,
                 fitted.terms[None], fitted.adjustment.coefficients[None], control.lines, parts)
     return np.asarray(fits.held_out_each(solutions[:, None])[0])
+
+
+def gain_of(one: FloatArray, other: FloatArray) -> float:
+    """Return by how many standard errors one's squares are smaller, in logarithms."""
+    tiny = np.finfo(float).tiny
+    gain = np.log(np.maximum(other, tiny) / np.maximum(one, tiny))
+    return float(gain.mean() / max(gain.std(ddof=1) / np.sqrt(len(gain)), tiny))

@@ -15,9 +15,9 @@ from scipy.special import fdtri
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.lines import row_weights
 from termsel.adjustment.monomials import monomials
-from termsel.candidates.base import Suspects
+from termsel.candidates.base import Suspects, gain_of
 from termsel.candidates.local import LIKELY
-from termsel.candidates.portfolio import BETTER, gain_of
+from termsel.candidates.portfolio import BETTER
 from termsel.measurements.control import Control
 from termsel.measurements.features import BoolArray, FloatArray, IntArray
 from termsel.models.polynomial import Polynomial, Polynomial2D, Polynomial3D

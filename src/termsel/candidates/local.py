@@ -11,18 +11,26 @@ from termsel.fits.fittable import Fittable
 from termsel.fits.least_squares import LeastSquares
 from termsel.measurements.features import BoolArray, FeatureSet, Points
 from termsel.measurements.scaling import Scaling
-from termsel.priors.field import Collocation
+from termsel.priors.field import SPLINE, Collocation
 
 LIKELY = 0.75
 """Probability of a random field beyond which points call for it: odds of three to one, beyond
 which the evidence is positive (Kass and Raftery 1995, J. Am. Stat. Assoc. 90)."""
+
+OF_FEW = 0.5
+"""The same of few points without heights: where it is likelier than not."""
+
+
+def asked_of(found: Collocation) -> float:
+    """Return the probability of a random field beyond which points call for it."""
+    return OF_FEW if found.parts[-1].lengths == SPLINE else LIKELY
 
 
 class Interpolated(Estimator):
     """The interpolation of a model, where the points call for it.
 
     Its terms are those of least squares, and have no influence. A random field is called for where
-    its probability exceeds LIKELY.
+    its probability exceeds LIKELY, or OF_FEW.
     """
 
     name = "interpolated"
@@ -36,7 +44,7 @@ class Interpolated(Estimator):
         if found is None:
             raise Undetermined(f"{used.sum()} control points are too few to interpolate by",
                                hint="Measure more control, spread over the area.")
-        if isinstance(found, Collocation) and found.probability <= LIKELY:
+        if isinstance(found, Collocation) and found.probability <= asked_of(found):
             raise Undetermined("the points do not call for a random field: its probability is "
                                f"{found.probability:.2g}", hint="Choose a polynomial.")
         errors = found.errors * scaling.image_scale

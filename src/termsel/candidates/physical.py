@@ -8,16 +8,17 @@ import numpy as np
 
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.monomials import Exponents, graded_exponents, monomials
-from termsel.adjustment.solve import Adjustment
-from termsel.candidates.local import points_alone
-from termsel.candidates.shrunken import average
-from termsel.fits.fit import Estimator, Fit, HeldOut, Undetermined
+from termsel.candidates.base import gain_of
+from termsel.candidates.local import asked_of, points_alone
+from termsel.candidates.shrunken import Average, average, fit_of
+from termsel.fits.fit import Estimator, Fit, Undetermined
 from termsel.fits.fittable import Fittable
 from termsel.fits.uncertainty import Spread
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.measurements.scaling import Scaling
 from termsel.models.polynomial import Polynomial
 from termsel.priors.cameras import in_space
+from termsel.priors.field import Collocation, collocate
 from termsel.priors.foresight import foresee
 from termsel.priors.physics import BOX, PLACES, Solutions, marginal, of_cameras
 from termsel.priors.posterior import Posterior, polynomial_posterior
@@ -33,26 +34,25 @@ WORSE = 1.0
 """Standard errors by which the shrunken polynomials alone must predict left-out points better to
 remain alone."""
 
-LIKELY = 0.5
-"""Probability of the physical prior up to which the shrunken polynomials remain alone."""
-
 
 @dataclass(frozen=True, eq=False)
-class Averaged:
+class Averaged(Average):
     """Polynomials with different priors, averaged by their marginal likelihoods."""
 
     physical: tuple[Solutions, ...]
     shrunken: tuple[tuple[Posterior, Exponents], ...]
     shares: FloatArray  # (p,): of the physical ones, then of the others
-    coefficients: FloatArray  # (k, 2)
-    errors: FloatArray  # (n, 2): of each point by the others, scaled
-    effective: float
     worse: float  # standard errors by which the shrunken ones predict left-out points better
 
     @property
     def probability(self) -> float:
         """Probability of the physical prior."""
         return float(self.shares[:len(self.physical)].sum())
+
+    def alone(self, local: Collocation | None) -> bool:
+        """Return whether the prior is not called for: next to a field, if points call for one."""
+        beyond = local.probability if local and local.probability > asked_of(local) else 0.0
+        return self.probability * (1.0 - beyond) <= 1.0 - self.probability or self.worse > WORSE
 
 
 def averaged(points: Points, scaling: Scaling, crs: str, exponents: Exponents) -> Averaged | None:
@@ -105,12 +105,9 @@ def averaged(points: Points, scaling: Scaling, crs: str, exponents: Exponents) -
             logs - np.logaddexp.reduce(logs, axis=0)), np.array(errors[some])))
 
     mean, others = left_out(slice(None)), left_out(slice(len(physical), None))
-    tiny = np.finfo(float).tiny
-    gain = np.log(np.maximum((mean**2).sum(axis=1), tiny)
-                  / np.maximum((others**2).sum(axis=1), tiny))
-    return Averaged(tuple(physical), tuple(shrunken), shares,
-                    np.einsum("p,pka->ka", shares, coefficients), mean, float(shares @ effective),
-                    float(gain.mean() / max(gain.std(ddof=1) / np.sqrt(len(gain)), tiny)))
+    return Averaged(np.einsum("p,pka->ka", shares, coefficients), mean, float(shares @ effective),
+                    tuple(physical), tuple(shrunken), shares,
+                    gain_of((others**2).sum(axis=1), (mean**2).sum(axis=1)))
 
 
 class Physical(Estimator):
@@ -124,21 +121,13 @@ class Physical(Estimator):
         assert isinstance(model, Polynomial)
         mine = points_alone(control, used, "a physical prior")
         found = averaged(scaling.points(mine), scaling, control.crs, model.exponents)
-        if found is None or found.probability <= LIKELY or found.worse > WORSE:
+        local = collocate(scaling.points(mine), model.variables)
+        if found is None or found.alone(local):
             raise Undetermined(
                 "the points do not call for the prior of a line scanner in orbit" + (
                     "" if found is None else f": its probability is {found.probability:.2g}"),
                 hint="Choose a polynomial without it, such as shrunken-cubic.")
-        equations, coefficients = model.equations(scaling.features(control)), found.coefficients
-        coefficients = coefficients.T.ravel()
-        in_use = (equations.b - equations.A @ coefficients)[used[equations.feature]]
-        freedom = len(in_use) - found.effective
-        count, unknown = round(found.effective), np.full(len(coefficients), np.nan)
-        sigma0 = float(np.sqrt(in_use @ in_use / freedom)) if freedom > 0.5 else np.nan
-        return Fit(model, scaling, control, np.ones(len(coefficients), dtype=bool), used,
-                   Adjustment(coefficients, unknown, count, len(in_use), count, np.nan, sigma0),
-                   self, found.effective,
-                   HeldOut.of(found.errors * scaling.image_scale, control.take(used)))
+        return fit_of(self, model, control, scaling, used, found)
 
     def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
         """Return the mean square errors of a fit at scaled places, under all priors."""

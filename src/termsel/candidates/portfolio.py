@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from termsel.candidates.base import Candidate, Judged, Suspects
+from termsel.candidates.base import Candidate, Judged, Suspects, gain_of
 from termsel.candidates.structures import CANDIDATES, named
 from termsel.errors import TermselError
 from termsel.fits.fit import Fit, Undetermined
 from termsel.guard.arrays import of_shape, of_type
 from termsel.guard.faults import HINT, PluginFault, blamed, is_own, wrong
 from termsel.measurements.control import Control
-from termsel.measurements.features import FloatArray, no_lines
+from termsel.measurements.features import no_lines
 from termsel.models.base import SensorModel
 
 BETTER, EXPECTED, CLEARLY = 1.0, 2.0, 3.0
@@ -272,10 +272,3 @@ def _standard_errors(gain: float) -> str:
 def _gain(one: Judged, other: Judged) -> float:
     """Return by how many standard errors one's squared errors are smaller, in logarithms."""
     return gain_of(one.squares, other.squares)
-
-
-def gain_of(one: FloatArray, other: FloatArray) -> float:
-    """Return by how many standard errors one's squares are smaller, in logarithms."""
-    tiny = np.finfo(float).tiny
-    gain = np.log(np.maximum(other, tiny) / np.maximum(one, tiny))
-    return float(gain.mean() / max(gain.std(ddof=1) / np.sqrt(len(gain)), tiny))

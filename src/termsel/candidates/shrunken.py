@@ -68,7 +68,7 @@ class Averaging(Estimator):
             used: BoolArray) -> Fit:
         """Fit a polynomial (see `Estimator.fit`) with all its terms."""
         assert isinstance(model, Polynomial)
-        scaled, mine = scaling.features(control), scaling.features(control.take(used))
+        mine = scaling.features(control.take(used))
         found = average_with_lines(mine, model) if len(mine.lines) else average(
             mine.points.ground, mine.points.image, model.exponents,
             None if mine.points.sigma is None else weights_of(mine.points))
@@ -77,18 +77,22 @@ class Averaging(Estimator):
             raise Undetermined(
                 f"{counted(len(mine), what)} without any one of them do not determine an affine "
                 "model", hint="Measure more control, spread over the area.")
-        coefficients = found.coefficients.T.ravel()
-        equations = model.equations(scaled)
-        k = len(coefficients)
-        in_use = (equations.b - equations.A @ coefficients)[used[equations.feature]]
-        freedom = len(in_use) - found.effective
-        sigma0 = float(np.sqrt(in_use @ in_use / freedom)) if freedom > 0.5 else np.nan
-        adjustment = Adjustment(coefficients, np.full(k, np.nan), round(found.effective),
-                                len(in_use), round(found.effective), np.nan, sigma0)
-        errors = found.errors * scaling.image_scale
-        held_out = HeldOut.of(errors, mine)
-        return Fit(model, scaling, control, np.ones(k, dtype=bool), used, adjustment, self,
-                   found.effective, held_out)
+        return fit_of(self, model, control, scaling, used, found)
+
+
+def fit_of(estimator: Estimator, model: Polynomial, control: FeatureSet, scaling: Scaling,
+           used: BoolArray, found: Average) -> Fit:
+    """Return the fit that an average of solutions for the features in use is."""
+    coefficients, equations = found.coefficients.T.ravel(), model.equations(
+        scaling.features(control))
+    in_use = (equations.b - equations.A @ coefficients)[used[equations.feature]]
+    freedom, count = len(in_use) - found.effective, round(found.effective)
+    sigma0 = float(np.sqrt(in_use @ in_use / freedom)) if freedom > 0.5 else np.nan
+    adjustment = Adjustment(coefficients, np.full(len(coefficients), np.nan), count, len(in_use),
+                            count, np.nan, sigma0)
+    return Fit(model, scaling, control, np.ones(len(coefficients), dtype=bool), used, adjustment,
+               estimator, found.effective,
+               HeldOut.of(found.errors * scaling.image_scale, control.take(used)))
 
 
 def average(ground: FloatArray, image: FloatArray, exponents: Exponents,

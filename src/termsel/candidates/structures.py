@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from termsel.candidates.base import Candidate, Judged
-from termsel.candidates.local import LIKELY, Interpolated
+from termsel.candidates.local import Interpolated, asked_of
 from termsel.candidates.physical import CHOSEN, Physical
 from termsel.candidates.ridge import RidgeByOrder
 from termsel.candidates.robust import Reweighted
@@ -84,7 +84,7 @@ class _WithField(Structure):
         found = fitted.interpolation
         assert isinstance(found, Collocation)
         return (f"{self.label} is called for: the probability of local deformation is "
-                f"{found.probability:.3g}; it must exceed {LIKELY:g}.")
+                f"{found.probability:.3g}; it must exceed {asked_of(found):g}.")
 
 
 class _WithPhysics(Structure):
@@ -141,14 +141,14 @@ CANDIDATES: tuple[Structure, ...] = (
     Structure("shrunken-cubic", "a shrunken cubic polynomial", *_polynomials(3),
               estimator=Averaging(), short="shrunken cubic", has_prior=True, contains=_LIMITS,
               family=_FAMILY),
-    _WithPhysics("physical-cubic", "a cubic polynomial with the prior of a line scanner in orbit",
-                 *_polynomials(3), estimator=Physical(), short="physical cubic", has_prior=True,
-                 contains=(*_LIMITS, *_SHRUNKEN), family=_FAMILY),
     _WithField("field", "a shrunken cubic polynomial with a random field", Field3D(), Field(),
                estimator=Interpolated(), short="random field", has_prior=True,
-               contains=(*_LIMITS, *_SHRUNKEN, "physical-cubic"), family=_FAMILY),
+               contains=(*_LIMITS, *_SHRUNKEN), family=_FAMILY),
     Structure("tps", "a thin-plate spline", None, ThinPlate(), estimator=Interpolated(),
               short="thin-plate spline", needs=("field",)),
+    _WithPhysics("physical-cubic", "a cubic polynomial with the prior of a line scanner in orbit",
+                 *_polynomials(3), estimator=Physical(), short="physical cubic", has_prior=True,
+                 contains=(*_LIMITS, *_SHRUNKEN, "field", "tps"), family=_FAMILY),
     *ROBUST,
 )
 """All built-in candidates, in the order of the tables that compare them."""

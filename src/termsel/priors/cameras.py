@@ -9,15 +9,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from termsel.measurements.coordinates.crs import EARTH, body_of, ellipsoid_of, metres_per_unit
+from termsel.measurements.coordinates.crs import EARTH, body_of, metres_per_unit
 from termsel.measurements.coordinates.metres import is_in_degrees, plan_of
+from termsel.measurements.coordinates.wgs84 import EARTH_ROTATION, GRAVITY_CONSTANT, to_ecef
 from termsel.measurements.features import FloatArray
 from termsel.measurements.scaling import Scaling
 
 CAMERAS = 200
 
-RADIUS, GRAVITY, TURNING = 6371e3, 3.986004418e14, 7.292115e-5
-"""Mean radius of the Earth [m], its gravity [m^3 s^-2] and its rotation [rad/s]."""
+RADIUS = 6371e3
+"""Mean radius of the Earth [m]."""
 
 ALTITUDES = (450e3, 850e3)
 
@@ -51,21 +52,12 @@ def in_space(scaling: Scaling, crs: str, scaled: FloatArray) -> tuple[FloatArray
         lon, lat = np.radians(middle[:2])
         east, north = np.array([-np.sin(lon), np.cos(lon), 0.0]), np.array(
             [-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)])
-        away = _geocentric(own, ground) - _geocentric(own, middle[None])
+        away = to_ecef(ground) - to_ecef(middle[None])
         return away @ np.stack([east, north, np.cross(east, north)], axis=1), float(middle[1])
     away = ground - middle
     away[:, :2] *= metres_per_unit(own) or 1.0 if own else 1.0
     away[:, 2] -= (away[:, :2] ** 2).sum(axis=1) / (2 * RADIUS)
     return away, np.nan
-
-
-def _geocentric(crs: str, ground: FloatArray) -> FloatArray:
-    major, eccentricity = ellipsoid_of(crs)
-    lon, lat, height = np.radians(ground[:, 0]), np.radians(ground[:, 1]), ground[:, 2]
-    across = major / np.sqrt(1.0 - eccentricity * np.sin(lat) ** 2)
-    return np.stack([(across + height) * np.cos(lat) * np.cos(lon),
-                     (across + height) * np.cos(lat) * np.sin(lon),
-                     (across * (1.0 - eccentricity) + height) * np.sin(lat)], axis=1)
 
 
 def seen_by_scanners(places: FloatArray, azimuth: float, latitude: float) -> FloatArray:
@@ -89,7 +81,7 @@ def seen_by_scanners(places: FloatArray, azimuth: float, latitude: float) -> Flo
     up, heading = station / radius[:, None], azimuth + yaw[:, 0]
     ahead = np.stack([np.sin(heading), np.cos(heading), np.zeros(n)], axis=1)
     ahead = _unit(ahead - up * (ahead * up).sum(axis=1, keepdims=True))
-    orbit, motion = np.cross(up, ahead), np.sqrt(GRAVITY / radius**3)
+    orbit, motion = np.cross(up, ahead), np.sqrt(GRAVITY_CONSTANT / radius**3)
     pole = np.stack([np.zeros(n), np.cos(lat), np.sin(lat)], axis=1)
     x = np.broadcast_to([np.sin(azimuth), np.cos(azimuth), 0.0], (n, 3))
     x = _unit(x + ray * -(x * ray).sum(axis=1, keepdims=True))
@@ -98,7 +90,7 @@ def seen_by_scanners(places: FloatArray, azimuth: float, latitude: float) -> Flo
 
     def view(time: FloatArray) -> FloatArray:
         # In axes that turn with the orbit the satellite rests; the Earth turns in inertial space.
-        there = turned(turned(target[None], pole, TURNING * time), orbit,
+        there = turned(turned(target[None], pole, EARTH_ROTATION * time), orbit,
                        -motion[:, None] * time) - station[:, None]
         looked = there @ axes
         slopes = looked[..., :2] / looked[..., 2:]

@@ -11,13 +11,17 @@ noise are known. All solutions on a grid are averaged with their posterior proba
 without a field, which are believed as likely beforehand, among them. So where the points show no
 local deformation the shrunken polynomial remains.
 
+In a plane, fewer than FEW points do not tell lengths from noise. There a thin-plate spline, a field
+without lengths and next to affine functions alone, is a third course, as likely beforehand.
+
 With many points the field is spanned by the covariances with KNOTS of them.
 
 References
 ----------
 Moritz 1980, Advanced Physical Geodesy, for collocation; Matheron 1969 for universal kriging;
-Stein 1999, Interpolation of Spatial Data, for the Matern covariance; Hoeting et al. 1999 for
-averaging; Quinonero-Candela and Rasmussen 2005, JMLR 6, for few knots. The prior is termsel's own.
+Stein 1999, Interpolation of Spatial Data, for the Matern covariance; Wahba 1990 for splines as
+fields; Hoeting et al. 1999 for averaging; Quinonero-Candela and Rasmussen 2005, JMLR 6, for few
+knots. The prior is termsel's own.
 """
 
 from __future__ import annotations
@@ -34,7 +38,8 @@ from termsel.measurements.features import FloatArray, IntArray, Points
 from termsel.priors.blunder_odds import blunder_odds
 from termsel.priors.foresight import foresee
 from termsel.priors.held_out import Prediction
-from termsel.priors.posterior import NEVER, Posterior, polynomial_posterior, posterior
+from termsel.priors.posterior import NEVER, Posterior, polynomial_posterior, posterior, shares
+from termsel.priors.thin_plate import kernel
 
 LENGTHS = ((0.15, 0.15), (0.3, 0.3), (0.6, 0.6), (1.2, 1.2), (0.15, 1.2), (1.2, 0.15))
 """Lengths of line and sample, by the half-range of the image: from about the distance of
@@ -53,6 +58,9 @@ DEGREE = 3
 
 FIELD, ALIKE = 0.5, 0.9
 """Probability of a field before the points are looked at, and that its lengths are equal then."""
+
+SPLINE, FEW = (np.inf, np.inf), 20
+"""Lengths that stand for a spline, and the number of points from which on it is not needed."""
 
 KNOTS = 100
 
@@ -91,7 +99,7 @@ class Collocation:
     @cached_property
     def shares(self) -> FloatArray:
         """Probability of each part."""
-        return _normalised(np.array([part.log for part in self.parts]))
+        return shares(np.array([part.log for part in self.parts]))[0]
 
     @property
     def probability(self) -> float:
@@ -127,11 +135,11 @@ class Collocation:
         # What is known of a part beforehand is its logarithm without that of its points.
         logs = np.array([part.log - part.posterior.cells.log + one.log
                          for part, one in zip(parts, each, strict=True)])
-        shares = _normalised(logs)                                                    # (p, n)
+        likely = shares(logs)[0]                                                      # (p, n)
 
         def mean(name: str) -> FloatArray:
             values = np.array([getattr(one, name) for one in each])
-            return np.asarray(np.einsum("pn,pn...->n...", shares, values))
+            return np.asarray(np.einsum("pn,pn...->n...", likely, values))
 
         return Prediction(mean("errors"), mean("chance"), mean("statistic"), mean("spread"),
                           np.logaddexp.reduce(logs))
@@ -150,7 +158,7 @@ class Collocation:
         for start in range(0, len(ground), AT_ONCE):
             some = slice(start, start + AT_ONCE)
             for lengths, weights in fields:
-                image[some] += _matern(places[some], self.knots, lengths) @ weights
+                image[some] += _covariances(places[some], self.knots, lengths)[0] @ weights
         return np.asarray(image)
 
     def spread(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -165,15 +173,16 @@ class Collocation:
             spanned = _with_field(columns, places, self.knots, part.lengths, part.inverse)
             field = spanned[:, columns.shape[1]:]
             # Away from the knots the field has a variance that their covariances do not span.
-            missing = None if part.lengths is None else np.square(np.tile(RATIOS, len(FALLS)))[
-                :, None] * np.maximum(1.0 - (field**2).sum(axis=1), 0.0)
+            missing = None if part.lengths is None else np.square(part.posterior.scales[:, -1:]) \
+                * np.maximum(_covariances(places, self.knots, part.lengths)[1]
+                             - (field**2).sum(axis=1), 0.0)
             each.append(foresee(part.posterior, columns[:, :lead], spanned[:, lead:], missing))
-        shares = [share for share, _ in likely]
-        mean = sum(share * one.image for share, one in zip(shares, each, strict=True))
+        some = [share for share, _ in likely]
+        mean = sum(share * one.image for share, one in zip(some, each, strict=True))
         variance = sum((share * (one.variance + (one.image - mean) ** 2)
-                        for share, one in zip(shares, each, strict=True)),
+                        for share, one in zip(some, each, strict=True)),
                        np.zeros((len(ground), 2)))
-        return variance, np.full(2, float(np.dot(shares, [one.noise for one in each])))
+        return variance, np.full(2, float(np.dot(some, [one.noise for one in each])))
 
     @cached_property
     def _coefficients(self) -> tuple[FloatArray, list[tuple[tuple[float, float], FloatArray]]]:
@@ -230,15 +239,15 @@ def _collocated(image: bytes, ground: bytes, sigma: bytes | None,
     # Every fall with every ratio; the columns of the field share one scale.
     mixed = np.array([[*rule, *np.full(len(knots), ratio)] for rule in rules for ratio in RATIOS])
     parts, weights = [], None if sigma is None else weights_of(points)
-    for lengths in (None, *LENGTHS):
-        # By the inverse triangle the field's coefficients become uncorrelated, of one variance.
-        inverse = np.empty((0, 0)) if lengths is None else np.asarray(lapack.dtrtri(
-            np.linalg.cholesky(_matern(knots, knots, lengths) + JITTER * np.eye(len(knots))),
-            lower=1)[0])
+    spline = [SPLINE] if variables == 2 and len(points) < FEW else []
+    for lengths in (None, *LENGTHS, *spline):
+        inverse = _inverse(knots, lengths)
         bare = _with_field(columns, there, knots, lengths, inverse)
-        orders = np.concatenate([order, np.full(bare.shape[1] - len(order), DEGREE)])
+        orders = np.concatenate([order, np.full(len(inverse), DEGREE)])
+        scales = mixed if lengths != SPLINE else np.repeat(
+            [[0.0, 1.0]], [len(shrunk), len(inverse)], axis=1)
         solutions = polynomial_posterior(points.ground, points.image, exponents, weights) \
-            if lengths is None else posterior(bare, points.image, orders, weights, mixed,
+            if lengths is None else posterior(bare, points.image, orders, weights, scales,
                                               len(points), len(shrunk))
         if solutions is None:
             return None
@@ -258,8 +267,8 @@ def _turn(points: Points, linear: Exponents) -> FloatArray:
 
 
 def _belief(lengths: tuple[float, float] | None) -> float:
-    """Return the probability of a part before the points are looked at."""
-    if lengths is None:
+    """Return the probability of a part before the points are looked at, up to a factor."""
+    if lengths in (None, SPLINE):
         return 1.0 - FIELD
     alike = sum(line == sample for line, sample in LENGTHS)
     return FIELD * (ALIKE / alike if lengths[0] == lengths[1]
@@ -271,7 +280,36 @@ def _with_field(columns: FloatArray, places: FloatArray, knots: FloatArray,
     """Return the monomials, and the columns that span the field of a part."""
     if lengths is None:
         return columns
-    return np.concatenate([columns, _matern(places, knots, lengths) @ inverse.T], axis=1)
+    return np.concatenate([columns, _covariances(places, knots, lengths)[0] @ inverse.T], axis=1)
+
+
+def _inverse(knots: FloatArray, lengths: tuple[float, float] | None) -> FloatArray:
+    """Return what makes coefficients of a field uncorrelated, of one variance, shape (c, k)."""
+    if lengths is None:
+        return np.empty((0, 0))
+    among = _covariances(knots, knots, lengths)[0]
+    if lengths != SPLINE:
+        return np.asarray(lapack.dtrtri(np.linalg.cholesky(among + JITTER * np.eye(len(knots))),
+                                        lower=1)[0])
+    values, vectors = np.linalg.eigh(among)  # what affine functions fit has no variance
+    some = values > JITTER * values.max()
+    return np.asarray((vectors[:, some] / np.sqrt(values[some])).T)
+
+
+def _covariances(places: FloatArray, knots: FloatArray,
+                 lengths: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
+    """Return covariances of places with knots, shape (m, k), and variances of places, (m,).
+
+    Those of a spline are of what the affine function that fits the knots leaves; their mean is 1.
+    """
+    if lengths != SPLINE:
+        return _matern(places, knots, lengths), np.ones(len(places))
+    there, here = (np.column_stack([np.ones(len(one)), one]) for one in (places, knots))
+    fit, among, apart = np.linalg.pinv(here), kernel(knots, knots), kernel(places, knots)
+    rest, fitted = np.eye(len(knots)) - here @ fit, there @ fit
+    unit = np.trace(rest @ among) / len(knots)
+    own = (fitted * (fitted @ among - 2 * apart)).sum(axis=1)
+    return (apart - fitted @ among) @ rest / unit, own / unit
 
 
 def _matern(a: FloatArray, b: FloatArray, lengths: tuple[float, float]) -> FloatArray:
@@ -298,6 +336,3 @@ def _spread_out(places: FloatArray) -> FloatArray:
         taken.append(int(apart.argmax()))
     return places[taken]
 
-
-def _normalised(logs: FloatArray) -> FloatArray:
-    return np.asarray(np.exp(logs - np.logaddexp.reduce(logs)))

@@ -30,7 +30,7 @@ from termsel.adjustment.monomials import Exponents, monomials
 from termsel.measurements.control import PARALLAX
 from termsel.measurements.features import FloatArray
 from termsel.priors.cameras import seen_by_scanners
-from termsel.priors.posterior import SIZES, Posterior, believed_sizes
+from termsel.priors.posterior import SIZES, Posterior, believed_sizes, shares
 
 WIDTHS = np.array([0.3, 1.0, 3.0, 10.0])
 """By what the deviations of the cameras from their mean are multiplied."""
@@ -119,7 +119,7 @@ class Solutions:
         self.noise = NOISES * pixel
         self._variance = self._strength**2 + self.noise[:, None] ** 2                   # (c, v)
         self._along, rows = u.T @ (basis.T @ target), basis @ u
-        logs = _normalised(-0.5 * (np.log(NOISES / NOISE) / SPREAD) ** 2) - 0.5 * (
+        logs = np.log(shares(-0.5 * (np.log(NOISES / NOISE) / SPREAD) ** 2)[0]) - 0.5 * (
             np.log(2 * np.pi * self._variance).sum(axis=1)
             + (self._along**2 / self._variance).sum(axis=1)) \
             - np.log(np.abs(np.diag(self._lead))).sum() + np.log(prior.share)
@@ -203,10 +203,6 @@ def marginal(found: Posterior, coefficients: FloatArray, variables: int, height:
 def _density(value: float, deviation: float) -> float:
     """Return the logarithm of a normal density."""
     return float(-0.5 * (value / deviation) ** 2 - np.log(deviation * np.sqrt(2 * np.pi)))
-
-
-def _normalised(logs: FloatArray) -> FloatArray:
-    return np.asarray(logs - np.logaddexp.reduce(logs))
 
 
 def _stacked(columns: FloatArray, weights: FloatArray) -> FloatArray:

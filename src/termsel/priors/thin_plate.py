@@ -91,7 +91,7 @@ class ThinPlates:
                            axis=1) * weights_of(self.points)
         for start in range(0, len(ground), AT_ONCE):
             some = slice(start, start + AT_ONCE)
-            image[some] += _kernel(ground[some, :2] * self.units, self._places) @ weights
+            image[some] += kernel(ground[some, :2] * self.units, self._places) @ weights
         return np.asarray(image)
 
     def spread(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -100,7 +100,7 @@ class ThinPlates:
         That of the random field whose best prediction the spline is.
         """
         columns = monomials(ground, PLANE)
-        kernels = _kernel(ground[:, :2] * self.units, self._places)
+        kernels = kernel(ground[:, :2] * self.units, self._places)
         variance, noise = np.empty((len(ground), 2)), np.empty(2)
         lead = monomials(self.points.ground, PLANE)
         n, f = lead.shape
@@ -109,7 +109,7 @@ class ThinPlates:
             smoothing, one = self.smoothings[best], self.axes[axis]
             # Universal kriging: the kernel at distance 0, which is 0, less right' system^-1 right.
             system = np.zeros((n + f, n + f))
-            system[:n, :n] = _kernel(self._places, self._places) + np.diag(smoothing / w**2)
+            system[:n, :n] = kernel(self._places, self._places) + np.diag(smoothing / w**2)
             system[:n, n:], system[n:, :n] = lead, lead.T
             right = np.concatenate([kernels, columns], axis=1)
             fields = float(one.w[best] @ (self.points.image[:, axis] * w)) / (n - f)
@@ -124,7 +124,7 @@ class ThinPlates:
     @cached_property
     def _affine(self) -> FloatArray:
         """Coefficients of the affine functions, shape (3, 2)."""
-        columns, kernels = monomials(self.points.ground, PLANE), _kernel(self._places, self._places)
+        columns, kernels = monomials(self.points.ground, PLANE), kernel(self._places, self._places)
         coefficients = np.empty((len(PLANE), 2))
         for axis, (one, best, smoothing, w) in enumerate(zip(
                 self.axes, self.chosen, self.smoothing, weights_of(self.points).T, strict=True)):
@@ -158,7 +158,7 @@ def _splines(image: bytes, ground: bytes, sigma: bytes | None, units: tuple[floa
                     None if sigma is None else np.frombuffer(sigma).reshape(-1, 2))
     columns = monomials(points.ground, PLANE)
     places = points.ground[:, :2] * units
-    kernels = _kernel(places, places)
+    kernels = kernel(places, places)
     smoothings = SMOOTHINGS if smoothing is None else np.array([smoothing])
     weights = weights_of(points).T
     of_line = _basis(columns * weights[0][:, None], kernels * np.outer(weights[0], weights[0]))
@@ -210,7 +210,7 @@ def _axis(basis: tuple[FloatArray, FloatArray], target: FloatArray, smoothings: 
                 (n - 1) * others / (trace[:, None] - twice / own) ** 2)
 
 
-def _kernel(a: FloatArray, b: FloatArray) -> FloatArray:
+def kernel(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return r^2 log r of the distances r between places, shape (len(a), len(b))."""
     from scipy.spatial.distance import cdist
 

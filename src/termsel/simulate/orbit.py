@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from termsel.errors import TermselError
+from termsel.measurements.coordinates.wgs84 import to_ecef
 from termsel.measurements.features import FloatArray
 from termsel.simulate.pushbroom import ITERATIONS, Angle, Pushbroom
-from termsel.simulate.wgs84 import to_ecef
 
 
 def pushbroom_at(

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from termsel.errors import TermselError
-from termsel.measurements.features import FloatArray
-from termsel.simulate.wgs84 import (
+from termsel.measurements.coordinates.wgs84 import (
     EARTH_ROTATION,
     GRAVITY_CONSTANT,
     SEMI_MAJOR,
@@ -24,6 +23,7 @@ from termsel.simulate.wgs84 import (
     to_ecef,
     vertical,
 )
+from termsel.measurements.features import FloatArray
 
 # Refractivity of air (n - 1) at sea level in the standard atmosphere, visible light, times the
 # height p0 / (rho0 g) = 8434 m of the equivalent homogeneous atmosphere: metres.

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.random import Generator
 
 from termsel.errors import TermselError, unknown_name
+from termsel.measurements.coordinates.wgs84 import SEMI_MAJOR
 from termsel.measurements.datasets import DatasetSpec
 from termsel.measurements.features import (
     FeatureSet,
@@ -30,7 +31,6 @@ from termsel.simulate.catalogue import OTHERS, SCENES, Scene
 from termsel.simulate.orbit import pushbroom_at
 from termsel.simulate.pushbroom import Angle, Pushbroom
 from termsel.simulate.terrain import Terrain, hilly
-from termsel.simulate.wgs84 import SEMI_MAJOR
 
 _EDGE = 0.015  # fraction of the image at each edge without measurements
 _CANDIDATES = 24  # places tried for each point

@@ -15,14 +15,12 @@ from typing import TYPE_CHECKING
 from warnings import catch_warnings, simplefilter
 
 import numpy as np
-from numpy.typing import NDArray
 
 from termsel.errors import GIS, TermselError, requires
+from termsel.measurements.coordinates.wgs84 import ECCENTRICITY, SEMI_MAJOR, FloatArray
 
 if TYPE_CHECKING:
     from pyproj import CRS
-
-FloatArray = NDArray[np.float64]
 
 log = logging.getLogger(__name__)
 
@@ -35,9 +33,6 @@ WGS84 = frozenset({"EPSG:4326", "EPSG:4979"})
 
 Transformation = Callable[[FloatArray], FloatArray]
 """From ground coordinates to others, shapes (n, 3)."""
-
-SEMI_MAJOR, ECCENTRICITY = 6378137.0, 0.00669437999014
-"""Of WGS84: the semi-major axis [m], and the square of the first eccentricity."""
 
 _OF_EARTH = 0.01  # share by which ellipsoids of the Earth differ at most
 _NAMED = re.compile(r'\w+\s*\[\s*"([^"]{1,80})"')

@@ -17,7 +17,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from termsel.candidates.portfolio import CLEARLY, Choice, Portfolio, choose, gain_of
+from termsel.candidates.base import gain_of
+from termsel.candidates.portfolio import CLEARLY, Choice, Portfolio, choose
 from termsel.candidates.repetition import FOLDS_WITH_LINES
 from termsel.errors import TermselError
 from termsel.measurements.control import Control
