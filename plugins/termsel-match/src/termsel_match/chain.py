@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -19,8 +20,9 @@ from termsel_match.images.warps import COVERS, NotShown, open_reference, referen
 from termsel_match.judgement.picture import draw
 from termsel_match.judgement.repeats import repetition
 from termsel_match.judgement.selection import Selected, select_points, with_lines
+from termsel_match.judgement.structures import Correction
 from termsel_match.judgement.verdict import Evidence, Georeferenced, evidence_of, reasons, remarks
-from termsel_match.lines.rounds import iterate_lines
+from termsel_match.lines.rounds import Matched, iterate_lines
 from termsel_match.lines.vectors import read_vectors
 from termsel_match.points.candidates import Candidates, match_points
 from termsel_match.points.given import read_candidates
@@ -95,7 +97,8 @@ def judge(
     """Return the model of an image, by candidates that agree, and whether it is good enough.
 
     An RPC, also that of a result, is refined by the plainest correction that held-out candidates
-    call for: `rpc-shift`, `rpc-drift`, `rpc-affine` or `rpc-jitter`. Without one, the model is an
+    call for: `rpc-shift`, `rpc-drift`, `rpc-affine` or `rpc-jitter`. Where candidates do not
+    determine the last all over the map, a plainer one is taken. Without an RPC, the model is an
     affine transformation of the ground coordinates. Where the vectors cannot be used, the model is
     by points alone.
 
@@ -160,21 +163,33 @@ def judge(
     if folder is not None:
         Path(folder).mkdir(parents=True, exist_ok=True)
         write_points_csv(candidates.points, Path(folder) / CANDIDATES, candidates.crs)
-    result_folder = None if folder is None else Path(folder) / RESULT
-    selected = select_points(candidates.features, model, options, accept=accept, seed=seed,
-                             out=result_folder)
-    lines, unused = None, ""
-    if vectors is not None:
-        at = Start("the model of the points", candidates.crs, 0.0, selected.result.project,
-                   selected.result.locate)
-        try:
-            lines = iterate_lines(image, vectors, model, options, dem=dem, start=at,
-                                  search=_SEARCH, band=matching.get("band"), seed=seed)
-            selected = with_lines(selected, lines.features, seed=seed, out=result_folder)
-        except TermselError as error:  # the points suffice
-            lines, unused = None, error.what
-    evidence, bounds = _evidence(image, reference, candidates, selected, dem=dem, extent=extent,
-                                 seed=seed, masks=matching.get("masks", ()))
+    def made(plainer_than: Correction | None = None) -> tuple[Selected, Matched | None, str,
+                                                            Evidence, Bounds | None]:
+        result_folder = None if folder is None else Path(folder) / RESULT
+        selected = select_points(candidates.features, model, options, accept=accept,
+                                 plainer_than=plainer_than, seed=seed, out=result_folder)
+        lines, unused = None, ""
+        if vectors is not None:
+            at = Start("the model of the points", candidates.crs, 0.0, selected.result.project,
+                       selected.result.locate)
+            try:
+                lines = iterate_lines(image, vectors, model, options, dem=dem, start=at,
+                                      search=_SEARCH, band=matching.get("band"), seed=seed)
+                selected = with_lines(selected, lines.features, seed=seed, out=result_folder)
+            except TermselError as error:  # the points suffice
+                lines, unused = None, error.what
+        return selected, lines, unused, *_evidence(
+            image, reference, candidates, selected, dem=dem, extent=extent, seed=seed,
+            masks=matching.get("masks", ()))
+
+    selected, lines, unused, evidence, bounds = made()
+    # A smooth correction goes anywhere beyond the candidates that hold it, which no held-out
+    # candidate sees. What it would have corrected then adds to the standard deviation.
+    while evidence.sigma > accept and selected.correction.model == "rpc-jitter":
+        richer = selected
+        selected, lines, unused, evidence, bounds = made(richer.correction)
+        selected = selected.instead_of(richer)
+        evidence = replace(evidence, sigma=float(np.hypot(evidence.sigma, selected.missed)))
     return Georeferenced(
         candidates, selected, evidence, accept, reasons(selected, evidence, accept),
         remarks(candidates, selected, evidence, accept), lines, unused, bounds)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +52,10 @@ class Selected:
         All candidates.
     correction : Correction
         The model and its options.
+    called_for : Correction, optional
+        What held-out candidates call for, where that is richer and not determined everywhere.
+    missed : float
+        RMS by which the model differs from that at candidates [px].
     """
 
     result: Result
@@ -59,6 +64,8 @@ class Selected:
     limit: float
     points: Points
     correction: Correction
+    called_for: Correction | None = None
+    missed: float = 0.0
 
     @property
     def share(self) -> float:
@@ -84,19 +91,26 @@ class Selected:
     def sigma(self, ground: FloatArray) -> FloatArray:
         """Return the standard deviation of the model at ground places, (n,) [px].
 
-        As the map of sigma has it (see `Fit.sigma`), both axes together: it grows where few
-        candidates hold the model. Infinite where it is not known.
+        As the map of sigma has it (see `Fit.sigma`), both axes together, and what the model is
+        known to miss: it grows where few candidates hold the model. Infinite where it is not known.
         """
-        sigma = np.linalg.norm(self.result.fit.sigma(ground), axis=1)
+        sigma = np.hypot(np.linalg.norm(self.result.fit.sigma(ground), axis=1), self.missed)
         return np.asarray(np.where(np.isfinite(sigma), sigma, np.inf))
+
+    def instead_of(self, richer: Selected) -> Selected:
+        """Return this selection as what is taken instead of a richer one."""
+        places = richer.points.take(richer.agrees).ground
+        away = self.result.project(places) - richer.result.project(places)
+        return replace(self, called_for=richer.called_for or richer.correction,
+                       missed=float(np.hypot(richer.missed, np.sqrt((away**2).sum(axis=1).mean()))))
 
     def _of_independent(self) -> FloatArray:
         return _errors(self.result.fit, self.points)[self.independent]
 
 
 def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], *,
-                  accept: float = TOLERANCE, seed: int = 1, out: Path | str | None = None,
-                  ) -> Selected:
+                  accept: float = TOLERANCE, plainer_than: Correction | None = None,
+                  seed: int = 1, out: Path | str | None = None) -> Selected:
     """Return the model with which most candidates agree.
 
     A quarter of the candidates is set aside as independent, unless some are so already. A
@@ -115,10 +129,12 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
     accept : float
         Error that is accepted [px]. No candidate agrees that is further off, unless matching is
         less exact.
+    plainer_than : Correction, optional
+        That is too rich: those before it are chosen from.
     seed : int
         Draws the roles, and drives the search.
     out : path-like, optional
-        Folder for the result.
+        Folder for the result; with `plainer_than` it replaces the one that is there.
 
     Raises
     ------
@@ -155,7 +171,8 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
             fit = fitted(chosen, agrees)
         # Jitter moves good candidates beyond the limit: all that are near have a say.
         near = ~independent & (errors <= NEAR)
-        several = corrections(model, options, int(near.sum()))
+        several = list(takewhile(lambda one: one != plainer_than,
+                                 corrections(model, options, int(near.sum()))))
         better = called_for(several, FeatureSet(points.take(near), crs=features.crs), seed)
         if better == chosen or again == _CHOICES:
             break
@@ -166,7 +183,8 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
     kept = with_roles.with_(points=with_roles.points.take(agrees))
     result = _told(termsel.run(
         "owdis-points", features=kept, model=chosen.model, solver="all-terms",
-        options={**chosen.options, **_all_used(kept)}, seed=seed, out=out), out)
+        options={**chosen.options, **_all_used(kept)}, seed=seed, out=out,
+        overwrite=plainer_than is not None), out)
     return Selected(result, agrees, independent, limit, points, chosen)
 
 
