@@ -184,12 +184,11 @@ def judge(
 
     selected, lines, unused, evidence, bounds = made()
     # A smooth correction goes anywhere beyond the candidates that hold it, which no held-out
-    # candidate sees. What it would have corrected then adds to the standard deviation.
+    # candidate sees. What it would have corrected adds to the standard deviation of a plainer one.
     while evidence.sigma > accept and selected.correction.model == "rpc-jitter":
-        richer = selected
-        selected, lines, unused, evidence, bounds = made(richer.correction)
-        selected = selected.instead_of(richer)
-        evidence = replace(evidence, sigma=float(np.hypot(evidence.sigma, selected.missed)))
+        richest = selected.called_for or selected.correction
+        selected, lines, unused, evidence, bounds = made(selected.correction)
+        selected = replace(selected, called_for=richest)
     return Georeferenced(
         candidates, selected, evidence, accept, reasons(selected, evidence, accept),
         remarks(candidates, selected, evidence, accept), lines, unused, bounds)

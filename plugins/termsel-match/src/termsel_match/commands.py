@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from shlex import quote
@@ -117,8 +117,8 @@ def match_points(image: Path, reference: Path, output: Path, overwrite: bool, qu
     click.echo(f"{len(candidates.points)} candidates in {candidates.cells.get('found', 0)} of "
                f"{cells} cells of the image, CRS {crs}")
     click.echo(f"Written: {output}", err=True)
-    click.echo(f"Next: {next_map(image, reference, output, options['dem'], options['start'])}",
-               err=True)
+    again = next_map(image, reference, output, options["dem"], options["start"], options["masks"])
+    click.echo(f"Next: {again}", err=True)
 
 
 @click.command("match-lines")
@@ -312,12 +312,13 @@ def match_example(folder: Path, size: int, seed: int, off: float) -> None:
 
 
 def next_map(image: Path, reference: Path, points: Path, dem: Path | None,
-             start: str | None) -> str:
+             start: str | None, masks: Sequence[str] = ()) -> str:
     """Return the command that makes a map by candidates."""
     words = ["termsel auto-georeference", quote(str(image)), "--points", quote(str(points)),
              "--reference", quote(str(reference)),
              "--dem", "DEM" if dem is None else quote(str(dem))]
     words += [] if start is None else ["--start", quote(start)]
+    words += [word for mask in masks for word in ("--mask", quote(mask))]
     return " ".join([*words, "-o map.tif --out result"])
 
 

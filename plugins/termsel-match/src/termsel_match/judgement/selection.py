@@ -15,11 +15,10 @@ from termsel import FeatureSet, Fit, Points, Result, TermselError
 from termsel.toolkit import write_result
 from termsel_match.images.rasters import FloatArray, Mask
 from termsel_match.images.starts import turned
-from termsel_match.judgement.structures import Correction, called_for, corrections
+from termsel_match.judgement.structures import Correction, called_for, corrections, missed_by
 from termsel_match.searching import searched
 
 TOLERANCE = 2.0  # px at which a candidate counts half in the search
-_INDEPENDENT, _CHECK = 0.25, 0.25  # parts of the candidates
 _LEAST_CHECK = 2
 NEAR = 2 * TOLERANCE
 """Px within which the spread of those that agree is estimated."""
@@ -55,7 +54,7 @@ class Selected:
     called_for : Correction, optional
         What held-out candidates call for, where that is richer and not determined everywhere.
     missed : float
-        RMS by which the model differs from that at candidates [px].
+        RMS error at held-out candidates that it would not make [px].
     """
 
     result: Result
@@ -96,13 +95,6 @@ class Selected:
         """
         sigma = np.hypot(np.linalg.norm(self.result.fit.sigma(ground), axis=1), self.missed)
         return np.asarray(np.where(np.isfinite(sigma), sigma, np.inf))
-
-    def instead_of(self, richer: Selected) -> Selected:
-        """Return this selection as what is taken instead of a richer one."""
-        places = richer.points.take(richer.agrees).ground
-        away = self.result.project(places) - richer.result.project(places)
-        return replace(self, called_for=richer.called_for or richer.correction,
-                       missed=float(np.hypot(richer.missed, np.sqrt((away**2).sum(axis=1).mean()))))
 
     def _of_independent(self) -> FloatArray:
         return _errors(self.result.fit, self.points)[self.independent]
@@ -171,9 +163,10 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
             fit = fitted(chosen, agrees)
         # Jitter moves good candidates beyond the limit: all that are near have a say.
         near = ~independent & (errors <= NEAR)
-        several = list(takewhile(lambda one: one != plainer_than,
-                                 corrections(model, options, int(near.sum()))))
-        better = called_for(several, FeatureSet(points.take(near), crs=features.crs), seed)
+        several = corrections(model, options, int(near.sum()))
+        plainer = list(takewhile(lambda one: one != plainer_than, several))
+        close = FeatureSet(points.take(near), crs=features.crs)
+        better = called_for(plainer, close, seed)
         if better == chosen or again == _CHOICES:
             break
         chosen = better
@@ -185,7 +178,8 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
         "owdis-points", features=kept, model=chosen.model, solver="all-terms",
         options={**chosen.options, **_all_used(kept)}, seed=seed, out=out,
         overwrite=plainer_than is not None), out)
-    return Selected(result, agrees, independent, limit, points, chosen)
+    missed = 0.0 if plainer_than is None else missed_by(chosen, several, close, seed)
+    return Selected(result, agrees, independent, limit, points, chosen, plainer_than, missed)
 
 
 def _all_used(features: FeatureSet) -> dict[str, Any]:
@@ -255,14 +249,19 @@ def _told(result: Result, out: Path | str | None) -> Result:
 
 
 def _roles(points: Points, seed: int) -> Any:
-    """Return roles drawn by a seed; points that are independent already are the only ones."""
+    """Return roles drawn by a seed; points that are independent already are the only ones.
+
+    They are drawn among four neighbours along the lines, so that each role is all along them.
+    """
     roles = np.array(points.roles, dtype=object)
     free = np.flatnonzero(roles != "independent")
-    order = free[np.random.default_rng([seed, 1]).permutation(len(free))]
-    set_aside = round(_INDEPENDENT * len(free)) if len(free) == len(roles) else 0
-    check = set_aside + round(_CHECK * len(free))
-    roles[order[:set_aside]], roles[order[set_aside:check]] = "independent", "check"
-    roles[order[check:]] = "control"
+    drawn = ["check", "control", "control",
+             "independent" if len(free) == len(roles) else "control"]
+    free, rng = free[np.argsort(points.image[free, 0], kind="stable")], \
+        np.random.default_rng([seed, 1])
+    for first in range(0, len(free), len(drawn)):
+        some = free[first:first + len(drawn)]
+        roles[some] = rng.permutation(np.array(drawn, dtype=object))[:len(some)]
     return roles
 
 

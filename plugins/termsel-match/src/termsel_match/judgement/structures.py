@@ -82,15 +82,29 @@ def called_for(several: list[Correction], features: FeatureSet, seed: int) -> Co
     """
     if len(several) == 1:
         return several[0]
-    fold = np.random.default_rng([seed, 4]).permutation(len(features.points)) % _FOLDS
-    judged = [(one, squares) for one in several
-              if (squares := _held_out(one, features, fold)) is not None]
+    judged = _judged(several, features, seed)
     if not judged:
         return several[0]
     best = min(judged, key=lambda one: float(one[1].mean()))[1]
     root = np.sqrt(len(best))
     return next(one for one, squares in judged
                 if (squares - best).mean() <= (squares - best).std() / root)
+
+
+def missed_by(chosen: Correction, several: list[Correction], features: FeatureSet, seed: int,
+              ) -> float:
+    """Return the RMS error of a correction at held-out candidates that the best has not [px]."""
+    judged = [(one, float(squares.mean())) for one, squares in _judged(several, features, seed)]
+    own = [square for one, square in judged if one == chosen]
+    return max(own[0] - min(square for _, square in judged), 0.0) ** 0.5 if own else float("inf")
+
+
+def _judged(several: list[Correction], features: FeatureSet, seed: int,
+            ) -> list[tuple[Correction, FloatArray]]:
+    """Return the corrections that candidates determine, and their squared errors at others."""
+    fold = np.random.default_rng([seed, 4]).permutation(len(features.points)) % _FOLDS
+    return [(one, squares) for one in several
+            if (squares := _held_out(one, features, fold)) is not None]
 
 
 def _held_out(one: Correction, features: FeatureSet, fold: NDArray[np.intp],

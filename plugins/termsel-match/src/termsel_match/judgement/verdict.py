@@ -137,8 +137,8 @@ def remarks(candidates: Candidates, selected: Selected, evidence: Evidence,
                     "attitude does so, and so do seams of the reference.")
     if selected.called_for is not None:
         said.append(f"Candidates call for {selected.called_for.text}, and do not determine it all "
-                    f"over the map. {selected.correction.text} is taken instead; they differ by "
-                    f"{selected.missed:.2f} px (RMS) where candidates are.")
+                    f"over the map. {selected.correction.text} is taken instead; at held-out "
+                    f"candidates it misses {selected.missed:.2f} px (RMS) more.")
     bare, where = evidence.bare
     if bare > _BARE:
         said.append(f"No candidate agrees in {100 * bare:.0f} % of what image and reference show, "

@@ -34,8 +34,7 @@ log = logging.getLogger("termsel.match")
 
 _USUAL = ("sift", "structure")
 LEAST = 8  # candidates; fewer cannot be selected from
-
-
+_FEW = 8  # part of those wanted, below which another matcher may find more
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
@@ -108,7 +107,8 @@ def match_points(
     band, reference_band : int, optional
         Counted from 1; by default the mean of all.
     matcher : str or Matcher, optional
-        By default "sift", and "structure" where that finds fewer than 8 candidates.
+        By default "sift", and "structure" where that finds fewer than 8 candidates, or an eighth
+        of those wanted: the one that finds more.
     seconds : float, optional
         Time for the matching, which then goes on with what it has.
     masks : sequence of path-like
@@ -143,15 +143,17 @@ def match_points(
                 raise TermselError("a folder of references requires a start", file=image,
                                    hint="Give --start with an RPC, a result or points.")
             known = start_by_overview(picture, files[0], reference_band)
+        tried = []
         for name in _USUAL if matcher is None else (matcher,):
             chosen = get("matchers", name)
             looking = Looking(chosen() if isinstance(chosen, type) else chosen, search, count,
                               until, progress)
-            points, crs, cells = _of_files(picture, files, known, dem, reference_band, masks,
-                                           looking)
-            if len(points) >= LEAST or looking.is_over:
+            tried.append(_of_files(picture, files, known, dem, reference_band, masks, looking))
+            found = len(tried[-1][0])
+            if found >= max(LEAST, count / _FEW) or looking.is_over:
                 break
-            log.info("Note: the matcher %s finds %d candidates.", chosen.name, len(points))
+            log.info("Note: the matcher %s finds %d candidates.", chosen.name, found)
+        points, crs, cells = max(tried, key=lambda one: len(one[0]))
         size = picture.size
     if len(points) < LEAST:
         raise TermselError(f"not enough candidates: {len(points)} found, at least {LEAST} "

@@ -50,7 +50,11 @@ def read_candidates(path: Path | str, image: Path | str, reference: Path | str |
     try:
         features = read(path, dem=dem, **options)
     except TermselError as error:
-        if crs is None or error.what != "the CRS of the ground coordinates is unknown":
+        unplaced = error.what == "the CRS of the ground coordinates is unknown"
+        if crs is None and (unplaced or _in_pixels(path)):
+            raise TermselError(error.what, file=path,
+                               hint="Give the georeferenced image by --reference.") from error
+        if crs is None or not unplaced:
             raise
         features = read(path, dem=dem, crs=crs, **options)
     points = features.points
