@@ -27,12 +27,12 @@ from termsel_match.lines.candidates import LineCandidates
 from termsel_match.lines.candidates import match_lines as match
 from termsel_match.lines.certainty import (
     fitted_to,
-    left_by_tracing,
     most_decisive,
     undetermined,
 )
-from termsel_match.lines.problem import RECIPE
+from termsel_match.lines.problem import RECIPE, MatchedLines
 from termsel_match.lines.rounds import iterate_lines
+from termsel_match.lines.tracing import left_by_tracing
 from termsel_match.lines.vectors import pieces_of
 
 CHECKS = (*checks(match_lines, words=["none.tif", "--vectors", "none.gpkg"]),
@@ -103,33 +103,62 @@ def test_rounds_find_the_camera_from_thirty_px_off(place: Any, tmp_path: Path) -
     assert done.rounds[0].moved > 15 > 1 > done.rounds[-1].moved
     assert "round  search" in done.text()
     assert "in all directions" in done.text()
-    assert 0.05 < done.tracing < 1
+    assert 0.05 < done.tracing.sigma < 0.5
+    assert "errors of the vectors leave" in done.text()
     assert termsel.read_result(tmp_path / "result").selection.features == done.lines.ids
 
 
-class Moved:
-    """A model that moves the image by the mean error of its lines."""
+def traced(sigma: float, seed: int, count: int) -> tuple[MatchedLines, Any, float]:
+    """Return lines of vectors of which each is traced with one error, with those that agree.
 
-    def __init__(self, lines: Lines) -> None:
-        self.away = (lines.image - lines.ground[..., :2]).mean(axis=(0, 1))
+    And by how much the model of these is off [px]. It is an affine transformation in a plane. Each
+    vector has six pieces, and each of these a wrong candidate, too.
+    """
+    rng = np.random.default_rng(seed)
+    of = np.repeat(np.arange(count), 6)
+    middle, turn = rng.uniform(50, 950, (len(of), 2)), np.repeat(rng.uniform(0, np.pi, count), 6)
+    along = 40 * np.stack([np.sin(turn), np.cos(turn)], axis=1)
+    ends = np.stack([middle - along, middle + along], axis=1)
+    image = ends + rng.normal(0, sigma, (count, 2))[of, None] + rng.normal(0, 0.2, ends.shape)
+    wrong = image + rng.uniform(-30, 30, (len(of), 1, 2))
+    ground = np.dstack([ends, np.full(ends.shape[:2], 0.0)])
+    numbers = np.arange(len(of)).astype(str)
+    lines = Lines(
+        tuple(f"{name}.{k}" for k in (1, 2) for name in numbers), np.concatenate([image, wrong]),
+        np.concatenate([ground, 0.99 * ground + 0.01 * ground[:, ::-1]]), attributes={
+            "vector": np.tile(of.astype(str), 2).astype(object),
+            "piece": np.tile(numbers, 2).astype(object)})
+    features = FeatureSet(lines=lines, crs="local", image_size=(1000, 1000))
+    problem: Any = termsel.prepare("matched-lines", features=features, model="poly2d",
+                                   options={"degree": 1, "half_at": 1.0}).problem
+    ids = np.array(problem.inputs.control.ids)
+    right = np.flatnonzero(np.char.endswith(ids, ".1"))
+    chosen = ids[problem.agreeing(problem.refined(problem.fitted(right)))]
+    fitted = termsel.fit(features.with_(lines=lines.take(np.isin(lines.ids, chosen))), "poly2d",
+                         degree=1)
+    away = fitted.project(ground.reshape(-1, 3)) - ends.reshape(-1, 2)
+    return problem, chosen, float(np.sqrt((away**2).sum(axis=1).mean()))
 
-    def project(self, ground: Any) -> Any:
-        return ground[:, :2] + self.away
+
+@pytest.mark.parametrize("sigma", [0.0, 1.0, 2.5])
+def test_what_errors_of_tracing_leave_is_told(sigma: float) -> None:
+    told, true = [], []
+    for seed in range(6):
+        problem, chosen, away = traced(sigma, seed, 14)
+        found = left_by_tracing(problem, chosen, 1)
+        assert found.vectors == 14
+        assert "a whole vector" not in found.text()
+        told.append(found.sigma)
+        true.append(away)
+    ratio = np.sqrt(np.mean(np.square(told)) / np.mean(np.square(true)))
+    assert 1 / 1.5 < ratio < 1.5
 
 
-def test_errors_of_tracing_do_not_average_out_within_a_vector() -> None:
-    told = []
-    for seed in range(20):
-        of = np.repeat(np.arange(20), 6)  # six pieces of each of twenty vectors
-        away = np.random.default_rng(seed).normal(0, 2, (20, 2))[of]
-        ground = np.arange(len(of))[:, None, None] * [10.0, 0, 0] + [[0, 0, 0], [1, 1, 0]]
-        lines = Lines(tuple(map(str, range(len(of)))),
-                      ground[..., :2] + away[:, None], ground,
-                      attributes={"vector": of.astype(str).astype(object)})
-        told.append(left_by_tracing(lines, Moved(lines).project(ground.reshape(-1, 3)),
-                                    Moved, seed))  # type: ignore[arg-type]
-    # Twenty errors of 2 px are averaged, in both axes, and not a hundred and twenty.
-    assert 0.7 < np.sqrt(np.mean(np.square(told))) / (2 * np.sqrt(2 / 20)) < 1.3
+def test_few_vectors_do_not_show_errors_of_whole_ones() -> None:
+    problem, chosen, _ = traced(2.0, 1, 4)
+    text = left_by_tracing(problem, chosen, 1).text()
+    assert "apart from errors that a whole vector has" in text
+    assert "Fewer than 6 vectors" in text
 
 
 def test_the_table_runs_as_a_problem(place: Any, found: LineCandidates, tmp_path: Path) -> None:

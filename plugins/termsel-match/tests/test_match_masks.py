@@ -51,6 +51,20 @@ def test_nothing_is_matched_in_polygons(place: Any, tmp_path: Path) -> None:
     assert len(found.points) >= 8
 
 
+def test_geojson_may_be_in_px_though_it_always_has_a_crs(place: Any, says: Any,
+                                                         tmp_path: Path) -> None:
+    in_px = polygons(tmp_path / "px.geojson", [shapely.box(100, 0, 500, 500)], None)
+    with open_masked(place / "image.tif", None, [in_px]) as picture:
+        known = picture.read(0, 0, 500, 500, 2)[1]
+    assert known[:, :49].all()
+    assert not known[:, 51:].any()
+    nowhere = polygons(tmp_path / "nowhere.gpkg", [shapely.box(-9e9, 0, 9e9, 9e9)], "EPSG:2056")
+    code, text = says("match-points", place / "image.tif", "--reference", place / "ortho.tif",
+                      "--mask", nowhere, "-o", tmp_path / "c.csv")
+    assert code == 2
+    assert "have no place in the CRS of the reference" in text
+
+
 def test_a_mask_that_is_none_is_refused(place: Any, says: Any, tmp_path: Path) -> None:
     for mask, said in ((place / "roads.gpkg", "has no polygons"),
                        (tmp_path / "missing.gpkg", "missing.gpkg"),

@@ -152,6 +152,23 @@ def test_an_inverted_image_is_matched_by_structure(
     assert _good(place, found) > 0.8
 
 
+def test_structure_is_asked_where_sift_finds_few(
+        place: Any, altered: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
+    def infrared(pixels: Any) -> Any:  # fields of another order of brightness
+        bright = np.clip((pixels - 300.0) / 1300, 0, 1)
+        return (500 + 400 * np.sin(9 * bright + 1)).astype(np.uint16)
+
+    image = altered("image.tif", infrared)
+    few = len(match(image, place / "ortho.tif", dem=place / "dem.tif", count=120,
+                    matcher="sift").points)
+    assert 8 <= few < 15
+    with caplog.at_level("INFO", logger="termsel.match"):
+        found = match(image, place / "ortho.tif", dem=place / "dem.tif", count=120)
+    assert f"the matcher sift finds {few} candidates" in caplog.text
+    assert len(found.points) > 3 * few
+    assert _good(place, found) > 0.7
+
+
 def test_phase_correlation_finds_candidates(place: Any) -> None:
     found = match(place / "image.tif", place / "ortho.tif", dem=place / "dem.tif", count=60,
                   matcher="phase")

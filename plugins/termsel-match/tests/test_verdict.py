@@ -106,6 +106,36 @@ def test_jitter_is_corrected_as_far_as_candidates_call_for_it() -> None:
     assert chosen.correction.model == "rpc-jitter"
 
 
+def test_a_smooth_correction_is_not_taken_where_no_candidate_holds_it(tmp_path: Path) -> None:
+    world = World(size=500, seed=3, jitter=1.2)
+    points, rng = world.independent(260), np.random.default_rng(2)
+    points = points.take(points.image[:, 0] > 110)  # the first lines have none
+    image = points.image + rng.normal(0, 0.2, points.image.shape)
+    options = {"rpc": json.dumps(asdict(world.rpc))}
+    features = FeatureSet(replace(points, image=image, roles=()), crs=CRS, image_size=(500, 500))
+    chosen = select_points(features, "rpc-drift", options)
+    assert chosen.correction.model == "rpc-jitter"
+    plainer = select_points(features, "rpc-drift", options, plainer_than=chosen.correction)
+    assert plainer.called_for == chosen.correction
+    assert len(plainer.result.fit.terms) < len(chosen.result.fit.terms)
+    assert plainer.missed > 0.1
+    first = world.independent(400).take(np.arange(260, 400))
+    first = first.take(first.image[:, 0] < 40)
+    away = np.linalg.norm(plainer.result.project(first.ground) - first.image, axis=1)
+    # What it is known to miss is in its standard deviation.
+    assert (plainer.sigma(first.ground) > plainer.missed).all()
+    assert np.sqrt((away**2).mean()) < 3 * plainer.sigma(first.ground).max()
+
+
+def test_roles_are_all_along_the_lines(place: Any) -> None:
+    chosen = select_points(measured(place), "rpc-drift", {"rpc": str(place / "image.RPB")})
+    line = chosen.points.image[:, 0]
+    for part in (chosen.independent, ~chosen.independent):
+        spread = np.sort(line[part])
+        assert np.diff(spread).max() < 8 * len(line) / part.sum() * np.ptp(line) / len(line)
+    assert chosen.independent.sum() == 50
+
+
 def test_large_corrections_and_strange_heights_are_remarked(place: Any, tmp_path: Path) -> None:
     for above, said in ((0.0, False), (300.0, True)):
         features = measured(place)
@@ -187,6 +217,13 @@ def test_what_is_missing_is_said(place: Any, tmp_path: Path, says: Any) -> None:
     assert "not enough candidates: 5" in says(*words, "--points", few)[1]
     assert "the reference is not given" in says(*words, "--points", few, "--extent",
                                                 "reference")[1]
+    pixels, arosics = tmp_path / "pixels.csv", tmp_path / "arosics.csv"
+    pixels.write_text("y1,x1,y2,x2\n1,2,3,4\n")
+    arosics.write_text("POINT_ID,X_IM,Y_IM,X_MAP,Y_MAP,X_SHIFT_M,Y_SHIFT_M\n1,2,3,4,5,6,7\n")
+    for table in (pixels, arosics):
+        text = says(*words, "--points", table)[1]
+        assert "Give the georeferenced image by --reference" in text
+        assert "--set" not in text
     assert read(few).points.ids[0] == "T001"
 
 

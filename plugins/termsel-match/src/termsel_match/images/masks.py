@@ -29,6 +29,7 @@ _BRIGHT = 1.8  # times the median of the rest: clouds
 _GREY = 0.25  # relative difference of visible bands of clouds
 _DARK = 0.6  # times the median near infrared of the rest: water
 _WIDE = 9  # px, reduced: smaller areas are roofs and shadows
+_GLOBE = np.array([360.0, 90.0])  # deg of longitude and latitude
 _FEW = 0.002  # part of the image, below which nothing is masked
 
 Excluded = Callable[[int, int, tuple[int, int], int], Mask]
@@ -64,14 +65,26 @@ def open_masked(path: Path | str, band: int | None, masks: Sequence[Path | str],
 
 
 def polygons(path: Path | str) -> tuple[NDArray[Any], str]:
-    """Return the polygons of a file and their CRS, "" where it has none."""
+    """Return the polygons of a file and their CRS, "" where it has none.
+
+    GeoJSON always has one, so that degrees which are none are px.
+    """
+    from pyproj import CRS
+
     meta, shapes, _ = open_layer(Path(path), None, ("Polygon", "MultiPolygon"), columns=[])
     areas = np.empty(0, dtype=object) if shapes is None else \
         shapes[(shapely.get_dimensions(shapes) == 2) & ~shapely.is_empty(shapes)]
     if not len(areas):
         raise TermselError("this mask has no polygons", file=path,
                            hint="Draw areas, and save them in a layer of polygons.")
-    return shapely.force_2d(areas), str(meta["crs"] or "")
+    crs, areas = str(meta["crs"] or ""), shapely.force_2d(areas)
+    places = shapely.get_coordinates(areas)
+    if not np.isfinite(places).all():
+        raise TermselError("a polygon of this mask has a coordinate that is no number", file=path,
+                           hint="Draw it again.")
+    if crs and CRS.from_user_input(crs).is_geographic and (np.abs(places) > _GLOBE).any():
+        crs = ""
+    return areas, crs
 
 
 def on_the_ground(masks: Sequence[Path | str], crs: str, transform: Any) -> tuple[Excluded, ...]:
@@ -97,8 +110,12 @@ def on_the_ground(masks: Sequence[Path | str], crs: str, transform: Any) -> tupl
             continue
         turn = Transformer.from_crs(own, crs, always_xy=True)
 
-        def to_px(places: FloatArray, turn: Any = turn) -> FloatArray:
+        def to_px(places: FloatArray, turn: Any = turn, name: Path | str = name) -> FloatArray:
             x, y = turn.transform(places[:, 0], places[:, 1])
+            if not np.isfinite([x, y]).all():
+                raise TermselError("polygons of this mask have no place in the CRS of the "
+                                   "reference", file=name,
+                                   hint="Is their CRS right? Draw them near the image.")
             return np.column_stack(~transform @ (np.asarray(x), np.asarray(y)))
 
         found.append(_drawn([shapely.transform(shape, to_px) for shape in shapes]))

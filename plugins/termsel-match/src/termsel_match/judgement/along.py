@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel import FeatureSet, Points
+from termsel import FeatureSet, Fit, Points
 from termsel_match.judgement.selection import Selected
 from termsel_match.judgement.structures import Correction
 
@@ -39,6 +39,16 @@ class Along:
         return self.size > _SMOOTH * accept or float(np.hypot(*self.away)) > _STEP * accept
 
 
+def steady(selected: Selected) -> Fit:
+    """Return a model that goes nowhere beyond the candidates: of a smooth correction, the drift."""
+    chosen = selected.correction
+    if chosen.model != "rpc-jitter":
+        return selected.result.fit
+    agree = selected.points.take(selected.agrees)
+    return Correction("rpc-drift", {"rpc": chosen.options["rpc"]}).fit(
+        FeatureSet(agree, crs=selected.result.features.crs))
+
+
 def along(selected: Selected, agree: Points, lines: int) -> Along:
     """Return how the correction of a model differs from a drift, and where it changes most.
 
@@ -56,8 +66,7 @@ def along(selected: Selected, agree: Points, lines: int) -> Along:
     chosen = selected.correction
     if chosen.model != "rpc-jitter":
         return Along()
-    drift = Correction("rpc-drift", {"rpc": chosen.options["rpc"]}).fit(
-        FeatureSet(agree, crs=selected.result.features.crs)).project(agree.ground)
+    drift = steady(selected).project(agree.ground)
     away, line = selected.result.project(agree.ground) - drift, agree.image[:, 0]
     wide = lines * min(_WIDEST, 1 / chosen.options["intervals"])
     where, step = 0.0, np.zeros(2)

@@ -15,6 +15,7 @@ _SIDE = 512  # px of the reference that are compared with themselves
 _COARSE = 8.0  # px of the standard deviation of what is taken for brightness, and not for texture
 _LEAST = 20  # px: nearer places look alike anyway
 _OVERLAP = 0.2  # part of the window that a displaced copy must share with it
+_ENOUGH = 128**2  # px that it must share at least: parts of small chips are alike by chance
 _AS_MUCH = 0.9  # of the largest correlation
 ALIKE = 0.5
 """Correlation of the ground with its displaced copy from which on it repeats itself."""
@@ -76,7 +77,8 @@ def _alike(pixels: FloatArray, known: FloatArray) -> tuple[float, float]:
     power = np.sqrt(np.maximum(here, 0) * np.maximum(there, 0))
     away = np.hypot(*np.meshgrid(*(np.fft.fftfreq(extent, 1 / extent) for extent in shape),
                                  indexing="ij"))
-    used = (away >= _LEAST) & (overlap >= _OVERLAP * known.size) & (power > 1e-9 * power.max())
+    used = (away >= _LEAST) & (power > 1e-9 * power.max()) & (
+        overlap >= max(_OVERLAP * known.size, _ENOUGH))
     if not used.any():
         return 0.0, 0.0
     like = np.where(used, correlated(of_fine, of_fine) / np.where(used, power, 1), -1)

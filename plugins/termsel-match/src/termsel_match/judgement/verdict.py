@@ -10,7 +10,7 @@ import shapely
 from termsel import Points
 from termsel_match.images.rasters import FloatArray, Mask, grid
 from termsel_match.images.starts import Heights, turned
-from termsel_match.judgement.along import Along, along
+from termsel_match.judgement.along import Along, along, steady
 from termsel_match.judgement.evidence import (
     LEVEL,
     OtherPlace,
@@ -94,7 +94,7 @@ def evidence_of(candidates: Candidates, selected: Selected, heights: Heights, sh
     residuals = points.image - fit.project(points.ground)
     away = np.linalg.norm(residuals, axis=1)
     near, far = away <= NEAR, (away > NEAR) & np.isfinite(away)
-    places = fit.locate(grid(size, mapped.shape)[mapped.ravel()], heights)
+    places = steady(selected).locate(grid(size, mapped.shape)[mapped.ravel()], heights)
     places = places[np.isfinite(places).all(axis=1)]
     sigma = selected.sigma(places) if len(places) else np.array([np.inf])
     agree, start = points.take(selected.agrees), candidates.rough

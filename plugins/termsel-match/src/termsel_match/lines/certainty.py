@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import termsel
 from termsel import FeatureSet, Fit, Lines, Points, TermselError
-from termsel_match.images.rasters import FloatArray
 from termsel_match.images.starts import Start, turned
 
 _WEAK = 3.0  # ratio of standard deviations across and along
 _HELD = 2.0  # px along the lines, beyond which the start holds the image
 _ASKED = 60  # vectors that are tried in turn, those with most lines
-_STRETCHES, _FEWEST = 8, 4  # of vectors, that are left out together
-_PAIRS = 3  # of halves of them
 UNCERTAIN = 1.0  # px by which the image may move without one vector
 
 
@@ -110,69 +105,6 @@ def most_decisive(features: FeatureSet, model: str, options: Mapping[str, Any]) 
         moved = float(np.sqrt(((without - seen) ** 2).sum(axis=1).mean()))
         moves.append(Decisive(str(name), moved))
     return max(moves, key=lambda decisive: decisive.moved)
-
-
-def left_by_tracing(lines: Lines, seen: FloatArray, selected: Callable[[Lines], Fit], seed: int,
-                    ) -> float:
-    """Return the standard deviation that errors of the vectors leave in the image [px].
-
-    Errors of tracing are common to a whole stretch of a vector, so that its pieces do not average
-    them out; and lines are selected that agree, which hides how far the others are off. So half
-    of the stretches is left out, and selection and fit are repeated with the candidates of the
-    others. The squares by which the image moves then are as large as the variance (delete-half
-    jackknife); the median of the halves is taken.
-
-    Parameters
-    ----------
-    lines : Lines
-        All candidates, with the attribute `vector`.
-    seen : ndarray, shape (m, 2)
-        Where the model sees the vertices of all candidates [px].
-    selected : callable
-        Returns the model that some candidates call for.
-    seed : int
-        Draws the halves.
-
-    Returns
-    -------
-    float
-        NaN if there are fewer than four stretches, or fewer than half of the halves determine the
-        model.
-
-    References
-    ----------
-    Shao, Wu 1989: A general theory for jackknife variance estimation. Annals of Statistics 17,
-    1176-1197.
-    """
-    stretch = _stretches(lines)
-    count = int(stretch.max()) + 1
-    if count < _FEWEST:
-        return float("nan")
-    ground, rng = lines.ground.reshape(-1, 3), np.random.default_rng([seed, 6])
-    moves = []
-    for _ in range(_PAIRS):
-        half = np.isin(stretch, rng.permutation(count)[:count // 2])
-        for mine in (half, ~half):  # each stretch is in as many
-            with suppress(TermselError):
-                moves.append(((selected(lines.take(mine)).project(ground) - seen) ** 2).sum(axis=1))
-    # Some halves hardly determine the model, which says nothing of the whole.
-    each = np.array(moves).mean(axis=1) if len(moves) >= _PAIRS else np.array([np.nan])
-    return float(np.sqrt(np.median(each)))
-
-
-def _stretches(lines: Lines) -> NDArray[np.intp]:
-    """Return which stretch each piece is of: vectors, or parts of them where they are few."""
-    of = lines.attributes["vector"].astype(str)
-    names, vector = np.unique(of, return_inverse=True)
-    parts = max(1, -(-_STRETCHES // len(names)))
-    if parts == 1:
-        # Many vectors: each counts, in groups that are about as many as are tried.
-        return np.asarray(np.unique(vector.ravel() % _ASKED, return_inverse=True)[1].ravel())
-    stretch = np.empty(len(of), dtype=np.intp)
-    for number in range(len(names)):
-        own = np.flatnonzero(vector.ravel() == number)
-        stretch[own] = number * parts + np.arange(len(own)) * parts // len(own)
-    return np.asarray(np.unique(stretch, return_inverse=True)[1].ravel())
 
 
 def undetermined(lines: Lines) -> str:

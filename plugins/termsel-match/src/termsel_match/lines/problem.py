@@ -77,7 +77,8 @@ class MatchedLines(Problem):
         self._first = np.flatnonzero(np.diff(piece.ravel()[self._order], prepend=-1))
         vectors = lines.attributes.get("vector", pieces).astype(str)[self._order][self._first]
         _, vector, count = np.unique(vectors, return_inverse=True, return_counts=True)
-        weight = 1 / np.sqrt(count[vector.ravel()])
+        self._vector = vector.ravel()
+        weight = 1 / np.sqrt(count[self._vector])
         self._weight = weight / weight.sum()
         self._half = float(inputs.options["half_at"])
         self.genome = Genome([Subset("features", inputs.control.ids, picked)])
@@ -91,24 +92,55 @@ class MatchedLines(Problem):
 
     def decode(self, genes: Any) -> Selection:
         """Return the lines that agree."""
-        coefficients = self._fitted(np.asarray(genes, dtype=np.intp)[None])
-        for _ in range(_ROUNDS):
-            nearest, away = self._nearest(coefficients)
-            loss = self._weight * (self._half**2 / (away**2 + self._half**2)) ** 2
-            before, coefficients = coefficients, self._fitted(nearest[None], loss)
-            if np.allclose(coefficients, before, rtol=0, atol=_SAME):
-                break
-        nearest, away = self._nearest(coefficients)
-        near = away[away <= _LIMIT * self._half]
-        spread = float(np.median(near)) / _MEDIAN if len(near) else 0.0
-        chosen = nearest[away <= min(max(_SIGMAS * spread, _LEAST_LIMIT), _LIMIT * self._half)]
+        coefficients = self.refined(self.fitted(np.asarray(genes, dtype=np.intp)))
+        chosen = self.agreeing(coefficients)
         picked = np.sort(chosen) if len(chosen) >= len(self._columns[0, 0]) else np.unique(genes)
         return Selection(self.inputs.model.terms,
                          tuple(self.inputs.control.ids[int(i)] for i in picked))
 
+    @property
+    def vector(self) -> NDArray[np.intp]:
+        """Number of the vector of each piece."""
+        return self._vector
+
+    def fitted(self, lines: NDArray[np.intp], weights: FloatArray | None = None) -> FloatArray:
+        """Return coefficients, (k,), by least squares of lines, (m,), with weights, (m,)."""
+        return np.asarray(self._fitted(lines[None], weights)[0])
+
+    def refined(self, coefficients: FloatArray, times: FloatArray | None = None) -> FloatArray:
+        """Return the coefficients, (k,), near others that minimise the loss.
+
+        `times` is how many times each piece counts.
+        """
+        for _ in range(_ROUNDS):
+            nearest, away = self._nearest(coefficients)
+            loss = self._weight * (self._half**2 / (away**2 + self._half**2)) ** 2
+            before = coefficients
+            coefficients = self.fitted(nearest, loss if times is None else loss * times)
+            if np.allclose(coefficients, before, rtol=0, atol=_SAME):
+                break
+        return coefficients
+
+    def agreeing(self, coefficients: FloatArray, times: FloatArray | None = None,
+                 ) -> NDArray[np.intp]:
+        """Return the lines that agree with a model, as many times as their pieces count."""
+        nearest, away = self._nearest(coefficients)
+        if times is not None:
+            of = np.repeat(np.arange(len(nearest)), times.astype(np.intp))
+            nearest, away = nearest[of], away[of]
+        near = away[away <= _LIMIT * self._half]
+        spread = float(np.median(near)) / _MEDIAN if len(near) else 0.0
+        return np.asarray(
+            nearest[away <= min(max(_SIGMAS * spread, _LEAST_LIMIT), _LIMIT * self._half)])
+
+    def seen(self, coefficients: FloatArray) -> FloatArray:
+        """Return where a model sees the vertices of all lines, (2 n, 2) [px]."""
+        ground = self.inputs.control.lines.ground.reshape(-1, 3)
+        return np.asarray(self.inputs.model.project(coefficients, ground) * self.inputs.pixels)
+
     def _nearest(self, coefficients: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
         """Return the nearest line of each piece to a model, and how far it is [px]."""
-        away = self._distances(coefficients)[0]
+        away = self._distances(coefficients[None])[0]
         nearest = np.array([own[away[own].argmin()] for own in self._of_pieces()])
         return nearest, away[nearest]
 

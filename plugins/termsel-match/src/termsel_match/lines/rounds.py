@@ -17,10 +17,11 @@ from termsel_match.lines.candidates import LineCandidates, match_lines, without_
 from termsel_match.lines.certainty import (
     Decisive,
     fitted_to,
-    left_by_tracing,
     most_decisive,
     undetermined,
 )
+from termsel_match.lines.problem import MatchedLines
+from termsel_match.lines.tracing import Tracing, left_by_tracing
 from termsel_match.searching import searched
 
 _MOST = 6  # rounds
@@ -73,9 +74,9 @@ class Matched:
         Whether the last round changed next to nothing.
     decisive : Decisive
         The vector without which the image moves most.
-    tracing : float
-        Standard deviation in the image that errors of the vectors leave [px], by `left_by_tracing`;
-        NaN where the start is a model of points, which tell more.
+    tracing : Tracing
+        What errors of the vectors leave in the image. Where the start holds the image, or is a
+        model of points, which tell more, it is not told.
     """
 
     candidates: LineCandidates
@@ -84,7 +85,7 @@ class Matched:
     rounds: tuple[Round, ...]
     settled: bool
     decisive: Decisive
-    tracing: float
+    tracing: Tracing
 
     @property
     def features(self) -> FeatureSet:
@@ -100,11 +101,8 @@ class Matched:
                   for i, each in enumerate(self.rounds)]
         if not self.settled:
             table.append("The last round still changed the model.")
-        left = "cannot be told: there are too few lines" if np.isnan(self.tracing) else \
-            f"{self.tracing:.2f} px"
-        return "\n".join([
-            *table, undetermined(self.lines), self.decisive.text(),
-            f"Standard deviation in the image that errors of the vectors leave: {left}."]) + "\n"
+        return "\n".join([*table, undetermined(self.lines), self.decisive.text(),
+                          self.tracing.text()]) + "\n"
 
 
 def iterate_lines(
@@ -154,16 +152,12 @@ def iterate_lines(
         features = FeatureSet(lines=candidates.lines, crs=candidates.crs,
                               image_size=candidates.image_size)
 
-        def selected(lines: Lines, features: FeatureSet = features, at: Start = at,
-                     search: float = search, half_at: float = _HALF_AT[bool(rounds)],
-                     ) -> tuple[FeatureSet, Fit]:
-            chosen = lines.take(np.isin(lines.ids, searched(
-                "matched-lines", features.with_(lines=lines), model,
-                {**options, "half_at": half_at}, seed=seed)))
-            return fitted_to(features.with_(lines=replace(chosen, sigma=np.ones(len(chosen)))),
-                             model, options, at, search)
-
-        used, fitted = selected(candidates.lines)
+        half_at = _HALF_AT[bool(rounds)]
+        chosen = candidates.lines.take(np.isin(candidates.lines.ids, searched(
+            "matched-lines", features, model, {**options, "half_at": half_at}, seed=seed)))
+        used, fitted = fitted_to(
+            features.with_(lines=replace(chosen, sigma=np.ones(len(chosen)))), model, options, at,
+            search)
         chosen = used.lines
         pieces = len(set(candidates.lines.attributes["piece"]))
         rms = rms_distance(fitted, chosen)
@@ -190,11 +184,12 @@ def iterate_lines(
     mixed = {"mixed": True} if len(used.points) else {}
     result = termsel.run("owdis-lines", features=used, model=model, solver="all-terms",
                          criterion="press", options={**options, **mixed}, seed=seed, out=out)
-    tracing = float("nan")
-    if not isinstance(start, Start):  # no points tell it
-        tracing = left_by_tracing(
-            candidates.lines, fitted.project(candidates.lines.ground.reshape(-1, 3)),
-            lambda some: selected(some)[1], seed)
+    tracing = Tracing()
+    if not (isinstance(start, Start) or len(used.points)):
+        problem = termsel.prepare("matched-lines", features=features, model=model,
+                                  options={**options, "half_at": half_at}).problem
+        assert isinstance(problem, MatchedLines)
+        tracing = left_by_tracing(problem, chosen.ids, seed)
     return Matched(candidates, lines, result, tuple(rounds), settled,
                    most_decisive(used, model, options), tracing)
 

@@ -1,0 +1,94 @@
+"""How far errors of the vectors move an image that lines were matched to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from termsel_match.lines.problem import MatchedLines
+
+FEW = 6
+"""Vectors; of fewer, an error that a whole one has does not show."""
+_STRETCHES, _FEWEST = 8, 4  # of fewer vectors, that are drawn together
+_DRAWS = 60
+_LEVEL = 0.7  # of the draws; the mean square is as large for normal errors, and not robust
+
+
+@dataclass(frozen=True)
+class Tracing:
+    """What errors of the vectors leave in the image.
+
+    Parameters
+    ----------
+    sigma : float
+        Standard deviation, both axes together [px]; NaN where it cannot be told.
+    vectors : int
+        By how many it is told.
+    """
+
+    sigma: float = float("nan")
+    vectors: int = 0
+
+    def text(self) -> str:
+        """Return what a user must know of it."""
+        left = "cannot be told by these lines." if np.isnan(self.sigma) else \
+            f"{self.sigma:.2f} px."
+        if self.vectors < FEW and not np.isnan(self.sigma):
+            left = (f"{self.sigma:.2f} px, apart from errors that a whole vector has. Fewer than "
+                    f"{FEW} vectors do not show those.")
+        return f"Standard deviation in the image that errors of the vectors leave: {left}"
+
+
+def left_by_tracing(problem: MatchedLines, chosen: Sequence[str], seed: int) -> Tracing:
+    """Return what errors of the vectors leave in the image.
+
+    Errors of tracing are common to a vector, so that its pieces do not average them out; and lines
+    are selected that agree, which hides how far the others are off. So vectors are drawn with
+    replacement, selection and fit are repeated from the model on, and the image moves by as much as
+    errors of the vectors have moved it. Where vectors are few, stretches of them are drawn.
+
+    Parameters
+    ----------
+    problem : MatchedLines
+        Of all candidates.
+    chosen : sequence of str
+        The lines that the model is fitted to.
+    seed : int
+        Of the draws.
+
+    References
+    ----------
+    Efron, Tibshirani 1993: An introduction to the bootstrap, section 8.3: units that are
+    independent of each other are drawn.
+    """
+    vectors, of = int(problem.vector.max()) + 1, _drawn_together(problem.vector)
+    count = int(of.max()) + 1
+    if count < _FEWEST:
+        return Tracing()
+    rng = np.random.default_rng([seed, 6])
+    begin = problem.fitted(np.flatnonzero(np.isin(problem.inputs.control.ids, chosen)))
+    ones = np.ones(len(of))
+    own = problem.seen(problem.fitted(problem.agreeing(problem.refined(begin, ones), ones)))
+    moves = []
+    for _ in range(_DRAWS):
+        times = np.bincount(rng.integers(0, count, count), minlength=count)[of].astype(float)
+        lines = problem.agreeing(problem.refined(begin, times), times)
+        if len(lines):
+            moves.append(((problem.seen(problem.fitted(lines)) - own) ** 2).sum(axis=1).mean())
+    # A few draws hardly determine the model, which says nothing of all vectors together.
+    return Tracing(float(np.sqrt(np.quantile(moves, _LEVEL))) if moves else float("nan"), vectors)
+
+
+def _drawn_together(vector: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return the number of what each piece is drawn with: its vector, or a stretch of it."""
+    count = int(vector.max()) + 1
+    if count >= FEW:
+        return vector
+    parts, stretch = -(-_STRETCHES // count), np.empty_like(vector)
+    for number in range(count):
+        own = np.flatnonzero(vector == number)
+        stretch[own] = number * parts + np.arange(len(own)) * parts // len(own)
+    return np.asarray(np.unique(stretch, return_inverse=True)[1].ravel())
