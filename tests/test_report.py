@@ -7,6 +7,7 @@ import re
 import shlex
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -298,6 +299,25 @@ def test_a_page_of_a_thousand_features_is_small(tmp_path: Path) -> None:
     assert len(result.front) > 8
     result.report(tmp_path / "page.html")
     assert (tmp_path / "page.html").stat().st_size < 3e6
+
+
+def test_of_many_residuals_the_largest_and_some_others_are_shown(
+    chosen: termsel.Result, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("termsel.results.shown.DRAWN", 30)
+    monkeypatch.setattr("termsel.results.shown.LARGEST", 10)
+    count, largest = len(chosen.residuals), sorted(r.distance for r in chosen.residuals)[-10:]
+    step = -(-count // 20)
+    fresh = replace(chosen)  # what is shown is kept
+    view = fresh.view
+    assert 20 <= len(view.in_image) == len(view.on_ground) <= 30 < count
+    assert {row["id"] for row in view.worst} <= {row["id"] for row in view.in_image}
+    np.testing.assert_allclose([row["distance"] for row in view.worst], largest[::-1], rtol=1e-3)
+    fresh.report(tmp_path / "page.html")
+    said = (f"Shown are the 10 largest of {count} residuals, and one in {step} of all. The file "
+            "residuals.csv has all of them.")
+    assert (tmp_path / "page.html").read_text().count(said) == 2
+
 
 
 @pytest.mark.parametrize("fixture", ["searched", "lines", "repeated"])

@@ -236,7 +236,8 @@ def _bad(record: Record, view: View | None, picture: str) -> Iterator[Block]:
     for row in view.on_ground:
         if row["metres"] is not None:
             on_ground[row["id"]] = max(row["metres"], on_ground.get(row["id"], 0.0))
-    yield TableBlock("Residuals of all features, the largest first", (
+    which = f"{len(view.worst):,}" if view.partly else "all"
+    yield TableBlock(f"Residuals of {which} features, the largest first", (
         "feature", "kind", "role", "residual [px]", "on the ground [m]", "blunder"), [
             (row["id"], row["kind"], row["role"], f"{row['distance']:.3g}",
              f"{on_ground[row['id']]:.3g}" if row["id"] in on_ground else "-",

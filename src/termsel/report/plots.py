@@ -72,11 +72,12 @@ KINDS = {kind.name: kind for kind in (
     ChartKind(
         "residuals", "Residuals in the image",
         "Arrows should point every way. Where neighbours agree, the model lacks a term there; a "
-        "single long arrow is a blunder.", maps.image_map, keeps_ratio=True),
+        "single long arrow is a blunder.", maps.image_map, keeps_ratio=True,
+        more=lambda view: view.partly),
     ChartKind(
         "ground", "Residuals on the ground",
         "A common direction over a slope or a district points to wrong heights or a wrong datum.",
-        maps.ground_map, keeps_ratio=True),
+        maps.ground_map, keeps_ratio=True, more=lambda view: view.partly),
     ChartKind(
         "worst", "The largest residuals",
         "The list should fall off smoothly. A step after the first few bars separates blunders "

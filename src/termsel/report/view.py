@@ -27,6 +27,10 @@ class View(Protocol):
         """First line, first sample, last line, last sample [px]: of the image, or of features."""
 
     @property
+    def partly(self) -> str:
+        """Which residuals are shown, in a sentence; "" where all are."""
+
+    @property
     def in_image(self) -> list[Row]:
         """Residuals with their places in the image: line, sample, dl, ds [px]."""
 

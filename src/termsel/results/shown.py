@@ -22,6 +22,9 @@ from termsel.results.repeat import command, not_by_command
 
 SIGMA_SIDE = 28
 """Cells along either side of the map of uncertainty."""
+DRAWN, LARGEST = 2000, 1000
+"""Most residuals that are drawn, and how many of them are the largest: nobody can tell more apart,
+and no browser draws a hundred thousand."""
 SMOOTH = 8
 """Control whose heights a cell of it has, so that it shows the model and not steps of heights."""
 
@@ -44,11 +47,19 @@ class Shown:
             return 0.0, 0.0, lines - 1.0, samples - 1.0
         return _box(self.features.image_vertices())
 
+    @property
+    def partly(self) -> str:
+        """Which residuals are shown, in a sentence; "" where all are."""
+        if self._drawn is self.residuals:
+            return ""
+        return (f"Shown are the {LARGEST:,} largest of {len(self.residuals):,} residuals, and one "
+                f"in {self._step:,} of all. The file residuals.csv has all of them.")
+
     @cached_property
     def in_image(self) -> list[Row]:
         """Residuals with their places in the image: line, sample, dl, ds [px]."""
         rows = []
-        for r, (line, sample) in zip(self.residuals, self._seen, strict=True):
+        for r, (line, sample) in zip(self._drawn, self._seen, strict=True):
             if np.isfinite([line, sample, r.distance]).all():
                 rows.append({**self._named(r), "line": _short(line), "sample": _short(sample),
                              "dl": _short(r.line, 4), "ds": _short(r.sample, 4)})
@@ -57,10 +68,10 @@ class Shown:
     @cached_property
     def on_ground(self) -> list[Row]:
         """Residuals with their places on the ground: x, y, dx, dy in the unit of the CRS."""
-        offsets = errors_on_ground(self.fit, self.residuals)
-        metres = in_metres(self.features.crs, self._ground, offsets)
+        offsets = errors_on_ground(self.fit, self._drawn)
+        metres = in_metres(self.features.crs, self._drawn.ground, offsets)
         rows = []
-        for i, (r, (dx, dy)) in enumerate(zip(self.residuals, offsets.tolist(), strict=True)):
+        for i, (r, (dx, dy)) in enumerate(zip(self._drawn, offsets.tolist(), strict=True)):
             if np.isfinite([dx, dy]).all():
                 away = None if metres is None else _short(float(np.hypot(*metres[i])), 4)
                 rows.append({**self._named(r), "x": _short(r.x, 12), "y": _short(r.y, 12),
@@ -71,11 +82,10 @@ class Shown:
     def worst(self) -> list[Row]:
         """Features by their largest residual, the largest first."""
         largest: dict[str, Row] = {}
-        for r in self.residuals:
-            if np.isfinite(r.distance) and (
-                    r.id not in largest or r.distance > largest[r.id]["distance"]):
-                largest[r.id] = self._named(r)
-        return sorted(largest.values(), key=lambda row: -row["distance"])
+        for i in self._by_length[:None if self._drawn is self.residuals else LARGEST]:
+            if np.isfinite(self.residuals[i].distance):
+                largest.setdefault(self.residuals[i].id, self._named(self.residuals[i]))
+        return list(largest.values())
 
     @cached_property
     def lines(self) -> list[Row]:
@@ -94,7 +104,7 @@ class Shown:
         """Least x and y, greatest x and y of the features, in the unit of the CRS."""
         return _box(self._ground[np.isfinite(self._ground[:, :2]).all(axis=1), :2])
 
-    @property
+    @cached_property
     def flattening(self) -> float:
         """Length of a unit of x over that of a unit of y on the ground."""
         if not is_geographic(self.features.crs):
@@ -124,7 +134,8 @@ class Shown:
     @cached_property
     def control(self) -> list[Row]:
         """Control in use as measured in the image."""
-        return [{"line": line, "sample": sample} for line, sample in self._in_use.tolist()]
+        step = max(1, len(self._in_use) // DRAWN)
+        return [{"line": line, "sample": sample} for line, sample in self._in_use[::step].tolist()]
 
     @cached_property
     def hull(self) -> list[Row]:
@@ -152,7 +163,7 @@ class Shown:
     def members(self) -> list[Row]:
         """Residuals in the image by all members of the front: dls, dss [`unit`], one a member."""
         each, unit, rows = self._by_member, self.unit, []
-        for i, (r, (line, sample)) in enumerate(zip(self.residuals, self._seen, strict=True)):
+        for i, r, (line, sample) in zip(self._which, self._drawn, self._seen, strict=True):
             if np.isfinite([line, sample, *(value for member in each for value in (
                     member[i].line, member[i].sample))]).all():
                 rows.append({**self._named(r), "line": _short(line), "sample": _short(sample),
@@ -184,7 +195,30 @@ class Shown:
     @cached_property
     def _ground(self) -> FloatArray:
         """Ground positions of the residuals, shape (n, 3)."""
-        return np.array([(r.x, r.y, r.z) for r in self.residuals]).reshape(-1, 3)
+        return self.residuals.ground
+
+    @cached_property
+    def _by_length(self) -> list[int]:
+        """The residuals, the largest first, unknown ones last."""
+        lengths = np.array([r.distance for r in self.residuals])
+        return [int(i) for i in np.argsort(-lengths, kind="stable")]
+
+    @property
+    def _step(self) -> int:
+        """Every how manieth residual is drawn."""
+        return -(-len(self.residuals) // (DRAWN - LARGEST)) if len(self.residuals) > DRAWN else 1
+
+    @cached_property
+    def _which(self) -> list[int]:
+        """Which residuals are drawn."""
+        every = range(0, len(self.residuals), self._step)
+        return sorted({*every, *self._by_length[:LARGEST]})
+
+    @cached_property
+    def _drawn(self) -> Residuals:
+        """Residuals that are drawn."""
+        return self.residuals if self._step == 1 else Residuals(
+            self.residuals[i] for i in self._which)
 
     @cached_property
     def _seen(self) -> list[list[float]]:
@@ -192,7 +226,7 @@ class Shown:
         measured = dict(zip(self.features.points.ids, self.features.points.image.tolist(),
                             strict=True))
         return [measured[r.id] if r.kind == "point" else computed for r, computed in zip(
-            self.residuals, self.fit.project(self._ground).tolist(), strict=True)]
+            self._drawn, self.fit.project(self._drawn.ground).tolist(), strict=True)]
 
     @cached_property
     def _in_use(self) -> FloatArray:
