@@ -10,7 +10,7 @@ their own roughness.
 from __future__ import annotations
 
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -56,8 +56,11 @@ def bounds(simulated: Simulated, result: BlockResult, bias: float, drift: float,
         right.append(np.zeros(4))
     with open_dem(block.dem, block.crs) if block.dem else nullcontext() as dem:
         ground = heights_of(block, frame, dem)
-        ground.sigma = result.adjusted.roughness
+        # Ties and control lie at random, so that each height counts, as the adjustment dares not.
+        known, rough = len(ground.control), result.adjusted.roughness
+        ground = replace(ground, sigma=rough, crowd=1.0, control=np.empty(0))
         heights, of_offset, aim, of_ties, aim_of_ties = of_heights(ground, places)
+        of_offset[0, 0] += known / rough**2
     solved = solve([*seen, heights], [*normal, of_offset], [*right, aim],
                    of_ties + np.eye(3) * _UNSEEN**-2, aim_of_ties,
                    pairs([part.tie for part in [*seen, heights]], len(places)))

@@ -123,8 +123,9 @@ class RpcCamera(Camera):
     def __init__(self, rpc: Rpc, frame: Frame, groups: Sequence[str] = COLUMNS) -> None:
         self.rpc, self.frame = rpc, frame
         self.groups = tuple(groups)
-        # A first guess that data may change a thousandfold: vendors are wrong by tens of px.
-        self.spread = tuple({"shift": 20.0, "drift": 2.0, "affine": 2.0, self.SMOOTH: 2.0}[name]
+        # A first guess that data may change a thousandfold: vendors are wrong by tens of px. The
+        # same error of yaw or roll changes an image along its lines by about a pixel.
+        self.spread = tuple({"shift": 20.0, "drift": 2.0, "affine": 1.0, self.SMOOTH: 2.0}[name]
                             for name in groups)
         self.least = (1e-4,) * len(self.groups)
 

@@ -17,7 +17,7 @@ _STYLE = """
 @media (prefers-color-scheme: dark) { :root { --text: #e6e8ea; --page: #16191c; --rule: #454b52; } }
 body { font: 16px/1.5 system-ui, sans-serif; color: var(--text); background: var(--page);
        max-width: 62rem; margin: 0 auto; padding: 1rem; }
-pre, .wide { overflow-x: auto; }
+.wide { overflow-x: auto; } pre { white-space: pre-wrap; }
 table { border-collapse: collapse; } th, td { padding: .25rem .75rem; text-align: right;
         border-bottom: 1px solid var(--rule); } th:first-child, td:first-child { text-align: left; }
 figure { margin: 1.5rem 0; } figure div { background: #fff; overflow-x: auto; padding: .5rem; }
@@ -89,7 +89,8 @@ def _map(result: BlockResult) -> str:
         x=x, y=y, order="order:Q", color=alt.Color("image:N", title="image"))
     points = alt.Chart(alt.Data(values=dots)).mark_circle(size=14).encode(
         x=x, y=y, fill=alt.Fill("sigma:Q", title="sigma of height [m]",
-                               scale=alt.Scale(scheme="viridis")))
+                               scale=alt.Scale(scheme="viridis"),
+                               legend=alt.Legend(titleLimit=0)))
     return _svg(alt.layer(points, hulls).resolve_scale(color="independent").properties(
         width=560, height=420))
 
@@ -102,7 +103,7 @@ def _bars(record: BlockRecord) -> str:
     rows = [{"image": image.name, "what": what, "px": value} for image in images
             for what, value in (("ties", image.rmse_ties), ("predicted", image.predicted))]
     return _svg(alt.Chart(alt.Data(values=rows)).mark_bar().encode(
-        x=alt.X("px:Q", title="RMSE [px]"), yOffset="what:N",
+        x=alt.X("px:Q", title="RMSE [px]", axis=alt.Axis(tickCount=8)), yOffset="what:N",
         y=alt.Y("image:N", title="image", sort=[image.name for image in images]),
         color=alt.Color("what:N", title="")).properties(width=560))
 
