@@ -88,9 +88,8 @@ def _map(result: BlockResult) -> str:
     hulls = alt.Chart(alt.Data(values=outlines)).mark_line(strokeWidth=1).encode(
         x=x, y=y, order="order:Q", color=alt.Color("image:N", title="image"))
     points = alt.Chart(alt.Data(values=dots)).mark_circle(size=14).encode(
-        x=x, y=y, fill=alt.Fill("sigma:Q", title="sigma of height [m]",
-                               scale=alt.Scale(scheme="viridis"),
-                               legend=alt.Legend(titleLimit=0)))
+        x=x, y=y, fill=alt.Fill("sigma:Q", title="sigma up [m]",
+                               scale=alt.Scale(scheme="viridis")))
     return _svg(alt.layer(points, hulls).resolve_scale(color="independent").properties(
         width=560, height=420))
 
