@@ -17,6 +17,9 @@ from pathlib import Path
 
 from benchmarks.sets import ROOT
 
+KEPT = "build/evidence/{page}-{commit}.jsonl"
+"""Where cases of a page are kept, so that it resumes in its midst."""
+
 PAGES: dict[str, tuple[str, ...]] = {
     "normalisation": ("normalisation",),
     "intervals": ("intervals",),
@@ -26,12 +29,14 @@ PAGES: dict[str, tuple[str, ...]] = {
     "control-features": ("control_features",),
     "benchmark": ("open_benchmark",),
     "flat-control": ("flat_control",),
+    "few-points": ("few_points", "--processes", "2", "--kept", KEPT),
     "plan": ("plan", "--processes", "2"),
     "lines": ("lines", "--processes", "2"),
     "old-maps": ("old_maps", "--processes", "2"),
     "rpc-few-points": ("rpc_few_points", "--workers", "2"),
     "blocks": ("blocks", "--seeds", "3", "--counts", "30", "100", "--ties", "800"),
-    "coverage": ("coverage", "--processes", "2"),
+    "scanners": ("scanners", "--processes", "2", "--images", "24", "--splits", "6"),
+    "coverage": ("coverage", "--processes", "2", "--kept", KEPT),
     "blunders": ("blunders", "--processes", "2"),
     "honest-accuracy": ("honest", "accuracy", "--minutes", "45"),
 }
@@ -63,7 +68,8 @@ def make(pages: Sequence[str], at: str, state: Path, runs: Callable[[list[str]],
         if made.get(page, {}).get("commit") == at:
             print(f"{page}: made by {at} already")
             continue
-        command = ["python", "-m", f"benchmarks.{PAGES[page][0]}", *PAGES[page][1:], "--write"]
+        arguments = [one.format(page=page, commit=at) for one in PAGES[page][1:]]
+        command = ["python", "-m", f"benchmarks.{PAGES[page][0]}", *arguments, "--write"]
         start = time.monotonic()
         runs(command)
         made[page] = {"commit": at, "command": " ".join(command),

@@ -170,6 +170,7 @@ def test_one_solution_for_few_points_is_a_thin_plate_spline(
         monkeypatch: pytest.MonkeyPatch) -> None:
     one_cell(monkeypatch)
     monkeypatch.setattr(field, "_belief", lambda lengths: float(lengths == field.SPLINE) or 1e-300)
+    monkeypatch.setattr(field, "PLAIN", 1e-300)
     points, at = scattered(field.FEW - 1), scattered(12, seed=6).ground
     found = collocate(points, 2)
     field._collocated.cache_clear()
@@ -197,6 +198,19 @@ def test_a_spline_is_a_course_of_few_points_without_heights(
     assert found is not None
     assert sum(part.lengths == field.SPLINE for part in found.parts) == wanted
     np.testing.assert_allclose(found.shares.sum(), 1.0)
+
+
+def test_an_affine_image_is_as_likely_beforehand_with_a_spline_as_without() -> None:
+    found = collocate(scattered(12), 2)
+    assert found is not None
+    # Mass of sizes: of an affine image within the polynomials, by all others.
+    sizes = np.exp(posterior.believed_sizes())
+    within = sizes[0] ** 2 / sizes[1:].sum() ** 2
+    polynomial, plain, *local = (np.exp(part.log - part.posterior.cells.log)
+                                 * len(part.posterior.scales) for part in found.parts)
+    affine = polynomial * within + plain
+    assert found.parts[1].lengths is None
+    assert affine / (affine + polynomial + sum(local)) == pytest.approx(posterior.AFFINE)
 
 
 def test_what_is_foreseen_varies_within_solutions_and_between_them() -> None:

@@ -12,7 +12,8 @@ without a field, which are believed as likely beforehand, among them. So where t
 local deformation the shrunken polynomial remains.
 
 In a plane, fewer than FEW points do not tell lengths from noise. There a thin-plate spline, a field
-without lengths and next to affine functions alone, is a third course, as likely beforehand.
+without lengths and next to affine functions alone, is a third course, as likely beforehand. An
+affine image keeps its probability among the three.
 
 With many points the field is spanned by the covariances with KNOTS of them.
 
@@ -62,6 +63,9 @@ FIELD, ALIKE = 0.5, 0.9
 SPLINE, FEW = (np.inf, np.inf), 20
 """Lengths that stand for a spline, and the number of points from which on it is not needed."""
 
+PLAIN = 1 / 3
+"""Belief in an affine image then, next to that of the polynomials: `posterior.AFFINE` together."""
+
 KNOTS = 100
 
 NEGLIGIBLE = 1e-6
@@ -94,7 +98,7 @@ class Collocation:
     exponents: Exponents  # affine ones first
     turn: FloatArray  # (f, 2): affine coefficients that bring ground positions into the image
     knots: FloatArray  # (k, 2): places in the image
-    parts: tuple[FieldPart, ...]  # the first without a field
+    parts: tuple[FieldPart, ...]  # those without a field first
 
     @cached_property
     def shares(self) -> FloatArray:
@@ -104,7 +108,8 @@ class Collocation:
     @property
     def probability(self) -> float:
         """Probability of a field."""
-        return float(1.0 - self.shares[0])
+        return float(sum(share for share, part in zip(self.shares, self.parts, strict=True)
+                         if part.lengths is not None))
 
     @property
     def effective(self) -> float:
@@ -244,7 +249,7 @@ def _collocated(image: bytes, ground: bytes, sigma: bytes | None,
         inverse = _inverse(knots, lengths)
         bare = _with_field(columns, there, knots, lengths, inverse)
         orders = np.concatenate([order, np.full(len(inverse), DEGREE)])
-        scales = mixed if lengths != SPLINE else np.repeat(
+        scales = mixed if lengths in LENGTHS else np.repeat(
             [[0.0, 1.0]], [len(shrunk), len(inverse)], axis=1)
         solutions = polynomial_posterior(points.ground, points.image, exponents, weights) \
             if lengths is None else posterior(bare, points.image, orders, weights, scales,
@@ -254,6 +259,11 @@ def _collocated(image: bytes, ground: bytes, sigma: bytes | None,
         parts.append(FieldPart(
             solutions, solutions.cells.log + np.log(_belief(lengths) / len(solutions.scales)),
             lengths, inverse))
+    if spline:
+        plain = posterior(columns, points.image, order, weights, np.zeros((1, len(shrunk))),
+                          len(points))
+        assert plain is not None
+        parts.insert(1, FieldPart(plain, plain.cells.log + np.log(PLAIN), None, parts[0].inverse))
     return Collocation(points, exponents, turn, knots, tuple(parts))
 
 
