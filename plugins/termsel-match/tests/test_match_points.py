@@ -231,3 +231,22 @@ def test_without_heights_it_is_said(place: Any, caplog: pytest.LogCaptureFixture
 def test_a_start_that_is_none_is_refused(place: Any, start: str, reason: str) -> None:
     with pytest.raises(TermselError, match=reason):
         match(place / "image.tif", place / "ortho.tif", start=start)
+
+
+def test_the_file_that_is_cut_off_is_named(place: Any, says: Any, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.tif"
+    cut.write_bytes((place / "image.tif").read_bytes()[:3000])
+    (tmp_path / "cut.RPB").write_bytes((place / "image.RPB").read_bytes())
+    code, text = says("match-points", cut, "--reference", place / "ortho.tif", "--dem",
+                      place / "dem.tif", "-o", tmp_path / "c.csv")
+    assert code == 2
+    assert "cut.tif" in text
+    assert "ortho.tif" not in text
+
+
+@pytest.mark.parametrize("option", ["--search", "--seconds"])
+def test_nan_is_no_number(place: Any, says: Any, tmp_path: Path, option: str) -> None:
+    code, text = says("match-points", place / "image.tif", "--reference", place / "ortho.tif",
+                      option, "nan", "-o", tmp_path / "c.csv")
+    assert code == 2
+    assert "'nan' is no number" in text

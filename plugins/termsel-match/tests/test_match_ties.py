@@ -96,6 +96,15 @@ def test_what_is_no_pair_is_refused(views: tuple[Path, dict[str, View]], says: A
     assert not (tmp_path / "ties.csv").exists()
 
 
+def test_too_little_time_is_said(views: tuple[Path, dict[str, View]], says: Any,
+                                 tmp_path: Path) -> None:
+    folder, _ = views
+    code, text = says("match-ties", folder / "A.tif", folder / "B.tif", "--dem",
+                      folder / "dem.tif", "--seconds", 1e-6, "-o", tmp_path / "ties.csv", "--quiet")
+    assert code == 2
+    assert "Give more --seconds" in text
+
+
 def test_a_raster_without_heights_is_named(views: tuple[Path, dict[str, View]], says: Any,
                                            tmp_path: Path) -> None:
     folder, _ = views

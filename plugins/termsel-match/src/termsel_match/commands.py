@@ -30,6 +30,16 @@ _START = ("Rough geometry: a file with an RPC, a folder with a result, a file of
           "more, 'corners' or 'none'. By default what the image says of itself.")
 
 
+class Number(click.FloatRange):
+    """A number within limits; nan is none, though no limit excludes it."""
+
+    def convert(self, value: Any, param: click.Parameter | None,
+                ctx: click.Context | None) -> float:
+        """Return the number."""
+        number = float(super().convert(value, param, ctx))
+        return number if number == number else self.fail(f"{value!r} is no number.", param, ctx)
+
+
 def add_commands(cli: click.Group) -> None:
     """Add the commands to a group."""
     for command in (auto_georeference, match_example, match_lines, match_points, match_ties):
@@ -43,11 +53,11 @@ def reference_options(command: Callable[..., Any]) -> Callable[..., Any]:
                                                                    "place."),
             click.option("--start", metavar="START", help=_START),
             click.option("--search", metavar="PX", default=100.0, show_default=True,
-                         type=click.FloatRange(4, 2000),
+                         type=Number(4, 2000),
                          help="Largest distance of a match from the start."),
             click.option("--count", metavar="N", default=200, show_default=True,
                          type=click.IntRange(12, 20000), help="Number of candidates wanted."),
-            click.option("--seconds", metavar="S", type=click.FloatRange(0, min_open=True),
+            click.option("--seconds", metavar="S", type=Number(0, min_open=True),
                          help="Time for the matching, which then goes on with what it has."),
             click.option("--mask", "masks", metavar="FILE", multiple=True,
                          help="Polygons where nothing is matched, on the ground, or in px of the "
@@ -128,7 +138,7 @@ def match_points(image: Path, reference: Path, output: Path, overwrite: bool, qu
 @click.option("--dem", metavar="FILE", type=_FILE, help="Raster of heights of the place.")
 @click.option("--start", metavar="START", help=_START)
 @click.option("--search", metavar="PX", default=60.0, show_default=True,
-              type=click.FloatRange(4, 2000), help="Largest distance of a line from the start.")
+              type=Number(4, 2000), help="Largest distance of a line from the start.")
 @click.option("--band", type=int, help="Band of the image, from 1; by default the mean of all.")
 @click.option("--iterate", is_flag=True, help="Select, and match again from the new model, until "
                                               "it stays the same.")
@@ -184,11 +194,11 @@ def match_lines(image: Path, vectors: Path, iterate: bool, folder: Path | None, 
 @click.option("--dem", metavar="FILE", type=_FILE, required=True,
               help="Raster of heights of the place.")
 @click.option("--search", metavar="PX", default=100.0, show_default=True,
-              type=click.FloatRange(4, 2000),
+              type=Number(4, 2000),
               help="Largest distance of a tie from where both geometries see it.")
 @click.option("--count", metavar="N", default=200, show_default=True,
               type=click.IntRange(12, 20000), help="Number of ties wanted in each pair of images.")
-@click.option("--seconds", metavar="S", type=click.FloatRange(0, min_open=True),
+@click.option("--seconds", metavar="S", type=Number(0, min_open=True),
               help="Time for the matching, which then goes on with what it has.")
 @click.option("--mask", "masks", metavar="FILE", multiple=True,
               help="Polygons in px of the images where nothing is matched; see match-points.")
@@ -238,7 +248,7 @@ def match_ties(images: tuple[Path, ...], dem: Path, output: Path, overwrite: boo
 @click.option("--output", "-o", metavar="FILE", required=True, type=_FILE,
               help="The map to write, a cloud-optimised GeoTIFF.")
 @click.option("--accept", metavar="PX", default=2.0, show_default=True,
-              type=click.FloatRange(0, 1000),
+              type=Number(0, 1000),
               help="Largest error with which a map is made: the median of all independent "
                    "candidates, the RMSE of those that agree, and the predicted standard "
                    "deviation.")
@@ -290,7 +300,7 @@ def auto_georeference(context: click.Context, /, image: Path, output: Path, fold
               help="Lines and samples of the image.")
 @click.option("--seed", default=1, show_default=True, type=click.IntRange(0),
               help="Draws the place, the image and the RPC.")
-@click.option("--off", default=30.0, show_default=True, type=click.FloatRange(0, 200),
+@click.option("--off", default=30.0, show_default=True, type=Number(0, 200),
               help="Distance of the vendor's RPC from the truth in px.")
 def match_example(folder: Path, size: int, seed: int, off: float) -> None:
     """Render a simulated place: a satellite image, an orthoimage, heights and roads.

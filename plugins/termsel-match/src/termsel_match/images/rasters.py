@@ -70,8 +70,14 @@ class GreyRaster:
         -------
         pixels : ndarray of float32, shape (lines // step, samples // step)
         known : ndarray of bool, same shape
+
+        Raises
+        ------
+        TermselError
+            If GDAL cannot read it.
         """
         from rasterio.enums import Resampling
+        from rasterio.errors import RasterioIOError
         from rasterio.windows import Window
 
         shape = lines // step, samples // step
@@ -86,9 +92,13 @@ class GreyRaster:
                         (last[1] - first[1]) * step, (last[0] - first[0]) * step)
         inside = slice(first[0], last[0]), slice(first[1], last[1])
         with np.errstate(all="ignore"):
-            grey = self.raster.read(
-                list(self.bands), window=window, masked=True, resampling=Resampling.average,
-                out_shape=(len(self.bands), last[0] - first[0], last[1] - first[1]))
+            try:
+                grey = self.raster.read(
+                    list(self.bands), window=window, masked=True, resampling=Resampling.average,
+                    out_shape=(len(self.bands), last[0] - first[0], last[1] - first[1]))
+            except RasterioIOError as error:  # of this file, whichever others are open
+                raise TermselError(f"GDAL cannot read this raster: {error.__cause__ or error}",
+                                   file=self.path, hint="Is it complete?") from error
             values = grey.astype(np.float32).mean(axis=0)
             there = ~np.ma.getmaskarray(values) & np.isfinite(values.data)
         if self.raster.nodatavals[self.bands[0] - 1] is None:

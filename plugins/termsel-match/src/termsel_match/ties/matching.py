@@ -178,9 +178,11 @@ def match_ties(
         raise TermselError("this raster has no heights where the images are", file=Path(dem),
                            hint="Give heights of the place by --dem.")
     if not rows:
+        over = until is not None and monotonic() > until
         raise TermselError("no two of the images have ties", file=paths[0],
-                           hint="Do they show the same ground? Give a larger --search, another "
-                                "--matcher, or the right --dem.")
+                           hint="There was no time. Give more --seconds." if over else
+                           "Do they show the same ground? Give a larger --search, another "
+                           "--matcher, or the right --dem.")
     return MatchedTies(tuple(rows), tuple(pairs))
 
 
