@@ -158,7 +158,9 @@ def page(cases: list[Verdict], size: int) -> str:
         rows.append(f"| {kind} | {len(own)} | {ends[REFUSED]} | {ends[REMARKED]} | {ends[PASSED]} "
                     f"| {worst} |")
     bad, good = ([case for case in cases if (case.kind == "good") == one] for one in (False, True))
-    newline = "\n"
+    newline, ends = "\n", Counter(case.end for case in good)
+    first = "" if min(len(bad), len(good)) >= 200 else \
+        "These are the first cases of 200 bad and 200 good ones. "
     return f"""# Verdicts on bad references
 
 `termsel auto-georeference` on {len(bad)} rendered places with a fault, and {len(good)} without.
@@ -173,9 +175,9 @@ places, of the cases that are not refused.
 Seams move 35 to 60 % of the reference by 2 to 12 px. Replaced parts and clouds are as large.
 Heights are 300 m too high, zero or upside down. Repeated ground is one tile of 30 to 80 m. Of the
 bad cases, {sum(case.end == PASSED for case in bad)} pass without a remark. Of the good ones,
-{sum(case.end == REFUSED for case in good)} are refused.
+{ends[REFUSED]} are refused, and {ends[REMARKED]} have a remark.
 
-These are the first cases of 200 bad and 200 good ones. To repeat, in parts until all are done:
+{first}To repeat, in parts until all are done:
 `python -m benchmarks.verdicts --size {size} --kept FILE --seconds 480 --write`.
 """
 
