@@ -57,8 +57,8 @@ KINDS = (
     Kind("strip of 12, 6 points in two", 12, (6, 6, 0), seeds=0.5),
     Kind("strip of 12, 20 points in four", 12, (20, 20, *(0,) * 7, 20, 20), seeds=0.5),
     Kind("strip of 12, 6 points in two, DEM", 12, (6, *(0,) * 8, 6), dem=True, seeds=0.5),
-    Kind("100 images, 6 points in ten", 100, (6, *(0,) * 9) * 10, seeds=0.1),
-    Kind("100 images, 20 points in twenty", 100, (20, 20, *(0,) * 7) * 10, seeds=0.1),
+    Kind("100 images, 6 points in ten", 100, (6, *(0,) * 9) * 10, seeds=0.3),
+    Kind("100 images, 20 points in twenty", 100, (20, 20, *(0,) * 7) * 10, seeds=0.3),
 )
 
 

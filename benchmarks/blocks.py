@@ -27,7 +27,7 @@ from termsel_block.accuracy import independent_points, predicted, rmse
 from termsel_block.block import Block
 from termsel_block.files.folders import image_result
 from termsel_block.geometry.frame import FloatArray
-from termsel_block.joint import BlockResult, adjust
+from termsel_block.joint import BlockResult, adjust, heights_of
 from termsel_block.shown.record import record_of, times_seen
 from termsel_block.simulated import Simulated, simulate_block
 
@@ -250,9 +250,13 @@ def by_scipy() -> str:
             first += height
     rows.append(first + np.arange(begin[-1]))
     columns.append(np.arange(begin[-1]))
+    # Heights as our adjustment has them at its end.
+    ground = heights_of(block, result.frame, None)
+    ground.offset, ground.sigma = result.adjusted.offset, result.adjusted.roughness
+    rows.append(first + begin[-1] + np.repeat(np.arange(count), 3))
+    columns.append(begin[-1] + np.arange(3 * count))
     row, column = np.concatenate(rows), np.concatenate(columns)
-    # A weak prior of heights, which our adjustment has as well.
-    shape = (first + begin[-1], begin[-1] + 3 * count)
+    shape = (first + begin[-1] + count, begin[-1] + 3 * count)
     sparsity = coo_matrix((np.ones(len(row)), (row, column)), shape=shape)
 
     def residuals(unknown: FloatArray) -> FloatArray:
@@ -267,13 +271,15 @@ def by_scipy() -> str:
                 computed = camera.project(own, known[i].local)
                 out.append((known[i].value - (known[i].normal * computed).sum(axis=1))
                            / (state.sigma_control * known[i].sigma))
-        return np.concatenate([*out, unknown[:begin[-1]] / spread])
+        seen = ground.observed(places)
+        return np.concatenate([*out, unknown[:begin[-1]] / spread,
+                               np.sqrt(seen.weight) * seen.away])
 
     places = state.ties + np.random.default_rng(0).normal(0, 20, state.ties.shape)
     at = np.concatenate([np.zeros(begin[-1]), places.ravel()])
     start = time.process_time()
     found = least_squares(residuals, at, jac_sparsity=sparsity, x_scale="jac", method="trf",
-                          max_nfev=60)
+                          max_nfev=200, ftol=1e-13, xtol=1e-13, gtol=1e-13)
     theirs = time.process_time() - start
     gap = max(float(np.abs(state.cameras[i].project(
         found.x[begin[i]:begin[i + 1]].reshape(-1, 2), known[0].local)
