@@ -90,8 +90,9 @@ Six to twelve points hardly determine a model. Is `auto` then as good as the pla
 one would take in hindsight, and for maps as good as a thin-plate spline?
 
 Made by `python -m benchmarks.few_points --write`: {splits} splits of each set and number of points.
-Structures are {plain}; splines are smoothed by REML, or exact. The best is that of the least median
-of the independent RMSE over all splits, chosen with hindsight, and a ratio is that of medians. Each
+Structures are {plain}; splines are smoothed by REML, or exact.
+The best is that of the least median of the independent RMSE over all splits, chosen with hindsight,
+and a ratio is that of medians; "to the better" is that to the better of structure and spline. Each
 split of a simulated set has another seed. The first {maps} sets are maps: those of
 [Old maps](old-maps.md), nine kinds drawn by other mechanisms, and measured ones. The last three are
 images that are exactly affine or projective, but for {noise:g} px.
@@ -109,10 +110,10 @@ images that are exactly affine or projective, but for {noise:g} px.
 ## What is missed
 
 - With six points a plane has six equations left, and nothing tells noise from deformation. Where a
-  map is sound, an affine model is better than the average by some per cent; where it is not, the
-  spline is.
-- Maps that deform strongly and smoothly are predicted worse than by an exact spline with 8 to 12
-  points, as polynomials stay in the average.
+  map is sound, an affine model is better than the average by up to 15 %, on one measured map by
+  26 %; with ten points and more by some per cent.
+- Maps that deform strongly and smoothly, or jump at one joint, are predicted worse than by an exact
+  spline with 8 to 12 points, as polynomials and noise stay in the average.
 """
 
 
