@@ -82,6 +82,8 @@ FILES = {
     ({"src/termsel/lower/one.py": "ONE = 1\nfrom termsel.lower import two\n"}, ": a circle: "),
     ({"src/termsel/lower/three.py": "\n" * 401}, "src/termsel/lower/three.py:401: 401 lines"),
     ({"tests/test_long.py": "\n" * 451}, "tests/test_long.py:451: 451 lines"),
+    ({f"plugins/termsel-a/src/termsel_a/m{i}.py": "" for i in range(20)},
+     "plugins/termsel-a/src/termsel_a:1: 21 modules in a folder, more than 20"),
     ({"src/termsel/cellar/__init__.py": ""},
      "src/termsel/rooms.py:1: the room 'cellar' is not listed"),
     ({"src/termsel/rooms.py": 'ROOMS = {"upper": "a", "lower": "b", "rooms": "c", "attic": "d"}\n'},

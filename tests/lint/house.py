@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 import runpy
+from collections import Counter
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -14,6 +15,9 @@ from tests.lint.violations import Violation, line_at
 
 LINES, TEST_LINES = 400, 450
 """Most lines of a module, and of a module of tests."""
+
+FOLDER = 20
+"""Most modules of a folder, of termsel and of its packages."""
 
 TOP = 7
 """Most modules that stand next to the rooms that are folders."""
@@ -102,6 +106,10 @@ def _circle(modules: dict[str, Path], imports: list[Import]) -> Iterator[Violati
 
 def _sizes(package: Path, modules: dict[str, Path]) -> Iterator[Violation]:
     root = package.parents[1]
+    every = [*modules.values(), *sorted(root.glob("plugins/*/src/**/*.py"))]
+    for folder, count in Counter(path.parent for path in every).items():
+        if count > FOLDER:
+            yield Violation(folder, 1, f"{count} modules in a folder, more than {FOLDER}")
     tests = [*sorted((root / "tests").rglob("*.py")), *sorted(root.glob("plugins/*/tests/*.py"))]
     for path in (*modules.values(), *tests):
         most = TEST_LINES if path in tests else LINES
