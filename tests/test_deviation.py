@@ -262,3 +262,17 @@ def test_points_above_each_other_have_no_spline(tmp_path: Path,
         termsel.export(result, to, tmp_path / to)
         assert (tmp_path / to).exists()
         assert f"{to}: no thin plate spline goes through these GCPs" in caplog.text
+
+
+def test_very_many_gcps_do_not_fill_the_memory(tmp_path: Path,
+                                               caplog: pytest.LogCaptureFixture) -> None:
+    rng = np.random.default_rng(1)
+    image = rng.uniform(0, 8000, (6000, 2))
+    ground = np.column_stack([6e5 + image[:, 1], 4e6 - image[:, 0], np.full(len(image), np.nan)])
+    points = Points(tuple(map(str, range(len(image)))), image + rng.normal(0, 0.3, image.shape),
+                    ground, None, ("control",) * len(image))
+    many = termsel.run("poly-terms", features=FeatureSet(
+        points, crs="EPSG:32633", image_size=(8000, 8000)), model="poly2d",
+        options={"degree": 1}, solver="all-terms", criterion="press")
+    for to in ("gcp-vrt", "qgis-points"):
+        assert said(many, to, tmp_path / "many", caplog)[0][1] < 0.02

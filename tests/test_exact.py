@@ -224,6 +224,13 @@ def test_a_large_space_has_no_gap() -> None:
     assert gap(termsel.prepare("owdis-lines").problem, 1.0) is None
 
 
+def test_systems_of_very_many_rows_are_not_made_for_a_gap(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = termsel.prepare("poly-terms", criterion="kfold", options={"degree": 2}).problem
+    assert gap(problem, 1e6) is not None
+    monkeypatch.setattr("termsel.solvers.proofs.exact.QUICK_ROWS", 400)
+    assert gap(problem, 1e6) is None
+
+
 @pytest.mark.parametrize(("problem", "options", "why"), [
     ("owdis-lines-terms", {}, "whose terms are columns"),
     ("rfm-terms", {"denominators": "shared"}, "couple the axes"),

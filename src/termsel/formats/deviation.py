@@ -30,6 +30,7 @@ GDALWARP = {"order 1": "-order 1", "order 2": "-order 2", "order 3": "-order 3",
 """Options of gdalwarp that choose them."""
 
 _ALIKE = 0.01  # px
+_SPLINED = 5000  # GCPs; a spline through more fills the memory, that of GDAL, too
 _ACROSS = 15  # places along either side of the image at which files are compared
 
 
@@ -122,7 +123,7 @@ def _by_gcps(key: str, xy: FloatArray, image: FloatArray, crs: str) -> Transform
     if not n or min(np.linalg.matrix_rank(at - at.mean(axis=0)) for at in (xy, image)) < 2:
         return None  # all on a line
     if key == "spline":
-        return by_splines(xy, image) if len(np.unique(xy, axis=0)) == n else None
+        return by_splines(xy, image) if len(np.unique(xy, axis=0)) == n <= _SPLINED else None
     if key == "similarity":
         return _similarity(xy, image)
     if key == "projective":
@@ -159,7 +160,9 @@ def _projective(xy: FloatArray, image: FloatArray) -> Transformation:
     # Each GCP crosses the ground place that is computed with the one that is known: 0.
     rows = [np.hstack([source, 0 * source, -target[:, :1] * source]),
             np.hstack([0 * source, source, -target[:, 1:2] * source])]
-    to_ground = np.linalg.svd(np.concatenate(rows))[2][-1].reshape(3, 3)
+    # Of the triangle: U of thousands of rows would fill the memory.
+    triangle = np.linalg.qr(np.concatenate(rows), mode="r")
+    to_ground = np.linalg.svd(triangle)[2][-1].reshape(3, 3)
     to_image = np.linalg.inv(of_image) @ np.linalg.inv(to_ground) @ of_ground
 
     def project(ground: FloatArray) -> FloatArray:

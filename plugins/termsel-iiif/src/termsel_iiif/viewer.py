@@ -126,11 +126,16 @@ def forward(key: str, image: FloatArray, plane: FloatArray) -> Forward | None:
         middle + far * made((at - centre) / unit))
 
 
+SPLINED = 5000
+"""Points through which a spline is tried at most."""
+
+
 def _scaled(key: str, image: FloatArray, plane: FloatArray) -> Forward | None:
     """Return a transformation of coordinates that are about 1."""
     n = len(image)
     if key == "spline":
-        if n < 3 or np.linalg.matrix_rank(image - image.mean(axis=0)) < 2 \
+        # A spline through thousands of points fills the memory, that of viewers, too.
+        if not 3 <= n <= SPLINED or np.linalg.matrix_rank(image - image.mean(axis=0)) < 2 \
                 or len(np.unique(image, axis=0)) < n:
             return None
         from scipy.interpolate import RBFInterpolator
@@ -173,7 +178,7 @@ def _projective(image: FloatArray, plane: FloatArray) -> Forward | None:
     rows = np.concatenate([
         np.hstack([source, 0 * source, -plane[:, :1] * source]),
         np.hstack([0 * source, source, -plane[:, 1:] * source])])
-    sizes, directions = np.linalg.svd(rows)[1:]
+    sizes, directions = np.linalg.svd(np.linalg.qr(rows, mode="r"))[1:]  # U would be (2 n, 2 n)
     if sizes[7] < 1e-10 * sizes[0]:
         return None
     matrix = directions[-1].reshape(3, 3)

@@ -34,6 +34,9 @@ log = logging.getLogger(__name__)
 QUICK = 1 << 22
 """Subsets that are enumerated for a heuristic's gap: less than a second."""
 
+QUICK_ROWS = 1 << 23
+"""Rows of all folds together of which systems are made for it: some have as many folds as rows."""
+
 _REPORT_SHARE = 1 / 200
 """Share of the subsets between two reports. Each costs an evaluation, so no clock decides: the
 same search has the same number of evaluations on any machine."""
@@ -46,8 +49,8 @@ def gap(problem: Problem, reached: float) -> dict[str, Any] | None:
     """Return the gap between a solution and the proven optimum, if that is known quickly.
 
     Given the first objective that is reached, it is a certificate with the optimum and the gap,
-    relative to the optimum. None if the space cannot be enumerated, has more than QUICK subsets, or
-    has nothing feasible.
+    relative to the optimum. None if the space cannot be enumerated, has more than QUICK subsets or
+    QUICK_ROWS rows, or has nothing feasible.
     """
     try:
         proven = _quick_optimum(problem)
@@ -67,7 +70,8 @@ def _quick_optimum(problem: Problem) -> tuple[float, int, str] | None:
     systems = problem.row_systems()
     if systems is not None:
         return quick_optimum(problem, systems)
-    if count(problem) > QUICK:
+    rows = sum(len(part.system.design) * max(1, len(part.folds)) for part in problem.parts())
+    if count(problem) > QUICK or rows > QUICK_ROWS:
         return None
     *_, proof = prove(problem)  # the last state, which is complete
     front = proof.front()
