@@ -100,7 +100,8 @@ Targets are at most 0.95 for images without control, and for images with six poi
 - One point in each image is enough for less than a pixel where vendors' RPCs drift by 0.3 px, not
   with 2 px: a point cannot tell a drift from a shift. With so small a drift the pair's standard
   deviations are too large, and with 2 px too small, as one point says nothing of its size.
-- Images of one block err together, so that shares of few blocks are rough.
+- Images of one block err together, so that shares of few blocks are rough. In 40 other blocks of
+  the two kinds "triplet" and "triplet, third between" intervals hold 88 and 84 %.
 - Writing the results of all images takes 0.3 s of CPU an image more than the adjustment, as each
   is judged for itself.
 """

@@ -295,7 +295,7 @@ def by_scipy() -> str:
 def main() -> None:
     """Print or write the page."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--counts", type=int, nargs="*", default=[100, 300, 1000])
     parser.add_argument("--ties", type=int, default=1100)
     parser.add_argument("--kinds", nargs="*", help="names of kinds; by default all")
@@ -308,7 +308,7 @@ def main() -> None:
                 max(round(asked.seeds * kind.seeds), 1))]))
             print(rows[-1], flush=True)
     plain = [block_rival.HEAD, *(
-        block_rival.row(kind, [SEED + 50 + seed for seed in range(asked.seeds)])
+        block_rival.row(kind, [SEED + 50 + seed for seed in range(asked.seeds // 2)])
         for kind in KINDS if kind.name in block_rival.NAMES)]
     missed, gdal = np.max([injected(SEED + seed) for seed in range(3)], axis=0)
     put("blocks", PAGE.format(
