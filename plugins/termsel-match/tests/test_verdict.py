@@ -24,8 +24,8 @@ from benchmarks.verdicts import BAD, PASSED, REFUSED, Repeated, verdict
 from termsel import FeatureSet, Points, TermselError, read, write_points_csv
 from termsel_match.chain import georeference, judge
 from termsel_match.images.rasters import GreyRaster, open_picture
-from termsel_match.judgement.along import along
-from termsel_match.judgement.evidence import other_place, structure, unsupported
+from termsel_match.judgement.along import Along, along
+from termsel_match.judgement.evidence import OtherPlace, other_place, structure, unsupported
 from termsel_match.judgement.repeats import repetition
 from termsel_match.judgement.selection import select_points
 from termsel_match.judgement.verdict import reasons
@@ -264,11 +264,17 @@ def test_another_place_is_told_from_chance(seed: int) -> None:
     ({}, ()), ({"median": 2.1}, ("Half of the independent candidates",)),
     ({"rmse": 2.1}, ("The RMSE of those that agree is 2.10 px; accepted are 2 px.",)),
     ({"sigma": np.nan}, ("The predicted standard deviation",)),
-    ({"agrees": np.arange(60) < 3}, ("Only 3 of 60 independent candidates agree",))])
+    ({"agrees": np.arange(60) < 3}, ("Only 3 of 60 independent candidates agree",)),
+    ({"along": Along(1.0, 581.0, (-4.0, -5.0)), "other": OtherPlace(13, (4.5, 5.5), "the middle")},
+     ("Near line 581 the correction changes by (-4.0, -5.0) px in line and sample, and",)),
+    ({"along": Along(1.0, 581.0, (-4.0, -5.0)), "other": OtherPlace(13, (30, 5), "the middle")},
+     ()),
+    ({"along": Along(1.0, 581.0, (-1.0, -1.5)), "other": OtherPlace(13, (1, 1.5), "the middle")},
+     ())])
 def test_each_limit_is_a_reason(change: dict[str, Any], said: tuple[str, ...]) -> None:
     found: Any = SimpleNamespace(**{
         "independent": np.ones(60, dtype=bool), "agrees": np.ones(60, dtype=bool), "median": 2.0,
-        "rmse": 2.0, "sigma": 2.0, "structure": None, "other": None, **change})
+        "rmse": 2.0, "sigma": 2.0, "structure": None, "other": None, "along": Along(), **change})
     refused = reasons(found, found, 2.0)
     assert len(refused) == len(said)
     assert all(reason.startswith(word) for reason, word in zip(refused, said, strict=True))

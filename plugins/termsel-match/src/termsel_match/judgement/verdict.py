@@ -93,7 +93,8 @@ def evidence_of(candidates: Candidates, selected: Selected, heights: Heights, sh
     points, size, fit = candidates.points, candidates.image_size, selected.result.fit
     residuals = points.image - fit.project(points.ground)
     away = np.linalg.norm(residuals, axis=1)
-    near, far = away <= NEAR, (away > NEAR) & np.isfinite(away)
+    reach = max(NEAR, selected.limit)  # of less exact matching: what agrees is no other place
+    near, far = away <= reach, (away > reach) & np.isfinite(away)
     places = steady(selected).locate(grid(size, mapped.shape)[mapped.ravel()], heights)
     places = places[np.isfinite(places).all(axis=1)]
     sigma = selected.sigma(places) if len(places) else np.array([np.inf])
@@ -186,7 +187,24 @@ def reasons(selected: Selected, evidence: Evidence, accept: float) -> tuple[str,
     if evidence.other is not None and evidence.other.count >= _RIVAL * selected.agrees.sum():
         refusals.append(f"{evidence.other.count} candidates agree on another place, and only "
                         f"{int(selected.agrees.sum())} on this one.")
+    if _is_seam(evidence, accept):
+        refusals.append(f"Near line {evidence.along.line:.0f} the correction changes "
+                        f"{_vector(evidence.along.away)}, and candidates there agree on both "
+                        "places: the reference has a seam.")
     return tuple(refusals)
+
+
+def _is_seam(evidence: Evidence, accept: float) -> bool:
+    """Return whether a correction along the lines follows a step of the reference.
+
+    Jitter moves all that a line shows. At a seam candidates agree on two places, which differ by
+    the step.
+    """
+    step = np.array(evidence.along.away)
+    if evidence.other is None or np.linalg.norm(step) <= accept:
+        return False
+    other = np.array(evidence.other.away)
+    return bool(min(np.linalg.norm(other - step), np.linalg.norm(other + step)) <= TOLERANCE)
 
 
 @dataclass(frozen=True, eq=False)
