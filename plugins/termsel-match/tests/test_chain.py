@@ -24,6 +24,7 @@ from termsel.testing import checks
 from termsel_match.chain import georeference, judge, model_for
 from termsel_match.commands import NOT_GOOD_ENOUGH, auto_georeference
 from termsel_match.judgement.criteria import Agreement
+from termsel_match.judgement.picture import arrow, scale_of
 from termsel_match.judgement.selection import AGREEING, select_points, with_lines
 
 CHECKS = (*checks(Agreement()), *checks(
@@ -194,3 +195,13 @@ def test_the_package_that_rpcs_require_is_asked_for_before_the_matching(
         georeference(place / "image.tif", place / "ortho.tif", tmp_path / "map.tif",
                      dem=place / "dem.tif", folder=tmp_path / "out")
     assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("step", [1, 4])
+def test_arrows_of_residuals_are_as_long_however_large_the_image_is(step: int) -> None:
+    away = np.random.default_rng(1).normal(0, 0.1, (100, 2))
+    times = scale_of(away, step)
+    ends = np.array([arrow(np.full(2, 400.0), one, times, step) for one in away]) / 16
+    usual = np.quantile(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1), 0.9)
+    assert 15 < usual < 41
+    assert np.allclose(ends[:, 0], (400.5 / step - 0.5), atol=0.1)

@@ -46,7 +46,7 @@ def draw(image: Path | str, selected: Selected, path: Path) -> None:
     residuals = (points.image - selected.result.project(points.ground))[good]
     times = scale_of(residuals, step)
     for place, away in zip(points.image[good], residuals, strict=True):
-        start, end = (_px(at, step) for at in (place, place + times * step * away))
+        start, end = arrow(place, away, times, step)
         cv2.arrowedLine(drawn, start, end, _BLUE, 2, cv2.LINE_AA, 4, 0.25)
         cv2.circle(drawn, start, 4 << 4, _BLUE, 1, cv2.LINE_AA, 4)
     for place in points.image[~good]:
@@ -60,8 +60,17 @@ def draw(image: Path | str, selected: Selected, path: Path) -> None:
     write_bytes(path, data.tobytes())
 
 
+def arrow(place: np.ndarray, away: np.ndarray, times: float, step: int,
+          ) -> tuple[list[int], list[int]]:
+    """Return both ends of the arrow of a residual, as OpenCV draws them.
+
+    It is larger by `times` in the scale of the image, which the picture reduces.
+    """
+    return _px(place, step), _px(place + times * away, step)
+
+
 def scale_of(residuals: np.ndarray, step: int) -> float:
-    """Return by how much residuals are drawn larger, in px of the picture: 1, 2, 5, 10, ..."""
+    """Return by how much residuals are drawn larger than the image is: 1, 2, 5, 10, ..."""
     length = np.linalg.norm(residuals, axis=1)
     usual = float(np.quantile(length, 0.9)) / step if len(length) else 0.0
     wanted = _LONG / max(usual, 1e-6)
