@@ -24,6 +24,16 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(time, "perf_counter", lambda: next(looks) / 1000)
 
 
+@pytest.fixture(scope="module")
+def bounds_of_few() -> Iterator[None]:
+    """Decide few subsets by bounds, too, which are for many."""
+    from termsel.enumeration import stack  # only now, as it imports numpy
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stack, "WALKED", 0)
+        yield
+
+
 @pytest.fixture(scope="session")
 def data_folder() -> Path:
     """Real data that are not part of the project; tests that need them are skipped without."""

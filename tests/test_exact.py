@@ -24,6 +24,8 @@ from termsel.solvers.proofs.exact import Exact, gap
 from termsel.solvers.proofs.proof import count, prove
 from termsel.testing import check
 
+pytestmark = pytest.mark.usefixtures("bounds_of_few")
+
 
 def brute_force(problem: termsel.Problem) -> tuple[np.ndarray, np.ndarray]:
     """Return all genes and their objectives, infinite where infeasible."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
 
 import numpy as np
@@ -12,9 +13,11 @@ from termsel.enumeration import subsets
 from termsel.enumeration.bounds import held_out as subset_held_out
 from termsel.enumeration.bounds.closed import first_closed
 from termsel.enumeration.columns.kernels import LINEAR, RATIONAL
-from termsel.enumeration.columns.system import Masks, Piece, SubsetSystem
+from termsel.enumeration.columns.system import SCORES, Masks, Piece, SubsetSystem
 from termsel.enumeration.stack import Stack, stack
 from termsel.measurements.features import FloatArray
+
+pytestmark = pytest.mark.usefixtures("bounds_of_few")
 
 
 def test_a_limit_that_a_subset_scores_never_rules_it_out() -> None:
@@ -114,3 +117,18 @@ def test_a_bound_of_all_scores_comes_before_any_is_decided(
             assert lower.any() == (share > 1.0)
             assert best[lower] == pytest.approx(proof.best[lower])
             assert (masks[lower] == proof.masks[lower]).all()
+
+
+@pytest.mark.parametrize("score", SCORES)
+def test_few_subsets_are_enumerated_without_bounds(score: str,
+                                                   monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(3)
+    rows = rng.normal(size=(40, 9))
+    system = SubsetSystem(rows[:24, :8], rows[:24, 8:], rows[24:, :8], rows[24:, 8:])
+    folds = [np.arange(i, 24, 5) for i in range(5)] if score == "kfold" else ()
+    bounded = deque(subsets.search(system, score, folds=folds), maxlen=1).pop()
+    monkeypatch.setattr("termsel.enumeration.stack.WALKED", 256)
+    walked = deque(subsets.search(system, score, folds=folds), maxlen=1).pop()
+    assert walked.pruned == 0
+    np.testing.assert_allclose(walked.best, bounded.best, rtol=1e-9)
+    np.testing.assert_array_equal(walked.masks, bounded.masks)

@@ -16,6 +16,8 @@ from termsel.enumeration.stack import Stack, stack
 from termsel.enumeration.subsets import SubsetResult, search
 from termsel.measurements.features import FloatArray
 
+pytestmark = pytest.mark.usefixtures("bounds_of_few")
+
 
 def last(system: SubsetSystem, **options: object) -> SubsetResult:
     return deque(search(system, "rss", **options), maxlen=1).pop()

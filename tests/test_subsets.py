@@ -19,6 +19,8 @@ from termsel.enumeration.stack import Stack, stack
 from termsel.enumeration.subsets import SubsetResult, estimate_seconds, search
 from termsel.errors import TermselError
 
+pytestmark = pytest.mark.usefixtures("bounds_of_few")
+
 
 def last(system: SubsetSystem, score: str, **options: object) -> SubsetResult:
     return deque(search(system, score, **options), maxlen=1).pop()

@@ -32,6 +32,9 @@ from termsel.enumeration.columns.system import BITS, SCORES, Masks, Piece, Subse
 from termsel.errors import TermselError, unknown_name
 from termsel.measurements.features import FloatArray, IntArray
 
+WALKED = 1 << 18
+"""Subsets that are enumerated in some hundredths of a second: bounds take longer to compile."""
+
 _ENUMERATED = 300  # subsets that cost less than bounds of their residuals
 _HALVINGS = 7  # of the interval in which a bound lies: less than a per cent of the RMSE is left
 
@@ -66,10 +69,10 @@ class Stack:
     @property
     def branches(self) -> bool:
         """Whether subsets are decided by branch and bound."""
-        return self.holds_out or self.kind == RSS or (
+        return self.everything.count > WALKED and (self.holds_out or self.kind == RSS or (
             self.kind != PRESS and len(self.systems) == 1
             and (self.kind != RATIONAL or self.margin > 0.0)
-            and self.systems[0].control.shape[1] == self.k + 1)
+            and self.systems[0].control.shape[1] == self.k + 1))
 
     @cached_property
     def holds_out(self) -> bool:
