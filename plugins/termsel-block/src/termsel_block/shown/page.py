@@ -60,7 +60,8 @@ def page_of(result: BlockResult, record: BlockRecord) -> str:
 
 def _svg(chart: Any) -> str:
     """Return a chart as SVG."""
-    return picture(chart, ".svg").decode()
+    # A browser's letters may be wider than those that the picture leaves room for at its side.
+    return picture(chart.configure_legend(orient="bottom"), ".svg").decode()
 
 
 def _map(result: BlockResult) -> str:
