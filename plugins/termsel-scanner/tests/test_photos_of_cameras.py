@@ -20,11 +20,12 @@ from termsel_scanner.photos import CANDIDATES
 HIGH, FOCAL = 3000.0, 6000.0
 
 
-def photo(kind: str, count: int, seed: int = 0, noise: float = 0.5) -> FeatureSet:
+def photo(kind: str, count: int, seed: int = 0, noise: float = 0.5,
+          relief: float = 100.0) -> FeatureSet:
     """Return points of a photo from 3000 m over hills; the last 80 are independent and exact."""
     rng = np.random.default_rng(seed)
     plan = rng.uniform(-1500.0, 1500.0, (count + 80, 2))
-    height = 100.0 * (np.sin(plan[:, 0] / 700.0) + np.cos(plan[:, 1] / 900.0))
+    height = relief * (np.sin(plan[:, 0] / 700.0) + np.cos(plan[:, 1] / 900.0))
     turn, tilt = 0.7, 0.03
     x = plan @ [np.cos(turn), np.sin(turn)]
     y = plan @ [-np.sin(turn), np.cos(turn)]
@@ -105,6 +106,17 @@ def test_candidates_keep_the_rules(candidate: termsel.Candidate) -> None:
     kind = candidate.name.partition("-")[0]
     for check in checks(candidate, features=[photo(kind, 10), photo("frame", 3)]):
         check.run()
+
+
+@pytest.mark.parametrize("relief", [8.0, 30.0])
+def test_low_hills_serve_a_camera_though_polynomials_do_not_see_them(relief: float) -> None:
+    """What polynomials leave of a panorama is more than such heights do."""
+    scene = photo("panoramic", 12, seed=1, relief=relief)
+    result = termsel.run(features=scene)
+    assert result.strategy is not None
+    assert result.strategy.chosen == "panoramic-camera"
+    assert rmse(result.fit, scene) < 3.0
+    assert "heights" not in " ".join(result.notes)
 
 
 def test_flat_control_calls_for_no_camera() -> None:

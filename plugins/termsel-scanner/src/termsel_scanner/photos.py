@@ -47,6 +47,10 @@ MOTION = 0.02
 """Standard deviation of the image motion that is compensated while the slit swings, by the focal
 length."""
 
+RELIEF = 2e-3
+"""Heights off a plane (root of the sum of squares) by the spread of the control, up to which they
+tell nothing: half of it, by the spread in the image, is as much as can be measured."""
+
 FEWEST, MOST = 6, 20
 """Numbers of points for which the candidates are: more tell as much as the physics."""
 
@@ -209,9 +213,20 @@ class FewOfPhoto(Candidate):
             return f"it is for {FEWEST} to {MOST} control points, without lines"
         if features.without_height():
             return "it needs heights"
-        if not control.heights:  # tilt and focal length would be guesses elsewhere
+        # Tilt and focal length would be guesses elsewhere.
+        if not control.heights and not self._has_relief(control):
             return "it needs heights that differ"
         return None
+
+    def _has_relief(self, control: Control) -> bool:
+        """Return whether heights do something in the image, though polynomials do not show it."""
+        points = control.scaled.points
+        model = self.camera().prepared(control.scaling, control.features.crs)
+        assert isinstance(model, Photo)
+        *plan, up = model.local(points.ground).T
+        columns = np.column_stack([np.ones(len(up)), *plan])
+        rest = up - columns @ np.linalg.lstsq(columns, up)[0]
+        return bool(np.linalg.norm(rest) > RELIEF * np.sqrt(np.var(plan, axis=1).sum()))
 
     def judge(self, control: Control) -> Judged | None:
         """Return the candidate fitted and judged, for so few points that it gains by the physics.

@@ -124,8 +124,6 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
                    folds_of(observations.pool.features))
     watch.tell("blunders")
     known = portfolio.least(observations.pool) == 1
-    of_data = tuple(notes_on_data(setup.features, observations, heights=not known,
-                                  blank=setup.blank))
     verdict = judge_features(observations, portfolio)
     out = verdict.blunders | verdict.high
     clean = leave_out(observations, out) if out else observations
@@ -153,6 +151,9 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
             f"the {len(both)} control and check {both.word} lie so that no model can be held "
             "against them", hint="Measure more, spread over the scene.")
     chosen, comparison = choice.chosen, compare(clean, choice, portfolio)
+    known |= chosen.fit.model.uses_height and not control.heights
+    of_data = tuple(notes_on_data(setup.features, observations, heights=not known,
+                                  blank=setup.blank))
     if errors is not None and not len(chosen.fit.control.lines):
         errors = errors[:len(both.points)]  # what lines were predicted to be says nothing
     expected = None if errors is None else predicted_by(
