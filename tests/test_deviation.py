@@ -276,3 +276,4 @@ def test_very_many_gcps_do_not_fill_the_memory(tmp_path: Path,
         options={"degree": 1}, solver="all-terms", criterion="press")
     for to in ("gcp-vrt", "qgis-points"):
         assert said(many, to, tmp_path / "many", caplog)[0][1] < 0.02
+        assert "through more than 5,000 GCPs is not tried" in caplog.text

@@ -171,7 +171,7 @@ def test_one_solution_for_few_points_is_a_thin_plate_spline(
     one_cell(monkeypatch)
     monkeypatch.setattr(field, "_belief", lambda lengths: float(lengths == field.SPLINE) or 1e-300)
     monkeypatch.setattr(field, "PLAIN", 1e-300)
-    points, at = scattered(field.FEW - 1), scattered(12, seed=6).ground
+    points, at = scattered(field.SURE), scattered(12, seed=6).ground
     found = collocate(points, 2)
     field._collocated.cache_clear()
     posterior._of_polynomial.cache_clear()
@@ -200,7 +200,7 @@ def test_a_spline_is_a_course_of_few_points_without_heights(
     np.testing.assert_allclose(found.shares.sum(), 1.0)
 
 
-def test_an_affine_image_is_as_likely_beforehand_with_a_spline_as_without() -> None:
+def test_an_affine_image_is_as_likely_beforehand_with_a_spline_as_among_polynomials() -> None:
     found = collocate(scattered(12), 2)
     assert found is not None
     # Mass of sizes: of an affine image within the polynomials, by all others.
@@ -336,6 +336,16 @@ def test_an_affine_scan_calls_for_no_field(seed: int) -> None:
     # Nor does it harm where it is asked for.
     field_errors = termsel.fit(control, "field").errors(others)
     assert total(field_errors) < 1.05 * total(choice.chosen.fit.errors(others))
+
+
+def test_folds_of_twenty_points_are_judged_as_all_of_them_are() -> None:
+    """They have 19: were a spline a course of its own there, all of them would choose a field."""
+    control, _ = unseen(simulate_map(seed=0, n_points=120, sheets=(1, 2), local=0.0, joints=12.0),
+                        20)
+    whole, *folds = (choose(Control.of(control.take(np.arange(20) != out), False), whole=False)
+                     for out in (20, *range(6)))
+    assert whole is not None
+    assert sum(one is not None and one.chosen.name == whole.chosen.name for one in folds) >= 4
 
 
 def test_few_points_of_joined_sheets_are_predicted_as_a_spline_does() -> None:

@@ -123,12 +123,13 @@ def test_a_bound_of_all_scores_comes_before_any_is_decided(
 def test_few_subsets_are_enumerated_without_bounds(score: str,
                                                    monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(3)
-    rows = rng.normal(size=(40, 9))
-    system = SubsetSystem(rows[:24, :8], rows[:24, 8:], rows[24:, :8], rows[24:, 8:])
+    rows = rng.normal(size=(40, 14))
+    rows[:, 13] += rows[:, :4] @ [20.0, 10.0, 5.0, 2.0]  # of noise alone bounds rule out nothing
+    system = SubsetSystem(rows[:24, :13], rows[:24, 13:], rows[24:, :13], rows[24:, 13:])
     folds = [np.arange(i, 24, 5) for i in range(5)] if score == "kfold" else ()
     bounded = deque(subsets.search(system, score, folds=folds), maxlen=1).pop()
-    monkeypatch.setattr("termsel.enumeration.stack.WALKED", 256)
+    monkeypatch.setattr("termsel.enumeration.stack.WALKED", 1 << 13)
     walked = deque(subsets.search(system, score, folds=folds), maxlen=1).pop()
-    assert walked.pruned == 0
+    assert walked.pruned == 0 < bounded.pruned
     np.testing.assert_allclose(walked.best, bounded.best, rtol=1e-9)
     np.testing.assert_array_equal(walked.masks, bounded.masks)

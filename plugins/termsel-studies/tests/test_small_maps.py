@@ -48,6 +48,7 @@ def test_the_page_of_two_hundred_images_is_small() -> None:
     many = small_map(termsel.run("poly-terms", solver="all-terms", features=scene(1000, 1.0),
                                  options={"degree": 1}).view)
     assert many.count("M") <= 3 * MOST + 1
+    assert "1000 residuals, the largest" in many
     drawn = [many] * 200
     table = TableBlock("200 images", ("image",), [(f"image {i}",) for i in range(200)],
                        pictures=drawn)

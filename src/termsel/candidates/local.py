@@ -11,19 +11,19 @@ from termsel.fits.fittable import Fittable
 from termsel.fits.least_squares import LeastSquares
 from termsel.measurements.features import BoolArray, FeatureSet, Points
 from termsel.measurements.scaling import Scaling
-from termsel.priors.field import SPLINE, Collocation
+from termsel.priors.field import Collocation
 
 LIKELY = 0.75
 """Probability of a random field beyond which points call for it: odds of three to one, beyond
 which the evidence is positive (Kass and Raftery 1995, J. Am. Stat. Assoc. 90)."""
 
 OF_FEW = 0.5
-"""The same of few points without heights: where it is likelier than not."""
+"""The same of few points without heights, up to `field.SURE`: where it is likelier than not."""
 
 
 def asked_of(found: Collocation) -> float:
     """Return the probability of a random field beyond which points call for it."""
-    return OF_FEW if found.parts[-1].lengths == SPLINE else LIKELY
+    return LIKELY + (OF_FEW - LIKELY) * found.few
 
 
 class Interpolated(Estimator):

@@ -69,16 +69,22 @@ class Stack:
     @property
     def branches(self) -> bool:
         """Whether subsets are decided by branch and bound."""
-        return self.everything.count > WALKED and (self.holds_out or self.kind == RSS or (
+        return self.holds_out or (self._bounded and (self.kind == RSS or (
             self.kind != PRESS and len(self.systems) == 1
             and (self.kind != RATIONAL or self.margin > 0.0)
-            and self.systems[0].control.shape[1] == self.k + 1))
+            and self.systems[0].control.shape[1] == self.k + 1)))
 
     @cached_property
     def holds_out(self) -> bool:
-        """Whether scores are held-out errors without denominators, of every row."""
-        return (self.kind == LINEAR and len(self.systems) > 1 and self.times > 0) or (
-            self.kind == PRESS and not self.systems[0].extra[:, :self.k].any())
+        """Whether bounds decide scores that are held-out errors without denominators, of every row.
+        """
+        return self._bounded and (
+            (self.kind == LINEAR and len(self.systems) > 1 and self.times > 0)
+            or (self.kind == PRESS and not self.systems[0].extra[:, :self.k].any()))
+
+    @property
+    def _bounded(self) -> bool:
+        return self.everything.count > WALKED
 
     @property
     def needs_compilation(self) -> bool:

@@ -104,6 +104,9 @@ def say_nearest(name: str, fitted: Fit, xy: FloatArray, image: FloatArray,
     if len(np.unique(xy, axis=0)) < len(xy):
         log.warning("Warning: %s: no thin plate spline goes through these GCPs, as some are above "
                     "each other.", name)
+    elif len(xy) > _SPLINED:
+        log.info("%s: a thin plate spline through more than %s GCPs is not tried, as it would fill "
+                 "the memory.", name, f"{_SPLINED:,}")
     if not made or not len(ground):
         return None
     places = {key: transformation(ground) for key, transformation in made.items()}

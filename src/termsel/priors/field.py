@@ -11,9 +11,10 @@ noise are known. All solutions on a grid are averaged with their posterior proba
 without a field, which are believed as likely beforehand, among them. So where the points show no
 local deformation the shrunken polynomial remains.
 
-In a plane, fewer than FEW points do not tell lengths from noise. There a thin-plate spline, a field
-without lengths and next to affine functions alone, is a third course, as likely beforehand. An
-affine image keeps its probability among the three.
+In a plane, few points do not tell lengths from noise. There a thin-plate spline, a field without
+lengths and next to affine functions alone, is a third course, as likely beforehand. Among the three
+an affine image has the probability `posterior.AFFINE`. From SURE to FEW points all this fades: a
+fold of the points is then judged as they are.
 
 With many points the field is spanned by the covariances with KNOTS of them.
 
@@ -60,8 +61,12 @@ DEGREE = 3
 FIELD, ALIKE = 0.5, 0.9
 """Probability of a field before the points are looked at, and that its lengths are equal then."""
 
-SPLINE, FEW = (np.inf, np.inf), 20
-"""Lengths that stand for a spline, and the number of points from which on it is not needed."""
+SPLINE = (np.inf, np.inf)
+"""Lengths that stand for a spline."""
+
+SURE, FEW = 12, 20
+"""Number of points up to which a spline is a course in its own right, and from which on it is not
+needed."""
 
 PLAIN = 1 / 3
 """Belief in an affine image then, next to that of the polynomials: `posterior.AFFINE` together."""
@@ -99,6 +104,7 @@ class Collocation:
     turn: FloatArray  # (f, 2): affine coefficients that bring ground positions into the image
     knots: FloatArray  # (k, 2): places in the image
     parts: tuple[FieldPart, ...]  # those without a field first
+    few: float  # how far a spline is a course: from 0, many points or heights, to 1
 
     @cached_property
     def shares(self) -> FloatArray:
@@ -244,8 +250,8 @@ def _collocated(image: bytes, ground: bytes, sigma: bytes | None,
     # Every fall with every ratio; the columns of the field share one scale.
     mixed = np.array([[*rule, *np.full(len(knots), ratio)] for rule in rules for ratio in RATIOS])
     parts, weights = [], None if sigma is None else weights_of(points)
-    spline = [SPLINE] if variables == 2 and len(points) < FEW else []
-    for lengths in (None, *LENGTHS, *spline):
+    few = float(np.clip((FEW - len(points)) / (FEW - SURE), 0.0, 1.0)) if variables == 2 else 0.0
+    for lengths in (None, *LENGTHS, *[SPLINE] * (few > 0.0)):
         inverse = _inverse(knots, lengths)
         bare = _with_field(columns, there, knots, lengths, inverse)
         orders = np.concatenate([order, np.full(len(inverse), DEGREE)])
@@ -257,14 +263,16 @@ def _collocated(image: bytes, ground: bytes, sigma: bytes | None,
         if solutions is None:
             return None
         parts.append(FieldPart(
-            solutions, solutions.cells.log + np.log(_belief(lengths) / len(solutions.scales)),
+            solutions, solutions.cells.log + np.log(
+                _belief(lengths) * (few if lengths == SPLINE else 1.0) / len(solutions.scales)),
             lengths, inverse))
-    if spline:
+    if few > 0.0:
         plain = posterior(columns, points.image, order, weights, np.zeros((1, len(shrunk))),
                           len(points))
         assert plain is not None
-        parts.insert(1, FieldPart(plain, plain.cells.log + np.log(PLAIN), None, parts[0].inverse))
-    return Collocation(points, exponents, turn, knots, tuple(parts))
+        parts.insert(1, FieldPart(plain, plain.cells.log + np.log(PLAIN * few), None,
+                                  parts[0].inverse))
+    return Collocation(points, exponents, turn, knots, tuple(parts), few)
 
 
 def _turn(points: Points, linear: Exponents) -> FloatArray:

@@ -27,6 +27,10 @@ class View(Protocol):
         """First line, first sample, last line, last sample [px]: of the image, or of features."""
 
     @property
+    def count(self) -> int:
+        """Number of residuals, shown or not."""
+
+    @property
     def partly(self) -> str:
         """Which residuals are shown, in a sentence; "" where all are."""
 

@@ -48,11 +48,16 @@ class Shown:
         return _box(self.features.image_vertices())
 
     @property
+    def count(self) -> int:
+        """Number of residuals, shown or not."""
+        return int(np.isfinite([r.distance for r in self.residuals]).sum())
+
+    @property
     def partly(self) -> str:
         """Which residuals are shown, in a sentence; "" where all are."""
         if self._drawn is self.residuals:
             return ""
-        return (f"Shown are the {LARGEST:,} largest of {len(self.residuals):,} residuals, and one "
+        return (f"Shown are the {LARGEST:,} largest of {self.count:,} residuals, and one "
                 f"in {self._step:,} of all. The file residuals.csv has all of them.")
 
     @cached_property

@@ -40,7 +40,7 @@ def small_map(view: View) -> str:
                          f'stroke="{BLUNDER}" stroke-width="1.4"/>')
     drawn = "".join(f'<path d="{"".join(parts)}" fill="none" stroke="{ROLE_COLOURS[role]}"/>'
                     for role, parts in arrows.items() if parts)
-    said = f"{counted(len(rows), 'residual')}, the largest {max(lengths, default=0.0):.3g} px"
+    said = f"{counted(view.count, 'residual')}, the largest {max(lengths, default=0.0):.3g} px"
     return ('<svg xmlns="http://www.w3.org/2000/svg" '
             f'width="{wide + 2:.0f}" height="{high + _BELOW:.0f}" '
             f'viewBox="-1 -1 {wide + 2:.0f} {high + _BELOW:.0f}" role="img" '
