@@ -88,6 +88,5 @@ def row(kind: Kind, seeds: list[int]) -> str:
             f"| {int((block < plain).sum())} |")
 
 
-HEAD = """| block | blocks | ties by hand over six own | block over six own \\
-| block over ties by hand | block is better |
-|---|---:|---:|---:|---:|---:|"""
+HEAD = ("| block | blocks | ties by hand over six own | block over six own "
+        "| block over ties by hand | block is better |\n|---|---:|---:|---:|---:|---:|")

@@ -237,6 +237,26 @@ def test_an_rpc_of_another_place_is_named(vendors: Simulated) -> None:
         adjust(replace(vendors.block, images=tuple(images)))
 
 
+def test_one_wrong_tie_does_not_doubt_two_rpcs() -> None:
+    block = simulate_block(21, n_ties=48, rpcs=True, control=(4, 4), seed=3, independent=2).block
+    ties, wrong = block.ties, len(block.ties.names)
+    found = record_of(adjust(replace(block, ties=Ties(
+        (*ties.names, "wrong"), np.append(ties.tie, [wrong, wrong]),
+        np.append(ties.image, [0, 20]), np.vstack([ties.place, [[6000.0, 6000.0]] * 2])))))
+    assert {(tie.id, tie.image) for tie in found.wrong_ties if tie.id == "wrong"} == {
+        ("wrong", "I1"), ("wrong", "I21")}
+
+
+def test_independent_points_alone_hold_nothing(
+        vendors: Simulated, recwarn: pytest.WarningsRecorder) -> None:
+    images = tuple(replace(image, rpc=None, features=replace(own(image), points=replace(
+        own(image).points, roles=("independent",) * len(own(image).points))))
+        for image in vendors.block.images)
+    with pytest.raises(TermselError, match="no image of the block has control or an RPC"):
+        adjust(replace(vendors.block, images=images))
+    assert not recwarn.list
+
+
 def test_ties_that_contradict_are_refused() -> None:
     block = simulate_block(2, n_ties=40, rpcs=True, control=(4,), seed=0, independent=5).block
     place = np.random.default_rng(0).permutation(block.ties.place)

@@ -12,9 +12,12 @@ pytest.importorskip("termsel_block", reason="termsel-block is not installed: "
                     "pip install -e plugins/termsel-block")
 
 from termsel_block.accuracy import independent_points, predicted, rmse
+from termsel_block.block import Block
+from termsel_block.example import write_example
+from termsel_block.files.block_file import read_block
 from termsel_block.geometry.frame import FloatArray, Frame
-from termsel_block.geometry.heights import Heights
-from termsel_block.joint import BlockResult, adjust
+from termsel_block.geometry.heights import Heights, Known
+from termsel_block.joint import BlockResult, adjust, heights_of
 from termsel_block.shown.record import record_of
 from termsel_block.simulated import LAT, LON, Hills, Simulated, height, simulate_block
 
@@ -47,6 +50,19 @@ def pair(**keywords: object) -> Simulated:
                           **keywords)  # type: ignore[arg-type]
 
 
+def misstated(block: Block, off: float, role: str = "control") -> Block:
+    """Return a block with another height, or another role, of the first image's first control."""
+    image = block.images[0]
+    assert image.features is not None
+    points = image.features.points
+    assert points.roles[0] == "control"
+    ground = points.ground.copy()
+    ground[0, 2] += off
+    changed = replace(points, ground=ground, roles=(role, *points.roles[1:]))
+    return replace(block, images=(
+        replace(image, features=replace(image.features, points=changed)), *block.images[1:]))
+
+
 def test_control_of_the_other_image_tells_how_high_a_plain_is() -> None:
     flat = adjust(pair(hills=Hills(0.02), vendor_height=80.0).block)
     assert flat.adjusted.offset == pytest.approx(-80, abs=4)
@@ -67,6 +83,55 @@ def test_a_dem_holds_a_pair_even_if_it_refers_to_another_surface(tmp_path: Path)
     assert predicted(result, 1).rmse < 0.5 * predicted(without, 1).rmse
     assert any("28 m above the DEM" in note or "27 m above the DEM" in note
                for note in record_of(result).notes)
+
+
+@pytest.mark.parametrize(("relief", "off"), [(0.02, -1700.0), (1.0, -300.0)])
+def test_a_wrong_height_of_control_does_not_move_the_block(relief: float, off: float) -> None:
+    # The second is no more than hills may be: its row tells, which does not fit.
+    block = pair(hills=Hills(relief)).block
+    wrong = adjust(misstated(block, off))
+    assert [control.id for control in record_of(wrong).wrong_control] == ["G0"]
+    without = adjust(misstated(block, 0.0, "off"))
+    assert wrong.adjusted.offset == pytest.approx(without.adjusted.offset, abs=0.5)
+    assert error(wrong, 1) == pytest.approx(error(without, 1), abs=0.05)
+
+
+def test_a_wrong_height_of_control_does_not_doubt_a_dem(tmp_path: Path) -> None:
+    block = replace(pair().block, dem=dem(tmp_path / "dem.tif", Hills(), 0.0))
+    wrong = adjust(misstated(block, -1700.0))
+    assert [control.id for control in record_of(wrong).wrong_control] == ["G0"]
+    assert not record_of(wrong).notes
+    assert wrong.adjusted.offset == pytest.approx(0, abs=1)
+    assert error(wrong, 1) < 0.9
+
+
+def test_a_height_counts_while_most_of_its_rows_are_in_use() -> None:
+    frame = Frame("local", np.zeros(3), np.eye(3))
+    rows = tuple(np.array(of, np.intp) for of in ([0, 0, 1, 1], [0, 0, -1, -1], [0, 0]))
+    heights = Heights(frame, 0.0, 100.0, known=Known(np.array([3.0, 5.0]), rows))
+    heights.keep([np.array([True, True, False, False]), np.zeros(4, bool), np.ones(2, bool)])
+    assert heights.control.tolist() == [3.0]
+    heights.keep([np.array([False, False, True, True]), np.zeros(4, bool), np.ones(2, bool)])
+    assert heights.control.tolist() == [5.0]
+
+
+def test_heights_that_are_the_dems_do_not_confirm_it(tmp_path: Path) -> None:
+    folder = tmp_path / "block"
+    write_example(folder)
+    dem(folder / "dem.tif", Hills(), -28.0)
+    for name in "AB":
+        file = folder / f"{name}_points.csv"
+        rows = [line.split(",") for line in file.read_text().splitlines()]
+        assert rows[1][-1] == "z"
+        file.write_text("".join(",".join(
+            [*row[:-1], ""] if row[0] in ("G0", "G1", "G2") else row) + "\n" for row in rows))
+    stated = folder / "block.toml"
+    stated.write_text('dem = "dem.tif"\n' + stated.read_text())
+    block = read_block(stated)
+    assert [sorted(image.of_dem) for image in block.images] == [["G0", "G1", "G2"]] * 2 + [[]]
+    known = heights_of(block, Frame.at(np.array([[LON, LAT, 1700.0]]), block.crs),
+                       lambda xy: height(xy) - 28.0)
+    np.testing.assert_allclose(known.control, [28.0] * 3, atol=0.01)
 
 
 def test_heights_are_linearised_as_they_are() -> None:

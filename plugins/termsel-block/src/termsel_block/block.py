@@ -51,6 +51,8 @@ class BlockImage:
         Lines and samples [px].
     model : str
         Correction of the RPC; "auto" is chosen by evidence.
+    of_dem : frozenset of str
+        Points and lines whose height was taken from the DEM, of which they tell nothing.
     """
 
     name: str
@@ -60,6 +62,7 @@ class BlockImage:
     raster: Path | None = None
     size: tuple[int, int] | None = None
     model: str = "auto"
+    of_dem: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,8 +16,8 @@ from termsel_block.estimation.starts import Given, start
 from termsel_block.estimation.unknowns import Adjusted, Measured
 from termsel_block.geometry.cameras import Camera, groups_of
 from termsel_block.geometry.control import OwnControl, in_use, own_control
-from termsel_block.geometry.frame import FloatArray, Frame
-from termsel_block.geometry.heights import Heights, Surface
+from termsel_block.geometry.frame import BoolArray, FloatArray, Frame, IntArray
+from termsel_block.geometry.heights import Heights, Known, Surface
 
 _ABSURD = 0.01
 """Standard deviation of ties, over the extent of an image, above which they are no measurements."""
@@ -134,10 +134,12 @@ def _places(block: Block) -> FloatArray:
     own += [image.features.lines.ground.reshape(-1, 3) for image in block.images
             if image.features is not None]
     places = np.concatenate([np.empty((0, 3)), *own])
+    held = any(image.features is not None and (
+        len(in_use(image.features)) or len(image.features.lines)) for image in block.images)
     rpcs = [image.rpc.ground_offset for image in block.images if image.rpc is not None]
     if rpcs:
         places = np.concatenate([places, transformation("EPSG:4979", block.crs)(np.array(rpcs))])
-    if not len(places):
+    if not held and not rpcs:
         raise TermselError("no image of the block has control or an RPC",
                            hint="Give at least one image points, lines or an RPC.")
     return places
@@ -145,10 +147,7 @@ def _places(block: Block) -> FloatArray:
 
 def heights_of(block: Block, frame: Frame, dem: Surface | None) -> Heights:
     """Return what is known of heights before."""
-    features = [image.features for image in block.images if image.features is not None]
-    known = np.concatenate([np.empty((0, 3)), *(in_use(own).ground for own in features),
-                            *(own.lines.ground.reshape(-1, 3) for own in features)])
-    known = np.unique(known, axis=0)  # images see the same control
+    known, stated, of_rows = _known(block)
     rpcs = [image.rpc for image in block.images if image.rpc is not None]
     if rpcs:
         mean = float(np.mean([rpc.ground_offset[2] for rpc in rpcs]))
@@ -156,5 +155,28 @@ def heights_of(block: Block, frame: Frame, dem: Surface | None) -> Heights:
     else:
         mean, spread = float(known[:, 2].mean()), max(3 * float(known[:, 2].std()), 100.0)
     over = known[:, 2] - (mean if dem is None else dem(known[:, :2]))
+    tells = np.isfinite(over) & stated
+    renamed = np.append(np.where(tells, np.cumsum(tells) - 1, -1), -1)  # -1 stays
     crowd = np.median(np.bincount(block.ties.image, minlength=len(block.images)))
-    return Heights(frame, mean, spread, dem, over[np.isfinite(over)], float(crowd))
+    return Heights(frame, mean, spread, dem, Known(
+        over[tells], tuple(renamed[rows] for rows in of_rows)), float(crowd))
+
+
+def _known(block: Block) -> tuple[FloatArray, BoolArray, list[IntArray]]:
+    """Return the places (k, 3) of control, which state their height, and those of images' rows."""
+    every, rows = [np.empty((0, 4))], []
+    count = 0
+    for image in block.images:
+        if image.features is None:
+            rows.append(np.empty(0, np.intp))
+            continue
+        points, lines = in_use(image.features), image.features.lines
+        ground = np.concatenate([points.ground, lines.ground.reshape(-1, 3)])
+        ids = [*points.ids, *np.repeat(lines.ids, 2).tolist()]
+        every.append(np.column_stack([ground, [name not in image.of_dem for name in ids]]))
+        at = count + np.arange(len(ground))
+        rows.append(np.concatenate([np.repeat(at[:len(points)], 2), at[len(points):]]))
+        count += len(ground)
+    # Images see the same control.
+    known, index = np.unique(np.concatenate(every), axis=0, return_inverse=True)
+    return known[:, :3], known[:, 3] > 0, [index.ravel()[row] for row in rows]

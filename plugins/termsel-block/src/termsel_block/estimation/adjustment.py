@@ -368,6 +368,7 @@ class _Run:
             good = np.array([name not in names for name in known.feature], bool)
             changed |= bool((good != state.control_in_use[i]).any())
             state.control_in_use[i] = good
+        self.heights.keep(state.control_in_use)
         return changed
 
 

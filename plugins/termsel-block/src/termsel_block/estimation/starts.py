@@ -21,6 +21,8 @@ LEAST_TIES = 6
 """Ties with known places from which an image without control and RPC gets its first model."""
 
 _LEAST_ROWS = 8  # of control: four points give an affine model in space
+_SEVERAL = 3
+"""Ties that two images share from which on these alone tell whether an RPC is of another place."""
 _ROUNDS = 12
 _MET = 0.01  # m
 
@@ -122,13 +124,18 @@ def _refuse_elsewhere(images: Sequence[Given], cameras: Sequence[Camera | None],
         placed[i] = np.column_stack([np.ones(len(place)), place]) @ _inverse(
             camera, np.zeros((len(camera.groups), 2)))
     apart, near = Counter[int](), Counter[int]()
+    apart_ties, near_ties = Counter[int](), Counter[int]()
     for i, j, rows, others in pairs([image.measured.tie for image in images], count):
         if i in placed and j in placed and i != j:
             widths = [camera.area()[1].max() for k in (i, j) if (camera := cameras[k]) is not None]
             far = np.median(np.abs(placed[i][rows] - placed[j][others])) > 2 * max(widths)
-            (apart if far else near).update((i, j))
+            (apart_ties if far else near_ties).update({i: len(rows), j: len(rows)})
+            if len(rows) >= _SEVERAL:
+                (apart if far else near).update((i, j))
     # One RPC of another place is apart from most images that share ties, and those from it alone.
-    named = [i for i in apart if apart[i] > near[i]] or list(apart)
+    # A tie or two, among many that agree, are left to the search for blunders.
+    named = [i for i in apart if apart[i] > near[i]] or [
+        i for i in apart_ties if apart_ties[i] >= near_ties[i]]
     if named:
         names = ", ".join(repr(images[i].name) for i in sorted(named)[:5])
         raise TermselError(f"the ties of {names} are not where the RPCs of other images see "

@@ -151,16 +151,33 @@ def _image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: Path)
         raise TermselError(f"image {stated.name!r} has the model {stated.model!r}", file=path,
                            hint=f"Known: {', '.join(allowed)}." if rpc is not None else
                                 "A correction requires an RPC: give rpc or an image that has one.")
-    features = None
+    features, of_dem = None, frozenset[str]()
     if stated.points or stated.lines:
         features = _features(stated, folder, crs, dem, path)
-    return BlockImage(stated.name, features, rpc, rpc_file, raster, size, stated.model)
+        of_dem = frozenset() if dem is None else _without_height(stated, folder, crs)
+    return BlockImage(stated.name, features, rpc, rpc_file, raster, size, stated.model, of_dem)
+
+
+def _without_height(stated: _Image, folder: Path, crs: str) -> frozenset[str]:
+    """Return the points and lines of an image whose files state no height."""
+    features = _read(stated, folder, crs, None)
+    points, lines = features.points, features.lines
+    blank = np.concatenate([np.isnan(points.ground[:, 2]),
+                            np.isnan(lines.ground[..., 2]).any(axis=1)])
+    return frozenset(name for name, none in zip(
+        [*points.ids, *lines.ids], blank.tolist(), strict=True) if none)
+
+
+def _read(stated: _Image, folder: Path, crs: str, dem: Path | None) -> FeatureSet:
+    """Return the control of an image as `termsel.read` has it."""
+    return read(folder / stated.points if stated.points else None,
+                folder / stated.lines if stated.lines else None, crs=crs, dem=dem)
 
 
 def _features(stated: _Image, folder: Path, crs: str, dem: Path | None, path: Path) -> FeatureSet:
     """Return the control of an image, in the CRS of the block and with heights."""
     points = folder / stated.points if stated.points else None
-    features = read(points, folder / stated.lines if stated.lines else None, crs=crs, dem=dem)
+    features = _read(stated, folder, crs, dem)
     if normalise(features.crs) != crs:
         raise TermselError(f"the control of image {stated.name!r} is in {features.crs}, the block "
                            f"in {crs}", file=points or path,

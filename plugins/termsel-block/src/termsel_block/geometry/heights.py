@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from termsel_block.geometry.frame import BoolArray, FloatArray, Frame
+from termsel_block.geometry.frame import BoolArray, FloatArray, Frame, IntArray
 
 Surface = Callable[[FloatArray], FloatArray]
 """Heights at ground coordinates x and y (n, 2)."""
@@ -23,6 +23,29 @@ _LEAST_SIGMA = 0.5  # m
 _AS_MANY = 2.0
 _FAR = 4.0  # robust standard deviations beyond which a height tells nothing more of the roughness
 _MAD = 1.4826
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """Heights that control states.
+
+    Parameters
+    ----------
+    over : ndarray, shape (k,)
+        Over the surface [m].
+    of_rows : tuple of ndarray, shape (n,)
+        Of each image: the height of each row of its control; -1 where that tells none.
+    """
+
+    over: FloatArray = field(default_factory=lambda: np.empty(0))
+    of_rows: tuple[IntArray, ...] = ()
+
+    def agreed(self, rows: Sequence[BoolArray]) -> BoolArray:
+        """Return the heights most of whose rows, which each image states, are in use."""
+        votes = np.zeros(len(self.over))
+        for index, used in zip(self.of_rows, rows, strict=True):
+            np.add.at(votes, index[index >= 0], np.where(used, 1, -1)[index >= 0])
+        return votes > 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +85,8 @@ class Heights:
         Height and its uncertainty where there is no DEM [m].
     surface : callable, optional
         Heights of the DEM at ground coordinates x and y (n, 2); not finite where it has none.
-    control : ndarray, shape (k,)
-        Heights of control over the surface [m].
+    known : Known
+        Heights of control.
     crowd : float
         Ties of an image, so that those which share a hill do not count as if each were by itself.
     """
@@ -72,15 +95,40 @@ class Heights:
     mean: float
     spread: float
     surface: Surface | None = None
-    control: FloatArray = field(default_factory=lambda: np.empty(0))
+    known: Known = field(default_factory=Known)
     crowd: float = 1.0
     offset: float = 0.0
     sigma: float = np.nan
     """Roughness: standard deviation of a height over the surface [m]."""
+    control: FloatArray = field(init=False)
+    """Heights of control in use, over the surface [m]."""
 
     def __post_init__(self) -> None:
         if np.isnan(self.sigma):
             self.sigma = self.spread if self.surface is None else _OF_ERRORS
+        self.control = self._alike(self.known.over)
+
+    def keep(self, rows: Sequence[BoolArray]) -> None:
+        """Take the heights of control whose rows, which each image states, are in use."""
+        self.control = self._alike(self.known.over[self.known.agreed(rows)])
+
+    def _alike(self, over: FloatArray) -> FloatArray:
+        """Return the heights that are not far from the median of all.
+
+        An image without control follows the offset, so that a wrong height would shift it before
+        its row is told as a blunder. The prior counts as one height more.
+        """
+        with_prior = np.append(over, 0.0)
+        middle = np.median(with_prior)
+        scale = _MAD * np.median(np.abs(with_prior - middle))
+        variance = (len(with_prior) * scale**2 + _AS_MANY * self._usual**2) / (
+            len(with_prior) + _AS_MANY)
+        return np.asarray(over[np.abs(over - middle) <= _FAR * np.sqrt(variance)])
+
+    @property
+    def _usual(self) -> float:
+        """Usual roughness of what is over the surface [m]."""
+        return _OF_GROUND if self.surface is None else _OF_ERRORS
 
     @property
     def _many(self) -> float:
@@ -147,9 +195,9 @@ class Heights:
         if not len(square):
             return
         most = (_FAR * _MAD) ** 2 * float(np.median(square))
-        usual = _OF_GROUND if self.surface is None else _OF_ERRORS
-        self.sigma = max(float(np.sqrt((np.minimum(square, most).sum() + _AS_MANY * usual**2)
-                                       / (len(square) + _AS_MANY))), _LEAST_SIGMA)
+        self.sigma = max(float(np.sqrt(
+            (np.minimum(square, most).sum() + _AS_MANY * self._usual**2)
+            / (len(square) + _AS_MANY))), _LEAST_SIGMA)
 
     def _away(self, ties: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Return what ties lack in height, and where the offset is part of it."""
