@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,7 @@ from termsel_match.lines.certainty import (
 )
 from termsel_match.lines.problem import RECIPE, MatchedLines
 from termsel_match.lines.rounds import iterate_lines
-from termsel_match.lines.tracing import left_by_tracing
+from termsel_match.lines.tracing import Tracing, _drawn_together, left_by_tracing
 from termsel_match.lines.vectors import pieces_of
 
 CHECKS = (*checks(match_lines, words=["none.tif", "--vectors", "none.gpkg"]),
@@ -105,6 +106,7 @@ def test_rounds_find_the_camera_from_thirty_px_off(place: Any, tmp_path: Path) -
     assert "in all directions" in done.text()
     assert 0.05 < done.tracing.sigma < 0.5
     assert "errors of the vectors leave" in done.text()
+    assert "errors of the vectors leave" not in replace(done, tracing=Tracing()).text()
     assert termsel.read_result(tmp_path / "result").selection.features == done.lines.ids
 
 
@@ -159,6 +161,25 @@ def test_few_vectors_do_not_show_errors_of_whole_ones() -> None:
     text = left_by_tracing(problem, chosen, 1).text()
     assert "apart from errors that a whole vector has" in text
     assert "Fewer than 6 vectors" in text
+
+
+def test_stretches_of_few_vectors_are_contiguous() -> None:
+    problem, _, _ = traced(0.0, 1, 8)  # 48 pieces, "0" to "47"
+    one = problem.inputs.control.lines
+    features = problem.inputs.control.with_(lines=replace(one, attributes={
+        **one.attributes, "vector": np.full(len(one), "1", dtype=object)}))
+    single: Any = termsel.prepare("matched-lines", features=features, model="poly2d",
+                                  options={"degree": 1, "half_at": 1.0}).problem
+    assert (np.diff(_drawn_together(single.vector)) >= 0).all()
+    pieces = [str(one.attributes["piece"][own[0]]) for own in single._of_pieces()]
+    assert pieces == [str(number) for number in range(48)]
+
+
+def test_it_is_said_why_tracing_cannot_be_told() -> None:
+    few: Any = SimpleNamespace(vector=np.zeros(3, dtype=int))
+    found = left_by_tracing(few, (), 1)
+    assert "so few pieces" in found.text()
+    assert found.vectors == 1
 
 
 def test_the_table_runs_as_a_problem(place: Any, found: LineCandidates, tmp_path: Path) -> None:

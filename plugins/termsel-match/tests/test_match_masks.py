@@ -18,7 +18,7 @@ from rasterio.windows import Window
 
 from termsel import TermselError
 from termsel_match import commands
-from termsel_match.images.masks import NONE, open_masked, otsu
+from termsel_match.images.masks import NONE, open_masked, otsu, tell_of_idle
 from termsel_match.points.candidates import match_points as match
 
 pytestmark = pytest.mark.filterwarnings("ignore:Dataset has no geotransform",
@@ -63,6 +63,28 @@ def test_geojson_may_be_in_px_though_it_always_has_a_crs(place: Any, says: Any,
                       "--mask", nowhere, "-o", tmp_path / "c.csv")
     assert code == 2
     assert "have no place in the CRS of the reference" in text
+
+
+def test_a_mask_that_touches_nothing_is_told(place: Any, tmp_path: Path,
+                                             caplog: pytest.LogCaptureFixture) -> None:
+    """Px near the first corner are read as degrees of GeoJSON."""
+    corner, far = shapely.box(60, 10, 80, 30), shapely.box(900, 900, 950, 950)
+    west, north = place.world.corner
+    there = shapely.box(west - 50, north - 50, west + 50, north + 50)
+    files = [place / "ortho.tif"]
+    for name, shape, crs, said in (
+            ("near.geojson", corner, None, "GeoPackage without a CRS"),
+            ("far.gpkg", far, None, "px of the image"), ("px.gpkg", corner, None, ""),
+            ("utm.gpkg", there, "EPSG:32633", ""), ("off.gpkg", far, "EPSG:32633", "reference")):
+        caplog.clear()
+        mask = polygons(tmp_path / name, [shape], crs)
+        tell_of_idle([NONE, mask], [place / "image.tif"], files)
+        assert (str(mask) in caplog.text) == bool(said)
+        assert said in caplog.text
+    with pytest.raises(TermselError, match="candidates"):
+        match(place / "image.tif", place / "ortho.tif", count=20, seconds=0.0,
+              masks=[tmp_path / "far.gpkg"])
+    assert "far.gpkg hides nothing" in caplog.text
 
 
 def test_a_mask_that_is_none_is_refused(place: Any, says: Any, tmp_path: Path) -> None:

@@ -21,13 +21,14 @@ from hypothesis import strategies as st
 from rasterio.windows import Window
 
 from benchmarks.verdicts import BAD, PASSED, REFUSED, Repeated, verdict
-from termsel import FeatureSet, Points, TermselError, read, write_points_csv
+from termsel import FeatureSet, Points, TermselError, read, read_result, write_points_csv
+from termsel_match import chain
 from termsel_match.chain import georeference, judge
 from termsel_match.images.rasters import GreyRaster, open_picture
 from termsel_match.judgement.along import Along, along
 from termsel_match.judgement.evidence import OtherPlace, other_place, structure, unsupported
 from termsel_match.judgement.repeats import repetition
-from termsel_match.judgement.selection import select_points
+from termsel_match.judgement.selection import _missed, select_points
 from termsel_match.judgement.verdict import reasons
 from termsel_match.simulated.world import CRS, World
 from termsel_match.simulated.world_files import write_world
@@ -107,8 +108,10 @@ def test_jitter_is_corrected_as_far_as_candidates_call_for_it() -> None:
     assert chosen.correction.model == "rpc-jitter"
 
 
-def test_a_smooth_correction_is_not_taken_where_no_candidate_holds_it(tmp_path: Path) -> None:
-    world = World(size=400, seed=3, jitter=1.2)
+@pytest.mark.parametrize(("jitter", "seed", "refused"), [(1.2, 3, False), (2.0, 3, True)])
+def test_a_smooth_correction_is_not_taken_where_no_candidate_holds_it(
+        tmp_path: Path, jitter: float, seed: int, refused: bool) -> None:
+    world = World(size=400, seed=seed, jitter=jitter)
     write_world(world, tmp_path / "place")
     points, rng = world.independent(260), np.random.default_rng(2)
     points = points.take(points.image[:, 0] > 80)  # the first lines have none
@@ -123,7 +126,46 @@ def test_a_smooth_correction_is_not_taken_where_no_candidate_holds_it(tmp_path: 
     away = np.linalg.norm(done.selected.result.project(exact.ground) - exact.image, axis=1)
     # What it misses is in its standard deviation.
     assert done.evidence.sigma > done.selected.missed > 0.1
-    assert away.max() < 4 * done.evidence.sigma
+    assert 0.7 < np.sqrt((away**2).mean()) / done.evidence.sigma < 1.5
+    assert bool(done.reasons) == refused
+
+
+def test_what_a_correction_misses_is_neither_noise_nor_wrong_candidates() -> None:
+    rng = np.random.default_rng(4)
+    line = np.sort(rng.uniform(0, 500, 400))
+    image = np.column_stack([line, rng.uniform(0, 500, 400)])
+    jitter = np.column_stack([3 * np.sin(line / 20), 0 * line])
+    seen: Any = SimpleNamespace(project=lambda ground: ground[:, :2])
+    for missed in (0.0, 1.0):
+        moved = missed * jitter + rng.normal(0, 0.5, (400, 2))
+        moved[::5] += rng.uniform(-60, 60, (80, 2))
+        ground = np.column_stack([image - moved, np.zeros(400)])
+        for sigma, noise in ((None, 0.5), (0.5, 0.0), (5.0, 0.0)):  # the last is overstated
+            stated = None if sigma is None else np.full((400, 2), sigma)
+            told = _missed(seen, Points(tuple(map(str, range(400))), image, ground, stated))
+            true = np.hypot(missed * 3 / 2**0.5, noise * 2**0.5)
+            assert abs(told - true) < 0.35
+
+
+def test_where_no_plainer_correction_is_possible_the_richer_one_stays(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World(size=400, seed=3, jitter=1.2)
+    write_world(world, tmp_path / "place")
+    points = world.independent(260)
+    points = points.take(points.image[:, 0] > 80)
+    write_points_csv(replace(points, roles=()), tmp_path / "c.csv", CRS)
+
+    def once(*args: Any, plainer_than: Any = None, **options: Any) -> Any:
+        if plainer_than is not None:
+            raise TermselError("not enough candidates agree")
+        return select_points(*args, **options)
+
+    monkeypatch.setattr(chain, "select_points", once)
+    done = judge(tmp_path / "place" / "image.tif", None, dem=tmp_path / "place" / "dem.tif",
+                 points=tmp_path / "c.csv", folder=tmp_path / "out")
+    assert done.selected.correction.model == "rpc-jitter"
+    assert any("standard deviation" in reason for reason in done.reasons)
+    assert read_result(tmp_path / "out" / "result").model == "rpc-jitter"
 
 
 def test_roles_are_all_along_the_lines(place: Any) -> None:
@@ -223,6 +265,12 @@ def test_what_is_missing_is_said(place: Any, tmp_path: Path, says: Any) -> None:
         text = says(*words, "--points", table)[1]
         assert "Give the georeferenced image by --reference" in text
         assert "--set" not in text
+    pixels.write_text("y1,x1,y2,x2\n1,2,abc,4\n")
+    for more in ((), ("--reference", place / "ortho.tif")):
+        text = says(*words, "--points", pixels, *more)[1]
+        assert "line 2" in text
+        assert "y2" in text
+        assert "--reference" not in text
     assert read(few).points.ids[0] == "T001"
 
 

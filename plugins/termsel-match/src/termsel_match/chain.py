@@ -13,7 +13,7 @@ import numpy as np
 
 from termsel import TermselError, open_dem, read_result, read_rpc, rectify, write_points_csv
 from termsel.toolkit import write_text
-from termsel_match.images.masks import open_masked
+from termsel_match.images.masks import open_masked, tell_of_idle
 from termsel_match.images.rasters import FloatArray, GreyRaster, Mask, grid
 from termsel_match.images.starts import Start
 from termsel_match.images.warps import COVERS, NotShown, open_reference, references_of
@@ -156,6 +156,8 @@ def judge(
                            hint="In a clone of termsel: pip install ./plugins/termsel-rpc.")
     if points is not None:
         candidates = read_candidates(points, image, reference, dem=dem, start=start)
+        tell_of_idle(matching.get("masks", ()), [image],
+                     [] if reference is None else references_of(reference))
     else:
         assert reference is not None
         candidates = match_points(image, reference, dem=dem, start=start, progress=progress,
@@ -163,8 +165,7 @@ def judge(
     if folder is not None:
         Path(folder).mkdir(parents=True, exist_ok=True)
         write_points_csv(candidates.points, Path(folder) / CANDIDATES, candidates.crs)
-    def made(plainer_than: Correction | None = None) -> tuple[Selected, Matched | None, str,
-                                                            Evidence, Bounds | None]:
+    def made(plainer_than: Correction | None = None) -> tuple[Selected, Matched | None, str]:
         result_folder = None if folder is None else Path(folder) / RESULT
         selected = select_points(candidates.features, model, options, accept=accept,
                                  plainer_than=plainer_than, seed=seed, out=result_folder)
@@ -178,17 +179,24 @@ def judge(
                 selected = with_lines(selected, lines.features, seed=seed, out=result_folder)
             except TermselError as error:  # the points suffice
                 lines, unused = None, error.what
-        return selected, lines, unused, *_evidence(
-            image, reference, candidates, selected, dem=dem, extent=extent, seed=seed,
-            masks=matching.get("masks", ()))
+        return selected, lines, unused
 
-    selected, lines, unused, evidence, bounds = made()
+    def said_of(selected: Selected) -> tuple[Evidence, Bounds | None]:
+        return _evidence(image, reference, candidates, selected, dem=dem, extent=extent, seed=seed,
+                         masks=matching.get("masks", ()))
+
+    selected, lines, unused = made()
+    evidence, bounds = said_of(selected)
     # A smooth correction goes anywhere beyond the candidates that hold it, which no held-out
     # candidate sees. What it would have corrected adds to the standard deviation of a plainer one.
     while evidence.sigma > accept and selected.correction.model == "rpc-jitter":
         richest = selected.called_for or selected.correction
-        selected, lines, unused, evidence, bounds = made(selected.correction)
+        try:
+            selected, lines, unused = made(selected.correction)
+        except TermselError:  # the one that is in the folder stays, and is refused
+            break
         selected = replace(selected, called_for=richest)
+        evidence, bounds = said_of(selected)
     return Georeferenced(
         candidates, selected, evidence, accept, reasons(selected, evidence, accept),
         remarks(candidates, selected, evidence, accept), lines, unused, bounds)

@@ -122,6 +122,61 @@ def on_the_ground(masks: Sequence[Path | str], crs: str, transform: Any) -> tupl
     return tuple(found)
 
 
+def tell_of_idle(masks: Sequence[Path | str], images: Sequence[Path | str],
+                 references: Sequence[Path]) -> None:
+    """Log a warning for each mask that touches neither an image nor a reference.
+
+    Parameters
+    ----------
+    masks : sequence of path-like
+        See `open_masked`.
+    images : sequence of path-like
+        Which polygons without a CRS may touch.
+    references : sequence of path-like
+        Which those with a CRS may touch.
+    """
+    for name in masks:
+        if str(name) == NONE:
+            continue
+        shapes, crs = polygons(name)
+        if crs:
+            idle = not any(_touch(shapes, _bounds(file, crs)) for file in references)
+            where = "any reference"
+        else:
+            shapes = np.array([_in_px(shape) for shape in shapes])
+            idle = not any(_touch(shapes, _bounds(file)) for file in images)
+            where = "the image"
+        if idle:
+            hint = (" Save polygons that are in px in a GeoPackage without a CRS: GeoJSON has "
+                    "degrees." if crs else " Draw them in px of the image.")
+            log.warning("Warning: the mask %s hides nothing: its polygons do not touch %s.%s",
+                        name, where, hint)
+
+
+def _bounds(path: Path | str, crs: str = "") -> tuple[float, ...] | None:
+    """Return the bounds of a raster in a CRS or else in px; None where they are not known."""
+    from rasterio.crs import CRS
+    from rasterio.errors import CRSError
+    from rasterio.warp import transform_bounds
+
+    with open_picture(path) as picture:
+        if not crs:
+            return 0.0, 0.0, float(picture.size[1]), float(picture.size[0])
+        raster = picture.raster
+        if raster.crs is None:
+            return None
+        try:
+            found = transform_bounds(raster.crs, CRS.from_user_input(crs), *raster.bounds)
+        except CRSError:
+            return None
+    return tuple(found) if np.isfinite(found).all() else None
+
+
+def _touch(shapes: NDArray[Any], bounds: tuple[float, ...] | None) -> bool:
+    """Return whether any polygon touches bounds; True where these are not known."""
+    return bounds is None or bool(shapely.intersects(shapes, shapely.box(*bounds)).any())
+
+
 def _in_px(shape: Any) -> Any:
     """Return a polygon in columns and rows from the corner of the first pixel."""
     places = shapely.get_coordinates(shape)

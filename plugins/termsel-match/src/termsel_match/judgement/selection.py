@@ -15,7 +15,7 @@ from termsel import FeatureSet, Fit, Points, Result, TermselError
 from termsel.toolkit import write_result
 from termsel_match.images.rasters import FloatArray, Mask
 from termsel_match.images.starts import turned
-from termsel_match.judgement.structures import Correction, called_for, corrections, missed_by
+from termsel_match.judgement.structures import Correction, called_for, corrections
 from termsel_match.searching import searched
 
 TOLERANCE = 2.0  # px at which a candidate counts half in the search
@@ -54,7 +54,8 @@ class Selected:
     called_for : Correction, optional
         What held-out candidates call for, where that is richer and not determined everywhere.
     missed : float
-        RMS error at held-out candidates that it would not make [px].
+        Where a richer correction is not determined: RMS error of this one at candidates for check
+        and independent ones, without the noise of matching as far as it is known [px].
     """
 
     result: Result
@@ -178,7 +179,8 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
         "owdis-points", features=kept, model=chosen.model, solver="all-terms",
         options={**chosen.options, **_all_used(kept)}, seed=seed, out=out,
         overwrite=plainer_than is not None), out)
-    missed = 0.0 if plainer_than is None else missed_by(chosen, several, close, seed)
+    missed = 0.0 if plainer_than is None else _missed(
+        result.fit, points.take(roles != "control"))
     return Selected(result, agrees, independent, limit, points, chosen, plainer_than, missed)
 
 
@@ -272,6 +274,27 @@ def _errors(fitted: Fit, points: Points) -> FloatArray:
 
 def _rms(fitted: Fit, points: Points) -> float:
     return float(np.sqrt((_errors(fitted, points) ** 2).mean()))
+
+
+def _missed(fit: Fit, points: Points) -> float:
+    """Return the RMS error of a fit at candidates that it does not use, without noise [px].
+
+    Those count, too, that do not agree: they show best what the model misses. Blunders do not, by
+    the median of all. Where standard deviations are stated, noise is not larger than they say, nor
+    than neighbours along the lines differ.
+    """
+    away = (points.image - fit.project(points.ground))[np.argsort(points.image[:, 0])]
+    squares = (away**2).sum(axis=1)
+    away, squares = away[np.isfinite(squares)], squares[np.isfinite(squares)]
+    if len(squares) < _LEAST_CHECK:
+        return float("inf")
+    right = squares <= _SIGMAS**2 * np.median(squares) / _MEDIAN**2
+    noise = 0.0
+    if points.sigma is not None:
+        steps = (np.diff(away[right], axis=0)**2).sum(axis=1)
+        noise = float(min(np.median((points.sigma**2).sum(axis=1)),
+                          np.median(steps) / _MEDIAN**2))
+    return float(np.sqrt(max(squares[right].mean() - noise, 0.0)))
 
 
 def _agreeing(errors: FloatArray, used: Mask, most: float) -> tuple[Mask, float]:

@@ -91,14 +91,6 @@ def called_for(several: list[Correction], features: FeatureSet, seed: int) -> Co
                 if (squares - best).mean() <= (squares - best).std() / root)
 
 
-def missed_by(chosen: Correction, several: list[Correction], features: FeatureSet, seed: int,
-              ) -> float:
-    """Return the RMS error of a correction at held-out candidates that the best has not [px]."""
-    judged = [(one, float(squares.mean())) for one, squares in _judged(several, features, seed)]
-    own = [square for one, square in judged if one == chosen]
-    return max(own[0] - min(square for _, square in judged), 0.0) ** 0.5 if own else float("inf")
-
-
 def _judged(several: list[Correction], features: FeatureSet, seed: int,
             ) -> list[tuple[Correction, FloatArray]]:
     """Return the corrections that candidates determine, and their squared errors at others."""

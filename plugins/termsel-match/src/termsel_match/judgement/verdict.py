@@ -139,7 +139,7 @@ def remarks(candidates: Candidates, selected: Selected, evidence: Evidence,
     if selected.called_for is not None:
         said.append(f"Candidates call for {selected.called_for.text}, and do not determine it all "
                     f"over the map. {selected.correction.text} is taken instead; at held-out "
-                    f"candidates it misses {selected.missed:.2f} px (RMS) more.")
+                    f"candidates it misses {selected.missed:.2f} px (RMS).")
     bare, where = evidence.bare
     if bare > _BARE:
         said.append(f"No candidate agrees in {100 * bare:.0f} % of what image and reference show, "

@@ -72,9 +72,11 @@ class MatchedLines(Problem):
         self._columns = equations.A.reshape(len(lines), 2, -1)
         self._target = equations.b.reshape(len(lines), 2)
         pieces = lines.attributes.get("piece", np.array(lines.ids, dtype=object))
-        _, piece = np.unique(pieces.astype(str), return_inverse=True)
-        self._order = np.argsort(piece.ravel(), kind="stable")
-        self._first = np.flatnonzero(np.diff(piece.ravel()[self._order], prepend=-1))
+        _, where, piece = np.unique(pieces.astype(str), return_index=True, return_inverse=True)
+        # As they come, which is along their vectors: as text, "10" is before "2".
+        piece = np.argsort(np.argsort(where))[piece.ravel()]
+        self._order = np.argsort(piece, kind="stable")
+        self._first = np.flatnonzero(np.diff(piece[self._order], prepend=-1))
         vectors = lines.attributes.get("vector", pieces).astype(str)[self._order][self._first]
         _, vector, count = np.unique(vectors, return_inverse=True, return_counts=True)
         self._vector = vector.ravel()
@@ -100,7 +102,7 @@ class MatchedLines(Problem):
 
     @property
     def vector(self) -> NDArray[np.intp]:
-        """Number of the vector of each piece."""
+        """Number of the vector of each piece, in the order of the lines."""
         return self._vector
 
     def fitted(self, lines: NDArray[np.intp], weights: FloatArray | None = None) -> FloatArray:

@@ -101,8 +101,10 @@ class Matched:
                   for i, each in enumerate(self.rounds)]
         if not self.settled:
             table.append("The last round still changed the model.")
-        return "\n".join([*table, undetermined(self.lines), self.decisive.text(),
-                          self.tracing.text()]) + "\n"
+        table += [undetermined(self.lines), self.decisive.text()]
+        if self.tracing.vectors:
+            table.append(self.tracing.text())
+        return "\n".join(table) + "\n"
 
 
 def iterate_lines(

@@ -26,7 +26,7 @@ class Tracing:
     sigma : float
         Standard deviation, both axes together [px]; NaN where it cannot be told.
     vectors : int
-        By how many it is told.
+        By how many it is told; 0 where it is not asked.
     """
 
     sigma: float = float("nan")
@@ -34,8 +34,8 @@ class Tracing:
 
     def text(self) -> str:
         """Return what a user must know of it."""
-        left = "cannot be told by these lines." if np.isnan(self.sigma) else \
-            f"{self.sigma:.2f} px."
+        left = ("cannot be told by so few pieces of vectors." if np.isnan(self.sigma) else
+                f"{self.sigma:.2f} px.")
         if self.vectors < FEW and not np.isnan(self.sigma):
             left = (f"{self.sigma:.2f} px, apart from errors that a whole vector has. Fewer than "
                     f"{FEW} vectors do not show those.")
@@ -67,7 +67,7 @@ def left_by_tracing(problem: MatchedLines, chosen: Sequence[str], seed: int) -> 
     vectors, of = int(problem.vector.max()) + 1, _drawn_together(problem.vector)
     count = int(of.max()) + 1
     if count < _FEWEST:
-        return Tracing()
+        return Tracing(vectors=vectors)
     rng = np.random.default_rng([seed, 6])
     begin = problem.fitted(np.flatnonzero(np.isin(problem.inputs.control.ids, chosen)))
     ones = np.ones(len(of))

@@ -12,7 +12,7 @@ from time import monotonic
 import numpy as np
 
 from termsel import FeatureSet, Points, TermselError, get
-from termsel_match.images.masks import open_masked
+from termsel_match.images.masks import open_masked, tell_of_idle
 from termsel_match.images.overview import start_by_overview
 from termsel_match.images.rasters import GreyRaster
 from termsel_match.images.starts import Start, start_of, turned
@@ -137,6 +137,7 @@ def match_points(
     until = None if seconds is None else monotonic() + seconds
     known = start_of(start, image)
     files = references_of(reference)
+    tell_of_idle(masks, [image], files)
     with open_masked(image, band, masks) as picture:
         if known is None:
             if len(files) > 1:

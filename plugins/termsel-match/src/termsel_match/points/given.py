@@ -13,7 +13,7 @@ from termsel_match.images.rasters import open_picture
 from termsel_match.images.starts import start_of
 from termsel_match.images.warps import crs_of, references_of
 from termsel_match.points.candidates import LEAST, Candidates
-from termsel_match.points.readers import MatchesCsv
+from termsel_match.points.readers import NEEDS_REFERENCE, MatchesCsv
 
 _HEAD = 4096  # bytes by which readers recognise a file
 
@@ -51,7 +51,7 @@ def read_candidates(path: Path | str, image: Path | str, reference: Path | str |
         features = read(path, dem=dem, **options)
     except TermselError as error:
         unplaced = error.what == "the CRS of the ground coordinates is unknown"
-        if crs is None and (unplaced or _in_pixels(path)):
+        if crs is None and (unplaced or error.what == NEEDS_REFERENCE):
             raise TermselError(error.what, file=path,
                                hint="Give the georeferenced image by --reference.") from error
         if crs is None or not unplaced:

@@ -18,6 +18,7 @@ REFERENCE = Option("reference", "", "Required: the georeferenced image in which 
 
 _AROSICS = ("POINT_ID", "X_IM", "Y_IM", "X_MAP", "Y_MAP", "X_SHIFT_M", "Y_SHIFT_M")
 _NO_MATCH = -9999.0  # AROSICS' fill value
+NEEDS_REFERENCE = "the matches are pixels of two images, so the reference is needed"
 _PLACES = (("image_line", "image_sample", "reference_line", "reference_sample"),
            ("y1", "x1", "y2", "x2"))
 
@@ -95,8 +96,8 @@ def with_ground(path: Path, ids: Sequence[str], image: FloatArray, at: FloatArra
                  reference: str, sigma: FloatArray | None) -> FeatureSet:
     """Return points whose ground coordinates are those of pixels of a reference."""
     if not reference:
-        raise TermselError("the matches are pixels of two images, so the reference is needed",
-                           file=path, hint="Give it with --set reference=ORTHO.tif.")
+        raise TermselError(NEEDS_REFERENCE, file=path,
+                           hint="Give it with --set reference=ORTHO.tif.")
     if not len(image):
         raise TermselError("the table has no matches", file=path, hint="Add one row per match.")
     with open_picture(reference) as picture:

@@ -16,7 +16,7 @@ import numpy as np
 
 from termsel import TermselError, get, open_dem
 from termsel.toolkit import write_text
-from termsel_match.images.masks import open_masked
+from termsel_match.images.masks import open_masked, tell_of_idle
 from termsel_match.images.rasters import FloatArray, grid
 from termsel_match.images.starts import Start, start_of, turned
 from termsel_match.images.warps import COVERS, Reference
@@ -143,6 +143,7 @@ def match_ties(
             raise TermselError(f"two images are called {name!r}",
                                hint="Give files of different names, as a table of ties has them.")
     starts = [_start(path) for path in paths]
+    tell_of_idle(masks, paths, [])
     chosen = get("matchers", matcher or "sift")
     until = None if seconds is None else monotonic() + seconds
     all_pairs = list(combinations(range(len(paths)), 2))
