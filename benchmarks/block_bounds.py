@@ -19,6 +19,7 @@ from termsel_block.estimation.common import of_heights
 from termsel_block.estimation.equations import Seen, pairs, solve
 from termsel_block.geometry.cameras import RpcCamera, groups_of
 from termsel_block.geometry.frame import FloatArray
+from termsel_block.geometry.heights import Known
 from termsel_block.joint import BlockResult, heights_of
 from termsel_block.simulated import Simulated
 
@@ -57,8 +58,8 @@ def bounds(simulated: Simulated, result: BlockResult, bias: float, drift: float,
     with open_dem(block.dem, block.crs) if block.dem else nullcontext() as dem:
         ground = heights_of(block, frame, dem)
         # Ties and control lie at random, so that each height counts, as the adjustment dares not.
-        known, rough = len(ground.control), result.adjusted.roughness
-        ground = replace(ground, sigma=rough, crowd=1.0, control=np.empty(0))
+        known, rough = len(ground.known.over), result.adjusted.roughness
+        ground = replace(ground, sigma=rough, crowd=1.0, known=Known())
         heights, of_offset, aim, of_ties, aim_of_ties = of_heights(ground, places)
         of_offset[0, 0] += known / rough**2
     solved = solve([*seen, heights], [*normal, of_offset], [*right, aim],
