@@ -26,8 +26,8 @@ from termsel.candidates.portfolio import best_of, choose
 from termsel.measurements.control import Control
 from termsel.measurements.features import FeatureSet, Points
 from termsel.priors import field
-from termsel.simulate import simulate_map
 from termsel.simulate.catalogue import SCENES
+from termsel_photos import simulate_map
 
 COUNTS = (20, 40, 74)
 MAPS: dict[str, dict[str, Any]] = {
