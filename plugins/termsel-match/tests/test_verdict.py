@@ -130,6 +130,21 @@ def test_a_smooth_correction_is_not_taken_where_no_candidate_holds_it(
     assert bool(done.reasons) == refused
 
 
+@pytest.mark.parametrize("away", [0.0, 1.5])
+def test_what_no_correction_can_follow_is_said_and_in_sigma(place: Any, tmp_path: Path,
+                                                            away: float) -> None:
+    points, rng = place.world.independent(), np.random.default_rng(2)
+    image = points.image + rng.normal(0, 0.2, points.image.shape)
+    image[:, 0] += away * np.sin(points.image[:, 1] / 80)  # across the lines
+    table = tmp_path / "c.csv"
+    write_points_csv(replace(points, image=image, sigma=np.full(image.shape, 0.2), roles=()),
+                     table, CRS)
+    done = judge(place / "image.tif", place / "ortho.tif", dem=place / "dem.tif", points=table)
+    assert any("the model misses" in one for one in done.remarks) == (away > 0.0)
+    assert (done.selected.missed > 0.5) == (away > 0.0)
+    assert done.evidence.sigma > done.selected.missed
+
+
 def test_what_a_correction_misses_is_neither_noise_nor_wrong_candidates() -> None:
     rng = np.random.default_rng(4)
     line = np.sort(rng.uniform(0, 500, 400))

@@ -140,6 +140,10 @@ def remarks(candidates: Candidates, selected: Selected, evidence: Evidence,
         said.append(f"Candidates call for {selected.called_for.text}, and do not determine it all "
                     f"over the map. {selected.correction.text} is taken instead; at held-out "
                     f"candidates it misses {selected.missed:.2f} px (RMS).")
+    elif selected.missed:
+        said.append(f"At held-out candidates the model misses {selected.missed:.2f} px (RMS), more "
+                    "than matching is off. Does the reference have a seam, or is the model too "
+                    "simple?")
     bare, where = evidence.bare
     if bare > _BARE:
         said.append(f"No candidate agrees in {100 * bare:.0f} % of what image and reference show, "
