@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -44,10 +45,10 @@ def dem(path: Path, hills: Hills, off: float) -> Path:
     return path
 
 
-def pair(**keywords: object) -> Simulated:
+def pair(**keywords: Any) -> Simulated:
     """Return a pair whose second image has no control, and an RPC tens of pixels off."""
     return simulate_block(2, rpcs=True, control=(12, 0), bias=30.0, seed=5, independent=40,
-                          **keywords)  # type: ignore[arg-type]
+                          **keywords)
 
 
 def misstated(block: Block, off: float, role: str = "control") -> Block:

@@ -30,7 +30,7 @@ class Interpolated(Estimator):
     """The interpolation of a model, where the points call for it.
 
     Its terms are those of least squares, and have no influence. A random field is called for where
-    its probability exceeds LIKELY, or OF_FEW.
+    its probability exceeds that of `asked_of`.
     """
 
     name = "interpolated"

@@ -91,7 +91,7 @@ class FieldPart:
     posterior: Posterior
     log: float  # logarithm of the evidence, up to what all parts share
     lengths: tuple[float, float] | None  # None without a field
-    # (k, k): of the lower triangle of the knots' covariance; empty without a field.
+    # (c, k): what makes coefficients of the field uncorrelated; empty without one.
     inverse: FloatArray
 
 
@@ -353,4 +353,3 @@ def _spread_out(places: FloatArray) -> FloatArray:
         apart = np.minimum(apart, np.sqrt(line * line + sample * sample))
         taken.append(int(apart.argmax()))
     return places[taken]
-

@@ -165,6 +165,7 @@ def judge(
     if folder is not None:
         Path(folder).mkdir(parents=True, exist_ok=True)
         write_points_csv(candidates.points, Path(folder) / CANDIDATES, candidates.crs)
+
     def made(plainer_than: Correction | None = None) -> tuple[Selected, Matched | None, str]:
         result_folder = None if folder is None else Path(folder) / RESULT
         selected = select_points(candidates.features, model, options, accept=accept,
@@ -188,7 +189,7 @@ def judge(
     selected, lines, unused = made()
     evidence, bounds = said_of(selected)
     # A smooth correction goes anywhere beyond the candidates that hold it, which no held-out
-    # candidate sees. What it would have corrected adds to the standard deviation of a plainer one.
+    # candidate sees. What a plainer one misses is in its standard deviation.
     while evidence.sigma > accept and selected.correction.model == "rpc-jitter":
         richest = selected.called_for or selected.correction
         try:

@@ -82,21 +82,15 @@ def called_for(several: list[Correction], features: FeatureSet, seed: int) -> Co
     """
     if len(several) == 1:
         return several[0]
-    judged = _judged(several, features, seed)
+    fold = np.random.default_rng([seed, 4]).permutation(len(features.points)) % _FOLDS
+    judged = [(one, squares) for one in several
+              if (squares := _held_out(one, features, fold)) is not None]
     if not judged:
         return several[0]
     best = min(judged, key=lambda one: float(one[1].mean()))[1]
     root = np.sqrt(len(best))
     return next(one for one, squares in judged
                 if (squares - best).mean() <= (squares - best).std() / root)
-
-
-def _judged(several: list[Correction], features: FeatureSet, seed: int,
-            ) -> list[tuple[Correction, FloatArray]]:
-    """Return the corrections that candidates determine, and their squared errors at others."""
-    fold = np.random.default_rng([seed, 4]).permutation(len(features.points)) % _FOLDS
-    return [(one, squares) for one in several
-            if (squares := _held_out(one, features, fold)) is not None]
 
 
 def _held_out(one: Correction, features: FeatureSet, fold: NDArray[np.intp],
