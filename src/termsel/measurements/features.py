@@ -313,7 +313,8 @@ class FeatureSet(Glance):
         """Return the features whose mask is set, lines with all their pieces."""
         n = len(self.points)
         return self.with_(points=self.points.take(mask[:n]),
-                          lines=self.lines.take(mask[n:][self.lines.feature]))
+                          lines=self.lines.take(mask[n:][self.lines.feature])
+                          if len(self.lines) else None)
 
     def texts(self, name: str) -> TextArray:
         """Return a column of attributes of all features.

@@ -59,7 +59,8 @@ class Scaling:
             away[..., 0] -= np.where(far, np.copysign(self.x_turn, away[..., 0]), 0.0)
         scaled = away / self.ground_scale
         # Places without coordinates in the CRS of the fit are far outside the image.
-        return np.nan_to_num(scaled, nan=0.0, posinf=_FAR, neginf=-_FAR)
+        return scaled if np.isfinite(scaled).all() else np.nan_to_num(
+            scaled, nan=0.0, posinf=_FAR, neginf=-_FAR)
 
     def unscaled(self, ground: ArrayLike) -> FloatArray:
         """Return ground coordinates from scaled ones."""

@@ -115,7 +115,7 @@ class RationalModel(SensorModel):
             start += width
         return tuple(layout)
 
-    @property
+    @cached_property
     def terms(self) -> tuple[str, ...]:
         """Names of the terms: block and column, such as "line.den:XY"."""
         return tuple(name for *_, names in self._layout for name in names)

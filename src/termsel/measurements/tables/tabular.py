@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
+from functools import cache
 from types import MappingProxyType
 from typing import Any, Self, TypeVar
 
@@ -129,7 +130,12 @@ class Tabular(Glance, Framed):
 
 def _own(table: Any) -> list[tuple[str, Any]]:
     """Return the fields of points or lines; all else that they keep is derived."""
-    return [(column.name, getattr(table, column.name)) for column in fields(table)]
+    return [(name, getattr(table, name)) for name in _names(table.__class__)]
+
+
+@cache
+def _names(kind: type) -> tuple[str, ...]:
+    return tuple(column.name for column in fields(kind))
 
 
 def _rows_at(value: Any, rows: NDArray[np.intp]) -> Any:
