@@ -25,13 +25,18 @@ def _termsel(*arguments: object) -> tuple[int, str, str]:
     return done.exit_code, done.stdout, done.stderr
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def of_all_terms() -> termsel.Result:
     """A result in WGS84, of a plain model that is an RPC as it is."""
+    return termsel.run("rfm-terms", model="poly3d", solver="all-terms", dataset="irs1c-mashad")
+
+
+@pytest.fixture
+def folder(of_all_terms: termsel.Result, tmp_path: Path) -> Path:
+    """Its folder, which a test may change."""
     path = tmp_path / "result"
     path.mkdir()
-    write_result(termsel.run("rfm-terms", model="poly3d", solver="all-terms",
-                             dataset="irs1c-mashad"), path)
+    write_result(of_all_terms, path)
     return path
 
 

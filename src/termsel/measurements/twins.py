@@ -17,6 +17,9 @@ NEAR = 0.01
 """Distance of twins, by the side of the square that each point has for itself; of their heights,
 by the spread of all heights."""
 
+FEW = 300
+"""Most places that are compared each with each: a tree takes longer to import than to search."""
+
 
 def twins(ground: FloatArray, typical: FloatArray | None = None) -> IntArray:
     """Return which points (n, 3) are twins, by their place on the ground alone, shape (n,).
@@ -25,10 +28,6 @@ def twins(ground: FloatArray, typical: FloatArray | None = None) -> IntArray:
     3), by default all, have the spread that decides what is near. NaN for heights that are not
     known.
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import KDTree
-
     n = len(ground)
     typical = ground if typical is None else typical
     if n < 2 or len(typical) < 2:
@@ -38,10 +37,24 @@ def twins(ground: FloatArray, typical: FloatArray | None = None) -> IntArray:
     low, high = np.quantile(typical, [0.25, 0.75], axis=0)
     unit = NEAR * 2 * (high - low) * np.array([len(typical) ** -0.5] * 2 + [1.0])
     rounding = np.finfo(float).eps * np.abs(places).max(axis=0)
-    pairs = KDTree(places / np.maximum(unit, np.maximum(rounding, np.finfo(float).tiny))
-                   ).query_pairs(1.0, output_type="ndarray")
+    pairs = _near(places / np.maximum(unit, np.maximum(rounding, np.finfo(float).tiny)))
+    if not len(pairs):
+        return np.arange(n, dtype=np.intp)
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     edges = coo_array((np.ones(len(pairs)), pairs.T), shape=(n, n))
     return np.asarray(connected_components(edges, directed=False)[1], dtype=np.intp)
+
+
+def _near(places: FloatArray) -> IntArray:
+    """Return the pairs of places (n, 3) that are at most 1 apart, shape (p, 2)."""
+    if len(places) <= FEW:
+        square = sum((axis[:, None] - axis) ** 2 for axis in places.T)
+        return np.argwhere(np.triu(square <= 1.0, 1))
+    from scipy.spatial import KDTree
+
+    return np.asarray(KDTree(places).query_pairs(1.0, output_type="ndarray"))
 
 
 def merged(features: FeatureSet) -> FeatureSet:

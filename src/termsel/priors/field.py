@@ -41,7 +41,7 @@ from termsel.priors.blunder_odds import blunder_odds
 from termsel.priors.foresight import foresee
 from termsel.priors.held_out import Prediction
 from termsel.priors.posterior import NEVER, Posterior, polynomial_posterior, posterior, shares
-from termsel.priors.thin_plate import kernel
+from termsel.priors.thin_plate import kernel, squared_distances
 
 LENGTHS = ((0.15, 0.15), (0.3, 0.3), (0.6, 0.6), (1.2, 1.2), (0.15, 1.2), (1.2, 0.15))
 """Lengths of line and sample, by the half-range of the image: from about the distance of
@@ -332,9 +332,8 @@ def _covariances(places: FloatArray, knots: FloatArray,
 
 def _matern(a: FloatArray, b: FloatArray, lengths: tuple[float, float]) -> FloatArray:
     """Return the correlations between places, shape (len(a), len(b))."""
-    from scipy.spatial.distance import cdist
-
-    r = cdist(a * np.sqrt(3.0) / lengths, b * np.sqrt(3.0) / lengths)
+    r = squared_distances(a * np.sqrt(3.0) / lengths, b * np.sqrt(3.0) / lengths)
+    np.sqrt(r, out=r)
     correlation: FloatArray = np.exp(-r)
     r += 1.0  # in place, as these are the largest arrays
     correlation *= r

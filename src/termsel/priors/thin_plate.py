@@ -212,7 +212,14 @@ def _axis(basis: tuple[FloatArray, FloatArray], target: FloatArray, smoothings: 
 
 def kernel(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return r^2 log r of the distances r between places, shape (len(a), len(b))."""
-    from scipy.spatial.distance import cdist
-
-    square = cdist(a, b, "sqeuclidean")
+    square = squared_distances(a, b)
     return np.asarray(xlogy(square, square) / 2)
+
+
+def squared_distances(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the squared distances between places in the plane, shape (len(a), len(b))."""
+    # That of scipy.spatial would be the only part of it that most runs import.
+    square, across = (np.subtract.outer(a[:, i], b[:, i]) for i in range(2))
+    square *= square
+    square += np.square(across, out=across)
+    return square
