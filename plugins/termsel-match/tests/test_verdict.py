@@ -141,6 +141,8 @@ def test_what_no_correction_can_follow_is_said_and_in_sigma(place: Any, tmp_path
                      table, CRS)
     done = judge(place / "image.tif", place / "ortho.tif", dem=place / "dem.tif", points=table)
     assert any("the model misses" in one for one in done.remarks) == (away > 0.0)
+    assert away or not done.reasons
+    assert ("Look at this:" in done.text()) == bool(done.remarks)
     assert (done.selected.missed > 0.5) == (away > 0.0)
     assert done.evidence.sigma > done.selected.missed
 

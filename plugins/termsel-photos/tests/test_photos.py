@@ -35,7 +35,7 @@ def test_conformance(check: Check) -> None:
 @pytest.fixture(scope="module")
 def distorted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("photo")
-    termsel.run("distortion", generations=40, out=folder / "out", options={"mask": "shared"})
+    termsel.run("distortion", generations=12, out=folder / "out", options={"mask": "shared"})
     return folder / "out"
 
 

@@ -43,6 +43,9 @@ ROUNDING = 1e-6
 LOOK = 2.0
 """Standard deviations within which an error says nothing of a blunder, and is not looked at."""
 
+COMPARED = 1000
+"""Points by which the quadratic and the cubic polynomial are compared, about; more decide alike."""
+
 UNUSED = 1e-3
 """Weight at which a point has no influence and is predicted all the same."""
 
@@ -186,9 +189,10 @@ class _OfPoints:
 
     @cached_property
     def squares(self) -> FloatArray:
-        """Squared errors of the points in use, each by the others, shape (m,)."""
-        errors = self.found.left_out.errors
-        return np.asarray(((errors / self.weights[self.order[:len(errors)]]
+        """Squared errors of the points in use, of many some, each by the others, shape (m,)."""
+        some = slice(0, self.found.in_use, -(-self.found.in_use // COMPARED))
+        errors = (self.found.left_out if some.step == 1 else self.found.without(some)).errors
+        return np.asarray(((errors / self.weights[self.order[some]]
                             * self.image_scale) ** 2).sum(axis=1))
 
     def test(self) -> Test:
@@ -199,7 +203,8 @@ class _OfPoints:
         pixels = rows[:, :2] / self.weights * self.image_scale
         noise = float(np.sqrt(found.cells.share @ found.square / found.freedom))
         return Test(np.abs(pixels).max(axis=1), rows[:, 2], rows[:, 3], rows[:, 4],
-                    noise * self.image_scale, found.freedom, self.squares)
+                    noise * self.image_scale, found.freedom,
+                    (pixels[self.order[:found.in_use]] ** 2).sum(axis=1))
 
 
 def _of_points(division: Division, degree: int) -> _OfPoints | None:

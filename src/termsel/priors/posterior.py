@@ -222,10 +222,13 @@ class Posterior:
     @cached_property
     def left_out(self) -> Prediction:
         """What all points but one predict for it, for each point in use."""
-        square, share, log = self.square, self.cells.share, self.cells.log
-        least, half = self.noise + TINY * square, self.freedom // 2 - 1
-        return together([leave_each_out(*self.at(some), square, least, share, log, half)
-                         for some in self.pieces])
+        return together([self.without(some) for some in self.pieces])
+
+    def without(self, some: slice) -> Prediction:
+        """Return what all points but one predict for it, for some of the points in use."""
+        square, half = self.square, self.freedom // 2 - 1
+        return leave_each_out(*self.at(some), square, self.noise + TINY * square,
+                              self.cells.share, self.cells.log, half)
 
     def beyond(self, weight: float) -> Prediction:
         """Return what the points in use predict for the others, which weigh too little to matter.

@@ -265,15 +265,16 @@ def horizontal(crs: str) -> str:
     return name if known is None or len(known.axis_info) < 3 else normalise(known.to_2d().to_wkt())
 
 
-def _missing_grids(source: CRS, target: CRS) -> list[str]:
+@lru_cache  # an error is not kept with what raised it
+def _missing_grids(source: CRS, target: CRS) -> tuple[str, ...]:
     """Return the names of grids with which PROJ could transform."""
     from pyproj.transformer import TransformerGroup
 
     with catch_warnings():
         simplefilter("ignore")  # warnings of missing grids
         group = TransformerGroup(source, target, always_xy=True)
-    return list(dict.fromkeys(grid.short_name for operation in group.unavailable_operations
-                              for grid in operation.grids if not grid.available))
+    return tuple(dict.fromkeys(grid.short_name for operation in group.unavailable_operations
+                               for grid in operation.grids if not grid.available))
 
 
 def short(crs: str) -> str:
@@ -307,10 +308,18 @@ def _say_unchecked(name: str) -> None:
 def _with_pyproj(crs: str) -> CRS | None:
     """Return the CRS, or None where pyproj is not installed."""
     try:
-        from pyproj import CRS
-        from pyproj.exceptions import CRSError
+        import pyproj  # noqa: F401 - whether it is there
     except ImportError:
         return None
+    return _read(crs)
+
+
+@lru_cache
+def _read(crs: str) -> CRS:
+    """Return the CRS by pyproj, which takes 10 ms to read one; a run asks a hundred times."""
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
     try:
         known = CRS.from_user_input(crs)
     except CRSError:
