@@ -267,7 +267,7 @@ def test_points_above_each_other_have_no_spline(tmp_path: Path,
 def test_very_many_gcps_do_not_fill_the_memory(tmp_path: Path,
                                                caplog: pytest.LogCaptureFixture) -> None:
     rng = np.random.default_rng(1)
-    image = rng.uniform(0, 8000, (6000, 2))
+    image = rng.uniform(0, 8000, (5001, 2))
     ground = np.column_stack([6e5 + image[:, 1], 4e6 - image[:, 0], np.full(len(image), np.nan)])
     points = Points(tuple(map(str, range(len(image)))), image + rng.normal(0, 0.3, image.shape),
                     ground, None, ("control",) * len(image))
