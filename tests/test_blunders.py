@@ -13,6 +13,7 @@ from scipy.special import fdtrc
 import termsel
 from termsel import FeatureSet, Points
 from termsel.adjustment.monomials import graded_exponents, monomials
+from termsel.candidates import contradictions
 from termsel.candidates.blunders import find_blunders, judge_others
 from termsel.candidates.contradictions import Test as Contradictions
 from termsel.candidates.portfolio import choose
@@ -57,6 +58,21 @@ def test_a_fifth_of_blunders_is_found_and_nothing_else(name: str, seed: int) -> 
     nothing = find_blunders(Control.of(clean, True))
     assert nothing is not None
     assert not nothing.blunders.any()
+
+
+def test_of_many_points_some_compare_the_polynomials(monkeypatch: pytest.MonkeyPatch) -> None:
+    control = Control.of(all_control(scene(50)), True)
+    used = np.arange(50) != 7
+
+    def compared() -> np.ndarray:
+        found = contradictions._of_points(contradictions.Division(control, used), 2)
+        assert found is not None
+        return found.squares
+
+    every = compared()
+    assert every.shape == (49,)
+    monkeypatch.setattr(contradictions, "COMPARED", 20)
+    np.testing.assert_allclose(compared(), every[::3], rtol=1e-9)
 
 
 def test_blunders_do_not_spoil_the_accuracy_and_are_told() -> None:
