@@ -1,28 +1,32 @@
 """Check a certificate of `exact` by integers alone: ``python -m termsel.check FILE``.
 
 Nothing of the solver is used. All numbers of the file are binary fractions, so that they are exact
-here; only the quotients of an elimination are rounded, and its test allows for that. The
-theorem and its proof are in docs/explanation/certificates.md, whose names this module has: a vector
-z = (x, -t) has the rows A z of the control points, E z of the errors and D z of the denominators of
-the check points.
+here; only an elimination is rounded, and its result allows for that. The theorem and its proof are
+in docs/explanation/certificates.md, whose names this module has: a vector z = (x, -t) has the rows
+A z of the control points, E z of the errors and D z of the denominators of the check points.
 """
 
 from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from hashlib import sha256
-from math import comb, isfinite
+from math import comb, isfinite, isqrt
+from operator import mul
 from pathlib import Path
 from typing import Any
 
-__all__ = ["SCHEMA", "Refused", "check", "checksum"]
+__all__ = ["SCHEMA", "UPPER", "Axis", "Node", "Refused", "check", "checksum"]
 
-SCHEMA = "termsel-certificate-1"
-_ONE = 1 << 256  # a matrix that is to be positive definite is in units of its inverse
-_KAPPA = 1 << 160  # weight of the squared normal equations; any is valid, a large one proves most
+SCHEMA = "termsel-certificate-2"
+_ONE = 1 << 256  # the quadratic form is in units of its inverse
+_PLACES = 128  # binary places of what is eliminated
+UPPER = 1 << 64  # limits are in units of its inverse
+_KAPPA = 1 << 100  # weight of the squared normal equations; any is valid, a large one proves most
+_SHARE = 16  # the fact on t has the weight 1 / 16
 _MOST = 64  # columns of an axis
 
 
@@ -64,9 +68,11 @@ def check(path: str | Path) -> tuple[list[str], int]:
 
 def _checked(content: Any) -> tuple[list[str], int]:
     stated = content.pop("sha256")
-    if content["schema"] != SCHEMA or stated != checksum(content):
+    if content["schema"] != SCHEMA:
+        raise Refused(f"it is a {content['schema']!r:.40}, not a {SCHEMA}; write it again")
+    if stated != checksum(content):
         raise Refused("the checksum is not that of the content; write it again")
-    axes = [_Axis(one) for one in content["axes"]]
+    axes = [Axis(one) for one in content["axes"]]
     rows, lines, open_, total = 0, [], 0, Fraction(0)
     for axis in axes:
         value = axis.score(axis.selection)
@@ -96,8 +102,22 @@ def _exact(values: Sequence[float]) -> list[Fraction]:
     return [Fraction(value) for value in values]
 
 
-class _Axis:
-    """One axis: the system, what is claimed of it, and the tree that proves it."""
+@dataclass(frozen=True, eq=False)
+class Node:
+    """All selections that have the used columns, and of the others some of `rest` alone."""
+
+    used: tuple[int, ...]
+    rest: tuple[int, ...]
+    upper: tuple[int, ...]  # limits of the denominators and of t, in units of 1 / UPPER
+    columns: tuple[int, ...]  # used and rest in the order of the form, then the target
+    form: list[list[int]]  # lower half: weighted squares of the errors and of normal equations
+
+
+class Axis:
+    """One axis: the system, what is claimed of it, and the tree that proves it.
+
+    Given are an axis of a certificate's content. Raises ValueError and the like for what is none.
+    """
 
     def __init__(self, given: dict[str, Any]) -> None:
         self.name, self.nodes = str(given["axis"]), iter(given["nodes"])
@@ -115,15 +135,18 @@ class _Axis:
         self.a, self.unit_a = _integers(a)
         both, self.unit = _integers(e + d)
         self.e, self.d = both[:len(e)], both[len(e):]
+        self.by_column = list(zip(*self.e, strict=True))
         self.gram = [[sum(row[i] * row[j] for row in self.a) for j in range(self.k + 1)]
                      for i in range(self.k + 1)]
+        self.normal = _KAPPA * _ONE // self.unit_a**4
         self.selection = [int(j) for j in given["selection"]]
         self.forced = frozenset(int(j) for j in given["forced"])
-        if self.unit**2 > _ONE or self.unit_a**4 > _KAPPA * _ONE:
+        if self.unit**2 > _ONE or not self.normal:
             raise ValueError("numbers of too many binary places")
-        # The constraint s'z = 1: the sum of all denominators; without any, t = 1.
-        self.s = [sum(column) for column in zip(*self.d, strict=True)] if d else \
-            [0] * self.k + [-self.unit]
+        # The constraint s'z = 1: the sum of all denominators; without any, t = 1. Below it D and t.
+        t = [0] * self.k + [-self.unit]
+        lines = [[sum(column) for column in zip(*self.d, strict=True)] if d else t, *self.d, t]
+        self.lines = [[(value << _PLACES) // self.unit for value in line] for line in lines]
         if len(set(self.selection)) != len(self.selection) or not (
                 self.forced <= set(self.selection) <= set(range(self.k))
                 and len(self.selection) <= self.room):
@@ -137,16 +160,11 @@ class _Axis:
 
     def proven(self) -> tuple[int, int, int]:
         """Walk the tree; return the selections decided and left open, and the number of steps."""
-        rest = [j for j in range(self.k) if j not in self.forced]
-        # No denominator is above the sum of all, and t is below 1 / (c margin).
-        upper = [Fraction(1)] * self.checks + [
-            1 / (self.margin * self.checks) if self.rational else Fraction(1)]
-        counts = [0, 0, 0]
-        todo = [(sorted(self.forced), rest, upper)]
+        counts, todo = [0, 0, 0], [self.root()]
         while todo:
             counts[2] += 1
             try:
-                todo += reversed(list(self._step(next(self.nodes), *todo.pop(), counts)))
+                todo += reversed(self._step(todo.pop(), counts, *next(self.nodes)))
             except StopIteration:
                 raise Refused(f"axis {self.name}: the tree ends before step {counts[2]}") from None
             except Refused as error:
@@ -155,43 +173,22 @@ class _Axis:
             raise Refused(f"axis {self.name}: the tree goes on after all is decided")
         return counts[0], counts[1], counts[2]
 
-    def _step(self, node: Sequence[Any], used: list[int], rest: list[int], upper: list[Fraction],
-              counts: list[int]) -> Iterator[tuple[list[int], list[int], list[Fraction]]]:
-        """Check one node, count the selections that it closes, and yield its children."""
-        left = self.room - len(used)
-        inside = sum(comb(len(rest), n) for n in range(min(left, len(rest)) + 1))
-        what, *values = node
+    def _step(self, node: Node, counts: list[int], what: Any, *values: Any) -> list[Node]:
+        """Check one step, count the selections that it decides, and return what it leaves."""
+        room = min(self.room - len(node.used), len(node.rest))
+        inside = sum(comb(len(node.rest), n) for n in range(room + 1))
         if what == "split":
-            (j,) = values
-            others = [i for i in rest if i != j]
-            if len(others) != len(rest) - 1:
-                raise Refused("a split is by a term that is not open")
-            yield used, others, upper
-            if left > 0:
-                yield [*used, j], others, upper
-        elif what == "limits":
-            share, sphere, claims = values
-            lower, columns = list(upper), [*used, *rest, self.k]
-            matrix = self._matrix(used, rest, upper, share, sphere)
-            for k, value, weight in claims:
-                u, rho = _exact([value, weight])
-                if not u > 0 or not _is_positive(self._with(matrix, columns, k, u, rho)):
-                    raise Refused(f"limit {k} does not hold")
-                lower[k] = min(lower[k], u)
-            yield used, rest, lower
-        elif what == "closed":
-            share, sphere, *pole = values
-            matrix = self._matrix(used, rest, upper, share, sphere)
-            if pole:  # no denominator may be negative
-                k, rho = pole
-                matrix = self._with(matrix, [*used, *rest, self.k], k, Fraction(0), *_exact([rho]))
-            if not _is_positive(matrix):
-                raise Refused("a selection may be better: the matrix is not positive definite")
+            return self.halves(node, *values)
+        if what == "limits":
+            return [self.limited(node, *values)]
+        if what == "closed":
+            if not self.is_closed(node, *values):
+                raise Refused("a selection may be better: the bound does not close")
             counts[0] += inside
         elif what == "one":
-            if left and rest:
+            if room:
                 raise Refused("a single selection was claimed, but terms are open")
-            value = self.score(used)
+            value = self.score(node.used)
             if value is not None and value < self.limit:
                 raise Refused("a selection is better than the limit")
             counts[0] += 1
@@ -199,46 +196,113 @@ class _Axis:
             counts[1] += inside
         else:
             raise Refused(f"there is no step {what!r:.20}")
+        return []
 
-    def _matrix(self, used: list[int], rest: list[int], upper: list[Fraction], share: float,
-                sphere: float) -> list[list[int]]:
-        """Return the lower half of the theorem's matrix M, by used and open columns and target.
+    def root(self) -> Node:
+        """Return the node of all selections."""
+        # No denominator is above the sum of all, and t is below 1 / (c margin).
+        most = 1 / (self.margin * self.checks) if self.rational else Fraction(1)
+        upper = (*[UPPER] * self.checks, -(-most.numerator * UPPER // most.denominator))
+        size = range(self.k + 1)
+        node = Node((), tuple(range(self.k)), upper, tuple(size), [[0] * (i + 1) for i in size])
+        node = self._weighed(node, [self._weight(u) for u in upper[:-1]])
+        for j in sorted(self.forced):
+            node = self._using(node, j)
+        return node
 
-        Where it is positive definite, no selection of this node is below the limit.
+    def halves(self, node: Node, j: int) -> list[Node]:
+        """Return the selections without an open column and, if there is room, those that use it."""
+        if type(j) is not int or j not in node.rest:
+            raise Refused("a split is by a term that is not open")
+        p, rest = node.columns.index(j), tuple(i for i in node.rest if i != j)
+        fewer = [row if i < p else row[:p] + row[p + 1:]
+                 for i, row in enumerate(node.form) if i != p]
+        without = replace(node, rest=rest, form=fewer,
+                          columns=node.columns[:p] + node.columns[p + 1:])
+        return [without, self._using(node, j)] if len(node.used) < self.room else [without]
+
+    def _using(self, node: Node, j: int) -> Node:
+        """Return the selections that use column j: the square of its normal equation is 0."""
+        row = [self.gram[j][i] for i in node.columns]
+        form = [[value + more * other for value, other in zip(old, row, strict=False)]
+                for old, more in zip(node.form, (self.normal * v for v in row), strict=True)]
+        return replace(node, used=(*node.used, j), rest=tuple(i for i in node.rest if i != j),
+                       form=form)
+
+    def _weight(self, upper: int) -> int:
+        """Return 1 / (L u^2), rounded down, for the squares of the integers of the errors."""
+        return (_ONE * UPPER**2 * self.limit.denominator
+                // (self.limit.numerator * self.unit**2 * upper**2))
+
+    def _weighed(self, node: Node, more: Sequence[int]) -> Node:
+        """Return a node with higher weights of the errors."""
+        errors = [self.by_column[j] for j in node.columns]
+        scaled = [tuple(map(mul, more, column)) for column in errors]
+        return replace(node, form=[
+            [value + sum(map(mul, mine, other)) for value, other in zip(row, errors, strict=False)]
+            for row, mine in zip(node.form, scaled, strict=True)])
+
+    def limited(self, node: Node, spheres: Any) -> Node:
+        """Return a node with limits as low as the multipliers alpha prove them.
+
+        Raises Refused if they prove nothing.
         """
-        beta, alpha = _exact([share, sphere])
-        if not 0 <= beta <= 1 or (beta and not self.rational):
-            raise ValueError("a multiplier")
-        columns, square = [*used, *rest, self.k], self.unit**2
-        # Smaller weights than those of the file prove as well; all else is exact.
-        weights = [_floor((1 - beta) / (self.limit * u**2 * square)) for u in upper[:-1]]
-        half, normal = _floor(alpha / (2 * self.unit_a**2)), _KAPPA * _ONE // self.unit_a**4
-        matrix = []
-        for p, i in enumerate(columns):
-            row = []
-            for j in columns[:p + 1]:
-                total = sum(w * e[i] * e[j] for w, e in zip(weights, self.e, strict=True))
-                if j < self.k:  # N: of each term's column with A z, half on both sides
-                    total += half * self.gram[i][j] * (2 if i < self.k else 1)
-                total += normal * sum(self.gram[m][i] * self.gram[m][j] for m in used)
-                row.append(total - _ONE // square * self.s[i] * self.s[j])
-            matrix.append(row)
-        matrix[-1][-1] += _floor(beta / upper[-1]**2)
-        return matrix
+        found = self._extent(node, spheres, range(1, len(self.lines)))
+        if found is None or found[0] or not self.rational:
+            raise Refused("the limits have no proof")
+        upper = [max(1, min(old, new)) for old, new in zip(node.upper, found[1], strict=True)]
+        more = [self._weight(new) - self._weight(old)
+                for new, old in zip(upper[:-1], node.upper[:-1], strict=True)]
+        return replace(self._weighed(node, more), upper=tuple(upper))
 
-    def _with(self, matrix: list[list[int]], columns: list[int], k: int, u: Fraction,
-              rho: Fraction) -> list[list[int]]:
-        """Return M + rho (s g' + g s'), g = u s - a, which proves that a'z is not above u.
+    def is_closed(self, node: Node, spheres: Any, k: int | None = None) -> bool:
+        """Return whether no selection of a node is below the limit.
 
-        That is D_k z, or t for k = c. With u = 0 it is that a'z would have to be negative.
+        That is because of its score, or because denominator k would have to be negative.
         """
-        if not (self.rational and type(k) is int and 0 <= k <= self.checks and rho >= 0):
-            raise ValueError("a multiplier")
-        a = self.d[k] if k < self.checks else [0] * self.k + [-self.unit]
-        scale, s = _floor(rho / (self.unit**2 * u.denominator)), [self.s[j] for j in columns]
-        g = [scale * (u.numerator * self.s[j] - u.denominator * a[j]) for j in columns]
-        return [[value + s[p] * g[q] + g[p] * s[q] for q, value in enumerate(row)]
-                for p, row in enumerate(matrix)]
+        if k is not None and not (self.rational and type(k) is int and 0 <= k < self.checks):
+            raise ValueError("a denominator")
+        found = self._extent(node, spheres, [] if k is None else [k + 1])
+        return found is not None and (found[0] or min(found[1], default=0) < 0)
+
+    def _extent(self, node: Node, spheres: Any,
+                lines: Sequence[int]) -> tuple[bool, list[int]] | None:
+        """Return whether s'z = 1 is out of reach, and else the largest values of some lines.
+
+        These are in units of 1 / UPPER, rounded up. None if nothing is proven.
+        """
+        if type(spheres) is not list:
+            spheres = [spheres] * len(node.rest)
+        scale = Fraction(_ONE, 2 * self.unit_a**2)
+        half = dict(zip(node.rest, (_floor(alpha * scale) for alpha in _exact(spheres)),
+                        strict=True))
+        alphas, n = [half.get(i, 0) for i in node.columns], len(node.columns)
+        h = (n + 2) * (2 * n + 1)  # above the norm of all that is rounded
+        drop = _ONE.bit_length() - 1 - _PLACES
+        rows = []
+        for p, (i, alpha) in enumerate(zip(node.columns, alphas, strict=True)):
+            gram = self.gram[i]
+            rows.append([(value + (alpha + other) * gram[j]) >> drop for value, other, j in zip(
+                node.form[p], alphas, node.columns, strict=False)])
+            rows[p][p] -= h
+        if self.rational:
+            rows[-1][-1] += (UPPER**2 << _PLACES) // (_SHARE * node.upper[-1]**2)
+        for at in [0, *lines]:
+            rows.append([self.lines[at][j] for j in node.columns] + [0] * (1 + (at > 0)))
+        left = _eliminated(rows, n)
+        if left is None:
+            return None
+        # C of the theorem, by the last rows. Times 1 + beta, z'Qz is at most 1.
+        one = (1 << _PLACES) * _SHARE // (_SHARE + self.rational)
+        ss = h + 1 - left[0][0]
+        if ss < one:
+            return True, []
+        most = []
+        for sa, aa in left[1:]:
+            det = ss * (h + 1 - aa) - sa * sa
+            root = isqrt(max(0, det * (ss - one) // one + 1)) + 1
+            most.append(-((sa - root) * UPPER // ss))
+        return False, most
 
     def score(self, used: Sequence[int]) -> Fraction | None:
         """Return the score of one selection, None if it has none: rounded down, hence a bound."""
@@ -260,35 +324,34 @@ class _Axis:
 
 
 def _floor(value: Fraction) -> int:
-    """Return a fraction in units of the last binary place, rounded down."""
-    return value.numerator * _ONE // value.denominator
+    return value.numerator // value.denominator
+
+
+def _eliminated(rows: list[list[int]], n: int) -> list[list[int]] | None:
+    """Return what elimination of n columns leaves of the rows below; None for a pivot below 1.
+
+    The first n rows are a lower half. The next has a diagonal, too; each other row has an entry in
+    its column and a diagonal of its own. Each of n updates of one place is off by less than 2.
+    """
+    bits = max(value.bit_length() for row in rows for value in row)
+    for k in range(n):
+        pivot, *firsts = [row[0] for row in rows]
+        if pivot <= 0 or max(map(int.bit_length, firsts)) > bits:
+            return None
+        column, below = firsts[:n - k], []
+        for i, (first, row) in enumerate(zip(firsts, rows[1:], strict=True)):
+            ratio = (first << bits) // pivot
+            other = column if i < n - k else [*column, first]
+            below.append([value - (ratio * factor >> bits)
+                          for value, factor in zip(row[1:], other, strict=False)])
+        rows = below
+    return rows
 
 
 def _integers(rows: list[list[Fraction]]) -> tuple[list[list[int]], int]:
     """Return rows of binary fractions as integers, and the unit they were multiplied by."""
     unit = max((value.denominator for row in rows for value in row), default=1)
     return [[int(value * unit) for value in row] for row in rows], unit
-
-
-def _is_positive(lower: list[list[int]]) -> bool:
-    """Return whether a symmetric matrix is positive definite; False if that is too close to tell.
-
-    By elimination. Each of n quotients in one place is off by less than 1, so that what is
-    eliminated is the matrix but for one of norm below n^2, which the diagonal pays for.
-    """
-    n = len(lower)
-    for i in range(n):
-        lower[i][i] -= n * n
-    for k in range(n):
-        pivot = lower[k][k]
-        if pivot <= 0:
-            return False
-        for i in range(k + 1, n):
-            ratio = lower[i][k]
-            if ratio:
-                for j in range(k + 1, i + 1):
-                    lower[i][j] -= ratio * lower[j][k] // pivot
-    return True
 
 
 def _solved(matrix: list[list[int]], target: list[int]) -> tuple[list[int], int]:

@@ -1,15 +1,15 @@
 """Certificates of the solver `exact`: the tree that `python -m termsel.check` verifies.
 
-A search of its own finds the tree, with the bound of `termsel.enumeration.bounds.closed`; the
-multipliers of each step go into the file. It is found in floating-point numbers: the checker alone
-says whether a step holds. The theorem is in docs/explanation/certificates.md.
+A search of its own finds the tree; the multipliers of each step go into the file. They are found in
+floating-point numbers (`termsel_bench.multipliers`), and a step is taken only if the checker's own
+function accepts it. The theorem is in docs/explanation/certificates.md.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
@@ -18,51 +18,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from termsel import Problem, TermselError
-from termsel.check import SCHEMA, Refused, check, checksum
+from termsel.check import SCHEMA, UPPER, Axis, Node, Refused, check, checksum
 from termsel.toolkit import write_text
+from termsel_bench.multipliers import Columns, FloatArray, bounded
 
-FloatArray: TypeAlias = NDArray[np.float64]
-Node: TypeAlias = list[Any]
+Step: TypeAlias = list[Any]
 
 TIE = 1e-9
 """The limit is below the best score by this share: rounding may change a score by less."""
 
-MOST_NODES = 20_000
+MOST_NODES = 200_000
 """Steps of a tree at most; a larger one leaves the rest open, and says so."""
 
-_SLACK = 1e-5  # of claims, for the rounding of floating-point numbers
 _STEPS = 8  # of limits at one node
 _GAIN = 0.9  # limits that fall to less than this share are worth a step
-_SHARE = 0.05  # weight of the fact on t
-_SPHERES = (0.6, 2.0, 8.0)  # weights of the normal equations, over (tau |r|)^2
-
-
-@dataclass(frozen=True, eq=False)
-class Columns:
-    """Columns and target of an axis with those in use removed: one row each, the target's last."""
-
-    control: FloatArray  # (n + 1, m)
-    errors: FloatArray  # (n + 1, c)
-    denominators: FloatArray  # (n + 1, c); (n + 1, 0) without any
-    names: tuple[int, ...]  # (n,): the number of each column
-    upper: FloatArray  # (c + 1,): limits of the denominators and of t
-
-    def without(self, i: int) -> Columns:
-        """Return them without column i."""
-        return replace(self, control=np.delete(self.control, i, 0),
-                       errors=np.delete(self.errors, i, 0),
-                       denominators=np.delete(self.denominators, i, 0),
-                       names=self.names[:i] + self.names[i + 1:])
-
-    def using(self, i: int) -> Columns:
-        """Return the others with column i removed from them."""
-        a = self.control[i]
-        square = float(a @ a)
-        share = self.control @ a / square if square > 0 else np.zeros(len(self.control))
-        return replace(self, control=self.control - np.outer(share, a),
-                       errors=self.errors - np.outer(share, self.errors[i]),
-                       denominators=self.denominators - np.outer(share, self.denominators[i])
-                       ).without(i)
+_DEEP = 20.0  # decades, by a factor, of all limits together at which a node mostly closes
 
 
 def certifier(path: Path, problem: Problem,
@@ -142,115 +112,112 @@ def axis_of(name: str, terms: Sequence[str], system: Any, selection: Sequence[in
             "denominators": joined(system.check_denominator, -np.ones(checks))}
 
 
-def tree_of(axis: dict[str, Any], most: int, path: Sequence[tuple[int, bool]] = ()) -> list[Node]:
+def tree_of(axis: dict[str, Any], most: int, path: Sequence[tuple[int, bool]] = ()) -> list[Step]:
     """Return the steps of the proof for one axis, in the order in which the checker takes them.
 
     With a path only the selections that have a term or have it not, as each pair of it says, are
     decided, and all others left open: a piece of a tree that is too large.
     """
-    c, k, limit = len(axis["errors"]), len(axis["terms"]), axis["limit"]
+    checker = Axis({**axis, "nodes": []})
+    columns, node = _columns_of(axis), checker.root()
+    steps: list[Step] = []
+    aside = ((-1, False),)  # of the half that a path does not take
+    todo = [(columns, node, tuple(path))]
+    while todo:
+        columns, node, way = todo.pop()
+        if way == aside or len(steps) >= most:
+            steps.append(["open"])
+            continue
+        if not node.rest or len(node.used) >= checker.room:
+            steps.append(["one"])
+            continue
+        if not way:
+            made, columns, node, closed = _bounded(columns, node, checker)
+            steps += made
+            if closed:
+                continue
+        j = way[0][0] if way else columns.names[_branch(columns, checker.room - len(node.used))]
+        i = columns.names.index(j)
+        steps.append(["split", j])
+        without, using = checker.halves(node, j)
+        todo += [(columns.using(i), using, way[1:] if not way or way[0][1] else aside),
+                 (columns.without(i), without, way[1:] if not way or not way[0][1] else aside)]
+    return steps
+
+
+def _columns_of(axis: dict[str, Any]) -> Columns:
+    """Return the columns of the root, with forced ones in use."""
+    c, k = len(axis["errors"]), len(axis["terms"])
     upper = np.ones(c + 1)
     denominators = np.array(axis["denominators"]).reshape(-1, k + 1)
     if len(denominators):
         upper[c] /= axis["margin"] * c
-    columns = Columns(np.array(axis["control"]).T.copy(), np.array(axis["errors"]).T.copy(),
-                      denominators.T.copy(), tuple(range(k)), upper)
-    for j in axis["forced"]:
+    columns = Columns(np.array(axis["control"]).T.copy(),
+                      np.array(axis["errors"]).T / np.sqrt(axis["limit"]),
+                      denominators.T.copy(), tuple(range(k)), upper, None)
+    for j in sorted(axis["forced"]):
         columns = columns.using(columns.names.index(j))
-    nodes: list[Node] = []
-    aside = ((-1, False),)  # of the half that a path does not take
-    todo = [(columns, axis["room"] - len(axis["forced"]), tuple(path))]
-    while todo:
-        columns, left, way = todo.pop()
-        if way == aside or len(nodes) >= most:
-            nodes.append(["open"])
-            continue
-        if not columns.names or not left:
-            nodes.append(["one"])
-            continue
-        if not way:
-            steps, columns, closed = bounded(columns, limit)
-            nodes += steps
-            if closed:
-                continue
-        i = columns.names.index(way[0][0]) if way else 0
-        nodes.append(["split", columns.names[i]])
-        todo += [(columns.using(i), left - 1, way[1:] if not way or way[0][1] else aside),
-                 (columns.without(i), left, way[1:] if not way or not way[0][1] else aside)]
-    return nodes
+    return columns
 
 
-def bounded(columns: Columns, limit: float) -> tuple[list[Node], Columns, bool]:
-    """Return the steps that a bound proves of some columns, with lower limits, and if it closes."""
-    control, errors, below = columns.control, columns.errors, columns.denominators
-    c, n, rational = errors.shape[1], len(columns.names), below.shape[1] > 0
-    upper = columns.upper.copy()
-    found: list[Node] = []
-    gram = control @ control.T
-    half = gram.copy()
-    half[n] /= 2
-    half[:, n] /= 2
-    half[n, n] = 0.0
-    s = below.sum(axis=1) if rational else np.append(np.zeros(n), -1.0)
-    share = _SHARE if rational else 0.0
-    spheres: Sequence[float] = _SPHERES
-    for _ in range(_STEPS):
-        base = (errors * ((1.0 - share) / limit / upper[:c]**2)) @ errors.T
-        base[n, n] += share / upper[c]**2
-        best = (0.0, 0.0, np.zeros((0, 0)), np.zeros(0), np.zeros(0))
-        for weight in spheres:
-            sphere = weight / (upper[c]**2 * gram[n, n]) if gram[n, n] > 0 else 0.0
-            least = _least(base + sphere * half, s)
-            if least is not None and least[0] > best[0]:
-                best = (least[0], weight, *least[1:])
-        value, weight, inverse, h, lengths = best
-        if not value > 0.0:
-            return found, replace(columns, upper=upper), False
-        spheres = (weight,)
-        sphere = weight / (upper[c]**2 * gram[n, n]) if gram[n, n] > 0 else 0.0
-        if value > 1.0 + _SLACK:
-            return [*found, ["closed", share, float(sphere)]], columns, True
-        if not rational:
-            return found, columns, False
-        # Maxima of each D z, and of t, on the ellipsoid (see `closed._lowered`).
-        rows = np.vstack([below.T, np.append(np.zeros(n), -1.0)]) / lengths @ inverse.T
-        along = rows @ h * value
-        across = np.maximum(0.0, (rows**2).sum(axis=1) - along**2 / value)
-        across += _SLACK * (rows**2).sum(axis=1) + 1e-300
-        radius = np.sqrt((max(0.0, 1.0 - value) + _SLACK) * across)
-        largest = along + radius
-        if (largest[:c] < 0.0).any():
-            k = int(np.argmin(largest[:c] / radius[:c]))
-            return [*found, ["closed", share, float(sphere), k,
-                             float(-along[k] / across[k])]], columns, True
-        lower = largest * (1.0 + _SLACK) + 1e-12 * upper
-        lowered = np.flatnonzero(lower < _GAIN * upper)
-        if not len(lowered):
-            return found, replace(columns, upper=upper), False
-        # Other limits fall by less, but fall: one step proves them together.
-        lowered = np.flatnonzero(lower < 0.99 * upper)
-        found.append(["limits", share, float(sphere), [
-            [int(k), float(lower[k]), float((lower[k] - along[k]) / across[k])] for k in lowered]])
-        upper[lowered] = lower[lowered]
-    return found, replace(columns, upper=upper), False
+def _bounded(columns: Columns, node: Node,
+             checker: Axis) -> tuple[list[Step], Columns, Node, bool]:
+    """Return the steps that a bound proves of a node, what it has then, and if it is closed.
 
-
-def _least(quadratic: FloatArray, s: FloatArray) -> tuple[float, FloatArray, FloatArray,
-                                                          FloatArray] | None:
-    """Return the least value where s'z = 1, L^-1, L^-1 s and the lengths that scale both.
-
-    None if the quadratic form is not positive definite.
+    Each step is one that the checker has accepted.
     """
-    diagonal = np.diag(quadratic)
-    if not (diagonal > 0.0).all():
-        return None
-    lengths = np.sqrt(diagonal)
-    try:
-        triangle = np.linalg.cholesky(quadratic / np.outer(lengths, lengths))
-    except np.linalg.LinAlgError:
-        return None
-    if np.diag(triangle).min() < 1e-5:
-        return None  # no digits are left
-    inverse = np.linalg.inv(triangle)
-    h = inverse @ (s / lengths)
-    return float(1.0 / (h @ h)), inverse, h, lengths
+    steps: list[Step] = []
+    for _ in range(_STEPS):
+        bound = bounded(columns)
+        if bound is None:
+            break
+        columns = replace(columns, alphas=bound.alphas)
+        alphas = _short(node, columns.names, bound.alphas)
+        if bound.closes:
+            if checker.is_closed(node, alphas):
+                return [*steps, ["closed", alphas]], columns, node, True
+            break
+        if not checker.rational:
+            break
+        largest = bound.largest(columns)
+        k = int(np.argmin(largest[:-1]))
+        if largest[k] < 0.0 and checker.is_closed(node, alphas, k):
+            return [*steps, ["closed", alphas, k]], columns, node, True
+        if not (largest < _GAIN * columns.upper).any():
+            break
+        try:
+            node = checker.limited(node, alphas)
+        except Refused:
+            break
+        steps.append(["limits", alphas])
+        columns = replace(columns, upper=np.array([u / UPPER for u in node.upper]))
+    return steps, columns, node, False
+
+
+def _short(node: Node, names: Sequence[int], alphas: FloatArray) -> list[float]:
+    """Return multipliers in the order of the open columns, to few digits: any are valid."""
+    of = dict(zip(names, alphas.tolist(), strict=True))
+    return [float(f"{of[j]:.4g}") for j in node.rest]
+
+
+def _branch(columns: Columns, room: int) -> int:
+    """Return the column whose halves have the lowest limits, as far as one bound says."""
+    best, least = 0, np.inf
+    for i in range(len(columns.names)):
+        total = 0.0
+        for half in (columns.without(i), columns.using(i) if room > 1 else None):
+            if half is None or not half.names:  # a single selection
+                continue
+            bound = bounded(half, tune=False)
+            if bound is None:
+                total += 1.0
+            elif not bound.closes and columns.denominators.shape[1]:
+                largest = bound.largest(half)
+                if (largest > 0.0).all():
+                    lower = np.minimum(half.upper, largest) / half.upper
+                    total += float(np.exp(np.log(lower).sum() / _DEEP))
+            elif not bound.closes:
+                total += float(np.exp(-bound.least))
+        if total < least:
+            best, least = i, total
+    return best

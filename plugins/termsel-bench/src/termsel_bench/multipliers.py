@@ -1,0 +1,172 @@
+"""Multipliers of the bound that certificates have, found in floating-point numbers.
+
+The theorem is in docs/explanation/certificates.md. Whether multipliers prove what they seem to is
+for `termsel.check` to say.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray: TypeAlias = NDArray[np.float64]
+
+SLACK = 1e-6  # of what is claimed, for the rounding of floating-point numbers
+_SHARE = 1 / 16  # weight of the fact on t, as in the checker
+_SPHERES = (0.6, 2.0, 8.0)  # first multipliers, over (tau |r|)^2
+_BARRIER = 0.3  # of the determinant: it keeps the ellipsoid small all round
+_NEWTON = 8  # steps of the multipliers at one node
+_PIVOT = 1e-6  # no digits are left below this root of a pivot
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Columns and target of an axis with those in use removed: one row each, the target's last."""
+
+    control: FloatArray  # (n + 1, m)
+    errors: FloatArray  # (n + 1, c), over the root of the limit
+    denominators: FloatArray  # (n + 1, c); (n + 1, 0) without any
+    names: tuple[int, ...]  # (n,): the number of each column
+    upper: FloatArray  # (c + 1,): limits of the denominators and of t
+    alphas: FloatArray | None  # (n,): multipliers that are good for a start
+
+    def without(self, i: int) -> Columns:
+        """Return them without column i."""
+        return replace(self, control=np.delete(self.control, i, 0),
+                       errors=np.delete(self.errors, i, 0),
+                       denominators=np.delete(self.denominators, i, 0),
+                       names=self.names[:i] + self.names[i + 1:],
+                       alphas=None if self.alphas is None else np.delete(self.alphas, i))
+
+    def using(self, i: int) -> Columns:
+        """Return the others with column i removed from them."""
+        a = self.control[i]
+        square = float(a @ a)
+        share = self.control @ a / square if square > 0 else np.zeros(len(self.control))
+        return replace(self, control=self.control - np.outer(share, a),
+                       errors=self.errors - np.outer(share, self.errors[i]),
+                       denominators=self.denominators - np.outer(share, self.denominators[i])
+                       ).without(i)
+
+
+@dataclass(frozen=True, eq=False)
+class Bound:
+    """What some multipliers prove of columns."""
+
+    alphas: FloatArray  # (n,)
+    least: float  # of z'Qz where s'z = 1
+    inverse: FloatArray  # L^-1 of Q = L L'
+    h: FloatArray  # L^-1 s
+
+    @property
+    def closes(self) -> bool:
+        """Whether no selection is below the limit: it would have at most 1 and the share of t."""
+        return self.least > (1.0 + _SHARE) * (1.0 + SLACK)
+
+    def largest(self, columns: Columns) -> FloatArray:
+        """Return the largest value of each denominator, and of t."""
+        lines = np.vstack([columns.denominators.T, np.append(np.zeros(len(columns.names)), -1.0)])
+        rows = lines @ self.inverse.T
+        along, squares = rows @ self.h * self.least, (rows**2).sum(axis=1)
+        across = np.maximum(0.0, squares - along**2 / self.least) + SLACK * squares
+        room = max(0.0, 1.0 + _SHARE - self.least) + SLACK
+        return np.asarray(along + np.sqrt(room * across))
+
+
+@dataclass(frozen=True, eq=False)
+class _Form:
+    """The quadratic form Q of columns, but for the multipliers."""
+
+    base: FloatArray  # (n + 1, n + 1)
+    gram: FloatArray  # (n + 1, n + 1): products in the control rows
+    s: FloatArray  # (n + 1,)
+
+    def bound(self, alphas: FloatArray) -> Bound | None:
+        """Return what multipliers prove; None if Q is not positive definite, or nearly so."""
+        pairs = np.append(alphas, 0.0)
+        form = self.base + (pairs[:, None] + pairs) / 2 * self.gram
+        diagonal = np.diag(form)
+        if not (diagonal > 0.0).all():
+            return None
+        lengths = np.sqrt(diagonal)
+        try:
+            triangle = np.linalg.cholesky(form / np.outer(lengths, lengths))
+        except np.linalg.LinAlgError:
+            return None
+        if np.diag(triangle).min() < _PIVOT:
+            return None
+        inverse = np.linalg.inv(triangle) / lengths
+        h = inverse @ self.s
+        return Bound(alphas, float(1.0 / (h @ h)), inverse, h)
+
+
+def _form_of(columns: Columns) -> _Form:
+    c, n = columns.errors.shape[1], len(columns.names)
+    weighted = columns.errors / columns.upper[:c]
+    base, s = weighted @ weighted.T, np.append(np.zeros(n), -1.0)
+    if columns.denominators.shape[1]:
+        base[n, n] += _SHARE / columns.upper[c]**2
+        s = columns.denominators.sum(axis=1)
+    return _Form(base, columns.control @ columns.control.T, s)
+
+
+def bounded(columns: Columns, *, tune: bool = True) -> Bound | None:
+    """Return the bound of columns by the best multipliers that a few steps find.
+
+    With `tune` false those that the columns have are taken, if there are any. None if none is
+    found.
+    """
+    form, n = _form_of(columns), len(columns.names)
+    starts = [] if columns.alphas is None else [columns.alphas]
+    if tune or not starts:
+        scale = columns.upper[-1]**2 * form.gram[n, n]
+        starts += [np.full(n, weight / scale if scale > 0.0 else 0.0) for weight in _SPHERES]
+    found = [bound for bound in map(form.bound, starts) if bound is not None]
+    best = max(found, key=lambda bound: bound.least, default=None)
+    if best is None or not tune or not n or form.gram[n, n] <= 0.0:
+        return best
+    return _tuned(form, best)
+
+
+def _tuned(form: _Form, at: Bound) -> Bound:
+    """Return a bound by Newton's method: the least value, and a barrier of the determinant.
+
+    Both are concave. The minimum z has s'z = 1, and z'N_j z = x_j a_j'Az is its derivative by
+    alpha_j.
+    """
+    n = len(at.alphas)
+    for _ in range(_NEWTON):
+        if at.closes:
+            break
+        inverse = at.inverse.T @ at.inverse
+        z = at.least * (at.inverse.T @ at.h)
+        products, weight = form.gram @ z, _BARRIER * at.least / (n + 1)
+        moved = (np.diag(products)[:, :n] + form.gram[:, :n] * z[:n]) / 2  # N_j z
+        both = inverse @ form.gram
+        slope = z[:n] * products[:n] + weight * np.diag(both)[:n]
+        bend = 2.0 * moved.T @ (inverse - np.outer(z, z) / at.least) @ moved + weight / 2 * (
+            both[:n, :n] * both[:n, :n].T + inverse[:n, :n] * (form.gram @ both)[:n, :n])
+        try:
+            step = np.linalg.solve(bend + 1e-12 * np.trace(bend) / n * np.eye(n), slope)
+        except np.linalg.LinAlgError:
+            break
+        now, size, reached = _height(at, weight), 1.0, None
+        while size > 0.01:
+            reached = form.bound(at.alphas + size * step)
+            if reached is not None and _height(reached, weight) > now:
+                break
+            reached, size = None, size / 2
+        if reached is None:
+            break
+        gained, at = reached.least - at.least, reached
+        if gained < 0.01 * at.least:
+            break
+    return at
+
+
+def _height(bound: Bound, weight: float) -> float:
+    """Return what is maximised; the determinant of Q is that of L^-1, inverted and squared."""
+    return bound.least - 2.0 * weight * float(np.log(np.abs(np.diag(bound.inverse))).sum())
