@@ -170,7 +170,6 @@ def test_one_solution_for_few_points_is_a_thin_plate_spline(
         monkeypatch: pytest.MonkeyPatch) -> None:
     one_cell(monkeypatch)
     monkeypatch.setattr(field, "_belief", lambda lengths: float(lengths == field.SPLINE) or 1e-300)
-    monkeypatch.setattr(field, "PLAIN", 1e-300)
     points, at = scattered(field.SURE), scattered(12, seed=6).ground
     found = collocate(points, 2)
     field._collocated.cache_clear()

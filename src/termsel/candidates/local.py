@@ -17,13 +17,13 @@ LIKELY = 0.75
 """Probability of a random field beyond which points call for it: odds of three to one, beyond
 which the evidence is positive (Kass and Raftery 1995, J. Am. Stat. Assoc. 90)."""
 
-OF_FEW = 0.5
-"""The same of few points without heights, up to `field.SURE`: where it is likelier than not."""
-
 
 def asked_of(found: Collocation) -> float:
-    """Return the probability of a random field beyond which points call for it."""
-    return LIKELY + (OF_FEW - LIKELY) * found.few
+    """Return the probability of a random field beyond which points call for it.
+
+    Of few points without heights, up to `field.SURE`, any: they tell too little to choose by.
+    """
+    return LIKELY * (1.0 - found.few)
 
 
 class Interpolated(Estimator):

@@ -83,6 +83,10 @@ class _WithField(Structure):
         """Return the probability of the field."""
         found = fitted.interpolation
         assert isinstance(found, Collocation)
+        if found.few == 1.0:
+            return (f"{self.label} is an average: so few points do not tell polynomials, fields, a "
+                    "spline and an affine image apart. The probability of local deformation is "
+                    f"{found.probability:.3g}.")
         return (f"{self.label} is called for: the probability of local deformation is "
                 f"{found.probability:.3g}; it must exceed {asked_of(found):g}.")
 

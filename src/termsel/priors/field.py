@@ -12,9 +12,9 @@ without a field, which are believed as likely beforehand, among them. So where t
 local deformation the shrunken polynomial remains.
 
 In a plane, few points do not tell lengths from noise. There a thin-plate spline, a field without
-lengths and next to affine functions alone, is a third course, as likely beforehand. Among the three
-an affine image has the probability `posterior.AFFINE`. From SURE to FEW points all this fades: a
-fold of the points is then judged as they are.
+lengths and next to affine functions alone, is a third course, and an affine image a fourth, all as
+likely beforehand. From SURE to FEW points this fades: a fold of the points is then judged as they
+are.
 
 With many points the field is spanned by the covariances with KNOTS of them.
 
@@ -65,11 +65,8 @@ SPLINE = (np.inf, np.inf)
 """Lengths that stand for a spline."""
 
 SURE, FEW = 12, 20
-"""Number of points up to which a spline is a course in its own right, and from which on it is not
-needed."""
-
-PLAIN = 1 / 3
-"""Belief in an affine image then, next to that of the polynomials: `posterior.AFFINE` together."""
+"""Number of points up to which a spline and an affine image are courses in their own right, and
+from which on they are not needed."""
 
 KNOTS = 100
 
@@ -270,7 +267,7 @@ def _collocated(image: bytes, ground: bytes, sigma: bytes | None,
         plain = posterior(columns, points.image, order, weights, np.zeros((1, len(shrunk))),
                           len(points))
         assert plain is not None
-        parts.insert(1, FieldPart(plain, plain.cells.log + np.log(PLAIN * few), None,
+        parts.insert(1, FieldPart(plain, plain.cells.log + np.log(_belief(None) * few), None,
                                   parts[0].inverse))
     return Collocation(points, exponents, turn, knots, tuple(parts), few)
 
