@@ -20,7 +20,7 @@ from termsel.measurements.control import Control, carriers
 from termsel.measurements.coordinates.crs import transformation
 from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.runs.task import data_notes
-from termsel.simulate import simulate_scene
+from termsel.simulate import pushbroom_at, simulate_scene
 
 Call = Callable[..., SimpleNamespace]
 
@@ -356,3 +356,41 @@ def test_an_affine_image_has_a_probability_of_its_own() -> None:
         fits = choice.chosen.fit, affine.fit_control(control)
         ratios.append(np.divide(*(np.linalg.norm(fit.errors(others)) for fit in fits)))
     assert np.median(ratios) < 1.05
+
+
+@pytest.mark.parametrize("n", [6, 9, 12])
+def test_few_points_of_a_map_are_averaged_over_what_they_do_not_tell_apart(n: int) -> None:
+    """A scanner in orbit is no likelier than any other image there, and noise is no deformation."""
+    ratios, reasons = [], []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        ground = np.column_stack([rng.uniform(0, 9e3, (n + 60, 2)), np.full(n + 60, np.nan)])
+        image = ground[:, 1::-1] * [-0.2, 0.21] + rng.normal(0, 2.0, (n + 60, 2))
+        every = Points(tuple(map(str, range(n + 60))), image, ground)
+        first = np.arange(n + 60) < n
+        control = Control.of(FeatureSet(every.take(first), crs="local"))
+        choice = choose(control, whole=False)
+        affine = named("affine")
+        assert choice is not None
+        assert affine is not None
+        reasons.append(choice.reason)
+        errors, best = (np.hypot(*fit.errors(every.take(~first)).T) for fit in (
+            choice.chosen.fit, affine.fit_control(control)))
+        ratios.append(float(np.sqrt((errors**2).mean() / (best**2).mean())))
+    assert np.median(ratios) < 1.1
+    # Another candidate may be far better by luck.
+    assert sum("so few points do not tell polynomials" in one for one in reasons) >= 6
+
+
+def test_few_points_without_heights_that_a_scanner_saw_keep_its_prior() -> None:
+    rng = np.random.default_rng(1)
+    sensor = pushbroom_at(20.0, 45.0, off_nadir=25.0, gsd=10.0, image_size=(4000, 4000),
+                          altitude=700e3, inclination=98.0)
+    ground = np.column_stack([rng.uniform(19.8, 20.2, 9), rng.uniform(44.85, 45.15, 9),
+                              np.zeros(9)])
+    image = sensor.project(ground) + rng.normal(0, 0.3, (9, 2))
+    ground[:, 2] = np.nan
+    choice = choose(Control.of(FeatureSet(Points(
+        tuple("ABCDEFGHI"), image, ground), crs="EPSG:4979")), whole=False)
+    assert choice is not None
+    assert choice.chosen.candidate.name == "physical-cubic"

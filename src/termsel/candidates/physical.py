@@ -9,7 +9,7 @@ import numpy as np
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.monomials import Exponents, graded_exponents, monomials
 from termsel.candidates.base import gain_of
-from termsel.candidates.local import asked_of, points_alone
+from termsel.candidates.local import LIKELY, asked_of, points_alone
 from termsel.candidates.shrunken import Average, average, fit_of
 from termsel.fits.fit import Estimator, Fit, Undetermined
 from termsel.fits.fittable import Fittable
@@ -50,9 +50,16 @@ class Averaged(Average):
         return float(self.shares[:len(self.physical)].sum())
 
     def alone(self, local: Collocation | None) -> bool:
-        """Return whether the prior is not called for: next to a field, if points call for one."""
-        beyond = local.probability if local and local.probability > asked_of(local) else 0.0
-        return self.probability * (1.0 - beyond) <= 1.0 - self.probability or self.worse > WORSE
+        """Return whether the prior is not called for: next to a field, if points call for one.
+
+        Next to the average of `field.SURE` points and fewer in a plane it needs positive evidence,
+        as that is as good as it where both are as likely.
+        """
+        beyond, few = (local.probability, local.few) if local and \
+            local.probability > asked_of(local) else (0.0, 0.0)
+        mine, others = self.probability * (1.0 - beyond), 1.0 - self.probability
+        asked = 0.5 + (LIKELY - 0.5) * few
+        return mine <= asked * (mine + others) or self.worse > WORSE
 
 
 def averaged(points: Points, scaling: Scaling, crs: str, exponents: Exponents) -> Averaged | None:
