@@ -119,13 +119,13 @@ def test_the_step_is_that_of_lapack() -> None:
     seen, rows, aim = [], [], []
     for i in range(images):
         tie = np.sort(rng.choice(ties, 5, replace=False))
-        part = Seen(tie, rng.normal(size=(5, m)), rng.normal(size=(5, 2, 3)),
+        part = Seen(tie, rng.normal(size=(5, 2, 2 * m)), rng.normal(size=(5, 2, 3)),
                     rng.normal(size=(5, 2)), rng.uniform(0.5, 2, 5))
         seen.append(part)
         for n in range(5):
             for axis in range(2):
                 row = np.zeros(images * 2 * m + 3 * ties)
-                row[i * 2 * m + axis * m:i * 2 * m + (axis + 1) * m] = part.columns[n]
+                row[i * 2 * m:(i + 1) * 2 * m] = part.rows[n, axis]
                 row[images * 2 * m + 3 * tie[n]:images * 2 * m + 3 * tie[n] + 3] = \
                     part.slopes[n, axis]
                 rows.append(np.sqrt(part.weight[n]) * row)

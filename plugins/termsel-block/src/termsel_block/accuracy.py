@@ -63,13 +63,13 @@ def predicted(result: BlockResult, i: int, seed: int = 0) -> Spread:
     if not len(places):
         assert features is not None  # an image without ties has control
         places = result.frame.local(features.points.ground)
-    columns = result.camera(i).first_order(places)[1]
+    rows = result.rows(i, places)
     rng = np.random.default_rng([seed, i])
     covariance = result.covariances[i]
     root = np.linalg.cholesky(covariance + 1e-12 * np.eye(len(covariance)))
-    draws = (root @ rng.standard_normal((len(root), _DRAWS))).reshape(2, columns.shape[1], _DRAWS)
+    draws = root @ rng.standard_normal((len(root), _DRAWS))
     draws = draws * np.sqrt(_unsure(result, i, rng))
-    squares = (np.einsum("nm,amd->adn", columns, draws) ** 2).sum(axis=0).mean(axis=1)
+    squares = ((rows @ draws) ** 2).sum(axis=1).mean(axis=0)
     # The variance of control is known from few measurements; the state has its median.
     known = state.freedom_control
     noise = state.sigma_control**2 * (known - MEDIAN) / rng.chisquare(known, _DRAWS)
@@ -79,7 +79,7 @@ def predicted(result: BlockResult, i: int, seed: int = 0) -> Spread:
 
 
 def _unsure(result: BlockResult, i: int, rng: np.random.Generator) -> FloatArray:
-    """Return draws (2, m, draws) of what variances of parameters are over what is stated.
+    """Return draws (2m, draws) of what variances of parameters are over what is stated.
 
     What the prior alone holds is as uncertain as the variance of the prior, which all columns of a
     group share. What measurements hold is not.
@@ -89,7 +89,7 @@ def _unsure(result: BlockResult, i: int, rng: np.random.Generator) -> FloatArray
     factor = np.ones((len(groups), _DRAWS))
     for name in dict.fromkeys(groups.tolist()):
         factor[groups == name] = (TAIL - 2) / rng.chisquare(TAIL, _DRAWS)
-    return np.asarray(1 + np.clip(by_prior, 0, 1)[:, :, None] * (factor - 1))
+    return np.asarray(1 + np.clip(by_prior, 0, 1)[:, :, None] * (factor - 1)).reshape(-1, _DRAWS)
 
 
 def in_space(result: BlockResult) -> InSpace | None:

@@ -69,12 +69,13 @@ class BlockResult:
 
     def sigma(self, i: int, ground: FloatArray) -> FloatArray:
         """Return the standard deviations (n, 2) [px] of computed line and sample."""
-        columns = self.camera(i).first_order(self.frame.local(ground))[1]
-        m = columns.shape[1]
-        own = self.covariances[i]
-        return np.asarray(np.sqrt(np.stack([
-            np.einsum("ni,ij,nj->n", columns, own[a * m:(a + 1) * m, a * m:(a + 1) * m], columns)
-            for a in range(2)], axis=1)))
+        rows = self.rows(i, self.frame.local(ground))
+        return np.asarray(np.sqrt(np.einsum("nap,pq,naq->na", rows, self.covariances[i], rows)))
+
+    def rows(self, i: int, local: FloatArray) -> FloatArray:
+        """Return derivatives (n, 2, 2m) by an image's parameters at places of the frame."""
+        camera = self.camera(i)
+        return camera.rows(self.adjusted.state.parameters[i], local, camera.first_order(local)[1])
 
 
 def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> BlockResult:

@@ -258,9 +258,9 @@ def _check_rows(block: Block, result: BlockResult) -> tuple[FloatArray, FloatArr
         points = points.take([role == "check" for role in points.roles])
         if not len(points):
             continue
-        columns = result.camera(i).first_order(result.frame.local(points.ground))[1]
-        design.append(_placed(result, i, np.asarray(np.kron(np.eye(2), columns), np.float64)))
-        target.append((points.image - result.project(i, points.ground)).T.ravel())
+        rows = result.rows(i, result.frame.local(points.ground))
+        design.append(_placed(result, i, rows.reshape(2 * len(points), -1)))
+        target.append((points.image - result.project(i, points.ground)).ravel())
     if not design:
         raise TermselError("no point of the block has the role check, which judges a selection",
                            hint="Give some points of the images the role check.")
@@ -282,9 +282,8 @@ def _control_rows(result: BlockResult) -> list[tuple[str, FloatArray, FloatArray
         known = own_control(image.features, result.frame)
         if not len(known):
             continue
-        columns = result.camera(i).first_order(known.local)[1]
-        own: FloatArray = (known.normal[:, :, None] * columns[:, None]).reshape(len(known), -1)
-        rows = _placed(result, i, own)
+        rows = _placed(result, i, np.einsum(
+            "na,nap->np", known.normal, result.rows(i, known.local)))
         sigma = state.sigma_control * known.sigma
         names = np.array(known.feature)
         for name in dict.fromkeys(known.feature):
@@ -314,7 +313,7 @@ def _tie_rows(result: BlockResult, ties: IntArray,
         rows, slopes, aim = [], [], []
         for image, row in measured:
             part = solved.seen[image]
-            rows.append(_placed(result, image, np.kron(np.eye(2), part.columns[row])))
+            rows.append(_placed(result, image, part.rows[row]))
             slopes.append(part.slopes[row])
             aim.append(result.adjusted.residuals[image][row])
         # Directions in which no movement of the place shows: what the tie says of the images.

@@ -73,8 +73,7 @@ def adjust_block(state: State, measured: Sequence[Measured], control: Sequence[O
     report = progress or _nothing
     state.in_use = state.in_use or [np.ones(len(part.tie), bool) for part in measured]
     state.control_in_use = state.control_in_use or [np.ones(len(part), bool) for part in control]
-    steps = run.iterate(robust=True, limit=_STEPS, first=True,
-                        report=lambda s: report(0.4 * s))
+    steps = run.iterate(robust=True, limit=_STEPS, report=lambda s: report(0.4 * s))
     if run.grow(fixed):
         steps += run.iterate(robust=True, limit=_STEPS, report=_nothing)
     evidence: list[dict[str, float]] = [{} for _ in state.cameras]
@@ -110,18 +109,14 @@ class _Run:
         self.kept: dict[int, tuple[Camera, FloatArray, FloatArray, FloatArray]] = {}
         self.large = sum(2 * len(camera.groups) for camera in state.cameras) > _SLOW
 
-    def iterate(self, *, robust: bool, limit: int, report: Callable[[float], None],
-                first: bool = False) -> int:
-        """Make steps until nothing moves; return how many. The `first` renew the known part."""
+    def iterate(self, *, robust: bool, limit: int, report: Callable[[float], None]) -> int:
+        """Make steps until nothing moves; return how many."""
         self.converged = False
         for step in range(limit):
             report(step / limit)
             # From weights that fall at once a lone control point would never return.
             if step < _BENT:
                 self.slopes = {}
-            if first and step < _BENT:
-                self.state.cameras = [camera.renewed(parameters) for camera, parameters in zip(
-                    self.state.cameras, self.state.parameters, strict=True)]
             self.step(robust, _WIDE[step] if robust and step < _TRUST else 1.0)
             moved = self._moved()
             settled = True
@@ -142,15 +137,15 @@ class _Run:
                 zip(state.cameras, self.measured, self.control, strict=True)):
             parameters = state.parameters[i]
             place = state.ties[mine.tie]
-            image, columns = self._first_order(i)
-            computed = image + columns @ parameters
+            computed, columns = self._computed(i)
             residual = mine.place - computed
             weight = np.where(state.in_use[i], state.sigma_ties**-2, 0.0)
             if robust:
                 weight = weight * soft(np.hypot(*residual.T) / (wide * state.sigma_ties))
             if i not in self.slopes:
                 self.slopes[i] = camera.slopes(parameters, place, computed)
-            seen.append(Seen(mine.tie, columns, self.slopes[i], residual, weight))
+            seen.append(Seen(mine.tie, camera.rows(parameters, place, columns), self.slopes[i],
+                             residual, weight))
             block, rest = self._of_control(i, camera, known, robust and wide == 1.0)
             precision = np.diag(np.repeat(1 / state.variances[i][None], 2, axis=0).ravel())
             own.append(block + precision)
@@ -195,14 +190,17 @@ class _Run:
             total += float((square / (1 + far)) @ state.control_in_use[i])
         return total
 
-    def _first_order(self, i: int) -> tuple[FloatArray, FloatArray]:
-        """Return the known part and the columns of an image's ties, computed once for a state."""
-        camera, ties = self.state.cameras[i], self.state.ties
+    def _computed(self, i: int) -> tuple[FloatArray, FloatArray]:
+        """Return places and columns of an image's ties; known parts are computed once for a state.
+        """
+        camera, ties, parameters = self.state.cameras[i], self.state.ties, self.state.parameters[i]
         kept = self.kept.get(i)
         if kept is None or kept[0] is not camera or kept[1] is not ties:
             kept = camera, ties, *camera.first_order(ties[self.measured[i].tie])
             self.kept[i] = kept
-        return kept[2], kept[3]
+        _, _, image, columns = kept
+        return (image + columns @ parameters
+                + camera.perspective(parameters, ties[self.measured[i].tie])), columns
 
     def _of_control(self, i: int, camera: Camera, known: OwnControl, robust: bool,
                     ) -> tuple[FloatArray, FloatArray]:
@@ -219,9 +217,10 @@ class _Run:
 
     def _rows(self, i: int, camera: Camera, known: OwnControl) -> tuple[FloatArray, FloatArray]:
         """Return the rows (n, 2m) of an image's control, and the residuals [px]."""
-        image, columns = camera.first_order(known.local)
-        rows = (known.normal[:, :, None] * columns[:, None]).reshape(len(known), -1)
-        computed = image + columns @ self.state.parameters[i]
+        parameters = self.state.parameters[i]
+        rows = np.einsum("na,nap->np", known.normal, camera.rows(
+            parameters, known.local, camera.first_order(known.local)[1]))
+        computed = camera.project(parameters, known.local)
         return rows, known.value - (known.normal * computed).sum(axis=1)
 
     def _moved(self) -> float:
@@ -230,7 +229,7 @@ class _Run:
         for part, step in zip(self.solved.seen[:-1], self.solved.steps[:-1], strict=True):
             if len(part.tie):
                 used = part.weight > 0
-                moved = (part.columns @ step.reshape(2, -1).T + np.einsum(
+                moved = (part.rows @ step + np.einsum(
                     "nai,ni->na", part.slopes, self.solved.ties[part.tie]))[used]
                 far = max(far, float(np.abs(moved).max(initial=0.0)))
             else:
@@ -241,9 +240,8 @@ class _Run:
         """Return the residuals of ties and of control in each image [px]."""
         state = self.state
         of_ties = []
-        for i, (parameters, mine) in enumerate(zip(state.parameters, self.measured, strict=True)):
-            image, columns = self._first_order(i)
-            of_ties.append(mine.place - image - columns @ parameters)
+        for i, mine in enumerate(self.measured):
+            of_ties.append(mine.place - self._computed(i)[0])
         return of_ties, [self._rows(i, camera, known)[1] if len(known) else np.empty(0)
                          for i, (camera, known) in enumerate(
                              zip(state.cameras, self.control, strict=True))]

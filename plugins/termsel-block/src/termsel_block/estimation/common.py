@@ -22,7 +22,7 @@ def of_heights(heights: Heights, ties: FloatArray,
     slopes[:, 0], residual[:, 0] = seen.row, seen.away
     normal, right = heights.of_offset()
     alone = seen.weight - weight
-    return (Seen(np.arange(count), np.full((count, 1), -1.0), slopes, residual, weight),
+    return (Seen(np.arange(count), np.tile(-np.eye(2), (count, 1, 1)), slopes, residual, weight),
             np.diag([normal, 1.0]), np.array([right, 0.0]),
             np.einsum("t,ti,tj->tij", alone, seen.row, seen.row),
             (alone * seen.away)[:, None] * seen.row)

@@ -33,13 +33,14 @@ _CHUNK = 512  # right-hand sides solved at once
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """The tie points that one image sees, linearised: n of them, m columns.
+    """The tie points that one image sees, linearised: n of them, p parameters.
 
     Parameters
     ----------
     tie : ndarray, shape (n,)
         Index of each tie point.
-    columns : ndarray, shape (n, m)
+    rows : ndarray, shape (n, 2, p)
+        Derivatives of line and sample by the image's parameters.
     slopes : ndarray, shape (n, 2, 3)
         Derivatives of line and sample by the tie's place [px/m].
     residual : ndarray, shape (n, 2)
@@ -49,7 +50,7 @@ class Seen:
     """
 
     tie: IntArray
-    columns: FloatArray
+    rows: FloatArray
     slopes: FloatArray
     residual: FloatArray
     weight: FloatArray
@@ -187,9 +188,8 @@ def solve(
     ----------
     seen : sequence of Seen
         Of each image.
-    own, own_right : sequence of ndarray, shapes (2m, 2m) and (2m,)
-        What priors and control add to each image's normal equations; parameters are ordered by
-        image axis, then column.
+    own, own_right : sequence of ndarray, shapes (p, p) and (p,)
+        What priors and control add to each image's normal equations.
     of_ties, right_of_ties : ndarray, shapes (t, 3, 3) and (t, 3)
         What priors add to each tie's.
     sharing : sequence
@@ -203,16 +203,15 @@ def solve(
     of_ties, right_of_ties = of_ties.copy(), right_of_ties.copy()
     coupling, diagonal, right = [], [], []
     for part, mine, aside in zip(seen, own, own_right, strict=True):
-        w, m = part.weight, part.columns.shape[1]
-        np.add.at(of_ties, part.tie, np.einsum("n,nai,naj->nij", w, part.slopes, part.slopes))
-        np.add.at(right_of_ties, part.tie,
-                  np.einsum("n,nai,na->ni", w, part.slopes, part.residual))
-        # Row of the coupling: axis a, column c against the place of the tie.
-        coupling.append(np.einsum("n,nc,nai->naci", w, part.columns, part.slopes).reshape(
-            len(w), 2 * m, 3))
-        block = (part.columns * w[:, None]).T @ part.columns
-        diagonal.append(mine + linalg.block_diag(block, block))
-        right.append(aside + ((part.columns * w[:, None]).T @ part.residual).T.ravel())
+        w = part.weight[:, None]
+        weighted = part.slopes * w[:, :, None]
+        np.add.at(of_ties, part.tie, weighted.transpose(0, 2, 1) @ part.slopes)
+        np.add.at(right_of_ties, part.tie, np.einsum("nai,na->ni", weighted, part.residual))
+        coupling.append(part.rows.transpose(0, 2, 1) @ weighted)
+        rows = part.rows.reshape(-1, part.rows.shape[2])
+        heavy = rows * np.repeat(w, 2, axis=0)
+        diagonal.append(mine + heavy.T @ rows)
+        right.append(aside + heavy.T @ part.residual.ravel())
     root = np.linalg.inv(np.linalg.cholesky(of_ties)).transpose(0, 2, 1)
     inverse = root @ root.transpose(0, 2, 1)
     half = [np.einsum("tki,tij->tkj", c, root[part.tie])

@@ -24,6 +24,7 @@ _LEAST_ROWS = 8  # of control: four points give an affine model in space
 _SEVERAL = 3
 """Ties that two images share from which on these alone tell whether an RPC is of another place."""
 _ROUNDS = 12
+_BENT = 3  # fits of a first model, whose perspective is that of the one before
 _MET = 0.01  # m
 
 Rays = tuple[Camera, FloatArray, IntArray, FloatArray]
@@ -63,7 +64,8 @@ def start(images: Sequence[Given], count: int, frame: Frame, heights: Heights) -
     """
     cameras: list[Camera | None] = [_own(image, frame) for image in images]
     parameters: list[FloatArray | None] = [
-        _fitted(camera, image.control) if camera is not None else None
+        _fitted(camera, image.control.local, image.control.normal, image.control.value)
+        if camera is not None else None
         for camera, image in zip(cameras, images, strict=True)]
     _refuse_elsewhere(images, cameras, count)
     ties, located = np.full((count, 3), np.nan), np.zeros(count, bool)
@@ -151,16 +153,19 @@ def _polynomial(local: FloatArray, image: FloatArray) -> PolynomialCamera:
                             max(float((most - least).max()) / 2, 1.0), (least + most) / 2)
 
 
-def _fitted(camera: Camera, control: OwnControl) -> FloatArray:
-    """Return parameters by an image's own control and the priors, with robust weights."""
-    m = len(camera.groups)
-    parameters = np.zeros((m, 2))
-    if not len(control):
+def _fitted(camera: Camera, local: FloatArray, normal: FloatArray, value: FloatArray,
+            ) -> FloatArray:
+    """Return parameters by rows of known places (see `OwnControl`) and priors, robustly."""
+    parameters = np.zeros((len(camera.groups), 2))
+    if not len(value):
         return parameters
-    image, columns = camera.first_order(control.local)
-    rows = (control.normal[:, :, None] * columns[:, None]).reshape(len(control), -1)
-    aim = control.value - (control.normal * image).sum(axis=1)
-    return _ridge(rows, aim, np.tile(np.square(camera.spread), 2)).reshape(2, -1).T
+    image, columns = camera.first_order(local)
+    rows = (normal[:, :, None] * columns[:, None]).reshape(len(value), -1)
+    for _ in range(_BENT):
+        known = image + camera.perspective(parameters, local)
+        aim = value - (normal * known).sum(axis=1)
+        parameters = _ridge(rows, aim, np.tile(np.square(camera.spread), 2)).reshape(2, -1).T
+    return parameters
 
 
 def _by_ties(measured: Measured, known: BoolArray, ties: FloatArray,
@@ -168,10 +173,8 @@ def _by_ties(measured: Measured, known: BoolArray, ties: FloatArray,
     """Return the polynomial of an image that sees ties whose places are known."""
     local, place = ties[measured.tie[known]], measured.place[known]
     camera = _polynomial(local, place)
-    image, columns = camera.first_order(local)
-    variances = np.square(camera.spread)
-    return camera, np.stack([_ridge(columns, place[:, axis] - image[:, axis], variances)
-                             for axis in range(2)], axis=1)
+    return camera, _fitted(camera, np.repeat(local, 2, axis=0),
+                           np.tile(np.eye(2), (len(local), 1)), place.ravel())
 
 
 def _ridge(rows: FloatArray, aim: FloatArray, variances: FloatArray) -> FloatArray:

@@ -38,6 +38,8 @@ _AFFINE, _QUADRATIC, _CUBIC, _RELIEF = "affine", "quadratic", "cubic", "relief"
 class Camera(ABC):
     """An image whose line and sample are a known part plus columns times parameters.
 
+    A perspective that the parameters state may be added.
+
     Both axes have the same columns. Columns belong to groups, such as "shift" or "degree 2", which
     the evidence keeps or drops together.
 
@@ -72,9 +74,19 @@ class Camera(ABC):
     def first_order(self, local: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the known part (n, 2) [px] and the columns (n, m) at places of the frame."""
 
-    def renewed(self, parameters: FloatArray) -> Camera:
-        """Return the camera with a known part that suits parameters (m, 2)."""
-        return self
+    def perspective(self, parameters: FloatArray, local: FloatArray) -> FloatArray | float:
+        """Return what parameters (m, 2) do next to their columns, (n, 2) [px]."""
+        return 0.0
+
+    def rows(self, parameters: FloatArray, local: FloatArray, columns: FloatArray) -> FloatArray:
+        """Return the derivatives of line and sample by all parameters, shape (n, 2, 2m).
+
+        Parameters are ordered by image axis, then column, of which (n, m) are given.
+        """
+        n, m = columns.shape
+        found = np.zeros((n, 2, 2 * m))
+        found[:, 0, :m] = found[:, 1, m:] = columns
+        return found
 
     def grown(self) -> Camera | None:
         """Return the camera with further columns, which residuals may call for; None if none."""
@@ -87,7 +99,7 @@ class Camera(ABC):
     def project(self, parameters: FloatArray, local: FloatArray) -> FloatArray:
         """Return line and sample (n, 2) [px] of places with parameters (m, 2)."""
         image, columns = self.first_order(local)
-        return np.asarray(image + columns @ parameters)
+        return np.asarray(image + columns @ parameters + self.perspective(parameters, local))
 
     def slopes(self, parameters: FloatArray, local: FloatArray, image: FloatArray) -> FloatArray:
         """Return the derivatives (n, 2, 3) [px/m] of line and sample by the place."""
@@ -182,9 +194,9 @@ class PolynomialCamera(Camera):
     Coordinates are in half widths of the image's ground, heights too, so that the effect of a
     height is bounded as physics bounds it: a metre up moves a place in the image at most some one
     metre along the ground. Terms of degree 0 and 1 are free but for that bound. From them follows
-    the perspective of a scanner some 700 km away, which is the known part: all images of a block
-    have it in common, and ties alone cannot show it. Terms of degree 2 and 3 correct it; the
-    block's evidence finds their variances.
+    the perspective of a scanner some 700 km away: all images of a block have it in common, and ties
+    alone cannot show it. Terms of degree 2 and 3 correct it; the block's evidence finds their
+    variances.
 
     Notes
     -----
@@ -192,18 +204,17 @@ class PolynomialCamera(Camera):
     p the place, m t its own way since it saw the middle. To second order that adds
     -s (r p - (r m) l) / D, with l and s the terms of degree 1 of line and sample. The ray is where
     l and s do not change. Lines follow one another in time; the rays of two of them part as radii
-    of the Earth do, which adds -l z / R.
+    of the Earth do, which adds -l z / R. A wrong ray bends the image: where control leaves the ray
+    open, the derivatives of the perspective by it tell how far.
     """
 
     kept = frozenset({_AFFINE, _QUADRATIC})
     wide = frozenset({_AFFINE})
 
     def __init__(self, centre: FloatArray, half_ground: float, half_image: float,
-                 middle: FloatArray, powers: Sequence[tuple[int, ...]] = POWERS,
-                 perspective: tuple[FloatArray, FloatArray] | None = None) -> None:
+                 middle: FloatArray, powers: Sequence[tuple[int, ...]] = POWERS) -> None:
         self.centre, self.half, self.middle = centre, half_ground, middle
         self.half_image, self.powers = half_image, tuple(powers)
-        self.perspective = (np.zeros((3, 3)),) * 2 if perspective is None else perspective
         self.groups = tuple(_group(p) for p in powers)
         near = _UNSURE * half_ground / DISTANCE
         spread = {_QUADRATIC: 0.003 * half_image, _CUBIC: 0.0005 * half_image,
@@ -215,40 +226,57 @@ class PolynomialCamera(Camera):
 
     def only(self, keep: BoolArray) -> PolynomialCamera:
         """Return the camera with some of its columns."""
-        return self._with([power for power, kept in zip(self.powers, keep, strict=True) if kept],
-                          self.perspective)
+        return PolynomialCamera(self.centre, self.half, self.half_image, self.middle, [
+            power for power, kept in zip(self.powers, keep, strict=True) if kept])
 
-    def renewed(self, parameters: FloatArray) -> PolynomialCamera:
-        """Return the camera with the perspective of the rays that parameters (m, 2) state."""
-        line, sample = np.stack([parameters[self.powers.index(axis)] for axis in _AXES], axis=1)
+    def perspective(self, parameters: FloatArray, local: FloatArray) -> FloatArray | float:
+        """Return what the perspective of the rays that parameters (m, 2) state adds, (n, 2)."""
+        place = (local - self.centre) / self.half
+        forms = self._forms(parameters[self._slopes])
+        return np.asarray(np.einsum("ni,aij,nj->na", place, forms, place))
+
+    def rows(self, parameters: FloatArray, local: FloatArray, columns: FloatArray) -> FloatArray:
+        """Return the derivatives by all parameters (see `Camera.rows`), the perspective's, too."""
+        found, m = super().rows(parameters, local, columns), columns.shape[1]
+        place, step = (local - self.centre) / self.half, 1e-4 * self.half_image
+        of_slopes = parameters[self._slopes]
+        for axis, (k, at) in product(range(2), enumerate(self._slopes)):
+            ahead, back = of_slopes.copy(), of_slopes.copy()
+            ahead[k, axis] += step
+            back[k, axis] -= step
+            slope = (self._forms(ahead) - self._forms(back)) / (2 * step)
+            found[:, :, axis * m + at] += np.einsum("ni,aij,nj->na", place, slope, place)
+        return found
+
+    @property
+    def _slopes(self) -> list[int]:
+        """The columns x, y and z."""
+        return [self.powers.index(axis) for axis in _AXES]
+
+    def _forms(self, slopes: FloatArray) -> FloatArray:
+        """Return what line and sample add, quadratic in places (2, 3, 3), by their slopes (3, 2).
+        """
+        line, sample = slopes.T
         ray = np.cross(line, sample)
         if abs(ray[2]) <= 1e-3 * np.linalg.norm(ray):  # of no image from above
-            return self
+            return np.zeros((2, 3, 3))
         ray *= -np.sign(ray[2]) / np.linalg.norm(ray)  # downwards
         # Where the ground that one sample sees is a line later.
         way = np.array([sample[1], -sample[0]]) / (line[0] * sample[1] - line[1] * sample[0])
         away = ray - (ray[:2] @ way) * line
-        return self._with(self.powers, (-self.half / _EARTH * np.outer(line, (0, 0, 1)),
-                                        -self.half / DISTANCE * np.outer(sample, away)))
-
-    def _with(self, powers: Sequence[tuple[int, ...]],
-              perspective: tuple[FloatArray, FloatArray]) -> PolynomialCamera:
-        return PolynomialCamera(self.centre, self.half, self.half_image, self.middle, powers,
-                                perspective)
+        return np.stack([-self.half / _EARTH * np.outer(line, (0, 0, 1)),
+                         -self.half / DISTANCE * np.outer(sample, away)])
 
     def area(self) -> tuple[FloatArray, FloatArray]:
         """Return middle and half widths of the ground that the coordinates fit."""
         return self.centre, np.full(2, self.half)
 
     def first_order(self, local: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the image's middle with the perspective, and the monomials."""
+        """Return the image's middle and the monomials."""
         place = (local - self.centre) / self.half
         x, y, z = place.T
         columns = np.stack([x**a * y**b * z**c for a, b, c in self.powers], axis=1)
-        image = np.tile(self.middle, (len(local), 1))
-        for axis, form in enumerate(self.perspective):
-            image[:, axis] += np.einsum("ni,ij,nj->n", place, form, place)
-        return image, columns
+        return np.tile(self.middle, (len(local), 1)), columns
 
 
 def _group(power: tuple[int, ...]) -> str:
