@@ -109,6 +109,21 @@ def test_joined_tables_have_the_columns_of_both() -> None:
     assert capitals.attributes["date"].tolist() == ["a", "b", "f"]
 
 
+def test_parts_of_a_table_that_are_joined_again_are_the_table() -> None:
+    whole = points(5, date=list("abcde"))
+    again = whole.take([0, 1]).rejoin(whole.take([2, 3, 4]))
+    assert vars(again).keys() == vars(whole).keys()
+    for name, value in vars(whole).items():
+        if name != "attributes":
+            np.testing.assert_array_equal(getattr(again, name), value)
+    assert {name: list(cells) for name, cells in again.attributes.items()} == {
+        name: list(cells) for name, cells in whole.attributes.items()}
+    for array in (again.image, again.ground, again.attributes["date"]):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = array[1]
+    assert whole.rejoin(whole.take([])) is whole
+
+
 def test_columns_of_all_features() -> None:
     both = FeatureSet(points(2), lines())
     assert both.ids == ("P0", "P1", "a", "b")

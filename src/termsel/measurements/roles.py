@@ -54,7 +54,7 @@ class Observations:
     @cached_property
     def together(self) -> FeatureSet:
         """Control and check points as control, and the control lines."""
-        return self.control.with_(points=self.control.points.join(self.check))
+        return self.control.with_(points=self.control.points.rejoin(self.check))
 
     @cached_property
     def carriers(self) -> tuple[str, ...]:

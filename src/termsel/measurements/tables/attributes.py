@@ -70,7 +70,7 @@ def _cell(value: Any) -> str:
     return cut(printable(str(value).replace("\r\n", "\n")).strip(), LONGEST)
 
 
-def rows_at(attributes: Attributes, index: NDArray[Any]) -> Attributes:
+def rows_at(attributes: Attributes, index: NDArray[Any] | slice) -> Attributes:
     """Return the rows at an index, which cannot be written to."""
     rows = {name: cells[index] for name, cells in attributes.items()}
     for cells in rows.values():

@@ -113,6 +113,20 @@ class Tabular(Glance, Framed):
 
     def join(self, other: Self) -> Self:
         """Return the rows of both; unknown standard deviations are the median of the known."""
+        both: Any = self  # a dataclass, which this base is not
+        made: Self = replace(both, **self._with_rows_of(other))
+        return made
+
+    def rejoin(self, other: Self) -> Self:
+        """Return the rows of both, which are parts of one table: what was checked holds for both.
+        """
+        if not len(other):
+            return self
+        joint = self._with_rows_of(other)
+        return unchecked(self, **{**joint, "attributes": rows_at(joint["attributes"], slice(None))})
+
+    def _with_rows_of(self, other: Self) -> dict[str, Any]:
+        """Return the fields of the rows of both."""
         known = [part.sigma for part in (self, other) if part.sigma is not None]
         # Features without a standard deviation have this weight in an adjustment.
         sigma = np.concatenate([
@@ -120,12 +134,10 @@ class Tabular(Glance, Framed):
             if part.sigma is None else part.sigma for part in (self, other)]) if known else None
         texts = {name: value + getattr(other, name) for name, value in _own(self)
                  if isinstance(value, tuple)}  # ids and roles
-        both: Any = self  # a dataclass, which this base is not
-        made: Self = replace(
-            both, image=np.concatenate([self.image, other.image]),
-            ground=np.concatenate([self.ground, other.ground]), sigma=sigma,
-            attributes=joined(self.attributes, len(self), other.attributes, len(other)), **texts)
-        return made
+        return {
+            "image": np.concatenate([self.image, other.image]),
+            "ground": np.concatenate([self.ground, other.ground]), "sigma": sigma,
+            "attributes": joined(self.attributes, len(self), other.attributes, len(other)), **texts}
 
 
 def _own(table: Any) -> list[tuple[str, Any]]:

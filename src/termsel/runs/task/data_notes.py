@@ -47,7 +47,7 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
     if heights and len(both) > 1 and not both.without_height():
         yield from _on_carriers(both, observations.carriers)
         yield from (_on_flat(observations.joint, independent) if fitted is None else _on_flat(
-            Control.of(fitted, False), observations.check.join(independent)))
+            Control.of(fitted, False), observations.check.rejoin(independent)))
 
 
 def _on_one_line(both: FeatureSet) -> Iterator[str]:
@@ -125,7 +125,7 @@ def _on_twins(both: Points, independent: Points) -> Iterator[str]:
     if found:
         yield (f"Points too close to each other to tell anything apart share a role and a fold: "
                f"{_listed(found)}.")
-    every = both.join(independent)
+    every = both.rejoin(independent)
     apart = set(independent.ids)
     shared = [group for group in groups(every.ids, twins(every.ground, both.ground))
               if 0 < len(apart.intersection(group)) < len(group)]

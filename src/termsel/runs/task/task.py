@@ -124,7 +124,7 @@ def observe(setup: Setup, least: int = MIN_CONTROL) -> Observations:
         observations = check_as_control(observations)
     together = observations.together
     require_heights(setup.model, together.with_(
-        points=together.points.join(observations.independent)))
+        points=together.points.rejoin(observations.independent)))
     require_enough(observations, recipe, criterion, setup.model, least)
     if of_data["fit_crs"] is not None:
         observations = with_fit_crs(of_data["fit_crs"], observations, setup.model)
