@@ -59,6 +59,9 @@ ORDERS = [{"order": order, "denominators": kind, **({"ridge": 0.0} if kind == "s
           for order in (1, 2, 3) for kind in ("separate", "shared", "none")]
 SUITES: dict[str, tuple[Check, ...]] = {
     "rfm": checks(RationalFunctions, options=ORDERS),
+    "rfm-weighted": checks(RationalFunctions, options=[
+        {"order": 2, "weighted": True},
+        {"denominators": "shared", "ridge": 0.0, "weighted": True}]),
     "poly2d": checks(Polynomial2D, options=[{"degree": d} for d in (1, 4, 5, 8)]),
     "poly3d": checks(Polynomial3D, options=[{"degree": d} for d in (1, 2, 3, 5)]),
     "affine": checks(Affine),

@@ -24,8 +24,8 @@ def test_the_optimum_depends_on_the_origin_as_the_page_says():
     for number, (way, factor, shift) in enumerate(normalisation.WAYS):
         if number not in (0, 3):
             continue
-        found = normalisation.optimum("poly-terms", {"degree": 4, "hierarchy": False}, None,
-                                      factor, shift)
+        found = normalisation.optimum("poly-terms", "poly2d", {"degree": 4, "hierarchy": False},
+                                      None, factor, shift)
         said = row("normalisation", re.escape(way))[1].split(";")[0]
         assert found[0] == pytest.approx(float(said), abs=1e-4)
 

@@ -6,16 +6,17 @@ import re
 
 import pytest
 
-from benchmarks.normalisation import SPACES, WAYS, optimum
+from benchmarks.normalisation import SPACES, WAYS, by_hierarchy, optimum
 from benchmarks.sets import ROOT
 
 
 @pytest.mark.parametrize(("factor", "shift"), [(0.5, 0.0), (1.0, 1.0)])
 def test_the_optimum_with_a_hierarchy_is_that_of_any_coordinates(
         factor: float, shift: float) -> None:
-    _, name, options = SPACES[0]
-    check, independent, terms = optimum(name, {**options, "hierarchy": True}, None, 1.0, 0.0)
-    moved = optimum(name, {**options, "hierarchy": True}, None, factor, shift)
+    _, name, model, options = SPACES[0]
+    check, independent, terms = optimum(name, model, {**options, "hierarchy": True}, None,
+                                        1.0, 0.0)
+    moved = optimum(name, model, {**options, "hierarchy": True}, None, factor, shift)
     assert moved[:2] == pytest.approx((check, independent), rel=1e-8)
     assert moved[2] == terms
 
@@ -23,11 +24,22 @@ def test_the_optimum_with_a_hierarchy_is_that_of_any_coordinates(
 @pytest.mark.parametrize("space", range(len(SPACES)))
 def test_a_row_of_the_page_is_what_a_fresh_run_gives(space: int) -> None:
     page = (ROOT / "docs" / "evidence" / "normalisation.md").read_text(encoding="utf-8")
-    title, name, options = SPACES[space]
+    title, name, model, options = SPACES[space]
     way, factor, shift = WAYS[-1]
     table = page[page.index(title[1:]):]
     row = re.search(rf"^\| {re.escape(way)} \| ([\d.]+); .* \| ([\d.]+); ", table, re.MULTILINE)
     assert row is not None
     for hierarchy, stated in zip((False, True), row.groups(), strict=True):
-        fresh = optimum(name, {**options, "hierarchy": hierarchy}, None, factor, shift)
+        fresh = optimum(name, model, {**options, "hierarchy": hierarchy}, None, factor, shift)
         assert f"{fresh[0]:.4f}" == stated
+
+
+def test_a_row_of_iterated_adjustments_is_what_a_fresh_run_gives() -> None:
+    page = (ROOT / "docs" / "evidence" / "normalisation.md").read_text(encoding="utf-8")
+    table = page[page.index("## RFM of second order, each selection iterated"):]
+    check, _, terms = by_hierarchy(None, 1.0, 1.0, iterated=True)
+    row = re.search(rf"^\| {re.escape(WAYS[-1][0])} \|.*\| ([\d.]+); [^|]*\| (\d+) %", table,
+                    re.MULTILINE)
+    assert row is not None
+    assert (f"{check:.4f}", row[2]) == (row[1], "100")
+    assert terms == by_hierarchy(None, 1.0, 0.0, iterated=True)[2]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from termsel.adjustment.equations import Equations
+from termsel.adjustment.iterated import HALVINGS, ITERATIONS
 from termsel.adjustment.leave_out import leave_one_out
 from termsel.adjustment.parts import IndependentPart, independent_parts
 from termsel.adjustment.solve import Adjustment, solve
@@ -17,16 +18,10 @@ from termsel.guard.faults import wrong
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray
 from termsel.measurements.scaling import Scaling
 
-ITERATIONS = 50
-"""Most Gauss-Newton steps of a fit; two or three are usual, ten from a distant start."""
-
 OFFSET, ROUNDING = 1e-3, 1e-12
 """A fit has converged where a step would take away less than this share of the residuals
 (the relative offset of D.M. Bates and D.G. Watts, Technometrics 23 (1981) 179-183), or less than
 this much of each in the scaled image unit."""
-
-HALVINGS = tuple(0.5**i for i in range(8))
-"""Shares of a Gauss-Newton step that are tried in turn."""
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from termsel.adjustment.equations import Equations, line_normals
+from termsel.adjustment.equations import Equations, line_normals, weights_of
+from termsel.adjustment.iterated import Quotients, least_distances
 from termsel.adjustment.lines import approximate_image, image_equations
 from termsel.adjustment.monomials import Exponents, monomial_name, monomials
+from termsel.adjustment.parts import IndependentPart
 from termsel.errors import TermselError
 from termsel.guard.arrays import of_shape, of_type
 from termsel.guard.calls import Check
-from termsel.measurements.features import FeatureSet, FloatArray, IntArray
+from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, IntArray, Points
 from termsel.models.base import BOTH, LINE, SAMPLE, SensorModel
 from termsel.models.terms import AXES, Term
 
@@ -176,13 +178,19 @@ class RationalModel(SensorModel):
                                self._axis_rows(lines.ground.reshape(-1, 3), image),
                                heights=self.uses_height)
 
+    @property
+    def weighted(self) -> bool:
+        """True if every adjustment goes on to the least squares of distances in the image."""
+        return False
+
     def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations | None:
         """Return the equations of points and lines about a solution (Gauss-Newton).
 
-        Only for lines with separate denominators. All other cases keep the linear equations that
-        the literature solves: points alone, and lines with polynomials or a shared denominator.
+        Only for lines with separate denominators, and where the model is `weighted`. All other
+        cases keep the linear equations that the literature solves: points alone, and lines with
+        polynomials or a shared denominator.
         """
-        if self.exact_for_lines or not len(features.lines):
+        if not self.weighted and (self.exact_for_lines or not len(features.lines)):
             return None
         parts = []
         for ground in (features.points.ground, features.lines.ground.reshape(-1, 3)):
@@ -194,6 +202,22 @@ class RationalModel(SensorModel):
                 parts += [self._axis_rows(ground, image) / below[..., None],
                           image - image / below]
         return image_equations(features, *parts[::2], *parts[1::2], heights=self.uses_height)
+
+    def least_distances(self, points: Points, parts: tuple[IndependentPart, ...],
+                        terms: BoolArray, used: BoolArray | None,
+                        coefficients: FloatArray) -> FloatArray:
+        """Return the least squares of distances in the image, of selections of terms (p, k).
+
+        Points (p, n) are all in use by default. The search begins at `coefficients` (p, k), the
+        solutions of the equations of the points.
+        """
+        flat = terms.shape[1]
+        rows = np.ones((len(terms), len(points)), dtype=bool) if used is None else used
+        above = self._axis_rows(points.ground, np.zeros_like(points.image)).reshape(-1, flat)
+        both = self._axis_rows(points.ground, -np.ones_like(points.image)).reshape(-1, flat)
+        weights = np.where(np.repeat(rows, 2, axis=1), weights_of(points).ravel(), 0.0)
+        return least_distances(Quotients(above, both - above, points.image.ravel(), weights),
+                               parts, terms, coefficients)
 
     @property
     def exact_for_lines(self) -> bool:

@@ -51,6 +51,9 @@ class RationalFunctions(MonomialModel):
                f"are zero, in scaled coordinates; 0 for none. By default {RIDGE} with control "
                "lines, but none for a DLT (order 1, shared) or for points alone.",
                float, 0.0, 1e6),
+        Option("weighted", False, "Divide the equations by the denominators and iterate, to the "
+               "least squares of distances in the image: each fit, and with control points each "
+               "selection that a search judges by check points.", bool),
     )
 
     @cached_property
@@ -62,6 +65,11 @@ class RationalFunctions(MonomialModel):
     def divides(self) -> str:
         """Whether line and sample have denominators, separate or shared."""
         return str(self.options["denominators"])
+
+    @property
+    def weighted(self) -> bool:
+        """Whether adjustments are iterated, of points too."""
+        return bool(self.options["weighted"]) and self.divides != "none"
 
     def equations(self, features: FeatureSet) -> Equations:
         """Return the equations of points and lines (see `RationalModel.equations`)."""

@@ -42,6 +42,8 @@ def enumerable_parts(inputs: Inputs, equations: Equations, genome: Genome,
     model, criterion = inputs.model, inputs.criterion
     if not isinstance(model, RationalModel):
         raise _not_enumerable(f"model {model.name!r} is not a RationalModel")
+    if model.weighted:
+        raise _not_enumerable("weighted=true gives each selection equations of its own")
     if not criterion.subset_score:
         raise _not_enumerable(f"criterion {criterion.name!r} is no sum over check or control rows")
     axis = model.axis

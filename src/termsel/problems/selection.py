@@ -16,6 +16,7 @@ from termsel.measurements.coordinates.places import centres
 from termsel.measurements.features import BoolArray, FloatArray, IntArray, select
 from termsel.models.base import LINE, SAMPLE, SensorModel
 from termsel.models.poles import POLE_MARGIN, guard_points, pole_violation
+from termsel.models.quotient import RationalModel
 from termsel.models.terms import Term
 from termsel.problems.base import WORST, EnumerablePart, Evaluation, Inputs, Problem, Selection
 from termsel.problems.constraints import capped, excess, forced, listed, orphans, parents
@@ -53,6 +54,9 @@ class SelectionProblem(Problem):
         self.inputs = inputs
         self.objectives = (inputs.criterion.name, *(one.name for one in inputs.objectives))
         self.equations = first_order(model, control)
+        if _weighted(inputs) and not inputs.criterion.needs_check:
+            raise TermselError("weighted=true judges selections by check points",
+                               hint="Choose --criterion check-rmse.")
         self._guard = guard_points(control, inputs.check)
         self._parts = independent_parts(self.equations, model.axis)
         names = model.terms
@@ -161,6 +165,12 @@ class SelectionProblem(Problem):
         inputs = self.inputs
         terms, features = self.masks(genes)
         coefficients, violation = solve_parts(self._parts, terms, features)
+        model = _weighted(inputs)
+        if model is not None:
+            known = violation == 0
+            coefficients[known] = model.least_distances(
+                inputs.control.points, self._parts, terms[known],
+                None if features is None else features[known], coefficients[known])
         violation += excess(self._parts, terms, features, self._share, self._least_freedom)
         violation += self._empty_axes(terms)
         violation += pole_violation(inputs.model, coefficients, self._guard)
@@ -226,7 +236,8 @@ class SelectionProblem(Problem):
         """Return the parts of a selection of features alone (see `Problem.row_systems`)."""
         if self._gene_of_term is not None or not self._selects_features:
             return None
-        if type(self).evaluate is not SelectionProblem.evaluate:  # a plugin's own objective
+        # A plugin's own objective, or equations of each selection's own.
+        if type(self).evaluate is not SelectionProblem.evaluate or _weighted(self.inputs):
             return ()
         return row_systems(self.inputs, self._parts, self._terms_in_use, self._share,
                            self._least_freedom)
@@ -256,6 +267,12 @@ class SelectionProblem(Problem):
             return np.zeros(len(terms))
         line, sample = terms[:, axis == LINE], terms[:, axis == SAMPLE]
         return np.asarray(2.0 - line.any(axis=1) - sample.any(axis=1))
+
+
+def _weighted(inputs: Inputs) -> RationalModel | None:
+    """Return a model that is iterated for each selection of points, else None."""
+    model, lines = inputs.model, inputs.control.lines
+    return model if isinstance(model, RationalModel) and model.weighted and not len(lines) else None
 
 
 def _terms_in_use(inputs: Inputs) -> BoolArray:

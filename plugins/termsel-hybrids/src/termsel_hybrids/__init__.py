@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from termsel import Recipe, SelectionProblem, hookimpl
 from termsel_hybrids.by_axis import RECIPE, Polynomial2DByAxis, Polynomial3DByAxis
 from termsel_hybrids.hybrid1 import Hybrid1
+from termsel_hybrids.legendre import RationalLegendre
 from termsel_hybrids.line_directions import LineAffine, LineConformal
 from termsel_hybrids.multiquadric import Hybrid3, Multiquadric
 from termsel_hybrids.pointwise import Pointwise
@@ -22,14 +23,15 @@ from termsel_hybrids.pointwise import Pointwise
 if TYPE_CHECKING:
     from termsel import Inputs, SensorModel
 
-__all__ = ["Hybrid1", "Hybrid3", "LineAffine", "LineConformal", "Multiquadric", "Pointwise"]
+__all__ = ["Hybrid1", "Hybrid3", "LineAffine", "LineConformal", "Multiquadric", "Pointwise",
+           "RationalLegendre"]
 
 
 @hookimpl
 def termsel_models() -> Iterable[type[SensorModel]]:
     """Return the models of this package."""
     return [Multiquadric, Pointwise, Hybrid1, Hybrid3, Polynomial2DByAxis, Polynomial3DByAxis,
-            LineAffine, LineConformal]
+            LineAffine, LineConformal, RationalLegendre]
 
 
 @hookimpl

@@ -1,4 +1,4 @@
-"""A solver and set-ups of papers on the selection of terms, as a plugin.
+"""Solvers and set-ups of papers on the selection of terms, as a plugin.
 
 References
 ----------
@@ -29,8 +29,9 @@ def termsel_problems() -> Iterable[Recipe]:
 def termsel_solvers() -> Iterable[type[Solver]]:
     """Return the solvers."""
     from termsel_papers.correlation import CorrelationSeededGA
+    from termsel_papers.ica import ImperialistCompetition
 
-    return [CorrelationSeededGA]
+    return [CorrelationSeededGA, ImperialistCompetition]
 
 
 @hookimpl

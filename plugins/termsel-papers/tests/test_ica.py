@@ -10,9 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import termsel
-from termsel.problems.base import Evaluation
-from termsel.solvers.base import Generation
-from termsel.solvers.heuristics.ica import (
+from termsel import Evaluation, Generation
+from termsel.testing import Check, checks, problems
+from termsel.testing.problems import Watched
+from termsel.toolkit import gap
+from termsel_papers.ica import (
     Empires,
     ImperialistCompetition,
     assimilate,
@@ -26,9 +28,6 @@ from termsel.solvers.heuristics.ica import (
     sizes,
     total_power,
 )
-from termsel.solvers.proofs.exact import gap
-from termsel.testing import Check, checks, problems
-from termsel.testing.problems import Watched
 
 
 def bits(text: str) -> np.ndarray:

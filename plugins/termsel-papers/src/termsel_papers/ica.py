@@ -7,10 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.measurements.features import BoolArray, FloatArray, IntArray
-from termsel.options import Option
-from termsel.problems.base import Evaluation, Problem
-from termsel.solvers.base import Generation, Solver
+from termsel import Evaluation, Generation, Option, Problem, Solver
+from termsel_papers.arrays import BoolArray, FloatArray, IntArray
 
 
 def costs(evaluation: Evaluation) -> FloatArray:
