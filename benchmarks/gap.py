@@ -327,7 +327,8 @@ def other_scenes() -> Iterator[str]:
             f"{int((pairs[:, 1] < optimum[:, 1]).sum())} of {len(pairs)}"
         yield (f"| {name} | {spread_of(list(pairs[:, 0]))} | {ratio:.2f} | "
                f"{spread_of(list(pairs[:, 1]))} | {wins} |")
-    yield "\nMedians, with intervals. `quadratic` and `auto` are fitted to control and check points together."
+    yield ("\nMedians, with intervals. `quadratic` and `auto` are fitted to control and check points "
+           "together.")
 
 
 def figure(proof: termsel.Result, study: termsel.Study) -> Any:

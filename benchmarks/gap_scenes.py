@@ -52,22 +52,22 @@ def searched(file: Path) -> list[dict[str, Any]]:
     for seed in THIRD:
         features = scene(seed)
         quadratic = None
-        for solver, polish, evaluations, seeds in METHODS:
+        for solver, refined, evaluations, seeds in METHODS:
             for run in range(seeds):
-                key = f"{seed} {solver} {polish} {evaluations} {run}"
+                key = f"{seed} {solver} {refined} {evaluations} {run}"
                 if key not in known:
                     quadratic = quadratic or rmse_of(_quadratic(features))
                     known[key] = {"key": key, "seed": seed, "quadratic": quadratic,
-                                  **_run(features, solver, polish, evaluations, run)}
+                                  **_run(features, solver, refined, evaluations, run)}
                     with file.open("a", encoding="utf-8") as kept:
                         kept.write(json.dumps(known[key]) + "\n")
                 runs.append(known[key])
     return runs
 
 
-def _run(features: termsel.FeatureSet, solver: str, polish: bool, evaluations: int,
+def _run(features: termsel.FeatureSet, solver: str, refined: bool, evaluations: int,
          seed: int) -> dict[str, float]:
-    options = {"polish": polish} if solver != "swap" else {}
+    options = {"polish": refined} if solver != "swap" else {}
     result = termsel.run("rfm-terms", features=features, solver=solver, seed=seed,
                          evaluations=evaluations, options=options)
     check, independent = result.rmse["check"], result.rmse["independent"]
