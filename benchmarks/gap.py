@@ -327,8 +327,8 @@ def other_scenes() -> Iterator[str]:
             f"{int((pairs[:, 1] < optimum[:, 1]).sum())} of {len(pairs)}"
         yield (f"| {name} | {spread_of(list(pairs[:, 0]))} | {ratio:.2f} | "
                f"{spread_of(list(pairs[:, 1]))} | {wins} |")
-    yield ("\nMedians, with intervals. `quadratic` and `auto` are fitted to control and check points "
-           "together.")
+    yield ("\nMedians, with intervals. `quadratic` and `auto` are fitted to control and check "
+           "points together.")
 
 
 def figure(proof: termsel.Result, study: termsel.Study) -> Any:
@@ -365,7 +365,7 @@ HEAD = """# The optimum of the RFM of 78 terms
 
 Made by `python -m benchmarks.gap --out DIR --write`. The scene `ikonos-hamedan` is embedded and
 simulated; it has the numbers of points of Akhoundi Khezrabad et al. (2020), 24 control and 24 check
-points. New points are 1,000 further places of the same scene, without errors. Intervals are of
+points. New points are 1,000 further ones of the same scene, measured as well. Intervals are of
 95 %: of an RMSE over the 1,000 points, of a median over the runs.
 
 ## In short

@@ -1,7 +1,7 @@
 """More scenes of the full RFM, searched: does a better search give a better result?
 
 Part of benchmarks.gap. Each scene has 24 control and 24 check points, and 1,000 further places of
-the same sensor and terrain, without errors, as independent points.
+the same sensor and terrain, measured as well, as independent points.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ NEAR = 1.3
 def scene(seed: int | None = None) -> termsel.FeatureSet:
     """Return the embedded scene, or that of a seed, with so many new points as independent ones."""
     features = simulate_scene(NAME) if seed is None else simulate_scene(NAME, seed=seed)
-    new = simulate_scene(NAME, seed=9000 + (seed or 0), noise=0.0, roles=(0, 0, NEW), n_lines=0)
+    new = simulate_scene(NAME, seed=9000 + (seed or 0), roles=(0, 0, NEW), n_lines=0)
     kept = features.points.take([role != "independent" for role in features.points.roles])
     ids = tuple(f"N{i + 1}" for i in range(NEW))
     return replace(features, points=termsel.Points(
