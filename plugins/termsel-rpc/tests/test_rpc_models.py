@@ -74,6 +74,8 @@ def suites() -> dict[str, tuple[Check, ...]]:
     found["rpc-jitter"] = checks(RpcJitter, options=[{**of, "intervals": 2}, {
         **of, "intervals": 2, "across": True}], place=AROUND_RPC)
     found["rpc-field"] = checks(RpcField, options=[of], place=AROUND_RPC)
+    found["rpc-affine of ends"] = checks(
+        RpcAffine, options=[{**of, "line_form": "parametric"}], place=AROUND_RPC)
     found["rpc-affine in UTM"] = checks(RpcAffine, options=[of], place=IN_UTM)
     found["pushbroom-refine"] = checks(
         PushbroomRefine, options=[{"geometry": CANDIDATES, "biases": biases}
@@ -217,7 +219,8 @@ def test_one_denominator_for_both_axes_keeps_the_refined_rpc_exact(
     assert rpc_of(fitted).how == "exact"
 
 
-def test_lines_refine_as_points_do() -> None:
+@pytest.mark.parametrize("form", ["vector", "parametric"])
+def test_lines_refine_as_points_do(form: str) -> None:
     rpc, rng = read_rpc(RPC_FILE), np.random.default_rng(4)
     vertices = ground_of(rpc, 24).reshape(12, 2, 3)
     seen = rpc.project(vertices.reshape(-1, 3))
@@ -225,7 +228,7 @@ def test_lines_refine_as_points_do() -> None:
     along = rng.uniform(-0.2, 0.2, (12, 2, 1)) * (image[:, 1:] - image[:, :1])
     lines = Lines(tuple(f"L{i}" for i in range(12)), image + along, vertices)
     control = FeatureSet(lines=lines, crs="EPSG:4979")
-    fitted = least_squares(RpcAffine(rpc=CANDIDATES), control)
+    fitted = least_squares(RpcAffine(rpc=CANDIDATES, line_form=form), control)
     others = ground_of(rpc, 30, seed=1)
     seen = rpc.project(others)
     np.testing.assert_allclose(fitted.project(others), seen + polynomial(seen, 3) @ BIAS,

@@ -10,13 +10,19 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from termsel import Option, Rpc, Term, TermselError, read_rpc
+from termsel import Equations, FeatureSet, Option, Rpc, Term, TermselError, read_rpc
+from termsel_rpc.parametric import along_lines
 from termsel_rpc.refinement import FloatArray, Refinement
 from termsel_rpc.simulated import CANDIDATES, RPC_FILE
 
 RPC = Option("rpc", "", "Required: the RPC to refine, as a file in any form that termsel reads, or "
                         f"{CANDIDATES} for that of the embedded data set. A result contains the "
                         "RPC itself.")
+
+LINE_FORM = Option("line_form", "vector", "Equations of control lines: vector, the ground "
+                   "vertices lie on the image line; parametric, each measured end lies at an "
+                   "unknown place along the projected ground line.",
+                   choices=("vector", "parametric"))
 
 _AXES = ("line", "sample")
 
@@ -49,10 +55,13 @@ class RpcShift(Refinement):
     are corrected, so that points can be projected. The papers' equations could not be
     consulted in full. In termsel both axes drift with the line, along which time runs; in
     Orthority each axis drifts with its own coordinate. `rpc-affine` contains both.
+    Teo 2013: Line-based rational function model for high-resolution satellite imagery: the bias of
+    an RPC by control lines, in a vector and a parametric form. A summary alone could be consulted;
+    the equations of `line_form` are termsel's own.
     """
 
     name = "rpc-shift"
-    declared_options: ClassVar[tuple[Option, ...]] = (RPC,)
+    declared_options: ClassVar[tuple[Option, ...]] = (RPC, LINE_FORM)
     columns: ClassVar[tuple[str, ...]] = ("1",)
 
     def __init__(self, **options: Any) -> None:
@@ -112,6 +121,24 @@ class RpcShift(Refinement):
         columns = np.stack([values[name] for name in self.columns], axis=1)
         of_both = np.einsum("ab,nc->nabc", np.eye(2), columns)
         return image, of_both.reshape(len(image), 2, len(self.terms))
+
+    def equations(self, features: FeatureSet) -> Equations:
+        """Return the equations of points and lines (see `Refinement.equations`)."""
+        return (self.linearised(features, np.zeros(len(self.terms)))
+                or super().equations(features))
+
+    def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations | None:
+        """Return the equations about a solution, of lines in parametric form."""
+        if not len(features.lines) or self.options.get("line_form") != "parametric":
+            return None
+
+        image, columns = self.known(features.lines.ground.reshape(-1, 3))
+        A, b = along_lines(features, (image + columns @ coefficients).reshape(-1, 2, 2),
+                           columns.reshape(-1, 2, 2, len(self.terms)))
+        vector = super().equations(features)
+        points = slice(0, 2 * len(features.points))
+        return Equations(np.concatenate([vector.A[points], A]),
+                         np.concatenate([vector.b[points], b + A @ coefficients]), vector.feature)
 
     def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
         """Return image positions, shape (..., n, 2): those of the RPC, corrected."""

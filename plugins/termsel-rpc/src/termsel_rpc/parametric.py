@@ -1,0 +1,42 @@
+"""Control lines in parametric form: each measured end lies on the projected ground line."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from termsel import FeatureSet
+
+FloatArray = NDArray[np.float64]
+
+
+def along_lines(features: FeatureSet, ends: FloatArray, columns: FloatArray,
+                ) -> tuple[FloatArray, FloatArray]:
+    """Return rows (2 n_lines, k) and distances of the lines, one of each measured end.
+
+    Ends (n, 2, 2) are the projected vertices P and Q of each line, columns (n, 2, 2, k) what terms
+    move them by. A measured end is P + t (Q - P). Its two equations have the unknown t, in the
+    direction of the projected line; across that line one is left. It stands where the line was
+    measured, so no image line is extended to vertices beyond it. Between the vertices the projected
+    line is taken to be straight, as in the vector form.
+    """
+    lines = features.lines
+    run = (ends[:, 1] - ends[:, 0])[:, None]
+    # A line seen end on has no direction; the least length leaves its equations finite.
+    square = np.maximum((run**2).sum(axis=2), np.finfo(float).tiny)
+    t = (((lines.image - ends[:, :1]) * run).sum(axis=2) / square)[..., None]
+    normal = np.stack([-run[..., 1], run[..., 0]], axis=2) / np.sqrt(square)[..., None]
+    away = ((lines.image - ends[:, :1] - t * run) * normal).sum(axis=2)
+    moved = (1 - t)[..., None] * columns[:, :1] + t[..., None] * columns[:, 1:]
+    rows = np.einsum("iea,ieak->iek", np.broadcast_to(normal, lines.image.shape), moved)
+    weight = _weights(features)[:, None]
+    return (rows * weight[..., None]).reshape(away.size, -1), (away * weight).ravel()
+
+
+def _weights(features: FeatureSet) -> FloatArray:
+    """Return the median standard deviation of all control over that of each line, shape (n,)."""
+    lines = features.lines
+    if lines.sigma is None:
+        return np.ones(len(lines))
+    known = [one.ravel() for one in (features.points.sigma, lines.sigma) if one is not None]
+    return np.asarray(np.median(np.concatenate(known)) / lines.sigma)
