@@ -1,10 +1,9 @@
 """What searches are worth: their gap to the proven optimum of the RFM of 78 terms.
 
 ``python -m benchmarks.gap --out DIR`` proves the optimum of `rfm-terms`, runs the studies
-benchmarks/gap-rfm.toml, gap-rfm-long.toml, gap-rfm-local.toml and gap-rfm-papers.toml, searches
-more scenes of third order (benchmarks.gap_scenes), repeats the proof for RFM of second order on
-others, and prints the page. ``--write`` makes docs/evidence/gap-to-optimum.md and its figure. What
-DIR already holds is read.
+benchmarks/gap-rfm.toml, gap-rfm-long.toml, gap-rfm-local.toml and gap-rfm-papers.toml, repeats
+the proof for RFM of second order on more scenes, and prints the page. ``--write`` makes
+docs/evidence/gap-to-optimum.md and its figure. What DIR already holds is read.
 """
 
 from __future__ import annotations
@@ -20,13 +19,7 @@ import numpy as np
 from scipy.stats import binom
 
 import termsel
-from benchmarks.gap_scenes import (
-    correlation_interval,
-    of_scenes,
-    rmse_interval,
-    scene,
-    searched,
-)
+from benchmarks.new_points import correlation_interval, rmse_interval, scene
 from benchmarks.sets import ROOT, put
 from termsel.enumeration.columns.system import Piece
 from termsel.enumeration.stack import Stack, stack
@@ -69,8 +62,7 @@ def main() -> None:
     residuals = proven(asked.out / "proof-ebic", "ebic")
     studies = [termsel.compare(HERE / f"{name}.toml", out=asked.out / name, workers=asked.workers,
                                data={"ikonos-hamedan": scene()}) for name in STUDIES]
-    more = searched(asked.out / "scenes.jsonl")
-    put("gap-to-optimum", "\n".join(page(proof, residuals, studies, more)), write=asked.write)
+    put("gap-to-optimum", "\n".join(page(proof, residuals, studies)), write=asked.write)
     if asked.write:
         figure(proof, studies[0]).save(str(FIGURE))
 
@@ -90,8 +82,8 @@ def certified(proof: termsel.Result) -> Mapping[str, Any]:
     return proof.certificate
 
 
-def page(proof: termsel.Result, residuals: termsel.Result, studies: list[termsel.Study],
-         more: list[dict[str, Any]]) -> Iterator[str]:
+def page(proof: termsel.Result, residuals: termsel.Result,
+         studies: list[termsel.Study]) -> Iterator[str]:
     """Yield the lines of the page."""
     certificate, check = certified(proof), total(proof.rmse, "check")
     optimum = rmse_interval(errors_of(proof))
@@ -114,8 +106,7 @@ def page(proof: termsel.Result, residuals: termsel.Result, studies: list[termsel
         typical=100 * (np.median([one["fitness"] for one in everything]) / check - 1),
         space=certificate["space"], rho=correlation_interval(fitness, independent),
         worse=100 * np.mean(independent > quadratic), median=np.median(independent),
-        fewer=correlation_interval(terms, independent), many=of_three(of_scenes(more), 2),
-        scenes=len({one["seed"] for one in more}),
+        fewer=correlation_interval(terms, independent),
         listed=", ".join(f"`{name}`" for name in proof.selection.terms))
     yield from worth(proof)
     yield "## The best selection of each size\n"
@@ -131,7 +122,6 @@ def page(proof: termsel.Result, residuals: termsel.Result, studies: list[termsel
         yield f"### {study.spec.title}\n"
         yield from table(study, check)
         yield ""
-    yield from third_order(more)
     yield from carried(proof)
     yield RESIDUALS.format(
         space=certified(residuals)["space"], seconds=residuals.seconds,
@@ -149,9 +139,9 @@ def total(rmse: Mapping[str, Rmse | None], role: str) -> float:
     return found.total
 
 
-def of_three(value: tuple[float, float, float], digits: int = 3) -> str:
+def of_three(value: tuple[float, float, float]) -> str:
     """Return a figure with its interval."""
-    return "{:.{d}f} ({:.{d}f} to {:.{d}f})".format(*value, d=digits)
+    return "{:.3f} ({:.3f} to {:.3f})".format(*value)
 
 
 def errors_of(result: termsel.Result) -> FloatArray:
@@ -180,28 +170,6 @@ def worth(proof: termsel.Result) -> Iterator[str]:
                            options={"check_as": "control", "force_off": others})
     found = (errors_of(proof), errors_of(refitted), *quadratics())
     yield WORTH.format(*(of_three(rmse_interval(errors)) for errors in found))
-
-
-def third_order(more: list[dict[str, Any]]) -> Iterator[str]:
-    """Yield the section on more scenes of the full RFM, searched."""
-    seeds = sorted({one["seed"] for one in more})
-    yield THIRD.format(scenes=len(seeds), runs=len(more) // len(seeds))
-    yield ("| scene | least check RMSE [px] | its independent RMSE [px] | median of runs [px] | "
-           "quadratic [px] | rank correlation |")
-    yield "|---:|---:|---:|---:|---:|---:|"
-    for seed in seeds:
-        runs = [one for one in more if one["seed"] == seed]
-        best = min(runs, key=lambda one: one["check"])
-        near = [one for one in runs if one["check"] < NEAR * best["check"]]
-        check, independent = (np.array([one[key] for one in near])
-                              for key in ("check", "independent"))
-        yield (f"| {seed} | {best['check']:.3f} | {best['independent']:.3f} | "
-               f"{np.median(independent):.3f} | {best['quadratic']:.3f} | "
-               f"{correlation_interval(check, independent)} |")
-    worse = sum(min((one for one in more if one["seed"] == seed),
-                    key=lambda one: one["check"])["independent"] >
-                next(one["quadratic"] for one in more if one["seed"] == seed) for seed in seeds)
-    yield THIRD_END.format(mean=of_three(of_scenes(more), 2), worse=worse, scenes=len(seeds))
 
 
 def carried(proof: termsel.Result) -> Iterator[str]:
@@ -383,9 +351,9 @@ points. New points are 1,000 further ones of the same scene, measured as well. I
 - Among the {near:,} runs within 30 % of the optimum, check RMSE and RMSE of new points have the
   rank correlation {rho}; number of terms and RMSE of new points {fewer}.
   {worse:.0f} % of these runs are worse on new points than the quadratic polynomial.
-- Over {scenes} scenes of the full RFM the mean rank correlation within a scene is {many}.
 
-A better search does not give a better result here. It is why termsel's strategy
+A better search does not give a better result here, nor over
+[ten scenes of the full RFM](overfitting.md). It is why termsel's strategy
 [auto](honest-accuracy.md) does not minimise a check RMSE.
 
 ## Question
@@ -418,19 +386,6 @@ points together:
 | quadratic polynomial | {} | {} |
 
 More points do not correct it: the terms themselves suit the check points alone.
-"""
-
-THIRD = """## More scenes of the full RFM
-
-{scenes} scenes of the same kind with other points and errors, 24 control, 24 check and 1,000
-new points each. {runs} runs of `ga`, `ga, refined`, `pso` and `swap` search each, with the budget
-of every search, and ten times that. Nothing is proven here; the least check RMSE is the best run's.
-Correlations are of the runs within 30 % of it.
-"""
-
-THIRD_END = """
-Mean rank correlation within a scene, over the scenes: {mean}. The run with the least check RMSE is
-worse on new points than the quadratic polynomial in {worse} of {scenes} scenes.
 """
 
 FRONT = """The walk decides the best selection of each number of terms as well. One that fewer terms
@@ -471,7 +426,7 @@ points and errors.
 END = """
 ## Limits
 
-- One scene has a proof for the full RFM; others of it are searched. All are simulated.
+- One scene has a proof for the full RFM; [ten](overfitting.md) are searched. All are simulated.
 - The cap of 16 terms an axis is part of the claim. More terms leave less redundancy.
 - The proof is one of floating-point numbers: bounds allow for rounding, but are not
   interval arithmetic. [Certificates](../explanation/certificates.md) are, and reach smaller spaces.

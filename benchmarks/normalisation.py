@@ -115,7 +115,7 @@ def by_hierarchy(seed: int | None, factor: float, shift: float, iterated: bool,
     parts = independent_parts(inputs.model.equations(inputs.control), inputs.model.axis)
     found, lacking = solve_parts(parts, terms, None)
     if iterated:
-        found = inputs.model.least_distances(inputs.control.points, parts, terms, None, found)
+        found = inputs.model.least_distances(inputs.control.points, parts, terms, None)
     guard = guard_points(inputs.control, inputs.check)
     below = inputs.model.denominators(found, guard).min(axis=1)
     projected = inputs.model.project(found, inputs.check.ground)

@@ -45,11 +45,11 @@ def test_each_selection_has_the_least_distances_of_its_own(denominators: str) ->
     assert len(terms) > 5
     start, _ = solve_parts(problem._parts, terms, None)
     model, points = problem.inputs.model, problem.inputs.control.points
-    found = model.least_distances(points, problem._parts, terms, None, start)
+    found = model.least_distances(points, problem._parts, terms, None)
     moved = np.abs(found - start).max(axis=1)
     assert (moved > 1e-6).any()
-    for mask, x, before in zip(terms, found, start, strict=True):
-        best = by_scipy(task, mask, before)
+    for mask, x in zip(terms, found, strict=True):
+        best = by_scipy(task, mask, x)
         assert x[mask] == pytest.approx(best, rel=1e-3, abs=1e-5)
 
 
@@ -63,7 +63,7 @@ def test_points_that_are_not_selected_and_standard_deviations_count() -> None:
     model, terms = problem.inputs.model, np.ones((1, len(problem.inputs.model.terms)), dtype=bool)
     used = np.arange(len(points))[None] % 4 > 0
     start = by_scipy(task, terms[0], np.zeros(terms.shape[1]))[None]
-    found = model.least_distances(control.points, problem._parts, terms, used, start)
+    found = model.least_distances(control.points, problem._parts, terms, used)
     assert found[0] == pytest.approx(by_scipy(task, terms[0], start[0], used[0]), abs=1e-6)
     assert np.abs(found - start).max() > 1e-4
 

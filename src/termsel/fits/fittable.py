@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Protocol, Self
 
 from termsel.adjustment.equations import Equations
 from termsel.adjustment.interpolation import Interpolation
-from termsel.measurements.features import FeatureSet, FloatArray, IntArray
+from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, IntArray
 from termsel.measurements.scaling import Scaling
 
 
@@ -48,6 +48,10 @@ class Fittable(Protocol):
 
     def start(self, features: FeatureSet) -> FloatArray | None:
         """Return coefficients that the first step of a fit begins at, or None."""
+
+    @property
+    def first_terms(self) -> BoolArray | None:
+        """Terms whose solution an iteration begins at, or None for all."""
 
     def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations | None:
         """Return the equations about a solution, or None where `equations` are exact."""

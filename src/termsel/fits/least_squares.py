@@ -81,7 +81,9 @@ def adjust(model: Fittable, features: FeatureSet, terms: BoolArray,
     start = model.start(features.take(used))
     if start is None:
         adjustment = solve(model.equations(features), terms, used)
-        x = adjustment.coefficients
+        first = model.first_terms
+        x = (adjustment if first is None else
+             solve(model.equations(features), terms & first, used)).coefficients
         equations = model.linearised(features, x) if adjustment.feasible else None
         if equations is None:
             return adjustment

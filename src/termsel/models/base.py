@@ -17,7 +17,7 @@ from termsel.fits.of_features import control_of, fit_all_terms
 from termsel.guard.arrays import of_shape, of_type, returns
 from termsel.guard.calls import Check
 from termsel.measurements.coordinates.crs import to_wgs84
-from termsel.measurements.features import FeatureSet, FloatArray, IntArray
+from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, IntArray
 from termsel.measurements.scaling import Scaling
 from termsel.options import Configurable
 
@@ -254,6 +254,11 @@ class SensorModel(Configurable, ABC):
             Of all terms; those that are not selected are set to 0. None, the default, where the
             solution of `equations` is the start.
         """
+        return None
+
+    @property
+    def first_terms(self) -> BoolArray | None:
+        """Terms (k,) whose solution an iteration begins at; None, the default, for all."""
         return None
 
     def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations | None:

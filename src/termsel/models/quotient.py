@@ -14,7 +14,7 @@ from termsel.adjustment.equations import Equations, line_normals, weights_of
 from termsel.adjustment.iterated import Quotients, least_distances
 from termsel.adjustment.lines import approximate_image, image_equations
 from termsel.adjustment.monomials import Exponents, monomial_name, monomials
-from termsel.adjustment.parts import IndependentPart
+from termsel.adjustment.parts import IndependentPart, solve_parts
 from termsel.errors import TermselError
 from termsel.guard.arrays import of_shape, of_type
 from termsel.guard.calls import Check
@@ -203,21 +203,27 @@ class RationalModel(SensorModel):
                           image - image / below]
         return image_equations(features, *parts[::2], *parts[1::2], heights=self.uses_height)
 
+    @property
+    def first_terms(self) -> BoolArray | None:
+        """Numerators, where the model is `weighted` (see `SensorModel.first_terms`)."""
+        return np.array([not Term.parse(name).is_denominator
+                         for name in self.terms]) if self.weighted else None
+
     def least_distances(self, points: Points, parts: tuple[IndependentPart, ...],
-                        terms: BoolArray, used: BoolArray | None,
-                        coefficients: FloatArray) -> FloatArray:
+                        terms: BoolArray, used: BoolArray | None) -> FloatArray:
         """Return the least squares of distances in the image, of selections of terms (p, k).
 
-        Points (p, n) are all in use by default. The search begins at `coefficients` (p, k), the
-        solutions of the equations of the points.
+        Points (p, n) are all in use by default. The search begins at the `first_terms`.
         """
         flat = terms.shape[1]
         rows = np.ones((len(terms), len(points)), dtype=bool) if used is None else used
         above = self._axis_rows(points.ground, np.zeros_like(points.image)).reshape(-1, flat)
         both = self._axis_rows(points.ground, -np.ones_like(points.image)).reshape(-1, flat)
         weights = np.where(np.repeat(rows, 2, axis=1), weights_of(points).ravel(), 0.0)
+        first = self.first_terms
+        start, _ = solve_parts(parts, terms if first is None else terms & first, used)
         return least_distances(Quotients(above, both - above, points.image.ravel(), weights),
-                               parts, terms, coefficients)
+                               parts, terms, start)
 
     @property
     def exact_for_lines(self) -> bool:

@@ -170,7 +170,7 @@ class SelectionProblem(Problem):
             known = violation == 0
             coefficients[known] = model.least_distances(
                 inputs.control.points, self._parts, terms[known],
-                None if features is None else features[known], coefficients[known])
+                None if features is None else features[known])
         violation += excess(self._parts, terms, features, self._share, self._least_freedom)
         violation += self._empty_axes(terms)
         violation += pole_violation(inputs.model, coefficients, self._guard)
