@@ -18,12 +18,16 @@ from termsel.simulate import simulate_scene
 NAME, NEW = "ikonos-hamedan", 1000
 
 
-def scene(seed: int | None = None) -> termsel.FeatureSet:
-    """Return the embedded scene, or that of a seed, with so many new points as independent ones."""
-    features = simulate_scene(NAME) if seed is None else simulate_scene(NAME, seed=seed)
-    new = simulate_scene(NAME, seed=9000 + (seed or 0), roles=(0, 0, NEW), n_lines=0)
+def scene(seed: int | None = None, roles: tuple[int, int, int] | None = None,
+          new_points: int = NEW) -> termsel.FeatureSet:
+    """Return the embedded scene, or that of a seed, with new points as independent ones.
+
+    `roles` are numbers of control, check and independent points other than those of the scene.
+    """
+    features = simulate_scene(NAME, seed=seed, roles=roles)
+    new = simulate_scene(NAME, seed=9000 + (seed or 0), roles=(0, 0, new_points), n_lines=0)
     kept = features.points.take([role != "independent" for role in features.points.roles])
-    ids = tuple(f"N{i + 1}" for i in range(NEW))
+    ids = tuple(f"N{i + 1}" for i in range(new_points))
     return replace(features, points=termsel.Points(
         kept.ids + ids, np.concatenate([kept.image, new.points.image]),
         np.concatenate([kept.ground, new.points.ground]), None,
