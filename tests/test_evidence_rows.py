@@ -1,4 +1,4 @@
-"""A sampled row of the pages on accuracy, maps, intervals, lines, blunders and matches, run anew.
+"""A sampled row of the pages on accuracy, intervals, lines, blunders and matches, run anew.
 
 Rows are of simulated sets, so that no data from elsewhere are needed. Figures have the digits of
 their pages; the last one may differ between machines.
@@ -11,7 +11,7 @@ from statistics import median
 import numpy as np
 
 import termsel
-from benchmarks import accuracy, blunders, coverage, lines, old_maps
+from benchmarks import accuracy, blunders, coverage, lines
 from benchmarks.papers import konugurthi
 from benchmarks.sets import rmse_of, split
 from termsel.candidates.base import Control
@@ -39,16 +39,6 @@ def test_auto_and_the_best_plain_structure_of_a_scene() -> None:
     assert agrees(median(quadratic), cells[3])
     assert agrees(median(auto), cells[4])
     assert len(others) >= accuracy.FEWEST
-
-
-def test_an_old_map_with_twenty_points() -> None:
-    cells = row("old-maps", r"old-map \| 20 \|")
-    splits = [old_maps.measure("old-map", 20, seed) for seed in range(12)]
-    fresh = old_maps.Row("old-map", 20, tuple(one for one in splits if one is not None))
-    assert len(fresh.splits) == 12
-    assert fresh.best[0] == cells[2]
-    assert agrees(fresh.best[1], cells[3])
-    assert agrees(median(one.auto for one in fresh.splits), cells[4])
 
 
 def test_intervals_of_an_agile_scanner() -> None:
