@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import time
+import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -60,11 +61,17 @@ def main() -> None:
     asked = parser.parse_args()
     proof = proven(asked.out / "proof", "check-rmse")
     residuals = proven(asked.out / "proof-ebic", "ebic")
-    studies = [termsel.compare(HERE / f"{name}.toml", out=asked.out / name, workers=asked.workers,
-                               data={"ikonos-hamedan": scene()}) for name in STUDIES]
+    studies = [studied(name, asked.out, asked.workers) for name in STUDIES]
     put("gap-to-optimum", "\n".join(page(proof, residuals, studies)), write=asked.write)
     if asked.write:
         figure(proof, studies[0]).save(str(FIGURE))
+
+
+def studied(name: str, folder: Path, workers: int) -> termsel.Study:
+    """Return a study of this folder, with the scene of the new points."""
+    study = tomllib.loads((HERE / f"{name}.toml").read_text(encoding="utf-8"))
+    return termsel.compare(**study, data={"ikonos-hamedan": scene()}, out=folder / name,
+                           workers=workers)
 
 
 def proven(folder: Path, criterion: str) -> termsel.Result:
