@@ -195,9 +195,13 @@ def _bounded(columns: Columns, node: Node,
 
 
 def _short(node: Node, names: Sequence[int], alphas: FloatArray) -> list[float]:
-    """Return multipliers in the order of the open columns, to few digits: any are valid."""
+    """Return multipliers in the order of the open columns.
+
+    Any are valid. But where columns nearly depend on each other, those with four digits are no
+    longer positive definite.
+    """
     of = dict(zip(names, alphas.tolist(), strict=True))
-    return [float(f"{of[j]:.4g}") for j in node.rest]
+    return [float(f"{of[j]:.9g}") for j in node.rest]
 
 
 def _branch(columns: Columns, room: int) -> int:
