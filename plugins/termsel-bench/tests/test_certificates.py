@@ -101,6 +101,17 @@ def test_a_tree_of_few_steps_says_what_is_open(proof: tuple[dict[str, Any], Path
     assert not any(line.startswith("no selection") for line in lines)
 
 
+def test_a_certificate_with_open_selections_is_written_and_says_so(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    monkeypatch.setattr(certificate, "MOST_NODES", 4)
+    file = tmp_path / "proof.json"
+    termsel.run("poly-terms", solver="exact",
+                options={"certificate": str(file), "degree": 2})
+    open_ = check.check(file)[1]
+    assert open_ > 0
+    assert f"{open_:,} selections are left open" in caplog.text
+
+
 def test_a_path_decides_its_selections_alone(proof: tuple[dict[str, Any], Path]) -> None:
     content, folder = proof
     axis = content["axes"][0]
