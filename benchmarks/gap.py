@@ -348,9 +348,8 @@ points. New points are 1,000 further ones of the same scene, measured as well. I
   points is small. How close they come was not known. Here the optimum is proven.
 - **The least check RMSE is {check:.4f} px**, with {terms} terms. No selection of up to 16 terms an
   axis has less: {subsets:,} selections were decided, {share:.1f} % of them by bounds.
-- {reached} of {runs:,} runs of searches reached it. The median run ends {typical:.0f} % above it. A
-  plain local search, which improves line and sample each by itself, comes to it with 6 million
-  evaluations in a minute or two.
+- {reached} of {runs:,} runs of searches reached it. The median run ends {typical:.0f} % above it.
+  The local search by axis below had 6 million evaluations, which take one to two minutes.
 - **The optimum is a bad choice for new points:** its RMSE there is {independent} px,
   {worth:.0f} % above that of a plain quadratic polynomial, {quadratic} px. The median of the
   searches has {median:.3f} px.
@@ -405,7 +404,9 @@ beat is left out. So the check RMSE falls with each line; the independent RMSE d
 TABLES = """The gap is that of the check RMSE to the optimum. "Refined" runs spend three
 quarters of the same budget on local refinement. "Optimum reached" is the number of runs, and the
 upper end of Wilson's 95 % interval of their share. Other columns are medians. Solvers without
-chance run once.
+chance run once. `swap` is a plain local search: each step takes the best change of line and that of
+sample together. Refinement is the same search, and on by default where a problem runs with its own
+solver.
 """
 
 CARRIED = f"""## How far the bounds carry

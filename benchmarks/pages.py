@@ -24,6 +24,7 @@ PAGES: dict[str, tuple[str, ...]] = {
     "normalisation": ("normalisation",),
     "intervals": ("intervals",),
     "overfitting": ("overfitting",),
+    "regret": ("regret",),
     "coordinates": ("coordinates",),
     "paper-konugurthi": ("paper_tables", "konugurthi"),
     "control-features": ("control_features",),
