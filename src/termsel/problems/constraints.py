@@ -25,7 +25,8 @@ FORCE_OPTIONS = (
 TERM_OPTIONS = (
     *FORCE_OPTIONS,
     Option("hierarchy", False, "Select a monomial only together with those of one power less, "
-           "such as X2Y with XY and X2.", bool),
+           "such as X2Y with XY and X2. With weighted=true of rfm no origin of coordinates "
+           "then changes the optimum.", bool),
     Option("max_share", None, "Most terms per axis, as a share of its equations, 0 to 1; of both "
            "axes together where lines or a denominator couple them. At least one degree of freedom "
            "is kept. By default two thirds; 1, which is no limit, for a solver that uses all "
