@@ -82,12 +82,15 @@ def _unsure(result: BlockResult, i: int, rng: np.random.Generator) -> FloatArray
     """Return draws (2m, draws) of what variances of parameters are over what is stated.
 
     What the prior alone holds is as uncertain as the variance of the prior, which all columns of a
-    group share. What measurements hold is not.
+    group share. What measurements hold is not, nor a prior that the block does not estimate.
     """
-    groups, state = np.array(result.camera(i).groups), result.adjusted.state
+    camera, state = result.camera(i), result.adjusted.state
+    groups = np.array(camera.groups)
     by_prior = np.diag(result.covariances[i]).reshape(2, -1) / state.variances[i]
     factor = np.ones((len(groups), _DRAWS))
-    for name in dict.fromkeys(groups.tolist()):
+    for name in dict.fromkeys(camera.groups):
+        if name in camera.wide:
+            continue
         factor[groups == name] = (TAIL - 2) / rng.chisquare(TAIL, _DRAWS)
     return np.asarray(1 + np.clip(by_prior, 0, 1)[:, :, None] * (factor - 1)).reshape(-1, _DRAWS)
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from termsel import FeatureSet, Rpc
 from termsel_block.geometry.frame import FloatArray, IntArray
@@ -50,7 +52,10 @@ class BlockImage:
     size : tuple of int, optional
         Lines and samples [px].
     model : str
-        Correction of the RPC; "auto" is chosen by evidence.
+        Correction of the RPC; "auto" is chosen by evidence. Without an RPC "auto" is a polynomial,
+        and any other the name of a model whose terms have priors, such as scanner.
+    options : mapping
+        Of that model.
     of_dem : frozenset of str
         Points and lines whose height was taken from the DEM, of which they tell nothing.
     """
@@ -63,6 +68,7 @@ class BlockImage:
     size: tuple[int, int] | None = None
     model: str = "auto"
     of_dem: frozenset[str] = frozenset()
+    options: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

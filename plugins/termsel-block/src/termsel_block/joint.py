@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from termsel import TermselError, open_dem
-from termsel_block.block import Block
+from termsel_block.block import Block, BlockImage
 from termsel_block.estimation.adjustment import adjust_block
 from termsel_block.estimation.starts import Given, start
 from termsel_block.estimation.unknowns import Adjusted, Measured
@@ -18,6 +18,7 @@ from termsel_block.geometry.cameras import Camera, groups_of
 from termsel_block.geometry.control import OwnControl, in_use, own_control
 from termsel_block.geometry.frame import BoolArray, FloatArray, Frame, IntArray
 from termsel_block.geometry.heights import Heights, Known, Surface
+from termsel_block.geometry.physical import PhysicalModel
 
 _ABSURD = 0.01
 """Standard deviation of ties, over the extent of an image, above which they are no measurements."""
@@ -106,7 +107,7 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
             given.append(Given(
                 image.name, Measured(block.ties.tie[mine], block.ties.place[mine]),
                 own_control(image.features, frame), image.rpc,
-                groups_of("affine" if image.model == "auto" else image.model)))
+                *_model(image)))
         heights = heights_of(block, frame, dem)
         state = start(given, len(block.ties.names), frame, heights)
         adjusted = adjust_block(
@@ -114,6 +115,14 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
             heights, progress=progress, fixed=[image.model != "auto" for image in block.images])
     _refuse_contradiction(adjusted, given)
     return BlockResult(block, frame, adjusted, tuple(image.control for image in given))
+
+
+def _model(image: BlockImage) -> tuple[tuple[str, ...], PhysicalModel | None]:
+    """Return the columns of an image's RPC, and the model of one without, if it is named."""
+    if image.model == "auto":
+        return groups_of("affine"), None
+    return (groups_of(image.model), None) if image.rpc is not None else (
+        (), PhysicalModel(image.model, image.options))
 
 
 def _refuse_contradiction(adjusted: Adjusted, given: list[Given]) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import pickle
 from abc import abstractmethod
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -122,13 +124,10 @@ class Physical(SensorModel):
     def solved(self, features: FeatureSet) -> Solution:
         """Return the best robust fit to scaled points from all starts.
 
-        Raises Undetermined where no start sees the points.
+        A run asks for the same one many times: the last ones are kept. Raises Undetermined where no
+        start sees the points.
         """
-        ends = [one for start in self.starts(features) if (one := self._descend(features, start))]
-        if not ends:
-            raise Undetermined(f"model {self.name!r} finds no camera that sees the control",
-                               hint="Check the sensor, the track and the axes of the points.")
-        return min(ends, key=lambda one: one.cost)
+        return _solved(pickle.dumps((self, features.points)))
 
     def cost(self, features: FeatureSet, values: FloatArray) -> tuple[float, FloatArray]:
         """Return Huber's loss of scaled points and priors, and residuals (n, 2), by the noise."""
@@ -139,7 +138,7 @@ class Physical(SensorModel):
         loss = np.where(large > HUBER, 2 * HUBER * large - HUBER**2, large**2)
         return float(loss.sum() + ((self.prior() / unit * values) ** 2).sum()), away
 
-    def _descend(self, features: FeatureSet, start: FloatArray) -> Solution | None:
+    def descended(self, features: FeatureSet, start: FloatArray) -> Solution | None:
         """Return where damped steps from a start end (Levenberg 1944, Marquardt 1963)."""
         points, prior = features.points, self.prior()
         unit = NOISE / known(self.scaling).image_scale
@@ -218,6 +217,19 @@ class RobustFit(Estimator):
                                   + 1e-14 * np.eye(len(values)))
         factors = model.slopes(values, ground) @ root
         return Spread((factors**2).sum(axis=2), np.full(2, noise**2), factors)
+
+
+@lru_cache(maxsize=8)
+def _solved(asked: bytes) -> Solution:
+    """Return the best fit of a model to scaled points, both as bytes."""
+    model, points = pickle.loads(asked)
+    features = FeatureSet(points)
+    ends: list[Solution] = [
+        one for start in model.starts(features) if (one := model.descended(features, start))]
+    if not ends:
+        raise Undetermined(f"model {model.name!r} finds no camera that sees the control",
+                           hint="Check the sensor, the track and the axes of the points.")
+    return min(ends, key=lambda one: one.cost)
 
 
 def _weight(features: FeatureSet) -> FloatArray:

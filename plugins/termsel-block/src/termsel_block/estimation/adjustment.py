@@ -100,6 +100,8 @@ class _Run:
     freedom = np.nan
     share = 1.0
     """Of the last step, that was taken."""
+    change, calm = 0.0, 1.0
+    """Last one of the logarithm of control's standard deviation, and the part that is taken."""
 
     def __init__(self, state: State, measured: Sequence[Measured], control: Sequence[OwnControl],
                  heights: Heights, shared: Sequence[Shared]) -> None:
@@ -165,13 +167,17 @@ class _Run:
         """Take the step, or the part of it that does not make things worse."""
         state, solved, heights = self.state, self.solved, self.heights
         parameters, ties, before = state.parameters, state.ties, self._cost(robust, wide)
-        offset, steps = heights.offset, solved.steps[:len(parameters)]
+        offset, start = heights.offset, [self._computed(i)[0] for i in range(len(parameters))]
         for halvings in range(_HALVINGS):
             self.share = 0.5**halvings
-            state.parameters = [old + self.share * step.reshape(2, -1).T
-                                for old, step in zip(parameters, steps, strict=True)]
-            heights.offset = offset + self.share * float(solved.steps[-1][0])
             state.ties = ties + self.share * solved.ties
+            state.parameters = [
+                camera.followed(old, self.share * step, at + self.share * moved,
+                                state.ties[part.tie])
+                for camera, old, step, at, moved, part in zip(
+                    state.cameras, parameters, solved.steps[:-1], start, self._moves(),
+                    solved.seen[:-1], strict=True)]
+            heights.offset = offset + self.share * float(solved.steps[-1][0])
             if self._cost(robust, wide) <= before * (1 + _CONVERGED):
                 break
 
@@ -226,15 +232,16 @@ class _Run:
     def _moved(self) -> float:
         """Return how far the last step moved the image of any tie or control, at most [px]."""
         far = 0.0
-        for part, step in zip(self.solved.seen[:-1], self.solved.steps[:-1], strict=True):
-            if len(part.tie):
-                used = part.weight > 0
-                moved = (part.rows @ step + np.einsum(
-                    "nai,ni->na", part.slopes, self.solved.ties[part.tie]))[used]
-                far = max(far, float(np.abs(moved).max(initial=0.0)))
-            else:
-                far = max(far, float(np.abs(step).max(initial=0.0)))
+        for part, step, moved in zip(self.solved.seen[:-1], self.solved.steps[:-1], self._moves(),
+                                     strict=True):
+            seen = moved[part.weight > 0] if len(part.tie) else step
+            far = max(far, float(np.abs(seen).max(initial=0.0)))
         return far
+
+    def _moves(self) -> list[FloatArray]:
+        """Return how far the last step moves the ties in each image, to first order [px]."""
+        return [part.rows @ step + np.einsum("nai,ni->na", part.slopes, self.solved.ties[part.tie])
+                for part, step in zip(self.solved.seen[:-1], self.solved.steps[:-1], strict=True)]
 
     def residuals(self) -> tuple[list[FloatArray], list[FloatArray]]:
         """Return the residuals of ties and of control in each image [px]."""
@@ -284,8 +291,14 @@ class _Run:
         # Few points say little of their own precision: the ties' counts as four of them. This is
         # about the median of the posterior, whose mean is far above it where points are few.
         expected = max(rows - spent, 0.0)
-        state.sigma_control = float(np.sqrt((squares + _PRIOR_COUNT * state.sigma_ties**2)
-                                            / (expected + _PRIOR_COUNT - MEDIAN)))
+        found = float(np.sqrt((squares + _PRIOR_COUNT * state.sigma_ties**2)
+                              / (expected + _PRIOR_COUNT - MEDIAN)))
+        # The more control weighs, the better it is met: what swings about its end goes less far.
+        change = float(np.log(found / state.sigma_control))
+        if change * self.change < 0:
+            self.calm /= 2
+        self.change = change
+        state.sigma_control *= float(np.exp(self.calm * change))
         state.freedom_control = expected + _PRIOR_COUNT
         state.variances = estimated(
             state.cameras, state.parameters, covariances, state.variances)

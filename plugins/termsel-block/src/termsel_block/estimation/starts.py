@@ -16,6 +16,7 @@ from termsel_block.geometry.cameras import Camera, PolynomialCamera, RpcCamera
 from termsel_block.geometry.control import OwnControl
 from termsel_block.geometry.frame import BoolArray, FloatArray, Frame, IntArray
 from termsel_block.geometry.heights import Heights
+from termsel_block.geometry.physical import LEAST, PhysicalCamera, PhysicalModel
 
 LEAST_TIES = 6
 """Ties with known places from which an image without control and RPC gets its first model."""
@@ -40,6 +41,7 @@ class Given:
     control: OwnControl
     rpc: Rpc | None
     groups: tuple[str, ...] = RpcCamera.COLUMNS
+    physical: PhysicalModel | None = None
 
 
 def start(images: Sequence[Given], count: int, frame: Frame, heights: Heights) -> State:
@@ -64,7 +66,7 @@ def start(images: Sequence[Given], count: int, frame: Frame, heights: Heights) -
     """
     cameras: list[Camera | None] = [_own(image, frame) for image in images]
     parameters: list[FloatArray | None] = [
-        _fitted(camera, image.control.local, image.control.normal, image.control.value)
+        _begun(camera, image.control.local, image.control.normal, image.control.value)
         if camera is not None else None
         for camera, image in zip(cameras, images, strict=True)]
     _refuse_elsewhere(images, cameras, count)
@@ -79,7 +81,7 @@ def start(images: Sequence[Given], count: int, frame: Frame, heights: Heights) -
         known = located[images[best].measured.tie]
         if known.sum() < LEAST_TIES:
             _refuse(images, waiting, located)
-        cameras[best], parameters[best] = _by_ties(images[best].measured, known, ties)
+        cameras[best], parameters[best] = _by_ties(images[best], known, ties, frame)
     # What no two images see stays in the middle, so that all places are numbers.
     ties[~located] = np.median(ties[located], axis=0) if located.any() else 0.0
     everything = [camera for camera in cameras if camera is not None]
@@ -93,6 +95,9 @@ def _own(image: Given, frame: Frame) -> Camera | None:
     """Return the camera of an image by its RPC or its control; None where it has neither."""
     if image.rpc is not None:
         return RpcCamera(image.rpc, frame, image.groups)
+    if image.physical is not None:
+        local, place = image.control.points()
+        return image.physical.fitted(frame, local, place) if len(local) >= LEAST else None
     if len(image.control) < _LEAST_ROWS:
         return None
     measured = image.control.value[:, None] * image.control.normal
@@ -153,6 +158,13 @@ def _polynomial(local: FloatArray, image: FloatArray) -> PolynomialCamera:
                             max(float((most - least).max()) / 2, 1.0), (least + most) / 2)
 
 
+def _begun(camera: Camera, local: FloatArray, normal: FloatArray, value: FloatArray) -> FloatArray:
+    """Return the parameters that a camera begins with."""
+    if isinstance(camera, PhysicalCamera):
+        return camera.first
+    return _fitted(camera, local, normal, value)
+
+
 def _fitted(camera: Camera, local: FloatArray, normal: FloatArray, value: FloatArray,
             ) -> FloatArray:
     """Return parameters by rows of known places (see `OwnControl`) and priors, robustly."""
@@ -168,13 +180,14 @@ def _fitted(camera: Camera, local: FloatArray, normal: FloatArray, value: FloatA
     return parameters
 
 
-def _by_ties(measured: Measured, known: BoolArray, ties: FloatArray,
-             ) -> tuple[PolynomialCamera, FloatArray]:
-    """Return the polynomial of an image that sees ties whose places are known."""
-    local, place = ties[measured.tie[known]], measured.place[known]
-    camera = _polynomial(local, place)
-    return camera, _fitted(camera, np.repeat(local, 2, axis=0),
-                           np.tile(np.eye(2), (len(local), 1)), place.ravel())
+def _by_ties(image: Given, known: BoolArray, ties: FloatArray, frame: Frame,
+             ) -> tuple[Camera, FloatArray]:
+    """Return the model of an image that sees ties whose places are known."""
+    local, place = ties[image.measured.tie[known]], image.measured.place[known]
+    camera = _polynomial(local, place) if image.physical is None else \
+        image.physical.fitted(frame, local, place)
+    return camera, _begun(camera, np.repeat(local, 2, axis=0),
+                          np.tile(np.eye(2), (len(local), 1)), place.ravel())
 
 
 def _ridge(rows: FloatArray, aim: FloatArray, variances: FloatArray) -> FloatArray:

@@ -15,7 +15,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from termsel import FeatureSet, TermselError, open_raster, read, read_rpc
+from termsel import FeatureSet, TermselError, get, open_raster, read, read_rpc
 from termsel.toolkit import normalise
 from termsel_block.block import CORRECTIONS, Block, BlockImage, Ties
 from termsel_block.files.asp import asp_rows, is_asp
@@ -39,6 +39,7 @@ class _Image(msgspec.Struct, forbid_unknown_fields=True):
     rpc: str | None = None
     image: str | None = None
     model: str = "auto"
+    options: dict[str, str | int | float | bool] = {}
 
 
 class _File(msgspec.Struct, forbid_unknown_fields=True):
@@ -146,16 +147,31 @@ def _image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: Path)
         raise TermselError("an image with an RPC requires the package termsel-rpc, which is not "
                            "installed", file=rpc_file,
                            hint="In a clone of termsel: pip install ./plugins/termsel-rpc.")
-    allowed = CORRECTIONS if rpc is not None else ("auto",)
-    if stated.model not in allowed:
-        raise TermselError(f"image {stated.name!r} has the model {stated.model!r}", file=path,
-                           hint=f"Known: {', '.join(allowed)}." if rpc is not None else
-                                "A correction requires an RPC: give rpc or an image that has one.")
+    _check_model(stated, rpc is not None, path)
     features, of_dem = None, frozenset[str]()
     if stated.points or stated.lines:
         features = _features(stated, folder, crs, dem, path)
         of_dem = frozenset() if dem is None else _without_height(stated, folder, crs)
-    return BlockImage(stated.name, features, rpc, rpc_file, raster, size, stated.model, of_dem)
+    return BlockImage(stated.name, features, rpc, rpc_file, raster, size, stated.model, of_dem,
+                      stated.options)
+
+
+def _check_model(stated: _Image, has_rpc: bool, path: Path) -> None:
+    """Refuse a model that an image cannot have, or options of none."""
+    if stated.model in CORRECTIONS:
+        if not has_rpc and stated.model != "auto":
+            raise TermselError(f"image {stated.name!r} has the model {stated.model!r}", file=path,
+                               hint="A correction requires an RPC: give rpc or an image that has "
+                                    "one.")
+        if stated.options:
+            raise TermselError(f"image {stated.name!r} has options, which {stated.model!r} does "
+                               "not take", file=path,
+                               hint="Options are of a model such as scanner.")
+        return
+    if has_rpc:
+        raise TermselError(f"image {stated.name!r} has the model {stated.model!r}", file=path,
+                           hint=f"Known with an RPC: {', '.join(CORRECTIONS)}.")
+    get("models", stated.model)(**stated.options)
 
 
 def _without_height(stated: _Image, folder: Path, crs: str) -> frozenset[str]:

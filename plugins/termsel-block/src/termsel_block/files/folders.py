@@ -17,6 +17,7 @@ from termsel import FeatureSet, Points, Result, TermselError, require_replaceabl
 from termsel.toolkit import write_result, write_text
 from termsel_block.block import BlockImage
 from termsel_block.files.placing import together
+from termsel_block.geometry.physical import PhysicalCamera
 from termsel_block.joint import BlockResult
 from termsel_block.shown.page import page_of
 from termsel_block.shown.record import BlockRecord, correction_of, record_of, schema, times_seen
@@ -25,8 +26,10 @@ from termsel_block.shown.summary import text_of
 RECORD, SUMMARY, PAGE, TIES, SCHEMA_FILE = (
     "block.json", "summary.txt", "report.html", "ties.csv", "block.schema.json")
 
-_MOST = 400
-"""Ties of an image that its own result keeps as control: more tell nothing new of its model."""
+_MOST, _MOST_PHYSICAL = 400, 40
+"""Ties of an image that its own result keeps as control: more tell nothing new of its model, and a
+physical model takes long.
+"""
 
 _INTERVALS, _PER_INTERVAL = 32, 5
 """Intervals of the splines that follow jitter as the block has it, and points that each takes."""
@@ -112,8 +115,10 @@ def image_result(result: BlockResult, i: int, record: BlockRecord) -> Result:
     name = correction_of(result, i)
     if name == "polynomial":
         found = run(features=features)
+    elif image.rpc is None:
+        found = run("rfm-terms", features=features, solver="all-terms", criterion="press",
+                    model=name, options=dict(image.options))
     else:
-        assert image.rpc is not None
         rpc = {"file": (image.rpc_file or Path(f"{image.name}.RPB")).name, **asdict(image.rpc)}
         model = f"rpc-{name}"
         options: dict[str, object] = {"rpc": json.dumps(rpc)}
@@ -138,8 +143,9 @@ def _features(result: BlockResult, i: int, image: BlockImage) -> FeatureSet:
     """Return an image's own features without blunders, and its ties as control."""
     state, ties = result.adjusted.state, result.block.ties
     mine = np.flatnonzero(ties.image == i)[state.in_use[i]]
-    if len(mine) > _MOST:
-        mine = mine[np.linspace(0, len(mine) - 1, _MOST).astype(int)]
+    most = _MOST_PHYSICAL if isinstance(result.camera(i), PhysicalCamera) else _MOST
+    if len(mine) > most:
+        mine = mine[np.linspace(0, len(mine) - 1, most).astype(int)]
     names = [f"tie-{ties.names[k]}" for k in ties.tie[mine]]
     n = len(names)
     points = Points(tuple(names), ties.place[mine], result.ties[ties.tie[mine]],

@@ -88,6 +88,14 @@ class Camera(ABC):
         found[:, 0, :m] = found[:, 1, m:] = columns
         return found
 
+    def followed(self, parameters: FloatArray, step: FloatArray, aim: FloatArray,
+                 local: FloatArray) -> FloatArray:
+        """Return parameters (m, 2) after a step (2m,), which moves places (n, 3) to an aim (n, 2).
+
+        What is linear is there.
+        """
+        return np.asarray(parameters + step.reshape(2, -1).T)
+
     def grown(self) -> Camera | None:
         """Return the camera with further columns, which residuals may call for; None if none."""
         return None

@@ -40,6 +40,11 @@ class OwnControl:
     def __len__(self) -> int:
         return len(self.value)
 
+    def points(self) -> tuple[FloatArray, FloatArray]:
+        """Return places (n, 3) [m] and image positions (n, 2) [px] of the points alone."""
+        at = np.flatnonzero((self.normal[::2] != self.normal[1::2]).any(axis=1))
+        return self.local[2 * at], np.stack([self.value[2 * at], self.value[2 * at + 1]], axis=1)
+
 
 def own_control(features: FeatureSet | None, frame: Frame) -> OwnControl:
     """Return the rows of points with the role control, check or none, and of all lines."""

@@ -46,7 +46,8 @@ class ImageRecord(msgspec.Struct, frozen=True):
 
     name: str
     model: str
-    """Correction of the RPC: none, shift, drift, affine or smooth; or "polynomial"."""
+    """Correction of the RPC: none, shift, drift, affine or smooth; "polynomial", or a model's name.
+    """
     evidence: dict[str, float]
     """Logarithm of the Bayes factor of each part of the model that was weighed."""
     control: int
@@ -165,7 +166,8 @@ def correction_of(result: BlockResult, i: int) -> str:
     """Return what the model of an image is, in one word."""
     camera = result.camera(i)
     if not isinstance(camera, RpcCamera):
-        return "polynomial"
+        name = result.block.images[i].model
+        return "polynomial" if name == "auto" else name
     return camera.groups[-1] if camera.groups else "none"
 
 

@@ -1,0 +1,136 @@
+"""Models whose terms have priors of their own, such as a scanner in orbit or a photo."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from termsel import FeatureSet, Points, SensorModel, TermselError, get
+from termsel.toolkit import scaling_of
+from termsel_block.geometry.cameras import Camera
+from termsel_block.geometry.frame import BoolArray, FloatArray, Frame
+
+LEAST = 3
+"""Control points, or ties with known places, from which such a model begins."""
+
+_STEP = 1e-4
+"""Change of a term, in its standard deviations, by which places are differentiated."""
+
+_BENT = 2
+"""Corrections of a step, which is bent."""
+
+_LOOSE = 0.01
+"""Weight of the step as it was, in terms, next to what is seen [px2]."""
+
+_FREE = 10.0
+"""Standard deviation of a term without a prior: half images, of a place in the image."""
+
+
+class PhysicalCamera(Camera):
+    """A camera by the equations of a model with priors, linearised at each step.
+
+    Parameters are the model's terms in twos, as if one were of the line and one of the sample; all
+    of them are of both. They are kept, and their priors stay what the model says.
+
+    Parameters
+    ----------
+    model : SensorModel
+    control : FeatureSet
+        Points with known places, by which it begins.
+    frame : Frame
+
+    Raises
+    ------
+    TermselError
+        If the terms of the model have no priors, or no camera sees the points.
+    """
+
+    def __init__(self, model: SensorModel, control: FeatureSet, frame: Frame) -> None:
+        self.scaling, self.frame = scaling_of(control), frame
+        self.model = model.prepared(self.scaling, control.crs)
+        scaled = self.scaling.features(control)
+        values = self.model.start(scaled)
+        about = None if values is None else self.model.linearised(scaled, values)
+        prior = None if about is None else about.prior
+        if values is None or prior is None or not np.any(prior):
+            raise TermselError(f"the terms of the model {self.model.name!r} have no priors, which "
+                               "few points need", hint="Use auto, or a model of a camera: scanner, "
+                               "frame or panoramic of termsel-scanner.")
+        count = len(prior)
+        spread = np.full(2 * (-(-count // 2)), 1.0)  # one more than terms where these are odd
+        spread[:count] = np.where(prior > 0, prior.max() / np.maximum(prior, 1e-300), _FREE)
+        self.first = np.pad(values, (0, len(spread) - count)).reshape(-1, 2)
+        self.count = count
+        half = len(spread) // 2
+        self.groups = (self.model.name,) * half
+        self.spread = tuple(spread.reshape(half, 2).max(axis=1).tolist())
+        self.least = (1e-4,) * half
+        self.kept = self.wide = frozenset({self.model.name})
+        local = frame.local(control.points.ground)
+        low, high = local.min(axis=0), local.max(axis=0)
+        self._area = (low + high) / 2, np.maximum((high - low)[:2] / 2, 1.0)
+
+    def only(self, keep: BoolArray) -> PhysicalCamera:
+        """Return the camera: none of its terms is dropped."""
+        return self
+
+    def first_order(self, local: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return zeros: nothing of it is linear."""
+        return np.zeros((len(local), 2)), np.zeros((len(local), len(self.groups)))
+
+    def perspective(self, parameters: FloatArray, local: FloatArray) -> FloatArray | float:
+        """Return line and sample (n, 2) [px] of places with parameters (m, 2)."""
+        values = parameters.ravel()[:self.count]
+        return np.asarray(self._seen(values[None], local)[0])
+
+    def rows(self, parameters: FloatArray, local: FloatArray, columns: FloatArray) -> FloatArray:
+        """Return the derivatives by all parameters (see `Camera.rows`)."""
+        values, steps = parameters.ravel()[:self.count], _STEP * np.eye(self.count)
+        both = self._seen(np.concatenate([values + steps, values - steps]), local)
+        found = np.zeros((len(local), 2, parameters.size))
+        found[:, :, :self.count] = np.moveaxis(
+            both[:self.count] - both[self.count:], 0, -1) / (2 * _STEP)
+        return found.reshape(len(local), 2, -1, 2).swapaxes(2, 3).reshape(found.shape)
+
+    def followed(self, parameters: FloatArray, step: FloatArray, aim: FloatArray,
+                 local: FloatArray) -> FloatArray:
+        """Return parameters after a step (see `Camera.followed`).
+
+        Altitude, pixel and period together hardly show. A step along them is bent back to where it
+        has to be seen, else only small ones would make things better.
+        """
+        found = there = super().followed(parameters, step, aim, local)
+        for _ in range(_BENT if len(local) else 0):
+            image, columns = self.first_order(local)
+            rows = self.rows(found, local, columns).reshape(-1, found.size)
+            missed = (aim - image - self.perspective(found, local)).ravel()
+            right = rows.T @ missed + _LOOSE * (there - found).T.ravel()
+            back = np.linalg.solve(rows.T @ rows + _LOOSE * np.eye(found.size), right)
+            found = np.asarray(found + back.reshape(2, -1).T)
+        return found
+
+    def area(self) -> tuple[FloatArray, FloatArray]:
+        """Return middle and half widths of the ground that the start knows."""
+        return self._area
+
+    def _seen(self, values: FloatArray, local: FloatArray) -> FloatArray:
+        """Return line and sample (p, n, 2) by values (p, k)."""
+        scaled = self.model.project(values, self.scaling.ground(self.frame.ground(local)))
+        return np.asarray(self.scaling.pixels(scaled))
+
+
+@dataclass(frozen=True)
+class PhysicalModel:
+    """The name of a model and its options."""
+
+    name: str
+    options: Mapping[str, Any]
+
+    def fitted(self, frame: Frame, local: FloatArray, image: FloatArray) -> PhysicalCamera:
+        """Return the camera fitted to places (n, 3) that are seen at (n, 2)."""
+        points = Points(tuple(map(str, range(len(local)))), image, frame.ground(local))
+        return PhysicalCamera(get("models", self.name)(**self.options),
+                              FeatureSet(points, crs=frame.crs), frame)

@@ -1,0 +1,142 @@
+"""Images without RPC by a model of their sensor, whose terms have priors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("termsel_block", reason="termsel-block is not installed: "
+                    "pip install -e plugins/termsel-block")
+pytest.importorskip("termsel_scanner", reason="termsel-scanner is not installed: "
+                    "pip install -e plugins/termsel-scanner")
+
+from termsel import TermselError, read_result
+from termsel.testing import invoke
+from termsel.toolkit import write_result
+from termsel_block.accuracy import independent_points, rmse
+from termsel_block.block import Block
+from termsel_block.files.block_file import read_block
+from termsel_block.files.folders import image_result
+from termsel_block.geometry.control import own_control
+from termsel_block.geometry.frame import Frame
+from termsel_block.geometry.physical import PhysicalModel
+from termsel_block.joint import BlockResult, adjust
+from termsel_block.shown.record import record_of
+from termsel_block.simulated import Simulated, simulate_block
+
+
+def modelled(block: Block, name: str) -> Block:
+    """Return the block with one model of all images."""
+    return replace(block, images=tuple(replace(image, model=name) for image in block.images))
+
+
+@pytest.fixture(scope="module")
+def simulated() -> Simulated:
+    return simulate_block(3, n_ties=100, control=(6, 6, 0), seed=1, independent=30)
+
+
+@pytest.fixture(scope="module")
+def scanners(simulated: Simulated) -> BlockResult:
+    return adjust(modelled(simulated.block, "scanner"))
+
+
+def errors(result: BlockResult) -> list[float]:
+    found = []
+    for i in range(3):
+        points = independent_points(result, i)
+        assert points is not None
+        found.append(rmse(points.image - result.project(i, points.ground)))
+    return found
+
+
+def test_scanners_see_more_than_polynomials(simulated: Simulated, scanners: BlockResult) -> None:
+    assert scanners.adjusted.converged
+    assert max(errors(scanners)) < 1.2
+    assert np.sum(errors(scanners)) < np.sum(errors(adjust(simulated.block)))
+
+
+def test_standard_deviations_of_scanners_are_true(simulated: Simulated,
+                                                  scanners: BlockResult) -> None:
+    away = scanners.adjusted.state.ties - scanners.frame.local(simulated.ties)
+    covariance = scanners.adjusted.solved.covariance_of_ties()
+    of_each = np.einsum("ti,tij,tj->t", away, np.linalg.inv(covariance), away)
+    assert 0.2 < of_each.mean() / 3 < 2.5
+
+
+def test_a_scanner_has_its_derivatives(scanners: BlockResult) -> None:
+    camera, parameters = scanners.camera(0), scanners.adjusted.state.parameters[0]
+    local = scanners.control[0].local[::2]
+    rows = scanners.rows(0, local)
+    for at in range(parameters.size):
+        step = np.zeros(parameters.size)
+        step[at] = 1e-3
+        ahead, back = (camera.project(parameters + sign * step.reshape(2, -1).T, local)
+                       for sign in (1, -1))
+        np.testing.assert_allclose(rows[:, :, at], (ahead - back) / 2e-3, rtol=1e-3, atol=0.05)
+
+
+def test_the_result_of_a_scanner_is_its_model(scanners: BlockResult, tmp_path: Path) -> None:
+    record = record_of(scanners)
+    assert [image.model for image in record.images] == ["scanner"] * 3
+    (tmp_path / "out").mkdir()
+    write_result(image_result(scanners, 0, record), tmp_path / "out")
+    alone, points = read_result(tmp_path / "out"), independent_points(scanners, 0)
+    assert alone.model == "scanner"
+    assert points is not None
+    away = alone.fit.project(points.ground) - scanners.project(0, points.ground)
+    assert np.abs(away).max() < 1.5
+
+
+@pytest.mark.parametrize(("model", "options", "said"), [
+    ("scaner", "", "unknown model 'scaner'"),
+    ("scanner", "{ sensor = 'SPOT-77' }", "SPOT-77"),
+    ("scanner", "{ colour = 'red' }", "colour"),
+    ("auto", "{ sensor = 'SPOT-4' }", "options, which 'auto' does not take"),
+    ("shift", "", "A correction requires an RPC"),
+    ("affine", "", "A correction requires an RPC"),
+    ("dlt3d", "", "have no priors"),
+])
+def test_a_wrong_model_is_named(model: str, options: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "ties.csv").write_text("id,image,line,sample\n" + "".join(
+        f"{k},{name},{10 * k},{7 * k % 11}\n" for k in range(9) for name in "AB"))
+    (tmp_path / "a.csv").write_text("id,line,sample,lon,lat,height\n" + "".join(
+        f"{k},{900 * (k % 3)},{700 * (k // 3)},{20 + k % 3 / 100},{40 + k // 3 / 100},{k * 37 % 90}"
+        "\n" for k in range(9)))
+    (tmp_path / "block.toml").write_text(
+        'crs = "EPSG:4979"\nties = "ties.csv"\n[[image]]\nname = "A"\npoints = "a.csv"\n'
+        f'model = "{model}"\n' + (f"options = {options}\n" if options else "")
+        + '[[image]]\nname = "B"\npoints = "a.csv"\n')
+    done = invoke("block", tmp_path / "block.toml", "--out", tmp_path / "out")
+    assert done.exit_code == 2
+    assert said in " ".join(done.output.split())
+    assert not (tmp_path / "out").exists()
+
+
+def test_options_are_read(tmp_path: Path) -> None:
+    (tmp_path / "ties.csv").write_text("id,image,line,sample\n" + "".join(
+        f"{k},{name},{k},{k}\n" for k in range(5) for name in "AB"))
+    (tmp_path / "block.toml").write_text(
+        'crs = "EPSG:4979"\nties = "ties.csv"\n[[image]]\nname = "A"\nmodel = "scanner"\n'
+        'options = { track = "ascending" }\n[[image]]\nname = "B"\n')
+    first, second = read_block(tmp_path / "block.toml").images
+    assert (first.model, first.options) == ("scanner", {"track": "ascending"})
+    assert second.options == {}
+
+
+def test_a_scanner_begins_with_ties_where_it_has_no_control(simulated: Simulated) -> None:
+    images = list(modelled(simulated.block, "scanner").images)
+    images[:2] = simulated.block.images[:2]
+    mixed = adjust(replace(simulated.block, images=tuple(images)))
+    assert errors(mixed)[2] < 1.2
+
+
+def test_a_model_without_a_start_is_refused(simulated: Simulated) -> None:
+    features = simulated.block.images[0].features
+    assert features is not None
+    frame = Frame.at(features.points.ground, simulated.block.crs)
+    with pytest.raises(TermselError, match="have no priors"):
+        PhysicalModel("poly3d", {"degree": 1}).fitted(
+            frame, *own_control(features, frame).points())
