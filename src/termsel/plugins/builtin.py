@@ -65,13 +65,14 @@ def termsel_solvers() -> Iterable[type[Solver]]:
     from termsel.solvers.bridges.pareto import Nsga2
     from termsel.solvers.genetic.ga import GeneticAlgorithm
     from termsel.solvers.genetic.ga_steady import SteadyStateGA
+    from termsel.solvers.heuristics.ica import ImperialistCompetition
     from termsel.solvers.heuristics.pso import BinarySwarm
     from termsel.solvers.heuristics.swap import Swap
     from termsel.solvers.heuristics.yardsticks import AllTerms, RandomSearch
     from termsel.solvers.proofs.exact import Exact
     from termsel.solvers.regression.ridge import Ridge
 
-    return [GeneticAlgorithm, SteadyStateGA, BinarySwarm, Nsga2, Exact,
+    return [GeneticAlgorithm, SteadyStateGA, ImperialistCompetition, BinarySwarm, Nsga2, Exact,
             Swap, RandomSearch, AllTerms, Ridge]
 
 

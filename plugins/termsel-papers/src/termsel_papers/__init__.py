@@ -1,4 +1,4 @@
-"""Solvers and set-ups of papers on the selection of terms, as a plugin.
+"""A solver and set-ups of papers on the selection of terms, as a plugin.
 
 References
 ----------
@@ -29,9 +29,8 @@ def termsel_problems() -> Iterable[Recipe]:
 def termsel_solvers() -> Iterable[type[Solver]]:
     """Return the solvers."""
     from termsel_papers.correlation import CorrelationSeededGA
-    from termsel_papers.ica import ImperialistCompetition
 
-    return [CorrelationSeededGA, ImperialistCompetition]
+    return [CorrelationSeededGA]
 
 
 @hookimpl

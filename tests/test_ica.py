@@ -10,11 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import termsel
-from termsel import Evaluation, Generation
-from termsel.testing import Check, checks, problems
-from termsel.testing.problems import Watched
-from termsel.toolkit import gap
-from termsel_papers.ica import (
+from termsel.problems.base import Evaluation
+from termsel.solvers.base import Generation
+from termsel.solvers.heuristics.ica import (
     Empires,
     ImperialistCompetition,
     assimilate,
@@ -28,6 +26,9 @@ from termsel_papers.ica import (
     sizes,
     total_power,
 )
+from termsel.solvers.proofs.exact import gap
+from termsel.testing import Check, checks, problems
+from termsel.testing.problems import Watched
 
 
 def bits(text: str) -> np.ndarray:

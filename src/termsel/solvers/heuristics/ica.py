@@ -7,8 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel import Evaluation, Generation, Option, Problem, Solver
-from termsel_papers.arrays import BoolArray, FloatArray, IntArray
+from termsel.measurements.features import BoolArray, FloatArray, IntArray
+from termsel.options import Option
+from termsel.problems.base import Evaluation, Problem
+from termsel.solvers.base import Generation, Solver
 
 
 def costs(evaluation: Evaluation) -> FloatArray:
