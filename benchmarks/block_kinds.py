@@ -36,6 +36,8 @@ class Kind:
     dem: bool = False
     seeds: float = 1.0
     """Times as many blocks as asked for."""
+    model: str = "auto"
+    """Of all images."""
 
 
 KINDS = (
@@ -54,6 +56,7 @@ KINDS = (
     Kind("triplet, 20 points in two", 3, (20, 20, 0)),
     Kind("triplet, 20 points in one", 3, (20, 0, 0)),
     Kind("triplet without RPCs", 3, (6, 6, 0), rpcs=False, seeds=0.5),
+    Kind("triplet without RPCs, scanners", 3, (6, 6, 0), rpcs=False, seeds=0.5, model="scanner"),
     Kind("triplet without RPCs, 20 points in two", 3, (20, 20, 0), rpcs=False),
     Kind("triplet, one without RPC", 3, (6, 6, 0), without_rpc=2),
     Kind("strip of 12, 6 points in two", 12, (6, 6, 0), seeds=0.25),
@@ -74,7 +77,8 @@ def drawn(kind: Kind, seed: int) -> Iterator[tuple[Simulated, Block, float, floa
         kind.images, n_ties=200 if kind.images < 50 else 100, control=kind.control,
         rpcs=kind.rpcs, bias=bias, drift=kind.drift, noise=noise, seed=seed, independent=_JUDGING,
         views=kind.views, hills=hills, vendor_height=float(rng.normal(0, 40)))
-    block = simulated.block
+    block = replace(simulated.block, images=tuple(
+        replace(image, model=kind.model) for image in simulated.block.images))
     if kind.without_rpc is not None:
         images = list(block.images)
         images[kind.without_rpc] = replace(images[kind.without_rpc], rpc=None)
