@@ -52,14 +52,12 @@ class Averaged(Average):
     def alone(self, local: Collocation | None) -> bool:
         """Return whether the prior is not called for: next to a field, if points call for one.
 
-        Next to the average of `field.SURE` points and fewer in a plane it needs positive evidence,
-        as that is as good as it where both are as likely.
+        It needs positive evidence, as a field does: where it is hardly likelier than what stands
+        without it, that is as good, and has no prior that may be wrong.
         """
-        beyond, few = (local.probability, local.few) if local and \
-            local.probability > asked_of(local) else (0.0, 0.0)
+        beyond = local.probability if local and local.probability > asked_of(local) else 0.0
         mine, others = self.probability * (1.0 - beyond), 1.0 - self.probability
-        asked = 0.5 + (LIKELY - 0.5) * few
-        return mine <= asked * (mine + others) or self.worse > WORSE
+        return mine <= LIKELY * (mine + others) or self.worse > WORSE
 
 
 def averaged(points: Points, scaling: Scaling, crs: str, exponents: Exponents) -> Averaged | None:

@@ -100,8 +100,8 @@ class _WithPhysics(Structure):
 
     def describe(self, fitted: Fit) -> str:
         """Return what called for the prior."""
-        return (f"{self.label} is called for: a line scanner in orbit is likelier than an image of "
-                "which nothing is known.")
+        return (f"{self.label} is called for: a line scanner in orbit is three times as likely as "
+                "an image of which nothing is known.")
 
 
 def _polynomials(degree: int) -> tuple[SensorModel, SensorModel]:
