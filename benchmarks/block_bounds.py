@@ -48,8 +48,9 @@ def bounds(simulated: Simulated, result: BlockResult, bias: float, drift: float,
         tie = ties.tie[ties.image == i]
         zero = np.zeros((2, 2))
         at, columns = camera.first_order(places[tie])
-        seen.append(Seen(tie, columns, camera.slopes(zero, places[tie], at),
-                         np.zeros((len(tie), 2)), np.full(len(tie), noise**-2)))
+        seen.append(Seen(tie, camera.rows(zero, places[tie], columns),
+                         camera.slopes(zero, places[tie], at), np.zeros((len(tie), 2)),
+                         np.full(len(tie), noise**-2)))
         known = result.control[i]
         columns = camera.first_order(known.local)[1]
         rows = (known.normal[:, :, None] * columns[:, None]).reshape(len(known), 4)

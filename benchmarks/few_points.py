@@ -110,8 +110,8 @@ images that are exactly affine or projective, but for {noise:g} px.
 ## What is missed
 
 - With six points a plane has six equations left, and nothing tells noise from deformation. Where a
-  map is sound, an affine model is better than the average by up to 15 %, on one measured map by
-  26 %; with ten points and more by some per cent.
+  map is sound, an affine model is better than the average by up to 12 %, on one measured map by
+  24 %; with ten points and more by some per cent.
 - Maps that deform strongly and smoothly, or jump at one joint, are predicted worse than by an exact
   spline with 8 to 12 points, as polynomials and noise stay in the average.
 """

@@ -91,7 +91,7 @@ def test_the_result_of_a_scanner_is_its_model(scanners: BlockResult, tmp_path: P
 
 
 @pytest.mark.parametrize(("model", "options", "said"), [
-    ("scaner", "", "unknown model 'scaner'"),
+    ("scaner", "", "block.toml: image 'A': unknown model 'scaner'"),
     ("scanner", "{ sensor = 'SPOT-77' }", "SPOT-77"),
     ("scanner", "{ colour = 'red' }", "colour"),
     ("auto", "{ sensor = 'SPOT-4' }", "options, which 'auto' does not take"),
@@ -139,4 +139,30 @@ def test_a_model_without_a_start_is_refused(simulated: Simulated) -> None:
     frame = Frame.at(features.points.ground, simulated.block.crs)
     with pytest.raises(TermselError, match="have no priors"):
         PhysicalModel("poly3d", {"degree": 1}).fitted(
-            frame, *own_control(features, frame).points())
+            frame, *own_control(features, frame).points(), "A")
+
+
+def test_a_scanner_without_ties_is_held_by_its_control() -> None:
+    block = simulate_block(3, n_ties=60, control=(6, 6, 0), rpcs=True, seed=1,
+                           independent=30).block
+    images = (replace(block.images[0], rpc=None, model="scanner",
+                      options={"track": "descending"}), *block.images[1:])
+    ties = block.ties
+    use = ties.image > 0
+    alone = replace(block, images=images, ties=replace(
+        ties, tie=ties.tie[use], image=ties.image[use], place=ties.place[use]))
+    result = adjust(alone)
+    assert errors(result)[0] < 20.0  # six points of a scanner of which nothing is known
+    assert record_of(result).images[0].options == {"track": "descending"}
+
+
+def test_a_sensor_is_read_from_the_folder_of_the_block(tmp_path: Path) -> None:
+    (tmp_path / "m").mkdir()
+    (tmp_path / "m/mine.json").write_text("{")
+    (tmp_path / "m/ties.csv").write_text("id,image,line,sample\n" + "".join(
+        f"{k},{name},{k},{k}\n" for k in range(5) for name in "AB"))
+    (tmp_path / "m/block.toml").write_text(
+        'crs = "EPSG:4979"\nties = "ties.csv"\n[[image]]\nname = "A"\nmodel = "scanner"\n'
+        'options = { sensor = "mine.json" }\n[[image]]\nname = "B"\n')
+    with pytest.raises(TermselError, match=r"image 'A'.*JSON"):
+        read_block(tmp_path / "m/block.toml")

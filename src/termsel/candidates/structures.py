@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from termsel.candidates.base import Candidate, Judged
-from termsel.candidates.local import Interpolated, asked_of
+from termsel.candidates.local import LIKELY, Interpolated, asked_of
 from termsel.candidates.physical import CHOSEN, Physical
 from termsel.candidates.ridge import RidgeByOrder
 from termsel.candidates.robust import Reweighted
@@ -83,12 +83,13 @@ class _WithField(Structure):
         """Return the probability of the field."""
         found = fitted.interpolation
         assert isinstance(found, Collocation)
-        if found.few == 1.0:
+        if found.few > 0.0 and found.probability <= LIKELY:
             return (f"{self.label} is an average: so few points do not tell polynomials, fields, a "
                     "spline and an affine image apart. The probability of local deformation is "
                     f"{found.probability:.3g}.")
+        asked = f"; it must exceed {asked_of(found):g}" * (found.few == 0.0)
         return (f"{self.label} is called for: the probability of local deformation is "
-                f"{found.probability:.3g}; it must exceed {asked_of(found):g}.")
+                f"{found.probability:.3g}{asked}.")
 
 
 class _WithPhysics(Structure):

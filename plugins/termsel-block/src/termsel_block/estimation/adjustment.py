@@ -109,6 +109,7 @@ class _Run:
         self.heights, self.shared = heights, shared
         self.slopes: dict[int, FloatArray] = {}
         self.kept: dict[int, tuple[Camera, FloatArray, FloatArray, FloatArray]] = {}
+        self.rich = any(camera.rich for camera in state.cameras)
         self.large = sum(2 * len(camera.groups) for camera in state.cameras) > _SLOW
 
     def iterate(self, *, robust: bool, limit: int, report: Callable[[float], None]) -> int:
@@ -295,7 +296,7 @@ class _Run:
                               / (expected + _PRIOR_COUNT - MEDIAN)))
         # The more control weighs, the better it is met: what swings about its end goes less far.
         change = float(np.log(found / state.sigma_control))
-        if change * self.change < 0:
+        if self.rich and change * self.change < 0:
             self.calm /= 2
         self.change = change
         state.sigma_control *= float(np.exp(self.calm * change))

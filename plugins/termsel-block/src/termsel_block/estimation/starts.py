@@ -97,7 +97,8 @@ def _own(image: Given, frame: Frame) -> Camera | None:
         return RpcCamera(image.rpc, frame, image.groups)
     if image.physical is not None:
         local, place = image.control.points()
-        return image.physical.fitted(frame, local, place) if len(local) >= LEAST else None
+        return image.physical.fitted(
+            frame, local, place, image.name) if len(local) >= LEAST else None
     if len(image.control) < _LEAST_ROWS:
         return None
     measured = image.control.value[:, None] * image.control.normal
@@ -185,7 +186,7 @@ def _by_ties(image: Given, known: BoolArray, ties: FloatArray, frame: Frame,
     """Return the model of an image that sees ties whose places are known."""
     local, place = ties[image.measured.tie[known]], image.measured.place[known]
     camera = _polynomial(local, place) if image.physical is None else \
-        image.physical.fitted(frame, local, place)
+        image.physical.fitted(frame, local, place, image.name)
     return camera, _begun(camera, np.repeat(local, 2, axis=0),
                           np.tile(np.eye(2), (len(local), 1)), place.ravel())
 
@@ -283,5 +284,5 @@ def _refuse(images: Sequence[Given], waiting: Sequence[int], located: BoolArray)
     more = f" and {len(waiting) - 5} more" if len(waiting) > 5 else ""
     raise TermselError(
         f"nothing holds the image{'s' * (len(waiting) > 1)} {', '.join(named)}{more}",
-        hint=f"Give each an RPC, four control points, or {LEAST_TIES} ties that two images with "
-             "control or RPC see.")
+        hint=f"Give each an RPC, four control points ({LEAST} for a model of its sensor), or "
+             f"{LEAST_TIES} ties that two images with control or RPC see.")

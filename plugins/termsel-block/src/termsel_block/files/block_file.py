@@ -6,11 +6,12 @@ import csv
 import math
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from difflib import get_close_matches
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -147,16 +148,19 @@ def _image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: Path)
         raise TermselError("an image with an RPC requires the package termsel-rpc, which is not "
                            "installed", file=rpc_file,
                            hint="In a clone of termsel: pip install ./plugins/termsel-rpc.")
-    _check_model(stated, rpc is not None, path)
+    # Options that name a file are relative to the block's folder, as all paths are.
+    options = {key: str(folder / value) if isinstance(value, str) and value
+               and (folder / value).is_file() else value for key, value in stated.options.items()}
+    _check_model(stated, options, rpc is not None, path)
     features, of_dem = None, frozenset[str]()
     if stated.points or stated.lines:
         features = _features(stated, folder, crs, dem, path)
         of_dem = frozenset() if dem is None else _without_height(stated, folder, crs)
     return BlockImage(stated.name, features, rpc, rpc_file, raster, size, stated.model, of_dem,
-                      stated.options)
+                      options)
 
 
-def _check_model(stated: _Image, has_rpc: bool, path: Path) -> None:
+def _check_model(stated: _Image, options: Mapping[str, Any], has_rpc: bool, path: Path) -> None:
     """Refuse a model that an image cannot have, or options of none."""
     if stated.model in CORRECTIONS:
         if not has_rpc and stated.model != "auto":
@@ -171,7 +175,11 @@ def _check_model(stated: _Image, has_rpc: bool, path: Path) -> None:
     if has_rpc:
         raise TermselError(f"image {stated.name!r} has the model {stated.model!r}", file=path,
                            hint=f"Known with an RPC: {', '.join(CORRECTIONS)}.")
-    get("models", stated.model)(**stated.options)
+    try:
+        get("models", stated.model)(**options)
+    except TermselError as error:
+        raise TermselError(f"image {stated.name!r}: {error.what}", file=path,
+                           hint=error.hint) from error
 
 
 def _without_height(stated: _Image, folder: Path, crs: str) -> frozenset[str]:

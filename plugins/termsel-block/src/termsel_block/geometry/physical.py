@@ -14,7 +14,7 @@ from termsel_block.geometry.cameras import Camera
 from termsel_block.geometry.frame import BoolArray, FloatArray, Frame
 
 LEAST = 3
-"""Control points, or ties with known places, from which such a model begins."""
+"""Control points from which such a model begins."""
 
 _STEP = 1e-4
 """Change of a term, in its standard deviations, by which places are differentiated."""
@@ -33,7 +33,8 @@ class PhysicalCamera(Camera):
     """A camera by the equations of a model with priors, linearised at each step.
 
     Parameters are the model's terms in twos, as if one were of the line and one of the sample; all
-    of them are of both. They are kept, and their priors stay what the model says.
+    of them are of both. They are kept, and their priors stay what the model says: the heaviest is
+    taken for a standard deviation of 1, as terms of termsel-scanner have.
 
     Parameters
     ----------
@@ -48,6 +49,8 @@ class PhysicalCamera(Camera):
         If the terms of the model have no priors, or no camera sees the points.
     """
 
+    rich = True
+
     def __init__(self, model: SensorModel, control: FeatureSet, frame: Frame) -> None:
         self.scaling, self.frame = scaling_of(control), frame
         self.model = model.prepared(self.scaling, control.crs)
@@ -59,14 +62,12 @@ class PhysicalCamera(Camera):
             raise TermselError(f"the terms of the model {self.model.name!r} have no priors, which "
                                "few points need", hint="Use auto, or a model of a camera: scanner, "
                                "frame or panoramic of termsel-scanner.")
-        count = len(prior)
-        spread = np.full(2 * (-(-count // 2)), 1.0)  # one more than terms where these are odd
-        spread[:count] = np.where(prior > 0, prior.max() / np.maximum(prior, 1e-300), _FREE)
-        self.first = np.pad(values, (0, len(spread) - count)).reshape(-1, 2)
-        self.count = count
-        half = len(spread) // 2
+        # Parameters are terms in their standard deviations.
+        self.scale = np.where(prior > 0, prior.max() / np.maximum(prior, 1e-300), _FREE)
+        half = -(-len(prior) // 2)
+        self.first = np.pad(values / self.scale, (0, 2 * half - len(prior))).reshape(half, 2)
         self.groups = (self.model.name,) * half
-        self.spread = tuple(spread.reshape(half, 2).max(axis=1).tolist())
+        self.spread = (1.0,) * half
         self.least = (1e-4,) * half
         self.kept = self.wide = frozenset({self.model.name})
         local = frame.local(control.points.ground)
@@ -83,17 +84,17 @@ class PhysicalCamera(Camera):
 
     def perspective(self, parameters: FloatArray, local: FloatArray) -> FloatArray | float:
         """Return line and sample (n, 2) [px] of places with parameters (m, 2)."""
-        values = parameters.ravel()[:self.count]
+        values = self._terms(parameters)
         return np.asarray(self._seen(values[None], local)[0])
 
     def rows(self, parameters: FloatArray, local: FloatArray, columns: FloatArray) -> FloatArray:
         """Return the derivatives by all parameters (see `Camera.rows`)."""
-        values, steps = parameters.ravel()[:self.count], _STEP * np.eye(self.count)
+        values, steps = self._terms(parameters), _STEP * np.diag(self.scale)
         both = self._seen(np.concatenate([values + steps, values - steps]), local)
         found = np.zeros((len(local), 2, parameters.size))
-        found[:, :, :self.count] = np.moveaxis(
-            both[:self.count] - both[self.count:], 0, -1) / (2 * _STEP)
-        return found.reshape(len(local), 2, -1, 2).swapaxes(2, 3).reshape(found.shape)
+        k = len(values)
+        found[:, :, :k] = np.moveaxis(both[:k] - both[k:], 0, -1) / (2 * _STEP)
+        return found.reshape(len(local), 2, len(self.groups), 2).swapaxes(2, 3).reshape(found.shape)
 
     def followed(self, parameters: FloatArray, step: FloatArray, aim: FloatArray,
                  local: FloatArray) -> FloatArray:
@@ -116,6 +117,10 @@ class PhysicalCamera(Camera):
         """Return middle and half widths of the ground that the start knows."""
         return self._area
 
+    def _terms(self, parameters: FloatArray) -> FloatArray:
+        """Return the model's terms (k,)."""
+        return np.asarray(parameters.ravel()[:len(self.scale)] * self.scale)
+
     def _seen(self, values: FloatArray, local: FloatArray) -> FloatArray:
         """Return line and sample (p, n, 2) by values (p, k)."""
         scaled = self.model.project(values, self.scaling.ground(self.frame.ground(local)))
@@ -129,8 +134,12 @@ class PhysicalModel:
     name: str
     options: Mapping[str, Any]
 
-    def fitted(self, frame: Frame, local: FloatArray, image: FloatArray) -> PhysicalCamera:
-        """Return the camera fitted to places (n, 3) that are seen at (n, 2)."""
+    def fitted(self, frame: Frame, local: FloatArray, image: FloatArray,
+               of: str) -> PhysicalCamera:
+        """Return the camera fitted to places (n, 3) that are seen at (n, 2) in an image."""
         points = Points(tuple(map(str, range(len(local)))), image, frame.ground(local))
-        return PhysicalCamera(get("models", self.name)(**self.options),
-                              FeatureSet(points, crs=frame.crs), frame)
+        try:
+            return PhysicalCamera(get("models", self.name)(**self.options),
+                                  FeatureSet(points, crs=frame.crs), frame)
+        except TermselError as error:
+            raise TermselError(f"image {of!r}: {error.what}", hint=error.hint) from error

@@ -66,6 +66,8 @@ class ImageRecord(msgspec.Struct, frozen=True):
     n_independent: int = 0
     rpc: str | None = None
     """File of its RPC."""
+    options: dict[str, str | int | float | bool] = {}
+    """Of its model."""
 
 
 class SpaceRecord(msgspec.Struct, frozen=True):
@@ -159,7 +161,7 @@ def _image(result: BlockResult, i: int) -> ImageRecord:
         int(used.sum()), rmse(own) if len(own) else 0.0, expected.rmse, expected.low,
         expected.high, None if points is None else rmse(
             points.image - result.project(i, points.ground)), 0 if points is None else len(points),
-        None if image.rpc_file is None else image.rpc_file.name)
+        None if image.rpc_file is None else image.rpc_file.name, dict(image.options))
 
 
 def correction_of(result: BlockResult, i: int) -> str:
