@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import subprocess
+import sys
 import tomllib
 from importlib.metadata import distributions
 from pathlib import Path
@@ -101,6 +104,31 @@ def test_hosted_checks_run_what_the_script_runs() -> None:
                       re.MULTILINE)
     assert tests is not None
     assert all(part in run for part in tests[1].split(" && "))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the script is for bash")
+@pytest.mark.parametrize(("tests", "beside", "status"), [
+    ("exit 0", "exit 0", 0), ("exit 1", "exit 0", 1), ("exit 0", "exit 3", 3),
+    ("exit 2", "(sleep 30; echo lived >&$held) & wait", 2)])
+def test_what_runs_beside_the_tests_is_shown_and_ends(tests: str, beside: str, status: int,
+                                                      tmp_path: Path) -> None:
+    """The end of the script, with other tests and other work beside them."""
+    end = _text(".ci/run").partition("\nbeside() {")[2].partition("\n}\n")[2]
+    assert end
+    ends, held = os.pipe()
+    log = tmp_path / "made" / "beside.log"
+    script = (f"set -euo pipefail; folder={log.parent}; mkdir $folder; held={held}\n"
+              "step() { echo \"== $1\"; }\n"
+              f"tests='x && echo 3 passed; until [ -s {log} ]; do sleep 0.1; done; {tests}'\n"
+              f"beside() {{ echo linted; {beside}; }}\n{end}")
+    done = subprocess.run(["bash", "-c", script], pass_fds=[held], capture_output=True, text=True,
+                          check=False)
+    os.close(held)
+    with os.fdopen(ends) as pipe:
+        assert pipe.read() == ""  # as soon as none is left that could write
+    assert done.returncode == status
+    assert done.stdout.count("linted") == 1, done.stderr
+    assert not log.parent.exists()
 
 
 def test_commit_checks_download_nothing() -> None:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import copy
 import itertools
 import json
+import math
 import subprocess
 import sys
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -247,6 +249,8 @@ def test_limits_close_what_no_single_bound_does() -> None:
     (lambda axis: axis.update(nodes=[["limits", -1e9]]), "limits have no proof"),
     (lambda axis: axis["denominators"][0].__setitem__(-1, 1.0), "denominators"),
     (lambda axis: axis.pop("nodes"), "form termsel-certificate-2"),
+    (lambda axis: axis.update(pixels=0.0), "pixels"),
+    (lambda axis: axis.update(axis="line: 1 px\nno selection"), "neither line nor sample"),
 ])
 def test_what_does_not_hold_is_named(proof: tuple[dict[str, Any], Path], change: Any,
                                      said: str) -> None:
@@ -254,6 +258,56 @@ def test_what_does_not_hold_is_named(proof: tuple[dict[str, Any], Path], change:
     change(content["axes"][0])
     with pytest.raises(check.Refused, match=said):
         _checked(content, proof[1])
+
+
+def _copies(axis: dict[str, Any], **changes: Any) -> list[dict[str, Any]]:
+    return [axis, {**axis, "axis": "sample", **changes}]
+
+
+def test_scores_of_axes_of_one_image_are_added(proof: tuple[dict[str, Any], Path]) -> None:
+    content, folder = proof
+    axis = content["axes"][0]
+    alone = _checked(content, folder)[0]
+    both = _checked({**content, "axes": _copies(axis)}, folder)[0]
+    value = (axis["limit"] / 7) ** 0.5
+    assert alone[-1] == (f"no selection has a check RMSE below {value:.6f} px in line, of this "
+                         "axis alone")
+    assert alone[-2] == f"check RMSE of the selection: {value:.6f} px in line, of this axis alone"
+    assert both[-1] == f"no selection has a check RMSE below {2**0.5 * value:.6f} px"
+    assert both[-2] == f"check RMSE of the selection: {2**0.5 * value:.6f} px"
+
+
+def test_axes_of_other_points_or_pixels_are_not_added(proof: tuple[dict[str, Any], Path]) -> None:
+    """An axis of no terms, with one small error, proves what is said of it."""
+    content, folder = proof
+    axis = content["axes"][0]
+    most = {"terms": ["1"], "room": 0, "selection": [], "forced": [], "control": [[1.0, 0.0]],
+            "denominators": [], "limit": 1e-6 * (1 - 1e-9), "nodes": [["one"]]}
+    small = {**axis, **most, "errors": [[0.0, 1e-3]]}
+    assert _checked({**content, "axes": [small]}, folder)[1] == 0
+    for axes in (_copies(axis, **{**most, "errors": small["errors"]}), _copies(axis, pixels=0.5)):
+        with pytest.raises(check.Refused, match="same number of check points and pixels"):
+            _checked({**content, "axes": axes}, folder)
+    for axes in ([], [axis, axis]):
+        with pytest.raises(check.Refused, match="twice, or none"):
+            _checked({**content, "axes": axes}, folder)
+
+
+def test_the_score_is_at_most_what_the_page_says(tmp_path: Path) -> None:
+    """Limits next to the least that the claim L (1 + 1e-8) allows, of a score that is exact."""
+    error = 1.25 + 2.0**-20
+    score = Fraction(error) ** 2
+    axis = {"axis": "line", "terms": ["1"], "room": 0, "selection": [], "forced": [],
+            "control": [[1.0, 0.0]], "errors": [[0.0, error]], "denominators": [], "margin": 0.1,
+            "pixels": 1.0, "nodes": [["one"]]}
+    limit = float(score / (1 + Fraction(1, 10**8)))
+    for near in (math.nextafter(limit, 0.0), limit, math.nextafter(limit, 2.0)):
+        content = {"schema": check.SCHEMA, "axes": [{**axis, "limit": near}]}
+        if score <= Fraction(near) * (1 + Fraction(1, 10**8)):
+            assert _checked(content, tmp_path)[1] == 0
+        else:
+            with pytest.raises(check.Refused, match="too far below"):
+                _checked(content, tmp_path)
 
 
 def test_a_certificate_of_the_first_form_is_to_be_written_again(
@@ -275,6 +329,10 @@ def test_exact_writes_a_certificate_that_a_process_without_the_solver_checks(
                           check=False)
     assert done.returncode == 0, done.stderr
     assert f"below {result.rmse['check'].total:.6f} px" in done.stdout
+    # The one file, by a Python that finds no package.
+    single = subprocess.run([sys.executable, "-I", "-S", str(check.__file__), str(file)],
+                            capture_output=True, text=True, check=False)
+    assert (single.returncode, single.stdout) == (0, done.stdout), single.stderr
     file.write_text(file.read_text().replace("closed", "opened", 1))
     done = subprocess.run([sys.executable, "-m", "termsel.check", str(file)], capture_output=True,
                           text=True, check=False)
@@ -293,6 +351,43 @@ def test_what_cannot_be_certified_is_refused_at_once(
     with pytest.raises(termsel.TermselError) as caught:
         termsel.run("poly-terms", solver="exact", criterion=criterion, options=options)
     assert said in f"{caught.value} {caught.value.hint}"
+
+
+def test_values_that_no_certificate_can_hold_are_refused_before_the_search(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A place in the middle of all: its fifth power has too many binary places."""
+    rng = np.random.default_rng(0)
+    ground = np.vstack([[[0.0, 0.0], [1e3, 1e3], [500.00000001, 500.000000001]],
+                        rng.uniform(0.0, 1e3, (40, 2))])
+    rows = [f"P{i},{'check' if i % 3 == 2 else 'control'},{2 * y + 1e-4 * x**2},{2 * x},{x},{y},"
+            for i, (x, y) in enumerate(ground.tolist())]
+    file = tmp_path / "points.csv"
+    file.write_text("\n".join(["id,role,line,sample,x,y,z", *rows]))
+    monkeypatch.setattr("termsel.solvers.proofs.exact.prove", lambda *_: pytest.fail("searched"))
+    with pytest.raises(termsel.TermselError, match="too many binary places") as caught:
+        termsel.run("poly-terms", features=file, crs="local", solver="exact", options={
+            "degree": 5, "certificate": str(tmp_path / "proof.json")})
+    assert "lower degree" in str(caught.value.hint)
+
+
+@pytest.mark.parametrize(("name", "error"), [
+    ("check", check.Refused("axis line, step 3: it does not hold")),
+    ("tree_of", ValueError("a number is not finite")),
+    ("write_text", termsel.TermselError("the disk is full"))])
+def test_a_search_is_not_lost_where_its_certificate_is(
+        name: str, error: Exception, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+        caplog: pytest.LogCaptureFixture) -> None:
+    def failing(*_: Any) -> None:
+        raise error
+
+    monkeypatch.setattr(certificate, name, failing)
+    file = tmp_path / "proof.json"
+    result = termsel.run("poly-terms", solver="exact",
+                         options={"certificate": str(file), "degree": 2})
+    assert result.certificate is not None
+    assert result.certificate.optimal
+    assert not file.exists()
+    assert f"{file} is not written: {error}" in caplog.text
 
 
 def test_an_rfm_of_second_order_is_certified(tmp_path: Path) -> None:

@@ -53,6 +53,20 @@ def test_few_points_and_a_name_are_enough(count: int, most: float) -> None:
     assert fitted.adjustment.steps
 
 
+def test_a_class_defined_in_a_function_is_fitted_too() -> None:
+    class Own(Scanner):
+        """A scanner of a notebook."""
+
+        name = "own-scanner"
+
+    control = spot(4)
+    control = replace(control, points=control.points.take(
+        [role == "control" for role in control.points.roles]))
+    own, scanner = Own().fit(control), Scanner().fit(control)
+    np.testing.assert_array_equal(own.project(control.points.ground),
+                                  scanner.project(control.points.ground))
+
+
 def test_one_blunder_hardly_moves_it() -> None:
     scene = spot(10)
     image = scene.points.image.copy()

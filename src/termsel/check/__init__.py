@@ -19,7 +19,7 @@ from operator import mul
 from pathlib import Path
 from typing import Any
 
-__all__ = ["SCHEMA", "UPPER", "Axis", "Node", "Refused", "check", "checksum"]
+__all__ = ["SCHEMA", "UPPER", "Axis", "Node", "Refused", "check", "checksum", "require_together"]
 
 SCHEMA = "termsel-certificate-2"
 _ONE = 1 << 256  # the quadratic form is in units of its inverse
@@ -73,22 +73,34 @@ def _checked(content: Any) -> tuple[list[str], int]:
     if stated != checksum(content):
         raise Refused("the checksum is not that of the content; write it again")
     axes = [Axis(one) for one in content["axes"]]
-    rows, lines, open_, total = 0, [], 0, Fraction(0)
+    require_together(axes)
+    share = axes[0].pixels**2 / axes[0].checks  # of a sum of scores in a squared RMSE
+    lines, open_, total = [], 0, Fraction(0)
     for axis in axes:
         value = axis.score(axis.selection)
         if value is None or not axis.limit <= value:
             raise Refused(f"axis {axis.name}: the selection does not have the score")
-        if value * (1 - Fraction(1, 10**8)) > axis.limit:
+        # The score is rounded down, by less than a unit at each check point.
+        if value + Fraction(axis.checks, _ONE) > axis.limit * (1 + Fraction(1, 10**8)):
             raise Refused(f"axis {axis.name}: the limit is too far below the selection's score")
         decided, left, steps = axis.proven()
-        rows, total, open_ = axis.checks, total + value * axis.pixels**2, open_ + left
+        total, open_ = total + value, open_ + left
         lines.append(f"axis {axis.name}: {decided:,} selections of up to {axis.room} of "
                      f"{axis.k} terms are decided by {steps:,} steps, {left:,} are open")
-    lines.append(f"check RMSE of the selection: {float(total / rows) ** 0.5:.6f} px")
+    alone = f" in {axes[0].name}, of this axis alone" if len(axes) == 1 else ""
+    lines.append(f"check RMSE of the selection: {float(total * share) ** 0.5:.6f} px{alone}")
     if not open_:
         lines.append("no selection has a check RMSE below "
-                     f"{float(sum(a.limit * a.pixels**2 for a in axes) / rows) ** 0.5:.6f} px")
+                     f"{float(sum(a.limit for a in axes) * share) ** 0.5:.6f} px{alone}")
     return lines, open_
+
+
+def require_together(axes: Sequence[Axis]) -> None:
+    """Raise Refused unless axes are of one image: only then may their scores be added."""
+    if not axes or len({axis.name for axis in axes}) < len(axes):
+        raise Refused("an axis is there twice, or none is")
+    if len({(axis.checks, axis.pixels) for axis in axes}) > 1:
+        raise Refused("the axes have not the same number of check points and pixels")
 
 
 def checksum(content: Any) -> str:
@@ -120,17 +132,19 @@ class Axis:
     """
 
     def __init__(self, given: dict[str, Any]) -> None:
-        self.name, self.nodes = str(given["axis"]), iter(given["nodes"])
+        self.name, self.nodes = given["axis"], iter(given["nodes"])
+        if self.name not in ("line", "sample"):  # it is printed
+            raise ValueError("an axis that is neither line nor sample")
         self.k, self.room = len(given["terms"]), int(given["room"])
         if not 0 < self.k <= _MOST or not 0 <= self.room <= self.k:
-            raise ValueError("terms")
+            raise ValueError(f"terms: not 1 to {_MOST}, or no such room")
         self.limit, self.margin, self.pixels = _exact(
             [given["limit"], given["margin"], given["pixels"]])
         a, e, d = (self._rows(given[key]) for key in ("control", "errors", "denominators"))
         self.checks, self.rational = len(e), bool(d)
-        if not self.limit > 0 or not e or (d and (len(d) != len(e) or not self.margin > 0)) or any(
-                row[-1] != -1 for row in d):
-            raise ValueError("limit, margin, errors or denominators")
+        if not e or not min(self.limit, self.pixels) > 0 or (d and (
+                len(d) != len(e) or not self.margin > 0)) or any(row[-1] != -1 for row in d):
+            raise ValueError("limit, margin, pixels, errors or denominators")
         # Integers, by a power of two for each of the three blocks; E and D have one in common.
         self.a, self.unit_a = _integers(a)
         both, self.unit = _integers(e + d)
@@ -370,3 +384,7 @@ def _solved(matrix: list[list[int]], target: list[int]) -> tuple[list[int], int]
                            for j in range(n + 1)]
         last = rows[k][k]
     return [row[n] for row in rows], last
+
+
+if __name__ == "__main__":  # by itself: the package around it needs others
+    sys.exit(main())

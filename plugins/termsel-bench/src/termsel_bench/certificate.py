@@ -19,7 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from termsel import Problem, TermselError
-from termsel.check import SCHEMA, UPPER, Axis, Node, Refused, check, checksum
+from termsel.check import (
+    SCHEMA,
+    UPPER,
+    Axis,
+    Node,
+    Refused,
+    check,
+    checksum,
+    require_together,
+)
 from termsel.toolkit import write_text
 from termsel_bench.multipliers import Columns, FloatArray, bounded
 
@@ -43,8 +52,9 @@ def certifier(path: Path, problem: Problem,
     """Return what writes the certificate of an optimum, given its genes.
 
     `rooms` are the most terms of each part of the problem. Raises TermselError at once for a
-    problem that has no certificate, or a folder that is not there. What is written, the checker has
-    verified; TermselError says where it refuses.
+    problem that has no certificate, numbers that none can hold, or a folder that is not there. What
+    is written, the checker has verified. A warning says where it refuses, or why nothing can be
+    written: the search is made by then.
     """
     parts = problem.parts()
     if not parts or any(part.score != "check" or part.system.target.shape[1] != 1
@@ -57,25 +67,38 @@ def certifier(path: Path, problem: Problem,
                            hint="Name a file in a folder that exists.")
     names = list(problem.decode(np.ones(problem.genome.size, dtype=bool)).terms)
 
-    def write(genes: NDArray[np.bool_]) -> None:
-        axes = [axis_of(names[part.genes[0]].partition(".")[0], [names[j] for j in part.genes],
+    def axes_of(genes: NDArray[np.bool_]) -> list[dict[str, Any]]:
+        return [axis_of(names[part.genes[0]].partition(".")[0], [names[j] for j in part.genes],
                         part.system, np.flatnonzero(genes[part.genes]).tolist(), room, part.pixels)
                 for part, room in zip(parts, rooms, strict=True)]
-        text = json.dumps(content_of(axes, MOST_NODES)) + "\n"
-        # What the checker refuses is no certificate, whatever the reason.
-        with TemporaryDirectory() as folder:
-            made = Path(folder) / "certificate.json"
-            made.write_text(text, encoding="utf-8")
-            try:
+
+    # All but the selection and its limit is known before a search that may take long.
+    try:
+        nothing = axes_of(np.zeros(problem.genome.size, dtype=bool))
+        require_together([Axis({**axis, "forced": [], "limit": 1.0, "nodes": []})
+                          for axis in nothing])
+    except (Refused, ValueError) as error:
+        raise TermselError(
+            f"no certificate can hold this problem: {error}",
+            hint="Choose a lower degree or order, which has fewer terms and less small values, or "
+                 "search without the option certificate.") from error
+
+    def write(genes: NDArray[np.bool_]) -> None:
+        # What the checker refuses is no certificate. Whatever the reason, the search is not lost.
+        try:
+            text = json.dumps(content_of(axes_of(genes), MOST_NODES)) + "\n"
+            with TemporaryDirectory() as folder:
+                made = Path(folder) / "certificate.json"
+                made.write_text(text, encoding="utf-8")
                 _, open_ = check(made)
-            except Refused as refused:
-                raise TermselError(f"the checker refuses the certificate: {refused}",
-                                   hint="No certificate is written. Without the option the search "
-                                        "has its proof in floating-point numbers.") from refused
+            write_text(path, text)
+        except (Refused, ValueError, OSError, TermselError) as error:
+            log.warning("certificate %s is not written: %s. The search has its proof in "
+                        "floating-point numbers", path, str(error).rstrip("."))
+            return
         if open_:
             log.warning("certificate %s: its tree is full, and %s selections are left open; it "
                         "does not prove the optimum", path, f"{open_:,}")
-        write_text(path, text)
 
     return write
 

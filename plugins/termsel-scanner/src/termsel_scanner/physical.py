@@ -18,6 +18,7 @@ from termsel import (
     FeatureSet,
     Fit,
     HeldOut,
+    Points,
     Scaling,
     SensorModel,
     Spread,
@@ -127,7 +128,12 @@ class Physical(SensorModel):
         A run asks for the same one many times: the last ones are kept. Raises Undetermined where no
         start sees the points.
         """
-        return _solved(pickle.dumps((self, features.points)))
+        try:
+            asked = pickle.dumps((self, features.points))
+        except (AttributeError, TypeError, pickle.PicklingError):
+            # The class is defined in a function, or an option is no plain value.
+            return _best(self, features.points)
+        return _solved(asked)
 
     def cost(self, features: FeatureSet, values: FloatArray) -> tuple[float, FloatArray]:
         """Return Huber's loss of scaled points and priors, and residuals (n, 2), by the noise."""
@@ -222,7 +228,10 @@ class RobustFit(Estimator):
 @lru_cache(maxsize=8)
 def _solved(asked: bytes) -> Solution:
     """Return the best fit of a model to scaled points, both as bytes."""
-    model, points = pickle.loads(asked)
+    return _best(*pickle.loads(asked))
+
+
+def _best(model: Physical, points: Points) -> Solution:
     features = FeatureSet(points)
     ends: list[Solution] = [
         one for start in model.starts(features) if (one := model.descended(features, start))]
