@@ -39,6 +39,7 @@ PAGES: dict[str, tuple[str, ...]] = {
     "scanners": ("scanners", "--processes", "2", "--images", "24", "--splits", "6"),
     "coverage": ("coverage", "--processes", "2", "--kept", KEPT),
     "blunders": ("blunders", "--processes", "2"),
+    "gap-to-optimum": ("gap", "--out", "build/evidence/gap-{commit}", "--workers", "2"),
     "honest-accuracy": ("honest", "accuracy", "--minutes", "45"),
 }
 """Script and arguments of each page, the shortest first; each gets ``--write`` as well."""
