@@ -1,4 +1,4 @@
-"""A sampled row of the pages on accuracy, intervals, lines, blunders and matches, run anew.
+"""A sampled row of the pages on accuracy, maps, intervals, lines, blunders and matches, run anew.
 
 Rows are of simulated sets, so that no data from elsewhere are needed. Figures have the digits of
 their pages; the last one may differ between machines.
@@ -6,17 +6,18 @@ their pages; the last one may differ between machines.
 
 from __future__ import annotations
 
+import re
 from statistics import median
 
 import numpy as np
 
 import termsel
-from benchmarks import accuracy, blunders, coverage, lines
+from benchmarks import accuracy, blunders, coverage, lines, old_maps
 from benchmarks.papers import konugurthi
 from benchmarks.sets import rmse_of, split
 from termsel.candidates.base import Control
 from termsel.measurements.features import FeatureSet
-from tests.test_evidence import row
+from tests.test_evidence import PAGES, row
 
 
 def agrees(value: float, said: str) -> bool:
@@ -25,10 +26,17 @@ def agrees(value: float, said: str) -> bool:
     return abs(value - float(said)) <= 1.01 * 10.0**-digits
 
 
+def splits(page: str) -> int:
+    """Return of how many splits a page is made."""
+    said = re.search(r"(\d+) splits of each set", (PAGES / f"{page}.md").read_text())
+    assert said is not None
+    return int(said[1])
+
+
 def test_auto_and_the_best_plain_structure_of_a_scene() -> None:
     cells = row("honest-accuracy", r"ikonos-hamedan \| 20 \|")
     auto, quadratic = [], []
-    for seed in range(10):
+    for seed in range(splits("honest-accuracy")):
         mine, others = split("ikonos-hamedan", 20, seed)
         choice = blunders.choose(Control.of(FeatureSet(mine)))
         assert choice is not None
@@ -41,14 +49,25 @@ def test_auto_and_the_best_plain_structure_of_a_scene() -> None:
     assert len(others) >= accuracy.FEWEST
 
 
+def test_an_old_map_with_twenty_points() -> None:
+    cells = row("old-maps", r"old-map \| 20 \|")
+    count = splits("old-maps")
+    each = [old_maps.measure("old-map", 20, seed) for seed in range(count)]
+    fresh = old_maps.Row("old-map", 20, tuple(one for one in each if one is not None))
+    assert len(fresh.splits) == count
+    assert fresh.best[0] == cells[2]
+    assert agrees(fresh.best[1], cells[3])
+    assert agrees(median(one.auto for one in fresh.splits), cells[4])
+
+
 def test_intervals_of_an_agile_scanner() -> None:
     cells = row("coverage", r"camera: agile \|")
-    held = 0
-    for seed in range(3):
+    held, count = 0, splits("coverage")
+    for seed in range(coverage.FIRST_SPLIT, coverage.FIRST_SPLIT + count):
         one = coverage.case("camera: agile", 12, seed)
         assert one is not None
         held += one["predicted"]["low"] <= one["rmse"] <= one["predicted"]["high"]
-    assert cells[2] == f"{held} of 3"
+    assert cells[2] == f"{held} of {count}"
 
 
 def test_the_best_structure_of_a_scene_with_lines() -> None:
