@@ -123,7 +123,8 @@ class PhysicalCamera(Camera):
 
     def _seen(self, values: FloatArray, local: FloatArray) -> FloatArray:
         """Return line and sample (p, n, 2) by values (p, k)."""
-        scaled = self.model.project(values, self.scaling.ground(self.frame.ground(local)))
+        with np.errstate(invalid="ignore"):  # a step to no camera at all is made shorter
+            scaled = self.model.project(values, self.scaling.ground(self.frame.ground(local)))
         return np.asarray(self.scaling.pixels(scaled))
 
 
