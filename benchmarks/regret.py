@@ -179,9 +179,9 @@ def _optima(squares: FloatArray, whole: dict[str, BoolArray], pixels: float,
         each = some[by].min(axis=2)
         subset = int(each.sum(axis=0).argmin())
         place = some[by, :, subset].argmin(axis=1)
-        return tuple(pixels * float(np.sqrt(sum(some[i, axis, subset, place[axis]]
-                                                for axis in (0, 1)) / counts[i]))
-                     for i in (0, 1))  # type: ignore[return-value]
+        check, new = (pixels * float(np.sqrt(sum(some[i, axis, subset, place[axis]]
+                                                 for axis in (0, 1)) / counts[i])) for i in (0, 1))
+        return check, new
 
     every = {name: np.ones_like(mask) for name, mask in whole.items()}
     return {

@@ -166,3 +166,11 @@ def test_a_sensor_is_read_from_the_folder_of_the_block(tmp_path: Path) -> None:
         'options = { sensor = "mine.json" }\n[[image]]\nname = "B"\n')
     with pytest.raises(TermselError, match=r"image 'A'.*JSON"):
         read_block(tmp_path / "m/block.toml")
+
+
+def test_a_wrong_sensor_is_named(simulated: Simulated, recwarn: pytest.WarningsRecorder) -> None:
+    images = (replace(simulated.block.images[0], model="scanner", options={"sensor": "spot-4"}),
+              *simulated.block.images[1:])
+    with pytest.raises(TermselError, match="image 'I1': model 'scanner' misses half of its points"):
+        adjust(replace(simulated.block, images=images))
+    assert not recwarn.list

@@ -179,8 +179,12 @@ class _Run:
                     state.cameras, parameters, solved.steps[:-1], start, self._moves(),
                     solved.seen[:-1], strict=True)]
             heights.offset = offset + self.share * float(solved.steps[-1][0])
-            if self._cost(robust, wide) <= before * (1 + _CONVERGED):
-                break
+            with np.errstate(over="ignore", invalid="ignore"):
+                after = self._cost(robust, wide)
+            if after <= before * (1 + _CONVERGED):
+                return
+        if not np.isfinite(after):  # no camera is there
+            state.parameters, state.ties, heights.offset = parameters, ties, offset
 
     def _cost(self, robust: bool, wide: float) -> float:
         """Return what a step makes less: twice the negative logarithm of the posterior."""

@@ -16,6 +16,9 @@ from termsel_block.geometry.frame import BoolArray, FloatArray, Frame
 LEAST = 3
 """Control points from which such a model begins."""
 
+ABSURD = 0.01
+"""Distance from a model, over the extent of an image, above which it is not that of the points."""
+
 _STEP = 1e-4
 """Change of a term, in its standard deviations, by which places are differentiated."""
 
@@ -123,7 +126,7 @@ class PhysicalCamera(Camera):
 
     def _seen(self, values: FloatArray, local: FloatArray) -> FloatArray:
         """Return line and sample (p, n, 2) by values (p, k)."""
-        with np.errstate(invalid="ignore"):  # a step to no camera at all is made shorter
+        with np.errstate(all="ignore"):  # a step to no camera at all is made shorter
             scaled = self.model.project(values, self.scaling.ground(self.frame.ground(local)))
         return np.asarray(self.scaling.pixels(scaled))
 
@@ -140,7 +143,14 @@ class PhysicalModel:
         """Return the camera fitted to places (n, 3) that are seen at (n, 2) in an image."""
         points = Points(tuple(map(str, range(len(local)))), image, frame.ground(local))
         try:
-            return PhysicalCamera(get("models", self.name)(**self.options),
-                                  FeatureSet(points, crs=frame.crs), frame)
+            camera = PhysicalCamera(get("models", self.name)(**self.options),
+                                    FeatureSet(points, crs=frame.crs), frame)
         except TermselError as error:
             raise TermselError(f"image {of!r}: {error.what}", hint=error.hint) from error
+        missed = float(np.median(np.hypot(*(image - camera.project(camera.first, local)).T)))
+        if not missed <= ABSURD * float(np.ptp(image, axis=0).max()):
+            raise TermselError(f"image {of!r}: model {self.name!r} misses half of its points by "
+                               f"{missed:.3g} px or more",
+                               hint="Check the options of the model, above all the sensor, and "
+                                    "the points.")
+        return camera
