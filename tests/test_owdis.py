@@ -241,10 +241,13 @@ def test_blunders_of_real_geometry_are_found(data_folder: Path, scene: str,
     normal, rho = line_normals(features.lines)
     image = rpc.project(features.lines.ground.reshape(-1, 3)).reshape(-1, 2, 2)
     error = np.abs(np.einsum("ia,iva->iv", normal, image) - rho[:, None]).max(axis=1)
-    displaced = {name for name, one in zip(features.lines.ids, error, strict=True) if one > 3}
+    ids = np.array(features.lines.ids)
+    # Ends are measured within 0.6 px, and control alone tells a cubic polynomial within 1 px.
+    displaced, gross = set(ids[error > 3]), set(ids[error > 5.5])
     result = termsel.run("owdis-lines-terms", features=features)
     found = {one.id for one in result.outliers}
-    assert len(displaced & found) >= 0.9 * len(displaced) > 10
+    assert gross <= found
+    assert len(gross) >= 10
     assert len(found - displaced) <= 3
     assert result.rmse["independent"].total < 1.1 * {"ventoux_lines": 1.33,
                                                      "ikonos_lines": 0.96}[scene]

@@ -162,6 +162,15 @@ def test_an_unknown_strategy_is_refused() -> None:
         termsel.run("rfm-terms", strategy="best")
 
 
+def test_one_independent_point_that_contradicts_is_told_in_the_singular() -> None:
+    features = simulate_scene("ikonos-hamedan", roles=(24, 24, 1), n_lines=0)
+    alone = (np.array(features.points.roles) == "independent")[:, None]
+    other = termsel.run("rfm-terms", features=features.with_(
+        points=replace(features.points, image=features.points.image + 50.0 * alone)))
+    assert other.notes[0].startswith("The independent point contradicts control and check. "
+                                     "Either it was measured differently")
+
+
 def test_independent_points_are_touched_once(result: termsel.Result) -> None:
     features = simulate_scene("ikonos-hamedan")
     independent = np.array(features.points.roles) == "independent"

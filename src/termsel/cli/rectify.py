@@ -54,6 +54,7 @@ def rectify(context: click.Context, folder: Path, image: Path, output: Path, dem
     refuse_stdout(output)
     show_messages()
 
+    from termsel.files.cog import require_tiff_name
     from termsel.io.rectify import rectify as warp
     from termsel.io.replacing import require_replaceable
     from termsel.io.result_folder import read_result
@@ -61,6 +62,7 @@ def rectify(context: click.Context, folder: Path, image: Path, output: Path, dem
     uncertainty = None
     if sigma is not None:
         refuse_stdout(sigma)
+        require_tiff_name(sigma)
         # A plugin's command; without the plugin this says what to install.
         group = context.find_root().command
         assert isinstance(group, click.Group)

@@ -16,6 +16,22 @@ from termsel.files.rasters import require_rasterio
 TILE = 1024
 """Size of the tiles that are computed at once [px]."""
 
+_SUFFIXES = ("", ".tif", ".tiff", ".gtiff", ".cog")
+
+
+def require_tiff_name(path: Path) -> None:
+    """Refuse a name that says another format, before long work.
+
+    Raises
+    ------
+    TermselError
+        Naming the file.
+    """
+    if path.suffix.lower() not in _SUFFIXES:
+        raise TermselError(f"a map is written as GeoTIFF, not as {path.suffix}", file=path,
+                           hint=f"Name it {path.with_suffix('.tif').name}; gdal_translate "
+                                "converts it to other formats.")
+
 
 def write_cog(
     path: Path,
@@ -49,8 +65,10 @@ def write_cog(
     Raises
     ------
     TermselError
-        If rasterio is not installed, GDAL fails, or the file cannot be written.
+        If rasterio is not installed, the name says another format, GDAL fails, or the file cannot
+        be written.
     """
+    require_tiff_name(path)
     rasterio = require_rasterio()
     from rasterio._err import CPLE_BaseError
     from rasterio.shutil import copy

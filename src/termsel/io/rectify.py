@@ -12,7 +12,7 @@ import numpy as np
 
 from termsel.errors import TermselError
 from termsel.files.atomic import private_folder, write_text
-from termsel.files.cog import TILE, write_cog
+from termsel.files.cog import TILE, require_tiff_name, write_cog
 from termsel.files.names import utf8_name
 from termsel.files.rasters import open_raster, require_rasterio
 from termsel.formats.rpc_files import rpc_items
@@ -98,6 +98,7 @@ def rectify(
     """
     require_rasterio()
     image, output = Path(image), Path(output)
+    require_tiff_name(output)
     require_replaceable([output], reads=[image, dem], overwrite=overwrite)
     if resampling not in RESAMPLING:
         raise TermselError(f"unknown resampling {resampling!r}",

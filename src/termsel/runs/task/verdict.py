@@ -97,10 +97,11 @@ def judge_independent(observations: Observations,
     if found is None or not found.blunders.any():
         return Verdict(), observations
     if found.blunders.mean() > MOST:
+        said = ("The independent point contradicts" if len(points) == 1 else
+                f"{int(found.blunders.sum())} of {len(points)} independent points contradict")
         return Verdict(notes=(
-            f"{int(found.blunders.sum())} of {len(points)} independent points contradict control "
-            "and check. Either they were measured differently, or the model does not hold at "
-            "their places.",)), observations
+            f"{said} control and check. Either {'it was' if len(points) == 1 else 'they were'} "
+            "measured differently, or the model does not hold there.",)), observations
     wrong = frozenset(select(points.ids, found.blunders))
     decided = replace(found, undecided=np.zeros_like(found.undecided))
     outliers = _outliers(FeatureSet(points), dict.fromkeys(points.ids, "independent"), decided)
