@@ -224,8 +224,11 @@ def test_the_chance_of_a_statistic_is_that_of_the_f_distribution() -> None:
                                    rtol=1e-9)
 
 
-def test_a_prediction_is_the_mean_over_all_solutions() -> None:
-    """The compiled means against those by logarithms, with points that are not in use."""
+@pytest.mark.parametrize("few", [0, 100])
+def test_a_prediction_is_the_mean_over_all_solutions(
+        few: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The means, compiled and not, against those by logarithms, with points not in use."""
+    monkeypatch.setattr("termsel.priors.held_out.FEW", few)
     features = scene(60)
     used = np.arange(60) < 45
     scaled = scaling_of(features).points(features.points)

@@ -131,7 +131,8 @@ def test_a_counter_that_begins_with_a_constant_is_any_integer(
 
 
 def test_a_run_that_may_compile_nothing_says_so() -> None:
-    code = "from termsel.cli.main import cli; cli.main(['run', '--problem', 'poly-terms'])"
+    code = ("from termsel.cli.main import cli; cli.main(['run', '--problem', 'poly-terms', "
+            "'--strategy', 'as-asked', '--generations', '1'])")
     done = _python(code, NUMBA_DISABLE_JIT="1")
     assert done.returncode == 2, done.stderr
     assert "Error: NUMBA_DISABLE_JIT is set" in done.stderr

@@ -54,7 +54,8 @@ def test_auto_announces_only_what_it_compiles_itself(
         caplog: pytest.LogCaptureFixture) -> None:
     """Not what a search compiles, which would be announced at each of its runs."""
     monkeypatch.setattr("termsel.adjustment.kernels.needs_compilation", lambda: True)
-    monkeypatch.setattr("termsel.priors.held_out.needs_compilation", lambda: not kept)
+    monkeypatch.setattr("termsel.priors.held_out.is_compiled", lambda _: kept)
+    monkeypatch.setattr("termsel.priors.held_out.FEW", 6)
     with caplog.at_level("INFO", logger="termsel"):
         termsel.run(features=some(n))
     assert told in caplog.text

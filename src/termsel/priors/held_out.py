@@ -22,11 +22,17 @@ import numpy as np
 from termsel.adjustment.compiled import compiled, is_compiled
 from termsel.measurements.features import FloatArray, IntArray
 
+FEW = 100
+"""Points up to which no kernel is called: it takes half as long, but numba longer to import."""
+
 LEAST = -300.0
 """Powers are not taken below this natural logarithm, lest numbers lose precision and time."""
 
 AT_ONCE, CELLS = 64, 8
 """Points and cells that are worked on together: what is read again stays in a cache."""
+
+NUMBERS = 1 << 15
+"""Points times cells that are worked on together without a kernel."""
 
 # Nothing is allocated. Sums may be taken in any order. `max` would be compiled on its own.
 _compiled = partial(compiled, _nrt=False, fastmath={"reassoc", "contract", "nsz", "nnan"})
@@ -77,6 +83,10 @@ def leave_each_out(line: OfAxis, sample: OfAxis, square: FloatArray, least: Floa
     without one.
     """
     count = line.left.shape[1]
+    if count <= FEW:
+        step = max(1, NUMBERS // len(share))
+        return together([_of_few(line, sample, slice(start, start + step), square, least,
+                                 share * square, log, half) for start in range(0, count, step)])
     figures = np.empty((count, 7))
     for start in range(0, count, AT_ONCE):
         width = min(AT_ONCE, count - start)
@@ -88,6 +98,35 @@ def leave_each_out(line: OfAxis, sample: OfAxis, square: FloatArray, least: Floa
                    room, figures)
     return Prediction(figures[:, :2], figures[:, 2], figures[:, 3], figures[:, 4:6],
                       log + figures[:, 6])
+
+
+def _of_few(line: OfAxis, sample: OfAxis, some: slice, square: FloatArray, least: FloatArray,
+            weight: FloatArray, log: float, half: int) -> Prediction:
+    """Return what `_leave_out` finds, with the same arguments, of some points."""
+    axes = [(1.0 / one.left[:, some], one.errors[:, some], one.cell) for one in (line, sample)]
+    left, more = ((own * error**2).take(cell, axis=0) for own, error, cell in axes)
+    left += more
+    left /= square[:, None]
+    np.minimum(left, (1.0 - least / square)[:, None], out=left)
+    np.subtract(1.0, left, out=left)  # S' / S, (c, m)
+    root, more = (np.sqrt(own).take(cell, axis=0) for own, _, cell in axes)
+    root *= more
+    share = np.log(left)
+    least_log = share.min(axis=0)
+    share -= least_log  # of the largest power, lest powers overflow
+    share *= -half
+    np.exp(share, out=share)
+    share *= root
+    share *= weight[:, None]
+    total = share.sum(axis=0)
+    errors, spread = (np.stack([np.einsum("cm,cm->m", share, one.take(cell, axis=0))
+                                for one, cell in each], axis=1) / total[:, None] for each in (
+        [(own * error, cell) for own, error, cell in axes],
+        [(own, cell) for own, _, cell in axes]))
+    share /= left
+    return Prediction(errors, weight @ root / total * np.exp(half * least_log),
+                      half * (share.sum(axis=0) / total - 1.0), spread,
+                      log - half * least_log + np.log(total))
 
 
 def together(parts: Sequence[Prediction]) -> Prediction:
@@ -106,9 +145,8 @@ def mean_chance(strain: tuple[FloatArray, FloatArray], cell: tuple[IntArray, Int
     tell which of these occur together. Of each such pair come a factor, `scale` (c,), and its
     probability, `share` (c,). `half` is half the degrees of freedom.
     """
-    room = np.zeros((3, strain[0].shape[1]))
-    _mean_chance(*strain, *cell, scale, share, half, np.exp(LEAST / half), *room)
-    return np.asarray(room[2])
+    both = strain[0].take(cell[0], axis=0) + strain[1].take(cell[1], axis=0)
+    return np.asarray(share @ np.exp(-half * np.log1p(scale[:, None] * both)))
 
 
 @_compiled
@@ -200,24 +238,6 @@ def _leave_out(line: OfAxis, sample: OfAxis, square: FloatArray, least: FloatArr
         figures[start + p, 6] = logarithm + np.log(total)
 
 
-@_compiled
-def _mean_chance(line_strain: FloatArray, sample_strain: FloatArray, line: IntArray,
-                 sample: IntArray, scale: FloatArray, weight: FloatArray, half: int,
-                 lowest: float, share: FloatArray, power: FloatArray, total: FloatArray) -> None:
-    """Add to `total`."""
-    m = len(total)
-    for c in range(len(weight)):
-        one, other = line[c], sample[c]
-        for p in range(m):
-            share[p] = weight[c]
-            strain = line_strain[one, p] + sample_strain[other, p]
-            part = 1.0 / (1.0 + scale[c] * strain)
-            power[p] = part if part > lowest else lowest
-        _raise(power, half, m, share)
-        for p in range(m):
-            total[p] += share[p]
-
-
-def needs_compilation() -> bool:
-    """Return True if the first call will spend some seconds on compilation."""
-    return not is_compiled(_leave_out)
+def needs_compilation(points: int) -> bool:
+    """Return True if so many points will first spend some seconds on compilation."""
+    return points > FEW and not is_compiled(_leave_out)

@@ -46,9 +46,6 @@ log = logging.getLogger(__name__)
 SEARCH_COMPILES, AUTO_COMPILES = 4, 2
 """Seconds that the first run of a search, and of the strategy auto, spends on compilation."""
 
-SURE = 6
-"""Points from which on auto surely calls what it compiles."""
-
 
 @one_blas_thread
 def run(
@@ -202,7 +199,7 @@ def _chosen(request: Request, seed: int, observers: Iterable[Observer], out: Pat
         setup = replace(setup, model=registry().get("models", "poly2d")())
     observations = observe(setup, LEAST if setup.features.rpc is None else 1)
     # Whether a search of lines follows, which compiles more, is not known yet.
-    compiles = len(observations.together.points) >= SURE and held_out.needs_compilation()
+    compiles = held_out.needs_compilation(len(observations.together.points))
     return _written(lambda: choose_for(setup, observations, seed, observers), out, overwrite,
                     AUTO_COMPILES if compiles else 0)
 
