@@ -220,8 +220,9 @@ def test_no_others_are_not_judged() -> None:
 def test_the_chance_of_a_statistic_is_that_of_the_f_distribution() -> None:
     statistic = np.array([0.0, 0.3, 2.0, 40.0])
     for freedom in (2, 7, 1400):
-        np.testing.assert_allclose(chance_of(statistic, freedom), fdtrc(2, freedom, statistic),
-                                   rtol=1e-9)
+        for pairs in (1, 2, 5):
+            np.testing.assert_allclose(chance_of(statistic, freedom, pairs),
+                                       fdtrc(2 * pairs, freedom, statistic), rtol=1e-9)
 
 
 @pytest.mark.parametrize("few", [0, 100])

@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
 
 import termsel
-from termsel.measurements.coordinates.places import beyond
+from termsel.measurements.coordinates.places import beyond, hull
 from termsel.measurements.features import FeatureSet
 from termsel.simulate import simulate_scene
 
@@ -22,6 +24,15 @@ def test_distances_from_a_square() -> None:
 def test_control_without_a_hull_reaches_nothing() -> None:
     assert np.isinf(beyond(np.arange(6.0).reshape(3, 2), SQUARE)).all()
     assert np.isinf(beyond(SQUARE[:2], SQUARE)).all()
+
+
+@pytest.mark.parametrize("n", [3, 10, 1000])
+def test_a_hull_is_that_of_scipy(n: int) -> None:
+    places = np.random.default_rng(n).random((n, 2)) * [3.0, 1000.0] + 4e6
+    corners = ConvexHull(places).vertices.tolist()
+    found = hull(np.concatenate([places, places.mean(axis=0)[None], places[corners[:2]]]))
+    assert sorted(map(tuple, np.concatenate([places, [[0, 0]], places[corners[:2]]])[found])) \
+        == sorted(map(tuple, places[corners]))
 
 
 def test_control_in_one_corner_is_warned_of() -> None:

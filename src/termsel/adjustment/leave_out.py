@@ -19,7 +19,6 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-from scipy import linalg
 
 from termsel.adjustment.compiled import compiled
 from termsel.adjustment.equations import Equations
@@ -236,7 +235,7 @@ def _of_one(source: FloatArray, first: IntArray, terms: BoolArray, features: Boo
                                           / pivots[:, j, j, None, None])
         weighed = np.linalg.solve(left, errors[at][..., None])
         of_each[:, some] = (mine.swapaxes(1, 2) @ weighed)[..., 0].T
-    change = linalg.solve_triangular(r, np.column_stack([along, -of_each]), check_finite=False)
+    change = np.linalg.solve(r, np.column_stack([along, -of_each]))
     change[:, 1:] += change[:, :1]
     solutions[np.ix_(used, chosen)] = change[:, 1:].T
     return solutions[:, None], np.ones(1, dtype=bool)

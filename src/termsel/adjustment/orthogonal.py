@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import blas, lapack
 
 from termsel.measurements.features import FloatArray
 
@@ -39,6 +38,8 @@ def orthogonal(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _step(columns: FloatArray) -> tuple[FloatArray, FloatArray, float] | None:
     """Return Q, R and how far the columns were from orthogonal ones; None if R is not found."""
+    from scipy.linalg import blas, lapack  # which fewer columns need not import
+
     gram = columns.T @ columns
     far = float(np.abs(gram - np.eye(len(gram))).max())
     try:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
 
 from termsel.adjustment.equations import Equations
 from termsel.measurements.features import BoolArray, FloatArray
@@ -93,8 +92,8 @@ def solve(
         lengths[lengths == 0] = 1.0
         if triangle is not None:
             r = triangle[:, :n_terms]
-            x = linalg.solve_triangular(r, triangle[:, n_terms])
-            inverse = linalg.solve_triangular(r, np.eye(n_terms))
+            solved = np.linalg.solve(r, np.column_stack([triangle[:, n_terms], np.eye(n_terms)]))
+            x, inverse = solved[:, 0], solved[:, 1:]
             condition = float(np.linalg.cond(r))
             if n_equations > n_terms:
                 v = b - A @ (x / lengths)
@@ -105,7 +104,7 @@ def solve(
             deviations[columns] = sigma0 * norms / lengths
         else:
             # Of least norm in columns of one length: not in those that were given.
-            x = linalg.lstsq(scaled, b, cond=TOLERANCE)[0]
+            x = np.linalg.lstsq(scaled, b, rcond=TOLERANCE)[0]
             deviations[columns] = np.nan
         coefficients[columns] = x / lengths
     return Adjustment(coefficients, deviations, n_terms, n_equations, rank, condition, sigma0,
@@ -130,5 +129,7 @@ def _lower_rank(scaled: FloatArray) -> int:
     live = scaled[:, scaled.any(axis=0)]
     if not live.size:
         return 0
+    from scipy import linalg  # which systems of full rank need not import
+
     r = linalg.qr(live, mode="r", pivoting=True)[0]
     return min(int((np.abs(np.diag(r)) > TOLERANCE).sum()), int(scaled.shape[1]) - 1)

@@ -26,7 +26,6 @@ others are termsel's own.
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import chdtr, gammaincinv
 
 from termsel.candidates.base import Judged, Suspects
 from termsel.candidates.contradictions import STRAIN, UNLIKELY, Division, Test, polynomial_of
@@ -242,5 +241,6 @@ def _consistency(share: float) -> float:
     all."""
     if share >= 1:
         return 1.0
-    bound = 2 * gammaincinv(1, share)  # of chi-squared; scipy.stats is slow to import
-    return float(chdtr(4, bound) / share)
+    # Half of a chi-squared number is exponential; its mean up to a bound.
+    bound = -np.log1p(-share)
+    return float(1.0 - bound * (1.0 - share) / share)

@@ -10,7 +10,6 @@ from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
-from scipy.special import fdtri
 
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.lines import row_weights
@@ -74,7 +73,9 @@ class Test:
     def suspects(self, blunders: BoolArray, probable: BoolArray, undecided: BoolArray,
                  which: BoolArray) -> Suspects:
         """Return what is found of some of the features."""
-        least = np.sqrt(fdtri(2, self.freedom, 1 - UNLIKELY / which.sum()))
+        # Where `chance_of` is that: of normal errors one is as large at any of these features.
+        least = np.sqrt(self.freedom / 2
+                         * ((UNLIKELY / which.sum()) ** (-2 / self.freedom) - 1))
         strain = np.maximum(max(STRAIN, float(least)), ALLOWANCE * self.spread)
         return Suspects(blunders[which], probable[which], undecided[which], self.errors[which],
                         np.maximum(strain * self.spread * self.noise, ROUNDING)[which])

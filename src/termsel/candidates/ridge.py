@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import linalg
 
 from termsel.adjustment.parts import independent_parts
 from termsel.adjustment.ridge import Spectrum, choose_penalty
@@ -59,7 +58,8 @@ def _ridge(columns: FloatArray, target: FloatArray,
     free = weights == 0
     x = np.zeros(columns.shape[1])
     lead = columns[:, free]
-    q = linalg.orth(lead) if lead.size else np.zeros((len(target), 0))
+    q, strength = np.linalg.svd(lead, full_matrices=False)[:2]
+    q = q[:, strength > np.finfo(float).eps * max(lead.shape) * strength.max(initial=0.0)]
     rest = (columns[:, ~free] - q @ (q.T @ columns[:, ~free])) / weights[~free]
     y = target - q @ (q.T @ target)
     effective = float(q.shape[1])

@@ -13,7 +13,6 @@ from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
-from scipy.special import stdtrit
 
 from termsel.errors import counted
 from termsel.fits.fit import Fit
@@ -23,6 +22,7 @@ from termsel.fits.uncertainty import shared_variance
 from termsel.measurements.control import Control, off_plane, with_usual_heights
 from termsel.measurements.coordinates.metres import in_metres
 from termsel.measurements.features import FeatureSet, FloatArray, Points
+from termsel.record.chances import t_quantile
 from termsel.record.figures import (
     CONFIDENCE,
     Accuracy,
@@ -66,7 +66,7 @@ def predicted_rmse(errors: FloatArray, effective: float, points: int,
     spread = 2 * n / freedom  # relative variance of a squared distance
     redundancy = max(2 * n - effective, 2.0)
     shared = effective / 2 / n**2 if shared is None else shared
-    quantile = stdtrit(redundancy, (1 + CONFIDENCE) / 2)
+    quantile = t_quantile((1 + CONFIDENCE) / 2, redundancy)
     # Of a mean of so many squares, of those held out and of those to come; and what all places have
     # in common: coefficients that few points determine, and the doubt which solution is right.
     variance = min(spread / redundancy / 2 + (spread / points if points else 0.0) / 4 + shared / 4,

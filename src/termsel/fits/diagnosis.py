@@ -6,11 +6,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtr
 
 from termsel.adjustment.equations import line_normals
 from termsel.fits.fit import Fit
 from termsel.measurements.features import FloatArray, Lines, select
+from termsel.record.chances import t_beyond
 from termsel.record.figures import Significance
 
 NORMAL_MEDIAN = 0.6745
@@ -34,8 +34,7 @@ def significance(fit: Fit) -> dict[str, Significance]:
         return {}
     with np.errstate(divide="ignore", invalid="ignore"):
         t = np.abs(adjustment.coefficients) / adjustment.deviations
-    p = 2.0 * stdtr(adjustment.redundancy, -t)
-    return {name: Significance(float(t[i]), float(p[i]))
+    return {name: Significance(float(t[i]), t_beyond(float(t[i]), adjustment.redundancy))
             for i, name in enumerate(fit.model.terms) if fit.terms[i] and np.isfinite(t[i])}
 
 

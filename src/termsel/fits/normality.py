@@ -1,4 +1,4 @@
-"""The test of normality by Shapiro and Wilk: that of scipy.stats takes half a second to import.
+"""The test of normality by Shapiro and Wilk: that of SciPy takes half a second to import.
 
 References
 ----------
@@ -8,8 +8,9 @@ Royston 1995: Remark AS R94. Applied Statistics 44, 547-551: the coefficients fo
 
 from __future__ import annotations
 
+from statistics import NormalDist
+
 import numpy as np
-from scipy.special import ndtr, ndtri
 
 from termsel.measurements.features import FloatArray
 
@@ -24,7 +25,8 @@ def chances_if_normal(errors: FloatArray) -> tuple[float, float] | None:
     n = len(errors)
     if n not in NUMBERS or not np.ptp(errors, axis=0).all():
         return None
-    expected = ndtri((np.arange(1, n + 1) - 0.375) / (n + 0.25))
+    normal = NormalDist()
+    expected = np.array([normal.inv_cdf((i - 0.375) / (n + 0.25)) for i in range(1, n + 1)])
     u, inner = n**-0.5, expected[2:-2]
     ends = expected[-2:] / np.sqrt(expected @ expected) + (
         np.polyval([-3.582633, 5.682633, -1.752461, -0.293762, 0.042981, 0.0], u),
@@ -41,5 +43,5 @@ def chances_if_normal(errors: FloatArray) -> tuple[float, float] | None:
         statistic, log = beyond, np.log(n)
         mean = np.polyval([0.0038915, -0.083751, -0.31082, -1.5861], log)
         deviation = np.exp(np.polyval([0.0030302, -0.082676, -0.4803], log))
-    first, second = ndtr((mean - statistic) / deviation).tolist()
+    first, second = map(normal.cdf, ((mean - statistic) / deviation).tolist())
     return first, second

@@ -32,7 +32,6 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from scipy.linalg import lapack
 
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.monomials import Exponents, graded_exponents, monomials
@@ -304,8 +303,8 @@ def _inverse(knots: FloatArray, lengths: tuple[float, float] | None) -> FloatArr
         return np.empty((0, 0))
     among = _covariances(knots, knots, lengths)[0]
     if lengths != SPLINE:
-        return np.asarray(lapack.dtrtri(np.linalg.cholesky(among + JITTER * np.eye(len(knots))),
-                                        lower=1)[0])
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(
+            among + JITTER * np.eye(len(knots))).T).T)
     values, vectors = np.linalg.eigh(among)  # what affine functions fit has no variance
     some = values > JITTER * values.max()
     return np.asarray((vectors[:, some] / np.sqrt(values[some])).T)

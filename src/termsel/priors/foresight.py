@@ -15,7 +15,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
 
 from termsel.measurements.features import FloatArray
 from termsel.priors.posterior import SIZES, Posterior
@@ -48,7 +47,7 @@ def foresee(posterior: Posterior, free: FloatArray, shrunken: FloatArray,
     factors = np.zeros((len(free), 2, 2 * count))
     for axis in (0, 1):
         side, design = posterior.sides[axis], posterior.designs[axis]
-        lead = linalg.solve_triangular(design.lead, free.T, trans="T").T
+        lead = np.linalg.solve(design.lead.T, free.T).T
         rest = shrunken - lead @ design.cross  # w; `lead` is q
         weight = _weights(posterior, axis, noises)
         mean, root = _shrunken(posterior, axis, weight)

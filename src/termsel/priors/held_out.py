@@ -49,9 +49,14 @@ class Prediction:
     log: FloatArray  # (m,): logarithm of the evidence of the points that predict
 
 
-def chance_of(statistic: FloatArray, freedom: int) -> FloatArray:
-    """Return the chance of a larger F with 2 and `freedom` degrees: scipy's takes far longer."""
-    return np.asarray(np.exp(-freedom / 2 * np.log1p(2 * statistic / freedom)))
+def chance_of(statistic: FloatArray, freedom: int, pairs: int = 1) -> FloatArray:
+    """Return the chance of a larger F with 2 `pairs` and `freedom` degrees: scipy's takes long."""
+    part = 2 * pairs * statistic / freedom
+    term = total = np.exp(-freedom / 2 * np.log1p(part))
+    for i in range(pairs - 1):  # the incomplete beta function of a whole number
+        term = term * (freedom / 2 + i) / (i + 1) * part / (1 + part)
+        total = total + term
+    return np.asarray(total)
 
 
 class OfAxis(NamedTuple):

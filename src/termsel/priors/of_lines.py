@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.special import fdtrc
 
 from termsel.adjustment.equations import Equations
 from termsel.adjustment.monomials import Exponents
 from termsel.adjustment.solve import TOLERANCE
 from termsel.measurements.features import FloatArray, IntArray
 from termsel.priors import posterior
+from termsel.priors.held_out import chance_of
 from termsel.priors.posterior import NEVER, NO_NOISE, TYPICAL, scales_of, shares
 from termsel.priors.shrinkage import TINY
 
@@ -111,7 +111,8 @@ class Coupled:
                     variance, widest = self.square[:, None] / freedom, _eigenvalue(covariance)
                 statistic = quadratic / rows.shape[1] / variance
                 errors[rows] = (share[:, :, None] * held_out).sum(axis=0)
-                chance[feature] = (share * fdtrc(rows.shape[1], freedom, statistic)).sum(axis=0)
+                as_large = chance_of(statistic, freedom, rows.shape[1] // 2)
+                chance[feature] = (share * as_large).sum(axis=0)
                 strain[feature] = np.sqrt((share * statistic).sum(axis=0))
                 spread[feature] = np.sqrt((share * widest).sum(axis=0))
         return Predictions(errors, chance, strain, spread)

@@ -22,9 +22,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import lgamma
 
 import numpy as np
-from scipy.special import gammaln
 
 from termsel.adjustment.monomials import Exponents, monomials
 from termsel.measurements.control import PARALLAX
@@ -190,7 +190,7 @@ def marginal(found: Posterior, coefficients: FloatArray, variables: int, height:
     half, sizes = found.freedom / 2, np.exp(believed_sizes())
     some = sizes[SIZES > 0.0].sum() ** 2 + sizes[0] ** 2
     # The integral over the noise of its density 1 / sigma; what the affine terms determine.
-    log = found.cells.log - np.log(len(found.scales) * some) + gammaln(half) - np.log(2.0) \
+    log = found.cells.log - np.log(len(found.scales) * some) + lgamma(half) - np.log(2.0) \
         - half * np.log(np.pi) - sum(np.log(np.abs(np.diag(one.lead))).sum()
                                      for one in found.designs)
     noise = 0.5 * np.log(float(found.cells.share @ (found.square / found.freedom))) - np.log(pixel)

@@ -19,7 +19,6 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from scipy.special import xlogy
 
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.monomials import graded_exponents, monomials
@@ -213,7 +212,7 @@ def _axis(basis: tuple[FloatArray, FloatArray], target: FloatArray, smoothings: 
 def kernel(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return r^2 log r of the distances r between places, shape (len(a), len(b))."""
     square = squared_distances(a, b)
-    return np.asarray(xlogy(square, square) / 2)
+    return np.asarray(square * np.log(np.where(square > 0.0, square, 1.0)) / 2)
 
 
 def squared_distances(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from math import sqrt
 from typing import Annotated, Literal
 
-import numpy as np
 from msgspec import Meta, field
 
 from termsel.record.base import Count, Name, Names, Positive, RecordPart, Role, Roles, Share, Size
+from termsel.record.chances import chi_squared_quantile, t_quantile
 
 CONFIDENCE = 0.9
 """Probability of an interval."""
@@ -22,11 +23,9 @@ def rmse_interval(total: float, freedom: float) -> tuple[float, float]:
     The squares of independent errors have a chi-squared distribution of so many degrees of freedom:
     two of a point if its errors are normal and alike in line and sample, otherwise fewer.
     """
-    from scipy.special import chdtri  # scenes are simulated and read without it
-
     tail, freedom = (1 - CONFIDENCE) / 2, max(freedom, 1.0)
-    return (total * float(np.sqrt(freedom / chdtri(freedom, tail))),
-            total * float(np.sqrt(freedom / chdtri(freedom, 1 - tail))))
+    return (total * sqrt(freedom / chi_squared_quantile(1 - tail, freedom)),
+            total * sqrt(freedom / chi_squared_quantile(tail, freedom)))
 
 
 class RoleRmse(RecordPart, frozen=True):
@@ -233,6 +232,4 @@ class AdjustmentFigures(RecordPart, frozen=True):
     @property
     def least_t(self) -> float:
         """The t from which on a coefficient is significant, for a redundancy of 1 or more."""
-        from scipy.special import stdtrit
-
-        return float(stdtrit(self.redundancy, 1 - SIGNIFICANT / 2))
+        return t_quantile(1 - SIGNIFICANT / 2, self.redundancy)

@@ -14,6 +14,7 @@ from termsel.fits.residuals import Residual, Residuals
 from termsel.fits.scene import errors_on_ground, scene_grid
 from termsel.measurements.coordinates.crs import is_geographic
 from termsel.measurements.coordinates.metres import in_metres
+from termsel.measurements.coordinates.places import hull
 from termsel.measurements.features import FeatureSet, FloatArray, select
 from termsel.measurements.roles import by_roles
 from termsel.record.record import Record
@@ -145,14 +146,9 @@ class Shown:
     @cached_property
     def hull(self) -> list[Row]:
         """Corners of the control's convex hull; none of places on one straight line."""
-        from scipy.spatial import ConvexHull, QhullError
-
-        try:
-            around = ConvexHull(self._in_use).vertices
-        except (QhullError, ValueError):  # on one straight line, or fewer than three
-            return []
+        around = hull(self._in_use)
         return [{"i": i, "line": float(self._in_use[v, 0]), "sample": float(self._in_use[v, 1])}
-                for i, v in enumerate([*around, around[0]])]
+                for i, v in enumerate(around + around[:1])]
 
     @cached_property
     def correlations(self) -> list[Row]:

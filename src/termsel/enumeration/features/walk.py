@@ -21,7 +21,6 @@ from math import comb
 from typing import Any
 
 import numpy as np
-from scipy import linalg
 
 from termsel.adjustment.compiled import is_compiled
 from termsel.enumeration.features.arrays import Carried, EntrySpace, FeatureRows, Kept, Wanted
@@ -238,10 +237,10 @@ class _InErrorUnits:
     def of(cls, system: RowSystem, free: IntArray, on: BoolArray) -> _InErrorUnits:
         k = system.design.shape[1]
         # With C = Q R of the check points and y = R x - Q'c, errors are a constant part and -Q y.
-        q, r = linalg.qr(system.check_design, mode="economic")
+        q, r = np.linalg.qr(system.check_design)
         along = q.T @ system.check_target
         rest = system.check_target - q @ along
-        design = linalg.solve_triangular(r, system.design.T, trans="T").T
+        design = np.linalg.solve(r.T, system.design.T).T
         target = system.target - design @ along
         # A feature of many rows needs no more than there are unknowns.
         blocks = [_condensed(design[system.feature == i], target[system.feature == i], k)

@@ -7,6 +7,9 @@ from numpy.typing import ArrayLike
 
 from termsel.measurements.features import FeatureSet, FloatArray, IntArray
 
+ROUNDING = 1e-14
+"""Twice the area of a triangle in a box of side 1 whose corners lie on one line."""
+
 
 def spatial_order(xy: ArrayLike) -> IntArray:
     """Return an order (n,) of points (n, 2): neighbours in it are neighbours in the plane."""
@@ -46,12 +49,35 @@ def beyond(control: FloatArray, places: FloatArray) -> FloatArray:
     The largest distance from a side of the hull, divided by the longer side of the control's box; 0
     inside, infinite if the control has no hull.
     """
-    from scipy.spatial import ConvexHull, QhullError
-
-    try:
-        sides = ConvexHull(control).equations
-    except (QhullError, ValueError):  # fewer than three, or on one line
+    corners = control[hull(control)]
+    if not len(corners):
         return np.full(len(places), np.inf)
+    along = np.roll(corners, -1, axis=0) - corners
+    normals = np.column_stack([along[:, 1], -along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]
     with np.errstate(over="ignore"):  # places near the largest number are infinitely far
-        outside = (places @ sides[:, :2].T + sides[:, 2]).max(axis=1)
+        outside = (places @ normals.T - (corners * normals).sum(axis=1)).max(axis=1)
         return np.asarray(np.maximum(outside, 0.0) / np.ptp(control, axis=0).max())
+
+
+def hull(places: FloatArray) -> list[int]:
+    """Return the corners of the convex hull of places (n, 2), against the clock; none on one line.
+
+    By A.M. Andrew, Information Processing Letters 9 (1979) 216-219; to import SciPy's takes long.
+    """
+    size = np.ptp(places, axis=0).max(initial=0.0) if len(places) > 2 else 0.0
+    if not 0.0 < size < np.inf:
+        return []
+    scaled = (places - places.mean(axis=0)) / size
+    order, (x, y) = np.lexsort(scaled.T[::-1]).tolist(), scaled.T.tolist()
+    corners: list[int] = []
+    for half in (order, order[::-1]):
+        some: list[int] = []
+        for i in half:
+            while len(some) > 1:
+                a, b = some[-2:]
+                if (x[b] - x[a]) * (y[i] - y[a]) - (y[b] - y[a]) * (x[i] - x[a]) > ROUNDING:
+                    break
+                some.pop()
+            some.append(i)
+        corners += some[:-1]
+    return corners if len(corners) > 2 else []

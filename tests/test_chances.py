@@ -1,0 +1,26 @@
+"""Distributions of termsel's own against those of scipy.special."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.special import chdtri, stdtr, stdtrit
+
+from termsel.record.chances import chi_squared_quantile, t_beyond, t_quantile
+
+FREEDOM = [1, 2, 3.5, 48.4, 1000, 2e5]
+
+
+@pytest.mark.parametrize("freedom", FREEDOM)
+def test_quantiles_are_those_of_scipy(freedom: float) -> None:
+    for share in (0.01, 0.05, 0.5, 0.95, 0.999):
+        assert chi_squared_quantile(share, freedom) == pytest.approx(chdtri(freedom, 1 - share),
+                                                                     rel=1e-8)
+    for share in (0.6, 0.95, 0.975, 0.999):
+        assert t_quantile(share, freedom) == pytest.approx(stdtrit(freedom, share), rel=1e-8)
+
+
+@pytest.mark.parametrize("freedom", FREEDOM)
+def test_chances_of_t_are_those_of_scipy(freedom: float) -> None:
+    for t in (0.0, 1e-9, 0.3, 1.0, 1.7, 2.0, 3.0, 9.0, 30.0, 1e8, np.inf):
+        assert t_beyond(t, freedom) == pytest.approx(2 * stdtr(freedom, -t), rel=1e-8, abs=1e-300)
