@@ -9,6 +9,8 @@ from scipy.stats import multivariate_normal
 import termsel
 from termsel import FeatureSet, TermselError
 from termsel.adjustment.monomials import graded_exponents, monomials
+from termsel.candidates.physical import averaged
+from termsel.measurements.control import Control
 from termsel.priors import physics
 from termsel.priors.physics import FREE, Prior, Solutions
 from termsel.simulate import simulate_scene
@@ -97,6 +99,21 @@ def test_six_points_of_a_steady_scanner_are_worth_twice_as_much():
                 for name in ("physical-cubic", "shrunken-cubic")]
         ratios.append(rmse[0] / rmse[1])
     assert np.median(ratios) < 0.5
+
+
+def test_more_than_the_fewest_points_must_call_for_it_by_strong_evidence():
+    for count, at_odds_of_ten in ((6, False), (8, True)):
+        control = Control.of(simulate_scene("spot-isfahan", roles=(count, 0, 0), n_lines=0))
+        found = averaged(control.scaled.points, control.scaling, control.features.crs,
+                         graded_exponents(3, 3))
+        physical = len(found.physical)
+
+        def by_odds(odds, found=found, physical=physical):
+            shares = np.zeros(len(found.shares))
+            shares[0], shares[physical] = odds / (1 + odds), 1 / (1 + odds)
+            return replace(found, shares=shares, worse=0.0)
+
+        assert [by_odds(odds).alone(None) for odds in (2, 10, 30)] == [True, at_odds_of_ten, False]
 
 
 def test_auto_chooses_it_and_says_why_and_the_result_is_the_same_fit_again(tmp_path):

@@ -30,6 +30,10 @@ images, and more gain nothing by it."""
 CHOSEN = 12
 """Points of control up to which auto tries it. The final fit has the check points, too."""
 
+STRONG = 20 / 21
+"""Probability asked of the prior beyond the fewest points, where what stands without it is better:
+odds of twenty to one, beyond which the evidence is strong (Kass and Raftery 1995)."""
+
 WORSE = 1.0
 """Standard errors by which the shrunken polynomials alone must predict left-out points better to
 remain alone."""
@@ -52,12 +56,14 @@ class Averaged(Average):
     def alone(self, local: Collocation | None) -> bool:
         """Return whether the prior is not called for: next to a field, if points call for one.
 
-        It needs positive evidence, as a field does: where it is hardly likelier than what stands
-        without it, that is as good, and has no prior that may be wrong.
+        It needs positive evidence at the fewest points, as a field does, and strong evidence at
+        more: where it is hardly likelier than what stands without it, that is as good, and has no
+        prior that may be wrong.
         """
         beyond = local.probability if local and local.probability > asked_of(local) else 0.0
         mine, others = self.probability * (1.0 - beyond), 1.0 - self.probability
-        return mine <= LIKELY * (mine + others) or self.worse > WORSE
+        asked = LIKELY if len(self.errors) <= FEWEST else STRONG
+        return mine <= asked * (mine + others) or self.worse > WORSE
 
 
 def averaged(points: Points, scaling: Scaling, crs: str, exponents: Exponents) -> Averaged | None:
