@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -166,6 +167,47 @@ def test_a_sensor_is_read_from_the_folder_of_the_block(tmp_path: Path) -> None:
         'options = { sensor = "mine.json" }\n[[image]]\nname = "B"\n')
     with pytest.raises(TermselError, match=r"image 'A'.*JSON"):
         read_block(tmp_path / "m/block.toml")
+
+
+def test_a_sensor_that_is_nearly_right_is_said_and_not_used(simulated: Simulated) -> None:
+    """A field of 4 m seen straight down meets six points of a view of 2.5 m to the side."""
+    images = list(simulated.block.images)
+    images[0] = replace(images[0], model="scanner",
+                        options={"sensor": "planetscope", "track": "descending"})
+    result = adjust(replace(simulated.block, images=tuple(images)))
+    (note,) = result.block.notes
+    assert note.startswith("Points and ties of I1 contradict the sensor 'planetscope' (period by 4")
+    assert record_of(result).images[0].options == {"track": "descending"}
+    assert errors(result)[0] < 2.0  # 13 px, and a predicted 4
+
+
+def test_a_sensor_that_is_right_stays(simulated: Simulated, tmp_path: Path) -> None:
+    """As the simulated scanner is: 680 km high, whose pixel is 2.2 m straight down."""
+    (tmp_path / "mine.json").write_text(json.dumps({
+        "altitude": 690.0, "inclination": 98.1, "pixel": 2.37, "pixel_sigma": 0.06, "side": 12.0,
+        "altitude_sigma": 15.0, "ahead": 10.0, "source": "simulated"}))
+    options = {"sensor": str(tmp_path / "mine.json")}
+    images = (replace(simulated.block.images[0], model="scanner", options=options),
+              *simulated.block.images[1:])
+    result = adjust(replace(simulated.block, images=images))
+    assert not result.block.notes
+    assert result.block.images[0].options == options
+    assert errors(result)[0] < 2.0
+
+
+def test_a_camera_of_another_kind_is_refused(simulated: Simulated) -> None:
+    images = (*simulated.block.images[:2], replace(simulated.block.images[2], model="frame"))
+    with pytest.raises(TermselError, match=r"'I3': points and ties contradict the model 'frame' "
+                                           r"\(focal by"):
+        adjust(replace(simulated.block, images=images))
+
+
+def test_scanners_with_few_ties_converge() -> None:
+    """Rows of control elsewhere than those of the covariance seemed to use up all of it."""
+    block = simulate_block(3, n_ties=20, control=(6, 6, 0), seed=301, independent=10).block
+    result = adjust(modelled(block, "scanner"))
+    assert result.adjusted.converged  # not in 40 steps
+    assert result.adjusted.state.freedom_control > 5.0  # 4 is that of no control
 
 
 def test_a_wrong_sensor_is_named(simulated: Simulated, recwarn: pytest.WarningsRecorder) -> None:

@@ -16,6 +16,7 @@ pytest.importorskip("termsel_scanner", reason="termsel-scanner is not installed:
 import termsel
 from termsel import FeatureSet, Points, TermselError
 from termsel.simulate import pushbroom_at
+from termsel.toolkit import scaling_of
 from termsel_scanner import SENSORS, Scanner
 
 
@@ -51,6 +52,18 @@ def test_few_points_and_a_name_are_enough(count: int, most: float) -> None:
     assert 0.4 < np.sqrt((sigma**2).sum(axis=1).mean()) / rmse(fitted, scene) < 2.5
     assert fitted.adjustment.converged
     assert fitted.adjustment.steps
+
+
+def test_a_fit_follows_the_bent_valley_to_its_end() -> None:
+    """Altitude, pixel and period make up for each other: 100 steps were not enough from here."""
+    scene = spot(40)
+    control = scene.take(np.array([role == "control" for role in scene.points.roles]))
+    scaling = scaling_of(control)
+    model, scaled = Scanner().prepared(scaling, control.crs), scaling.features(control)
+    ends = [model.descended(scaled, start) for start in model.starts(scaled)]
+    assert all(end is not None and end.converged and end.steps < 40 for end in ends)
+    costs = [end.cost for end in ends if end is not None]
+    assert max(costs) < 1.02 * min(costs)
 
 
 def test_a_class_defined_in_a_function_is_fitted_too() -> None:

@@ -18,10 +18,9 @@ from termsel_block.geometry.cameras import Camera, groups_of
 from termsel_block.geometry.control import OwnControl, in_use, own_control
 from termsel_block.geometry.frame import BoolArray, FloatArray, Frame, IntArray
 from termsel_block.geometry.heights import Heights, Known, Surface
-from termsel_block.geometry.physical import PhysicalModel
+from termsel_block.geometry.physical import ABSURD, PhysicalModel
+from termsel_block.sensors import without_wrong_sensor
 
-_ABSURD = 0.01
-"""Standard deviation of ties, over the extent of an image, above which they are no measurements."""
 _TOLD = 8
 """Ties of an image from which on their extent tells that of the image."""
 
@@ -95,9 +94,25 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
     Raises
     ------
     TermselError
-        Naming the images that nothing holds, or those of another place.
+        Naming the images that nothing holds, those of another place, or a model that an image's
+        points and ties contradict.
+
+    Notes
+    -----
+    An image whose sensor is contradicted is adjusted as one of an unknown sensor. The block of the
+    result then has it without that option, and says so in its notes.
     """
     frame = Frame.at(_places(block), block.crs)
+    while True:
+        result = _adjusted(block, frame, progress)
+        other = without_wrong_sensor(block, result.adjusted)
+        if other is None:
+            return result
+        block = other
+
+
+def _adjusted(block: Block, frame: Frame, progress: Callable[[float], None] | None) -> BlockResult:
+    """Return the block as adjusted with the models that it states."""
     with ExitStack() as files:
         dem = files.enter_context(open_dem(block.dem, block.crs)) if block.dem else None
 
@@ -130,7 +145,7 @@ def _refuse_contradiction(adjusted: Adjusted, given: list[Given]) -> None:
     extents = [np.ptp(image.measured.place, axis=0).max() for image in given
                if len(image.measured.tie) >= _TOLD]
     sigma = adjusted.state.sigma_ties
-    if extents and sigma > _ABSURD * np.median(extents):
+    if extents and sigma > ABSURD * np.median(extents):
         raise TermselError(f"the ties contradict one another: they differ by {sigma:.3g} px",
                            hint="Check that an id is one place in all images, and that line and "
                                 "sample are not exchanged.")

@@ -62,6 +62,7 @@ def simulate_block(
     views: tuple[tuple[float, float], ...] = VIEWS,
     hills: Hills = HILLS,
     vendor_height: float = 0.0,
+    bend: float = 2.0,
     seed: int = 0,
 ) -> Simulated:
     """Return a block of images of one strip of hilly ground.
@@ -99,10 +100,12 @@ def simulate_block(
         The ground.
     vendor_height : float
         What the vendor takes the mean height of the ground for, less what it is [m].
+    bend : float
+        Standard deviation of what the attitude bends half an image by, quadratic in time [px].
     seed : int
     """
     rng = np.random.default_rng(seed)
-    known = [_sensor(i, size, gsd, views, rng) for i in range(n_images)]
+    known = [_sensor(i, size, gsd, views, bend, rng) for i in range(n_images)]
     sensors = [_shaken(sensor, jitter[i], size, np.random.default_rng([seed, 2, i]))
                if i < len(jitter) else sensor for i, sensor in enumerate(known)]
     width = size * gsd
@@ -152,7 +155,7 @@ def _middle(stack: int, width: float) -> tuple[float, float]:
     return LON + column * step / np.cos(np.radians(LAT)), LAT - row * step
 
 
-def _sensor(i: int, size: int, gsd: float, views: Sequence[tuple[float, float]],
+def _sensor(i: int, size: int, gsd: float, views: Sequence[tuple[float, float]], bend: float,
             rng: np.random.Generator) -> Pushbroom:
     """Return the scanner of the i-th image."""
     middle = _middle(i // 3, size * gsd)
@@ -167,7 +170,7 @@ def _sensor(i: int, size: int, gsd: float, views: Sequence[tuple[float, float]],
         constant = known.drift[0] if known.drift else 0.0
         rest = known.drift[1] if len(known.drift) > 1 else 0.0
         return Angle((constant, rest + rng.normal(0, 4) * ifov / end,
-                      rng.normal(0, 2) * ifov / end**2))
+                      rng.normal(0, bend) * ifov / end**2))
     return replace(sensor, roll=slow(sensor.roll), pitch=slow(sensor.pitch))
 
 

@@ -6,7 +6,7 @@ at an angle to the vertical; where it meets the orbit is the satellite.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,10 @@ class Cameras:
     yaw: FloatArray  # [rad]
     rates: FloatArray  # of roll, pitch and yaw [rad/s]
     changes: FloatArray  # of these [rad/s^2]
+
+    def first(self) -> Cameras:
+        """Return the first one alone."""
+        return Cameras(*(getattr(self, one.name)[:1] for one in fields(self)))
 
 
 def geocentric(ground: FloatArray) -> FloatArray:
@@ -100,16 +104,21 @@ def seen(cameras: Cameras, target: FloatArray, place: FloatArray, axes: FloatArr
                          slopes[..., 1] - roll + yaw * slopes[..., 0]], axis=-1)
 
     time = np.zeros((len(radius), len(ground)))
+    if len(radius) > 1:
+        # Cameras by which others are differentiated see all at nearly the same times.
+        first = seen(cameras.first(), target, place, axes)[0, :, 0]
+        time += np.where(np.isfinite(first), first, 0.0)
     step = np.full_like(time, STEP)
     with np.errstate(all="ignore"):
-        at = view(time)[..., 0]
+        looked = view(time)
         for _ in range(ROUNDS):
             time = np.clip(time + step, -FAR, FAR)
-            before, at = at, view(time)[..., 0]
+            before, looked = looked[..., 0], view(time)
+            at = looked[..., 0]
             change = at - before
             step = np.where(np.abs(change) > 1e-13, -at * step / change, 0.0)
             if np.abs(at).max(initial=0.0) < CLOSE:
                 break
-        image = np.stack([time, view(time)[..., 1]], axis=2)
+        image = np.stack([time, looked[..., 1]], axis=2)
         image[~(np.abs(at) < 1e-6)] = np.nan
     return image

@@ -39,6 +39,9 @@ STEP = 1e-4
 ROUNDS, CLOSE = 100, 1e-3
 """Most steps of a fit; it has converged where a step would gain less than this share."""
 
+BEND, AHEAD = 0.1, 0.4
+"""Part of a step by which its bend is told, and the most that the bend may be of the step."""
+
 HUBER = 3.0
 """Residuals beyond so many standard deviations count by their size alone (Huber 1964)."""
 
@@ -144,8 +147,18 @@ class Physical(SensorModel):
         loss = np.where(large > HUBER, 2 * HUBER * large - HUBER**2, large**2)
         return float(loss.sum() + ((self.prior() / unit * values) ** 2).sum()), away
 
+    def _bent(self, values: FloatArray, step: FloatArray, ground: FloatArray) -> FloatArray:
+        """Return how far image positions at the end of a step are off its tangent, (n, 2)."""
+        ends = values + BEND * np.array([[1.0], [0.0], [-1.0]]) * step
+        ahead, middle, back = self.image_of(ends, ground)
+        return np.asarray((ahead - 2 * middle + back) / (2 * BEND**2))
+
     def descended(self, features: FeatureSet, start: FloatArray) -> Solution | None:
-        """Return where damped steps from a start end (Levenberg 1944, Marquardt 1963)."""
+        """Return where damped steps from a start end (Levenberg 1944, Marquardt 1963).
+
+        Steps follow a bend to second order (Transtrum, Machta and Sethna 2011, Phys. Rev. E 83,
+        036701, section VIII).
+        """
         points, prior = features.points, self.prior()
         unit = NOISE / known(self.scaling).image_scale
         weight = _weight(features)
@@ -167,7 +180,14 @@ class Physical(SensorModel):
                 return None
             right = A.T @ (turned * away).ravel() - size**2 * values
             normal = A.T @ A + np.diag(size**2)
-            full = np.linalg.lstsq(normal + damping * np.diag(np.diag(normal) + 1e-12), right)[0]
+            inverse = np.linalg.pinv(normal + damping * np.diag(np.diag(normal) + 1e-12),
+                                     hermitian=True)
+            full = inverse @ right
+            # The way bends where altitude, pixel and period make up for each other.
+            bent = self._bent(values, full, points.ground)
+            aside = inverse @ (A.T @ (turned * weight / unit * bent).ravel())
+            if np.isfinite(aside).all() and np.linalg.norm(aside) < AHEAD * np.linalg.norm(full):
+                full = full - aside
             there, left = self.cost(features, values + full)
             steps += 1
             if not there < now:

@@ -89,7 +89,7 @@ def adjust_block(state: State, measured: Sequence[Measured], control: Sequence[O
     steps += run.iterate(robust=False, limit=_STEPS, report=report)
     residuals, of_control = run.residuals()
     return Adjusted(state, run.solved, residuals, of_control, evidence, steps, run.converged,
-                    heights.offset, heights.sigma, run.freedom)
+                    heights.offset, heights.sigma, run.freedom, run.moved())
 
 
 class _Run:
@@ -100,8 +100,6 @@ class _Run:
     freedom = np.nan
     share = 1.0
     """Of the last step, that was taken."""
-    change, calm = 0.0, 1.0
-    """Last one of the logarithm of control's standard deviation, and the part that is taken."""
 
     def __init__(self, state: State, measured: Sequence[Measured], control: Sequence[OwnControl],
                  heights: Heights, shared: Sequence[Shared]) -> None:
@@ -109,7 +107,8 @@ class _Run:
         self.heights, self.shared = heights, shared
         self.slopes: dict[int, FloatArray] = {}
         self.kept: dict[int, tuple[Camera, FloatArray, FloatArray, FloatArray]] = {}
-        self.rich = any(camera.rich for camera in state.cameras)
+        self.design: dict[int, FloatArray] = {}
+        """Rows of each image's control in the last equations."""
         self.large = sum(2 * len(camera.groups) for camera in state.cameras) > _SLOW
 
     def iterate(self, *, robust: bool, limit: int, report: Callable[[float], None]) -> int:
@@ -121,7 +120,7 @@ class _Run:
             if step < _BENT:
                 self.slopes = {}
             self.step(robust, _WIDE[step] if robust and step < _TRUST else 1.0)
-            moved = self._moved()
+            moved = float(self.moved().max(initial=0.0))
             settled = True
             if step >= _TRUST and (not self.large or step == _TRUST):
                 settled = self.estimate(robust)
@@ -220,6 +219,7 @@ class _Run:
         if not len(known):
             return np.zeros((2 * m, 2 * m)), np.zeros(2 * m)
         rows, residual = self._rows(i, camera, known)
+        self.design[i] = rows
         sigma = self.state.sigma_control * known.sigma
         weight = np.where(self.state.control_in_use[i], sigma**-2, 0.0)
         if robust:
@@ -234,14 +234,12 @@ class _Run:
         computed = camera.project(parameters, known.local)
         return rows, known.value - (known.normal * computed).sum(axis=1)
 
-    def _moved(self) -> float:
-        """Return how far the last step moved the image of any tie or control, at most [px]."""
-        far = 0.0
-        for part, step, moved in zip(self.solved.seen[:-1], self.solved.steps[:-1], self._moves(),
-                                     strict=True):
-            seen = moved[part.weight > 0] if len(part.tie) else step
-            far = max(far, float(np.abs(seen).max(initial=0.0)))
-        return far
+    def moved(self) -> FloatArray:
+        """Return how far the last step moved any tie or control in each image, at most [px]."""
+        return np.array([
+            float(np.abs(moved[part.weight > 0] if len(part.tie) else step).max(initial=0.0))
+            for part, step, moved in zip(self.solved.seen[:-1], self.solved.steps[:-1],
+                                         self._moves(), strict=True)])
 
     def _moves(self) -> list[FloatArray]:
         """Return how far the last step moves the ties in each image, to first order [px]."""
@@ -266,8 +264,7 @@ class _Run:
         of_ties, of_control = self.residuals()
         determined = spent = rows = 0.0
         squares = 0.0
-        for i, (camera, known, covariance) in enumerate(
-                zip(state.cameras, self.control, covariances, strict=True)):
+        for i, (known, covariance) in enumerate(zip(self.control, covariances, strict=True)):
             variances = np.tile(state.variances[i], 2)
             determined += float((1 - np.diag(covariance) / variances).sum())
             if len(known):
@@ -275,7 +272,8 @@ class _Run:
                 sigma = state.sigma_control * known.sigma
                 weight = soft(of_control[i] / sigma) if robust else np.ones(len(known))
                 weight = weight * used
-                design = self._rows(i, camera, known)[0]
+                # Of the equations that the covariance is of: rows elsewhere do not cancel in it.
+                design = self.design[i]
                 hat = np.einsum("ni,ij,nj->n", design, covariance, design) / sigma**2
                 spent += float((weight * hat).sum())
                 rows += float(weight.sum())
@@ -296,14 +294,8 @@ class _Run:
         # Few points say little of their own precision: the ties' counts as four of them. This is
         # about the median of the posterior, whose mean is far above it where points are few.
         expected = max(rows - spent, 0.0)
-        found = float(np.sqrt((squares + _PRIOR_COUNT * state.sigma_ties**2)
-                              / (expected + _PRIOR_COUNT - MEDIAN)))
-        # The more control weighs, the better it is met: what swings about its end goes less far.
-        change = float(np.log(found / state.sigma_control))
-        if self.rich and change * self.change < 0:
-            self.calm /= 2
-        self.change = change
-        state.sigma_control *= float(np.exp(self.calm * change))
+        state.sigma_control = float(np.sqrt((squares + _PRIOR_COUNT * state.sigma_ties**2)
+                                            / (expected + _PRIOR_COUNT - MEDIAN)))
         state.freedom_control = expected + _PRIOR_COUNT
         state.variances = estimated(
             state.cameras, state.parameters, covariances, state.variances)

@@ -54,6 +54,8 @@ class Adjusted:
         How far heights are off the surface as a whole, and each by itself [m].
     freedom : float
         Redundancy: measurements less the unknowns that they determine.
+    moved : ndarray, shape (images,)
+        How far the last step moved each image, at most [px].
     """
 
     state: State
@@ -66,3 +68,4 @@ class Adjusted:
     offset: float
     roughness: float
     freedom: float
+    moved: FloatArray

@@ -26,9 +26,10 @@ from termsel_block.shown.summary import text_of
 RECORD, SUMMARY, PAGE, TIES, SCHEMA_FILE = (
     "block.json", "summary.txt", "report.html", "ties.csv", "block.schema.json")
 
-_MOST, _MOST_PHYSICAL = 400, 40
-"""Ties of an image that its own result keeps as control: more tell nothing new of its model, and a
-physical model takes long.
+_MOST = {"smooth": 400, "polynomial": 200}
+_MOST_PHYSICAL, _MOST_OTHERS = 40, 120
+"""Ties of an image that its own result keeps as control, by its model: with more it is the block's
+model no better than a tenth of what the block predicts, and takes longer.
 """
 
 _INTERVALS, _PER_INTERVAL = 32, 5
@@ -143,7 +144,8 @@ def _features(result: BlockResult, i: int, image: BlockImage) -> FeatureSet:
     """Return an image's own features without blunders, and its ties as control."""
     state, ties = result.adjusted.state, result.block.ties
     mine = np.flatnonzero(ties.image == i)[state.in_use[i]]
-    most = _MOST_PHYSICAL if isinstance(result.camera(i), PhysicalCamera) else _MOST
+    most = _MOST_PHYSICAL if isinstance(result.camera(i), PhysicalCamera) else _MOST.get(
+        correction_of(result, i), _MOST_OTHERS)
     if len(mine) > most:
         mine = mine[np.linspace(0, len(mine) - 1, most).astype(int)]
     names = [f"tie-{ties.names[k]}" for k in ties.tie[mine]]

@@ -57,8 +57,6 @@ class Camera(ABC):
         Those of them whose variance stays what it was.
     nested : bool
         Whether a group makes sense only with all before it.
-    rich : bool
-        Whether its terms meet control so well that estimates of control's precision swing.
     """
 
     groups: tuple[str, ...]
@@ -67,7 +65,6 @@ class Camera(ABC):
     kept: frozenset[str] = frozenset()
     wide: frozenset[str] = frozenset()
     nested = False
-    rich = False
 
     @abstractmethod
     def only(self, keep: BoolArray) -> Camera:

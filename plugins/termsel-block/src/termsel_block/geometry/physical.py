@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.special import chdtrc
 
 from termsel import FeatureSet, Points, SensorModel, TermselError, get
 from termsel.toolkit import scaling_of
@@ -17,7 +18,8 @@ LEAST = 3
 """Control points from which such a model begins."""
 
 ABSURD = 0.01
-"""Distance from a model, over the extent of an image, above which it is not that of the points."""
+"""Error over the extent of an image from which on a model is not that of its points, and ties are
+no measurements."""
 
 _STEP = 1e-4
 """Change of a term, in its standard deviations, by which places are differentiated."""
@@ -30,6 +32,31 @@ _LOOSE = 0.01
 
 _FREE = 10.0
 """Standard deviation of a term without a prior: half images, of a place in the image."""
+
+_TOLD = 0.1
+"""Share of a prior's variance that measurements take, from which on they tell of the term."""
+
+_NAMED = 3.0
+"""Standard deviations beyond which a term is named."""
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """How little the terms of a model are what is known of them.
+
+    Parameters
+    ----------
+    chance : float
+        Probability of terms so far from what is known, if that is true.
+    severity : float
+        Sum of squares over their number.
+    terms : tuple of str
+        The farthest.
+    """
+
+    chance: float
+    severity: float
+    terms: tuple[str, ...]
 
 
 class PhysicalCamera(Camera):
@@ -52,8 +79,6 @@ class PhysicalCamera(Camera):
         If the terms of the model have no priors, or no camera sees the points.
     """
 
-    rich = True
-
     def __init__(self, model: SensorModel, control: FeatureSet, frame: Frame) -> None:
         self.scaling, self.frame = scaling_of(control), frame
         self.model = model.prepared(self.scaling, control.crs)
@@ -66,7 +91,8 @@ class PhysicalCamera(Camera):
                                "few points need", hint="Use auto, or a model of a camera: scanner, "
                                "frame or panoramic of termsel-scanner.")
         # Parameters are terms in their standard deviations.
-        self.scale = np.where(prior > 0, prior.max() / np.maximum(prior, 1e-300), _FREE)
+        self.has_prior = prior > 0
+        self.scale = np.where(self.has_prior, prior.max() / np.maximum(prior, 1e-300), _FREE)
         half = -(-len(prior) // 2)
         self.first = np.pad(values / self.scale, (0, 2 * half - len(prior))).reshape(half, 2)
         self.groups = (self.model.name,) * half
@@ -119,6 +145,30 @@ class PhysicalCamera(Camera):
     def area(self) -> tuple[FloatArray, FloatArray]:
         """Return middle and half widths of the ground that the start knows."""
         return self._area
+
+    def contradicted(self, parameters: FloatArray, covariance: FloatArray) -> Contradiction:
+        """Return how far parameters (m, 2) are from the model's priors.
+
+        Parameters
+        ----------
+        covariance : ndarray, shape (2m, 2m)
+            Of their posterior, by image axis, then column.
+
+        Notes
+        -----
+        Where the priors are true, a posterior mean has the variance of the prior less that of the
+        posterior. What measurements do not tell has neither, and is left out.
+        """
+        at = np.arange(parameters.size).reshape(2, -1).T.ravel()[:len(self.scale)][self.has_prior]
+        mean = parameters.T.ravel()[at]
+        values, vectors = np.linalg.eigh(np.eye(len(at)) - covariance[np.ix_(at, at)])
+        told = values > _TOLD
+        square = float(((vectors[:, told].T @ mean) ** 2 / values[told]).sum())
+        names = np.array(self.model.terms)[self.has_prior]
+        order = np.argsort(-np.abs(mean))[:3]
+        named = [f"{names[k]} by {abs(mean[k]):.1f}" for k in order if abs(mean[k]) > _NAMED]
+        return Contradiction(float(chdtrc(max(told.sum(), 1), square)),
+                             square / max(int(told.sum()), 1), tuple(named))
 
     def _terms(self, parameters: FloatArray) -> FloatArray:
         """Return the model's terms (k,)."""

@@ -19,6 +19,10 @@ _COARSE = 2.0
 """Standard deviation of a tie [px] that is worth a doubt."""
 _BENT = 50.0
 """Difference of a correction over an image [px]: vendors' RPCs drift by far less."""
+_NAMED, _MOVING = 3, 1e-3
+"""Images that are named, and how far one moves that has not settled [px]."""
+_FEW = 0.5
+"""Share of the ties of an image, below which they are not blunders but the image is."""
 _OFF = 12.0
 """Metres that a DEM is off as a whole: geoid and ellipsoid are tens apart."""
 
@@ -133,7 +137,16 @@ def doubts(result: BlockResult) -> list[str]:
     if adjusted.state.sigma_ties > _COARSE:
         said.append(f"Ties agree to {adjusted.state.sigma_ties:.1f} px only, which is coarse for "
                     "measurements: check RPCs and ties.")
+    if not adjusted.converged:
+        worst = [result.block.images[i].name for i in np.argsort(-adjusted.moved)[:_NAMED]
+                 if adjusted.moved[i] > _MOVING] or ["none"]
+        said.append(f"Images that still moved in the last step: {', '.join(worst)}. Give them more "
+                    "control points or ties, or a plainer model.")
     for i, image in enumerate(result.block.images):
+        used = adjusted.state.in_use[i]
+        if len(used) and used.mean() < _FEW:
+            said.append(f"{(~used).sum()} of {len(used)} ties of {image.name} were left out: check "
+                        "its model, and whether the ties are of this image.")
         ties = adjusted.state.ties[result.block.ties.tie[result.block.ties.image == i]]
         camera = result.camera(i)
         if isinstance(camera, RpcCamera) and len(ties):

@@ -1,0 +1,61 @@
+"""Sensors that are not those of their images: what a block says against a model's priors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from termsel import TermselError
+from termsel_block.block import Block
+from termsel_block.estimation.unknowns import Adjusted
+from termsel_block.geometry.physical import Contradiction, PhysicalCamera
+
+CHANCE = 1e-4
+"""Probability below which what is known of a model's terms is not true of the image."""
+
+_SENSOR = "sensor"
+"""Option that names what is known; without it the model knows least."""
+
+
+def without_wrong_sensor(block: Block, adjusted: Adjusted) -> Block | None:
+    """Return the block without the sensor that its measurements contradict most; None if none.
+
+    One sensor at a time, in all images that it is wrong in: by their ties it bends others, too.
+
+    Raises
+    ------
+    TermselError
+        Naming an image whose model is contradicted, and names no sensor.
+    """
+    found: dict[int, Contradiction] = {}
+    for i, camera in enumerate(adjusted.state.cameras):
+        if isinstance(camera, PhysicalCamera):
+            one = camera.contradicted(adjusted.state.parameters[i], adjusted.solved.own[i])
+            if one.chance < CHANCE:
+                found[i] = one
+    sensors = {i: str(block.images[i].options.get(_SENSOR) or "") for i in found}
+    worst = max(found, key=lambda i: (bool(sensors[i]), found[i].severity), default=None)
+    if worst is None:
+        return None
+    if not sensors[worst]:
+        image = block.images[worst]
+        raise TermselError(f"image {image.name!r}: points and ties contradict the model "
+                           f"{image.model!r}{_off(found[worst])}",
+                           hint="Check its points and the options of the model, or choose another "
+                                "model or auto.")
+    wrong = [i for i in found if sensors[i] == sensors[worst]]
+    images, notes = list(block.images), list(block.notes)
+    for i in wrong:
+        images[i] = replace(images[i], options={
+            name: value for name, value in images[i].options.items() if name != _SENSOR})
+        notes.append(f"Points and ties of {images[i].name} contradict the sensor "
+                     f"{Path(sensors[i]).name!r}{_off(found[i])}. The image is adjusted as one of "
+                     "an unknown sensor.")
+    return replace(block, images=tuple(images), notes=tuple(notes))
+
+
+def _off(found: Contradiction) -> str:
+    """Return how far which terms are off, as a part of a sentence."""
+    if not found.terms:
+        return ""
+    return f" ({', '.join(found.terms)} standard deviations)"
