@@ -116,6 +116,17 @@ def test_more_than_the_fewest_points_must_call_for_it_by_strong_evidence():
         assert [by_odds(odds).alone(None) for odds in (2, 10, 30)] == [True, at_odds_of_ten, False]
 
 
+@pytest.mark.parametrize(("shrunk", "meant"), [(1.0, True), (0.05, True), (1e-3, False),
+                                               (1e4, False)])
+def test_no_satellite_has_pixels_of_millimetres_or_of_kilometres(shrunk, meant):
+    """Degrees without a CRS are no metres. SPOT's 10 m are a pixel, and so are 0.5 m."""
+    points = simulate_scene("spot-isfahan", roles=(8, 0, 0), n_lines=0).points
+    metres = (points.ground - points.ground.mean(axis=0)) * [90e3, 111e3, 1.0]
+    control = Control.of(FeatureSet(replace(points, ground=shrunk * metres)))
+    found = averaged(control.scaled.points, control.scaling, "", graded_exponents(3, 3))
+    assert (found is not None) == meant
+
+
 def test_auto_chooses_it_and_says_why_and_the_result_is_the_same_fit_again(tmp_path):
     scene = simulate_scene("spot-isfahan", roles=(6, 0, 30))
     result = termsel.run(features=scene, out=tmp_path / "out")

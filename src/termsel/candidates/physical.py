@@ -30,6 +30,9 @@ images, and more gain nothing by it."""
 CHOSEN = 12
 """Points of control up to which auto tries it. The final fit has the check points, too."""
 
+PIXELS = (0.1, 2000.0)
+"""Sizes of a pixel on the ground [m] that images from orbit have, resampled ones included."""
+
 STRONG = 20 / 21
 """Probability asked of the prior beyond the fewest points, where what stands without it is better:
 odds of twenty to one, beyond which the evidence is strong (Kass and Raftery 1995)."""
@@ -81,7 +84,10 @@ def averaged(points: Points, scaling: Scaling, crs: str, exponents: Exponents) -
     plan, pixel = found[0][:, :2], 1.0 / scaling.image_scale
     slopes, _, rank, _ = np.linalg.lstsq(
         np.column_stack([np.ones(len(plan)), plan]), points.image)
-    if rank < 3 or not np.linalg.norm(slopes[1:], axis=0).all():
+    if rank < 3:
+        return None
+    per_metre = np.linalg.norm(slopes[1:], axis=0) / pixel
+    if not all(1 / PIXELS[1] <= one <= 1 / PIXELS[0] for one in per_metre):
         return None
     priors = of_cameras(grid[0], scaled, exponents, grid[1], np.asarray(slopes[1:].T), pixel)
     if not priors:
