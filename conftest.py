@@ -11,6 +11,7 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -31,6 +32,24 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if listed & {item.nodeid, item.nodeid.partition("[")[0]}:
             item.add_marker("slow")
+
+
+@pytest.fixture(scope="session")
+def example_files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the files of `termsel example`; whoever writes there takes a copy.
+
+    They take two seconds to make, so that the processes of a run of tests share them.
+    """
+    from termsel.io.example import write_example  # only now, as it imports numpy
+
+    base = tmp_path_factory.getbasetemp()
+    shared = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "files of example"
+    if not shared.exists():
+        made = tmp_path_factory.mktemp("example") / "files"
+        write_example(made)
+        with suppress(OSError):  # another process was first
+            made.rename(shared)
+    return shared
 
 
 @pytest.fixture

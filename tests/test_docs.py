@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import importlib
 import inspect
 import re
-import subprocess
 import sys
 import tomllib
+from collections.abc import Callable
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
@@ -23,6 +24,7 @@ from termsel.plugins.loading import HOOKS
 from termsel.plugins.registry import registry
 from termsel.record.schema import json_schema
 from termsel.runs.task.request import DATA_OPTIONS
+from termsel.testing import check
 
 ROOT = Path(__file__).parents[1]
 DOCS = sorted(page for page in ROOT.glob("docs/**/*.md") if "_build" not in page.parts)
@@ -69,25 +71,25 @@ def _plugin_of_the_readme(folder: Path) -> None:
         "[termsel]\n" + "".join(f"{name} = {module}\n" for name, module in points.items()))
 
 
-def test_plugin_of_the_readme_is_a_plugin(tmp_path: Path) -> None:
+def test_plugin_of_the_readme_is_a_plugin(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch, only: Callable[[str], None],
+        call: Callable[..., Any]) -> None:
     assert len(_block(_page("README.md"), "python", "class DLT").splitlines()) <= 25
     _plugin_of_the_readme(tmp_path)
-    code = ("import sys; from termsel.__main__ import main; "
-            "sys.argv[1:] = ['run', '--problem', 'owdis-lines', '--model', 'dlt-demo', "
-            "'--generations', '2', '--set', 'population=20', '--set', 'polish=false']; main()")
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True,
-                          text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    monkeypatch.syspath_prepend(tmp_path)
+    only("termsel-dlt")
+    done = call("run", "--problem", "owdis-lines", "--model", "dlt-demo", "--generations", 2,
+                "--set", "population=20", "--set", "polish=false")
+    assert done.exit_code == 0, done.stderr
     assert "Model: dlt-demo, all " in done.stdout
     assert "all 11 terms" in done.stdout or "11 of 11 terms" in done.stdout
 
 
-def test_plugin_of_the_readme_passes_the_conformance_checks(tmp_path: Path) -> None:
+def test_plugin_of_the_readme_passes_the_conformance_checks(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _plugin_of_the_readme(tmp_path)
-    code = "from termsel.testing import check; from termsel_dlt import DLT; check(DLT)"
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True,
-                          text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    monkeypatch.syspath_prepend(tmp_path)
+    check(importlib.import_module("termsel_dlt").DLT)
 
 
 def test_every_hook_is_documented_with_its_arguments() -> None:

@@ -195,12 +195,12 @@ def test_run_and_fit_take_files_and_tables(tmp_path: Path) -> None:
     expected = termsel.run(features=features)
     rows = [{"id": p, "lon": x, "lat": y, "h": z, "line": line, "sample": s} for p, x, y, z, line, s
             in zip(IDS, *features.points.ground.T, *features.points.image.T, strict=True)]
-    for given in (path, str(path), rows):
+    for given, source in ((path, str(path)), (str(path), str(path)), (rows, expected.data.source)):
         result = termsel.run(features=given, crs="EPSG:4979")
+        assert result.data.source == source
         assert result.rmse["control"] == expected.rmse["control"]
         fitted = termsel.fit(given, "affine", crs="EPSG:4979")
         assert fitted.rmse(features.points) == termsel.fit(features, "affine").rmse(features.points)
-    assert termsel.run(features=path, crs="EPSG:4979").data.source == str(path)
 
 
 @pytest.mark.parametrize("given", [5, [1, 2], b"x", {"a": 3}, np.zeros((3, 5))])

@@ -13,7 +13,6 @@ from types import ModuleType
 
 import pytest
 
-from termsel.io.example import write_example
 from termsel.plugins.registry import registry
 
 ROOT = Path(__file__).parents[1]
@@ -35,13 +34,6 @@ _EXAMPLE = re.compile(r"termsel example (\S+) && cd \1")
 PAGES = [page for page in [ROOT / "README.md", *sorted(ROOT.glob("plugins/*/README.md")),
                            *sorted(ROOT.glob("docs/**/*.md"))]
          if "_build" not in page.parts and snippets.steps(page.read_text(encoding="utf-8"))]
-
-
-@pytest.fixture(scope="session")
-def example(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("example") / "files"
-    write_example(folder)
-    return folder
 
 
 @pytest.fixture
@@ -67,7 +59,7 @@ def _plugin() -> str:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 @pytest.mark.usefixtures("clean")
-def test_page_can_be_followed(page: Path, tmp_path: Path, example: Path,
+def test_page_can_be_followed(page: Path, tmp_path: Path, example_files: Path,
                               monkeypatch: pytest.MonkeyPatch) -> None:
     text = page.read_text(encoding="utf-8")
     for package in set(re.findall(r"\./plugins/termsel-(\w+)", text)):
@@ -80,7 +72,7 @@ def test_page_can_be_followed(page: Path, tmp_path: Path, example: Path,
     for step in snippets.steps(text):
         if files := _EXAMPLE.fullmatch(step.code):
             session.folder = session.folder / files[1]
-            shutil.copytree(example, session.folder)
+            shutil.copytree(example_files, session.folder)
             continue
         actual = session.run(step)
         if step.shown is not None:

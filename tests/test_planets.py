@@ -48,7 +48,8 @@ BODIES = [("IAU_2015:49900", 137.4, -4.6, 3396190.0, "4.6 S, 137.4 E on Mars"),
 @pytest.mark.parametrize(("crs", "lon", "lat", "radius", "place"), BODIES)
 def test_errors_in_metres_are_those_of_the_body(crs: str, lon: float, lat: float, radius: float,
                                                 place: str) -> None:
-    result = termsel.run(features=scene(crs, lon, lat, radius), strategy="auto")
+    result = termsel.run("poly-terms", features=scene(crs, lon, lat, radius),
+                         model="affine", solver="all-terms")
     rmse = result.rmse["independent"]
     assert rmse is not None
     assert rmse.total < 1.0

@@ -5,16 +5,18 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import pytest
 from click.testing import CliRunner
 
 import termsel
 from termsel.cli.main import cli
 
+SCENE = termsel.simulate_scene("ikonos-hamedan", roles=(12, 12, 26), n_lines=0)
 
-def _fit(out: Path, degree: int = 2, **more: object) -> termsel.Result:
-    return termsel.run("poly-terms", solver="all-terms", options={"degree": degree}, out=out,
-                       **more)
+
+def _fit(out: Path, degree: int = 2, features: termsel.FeatureSet = SCENE,
+         **more: object) -> termsel.Result:
+    return termsel.run("poly-terms", features=features, solver="all-terms",
+                       options={"degree": degree}, out=out, **more)
 
 
 def _spent(result: termsel.Result) -> tuple[str, ...] | None:
@@ -66,14 +68,14 @@ def test_a_point_that_was_control_before_is_not_spent(tmp_path: Path) -> None:
     assert _spent(result) is None
 
 
-@pytest.mark.parametrize("content", [
-    "{", "[]", '{"schema": 3}', 9999 * "[", '{"schema": "termsel-result-1"}',
-    '{"schema": "termsel-result-1", "checksums": {}, "accuracy": [1], "fit": 2}'])
-def test_a_damaged_neighbour_stops_no_run(tmp_path: Path, content: str) -> None:
-    for name in ("damaged", "alone"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "result.json").write_text(content)
-    (tmp_path / "damaged" / "points.csv").write_text("nonsense\n")
+def test_damaged_neighbours_stop_no_run(tmp_path: Path) -> None:
+    for number, content in enumerate([
+            "{", "[]", '{"schema": 3}', 9999 * "[", '{"schema": "termsel-result-1"}',
+            '{"schema": "termsel-result-1", "checksums": {}, "accuracy": [1], "fit": 2}']):
+        for name in (f"damaged {number}", f"alone {number}"):
+            (tmp_path / name).mkdir()
+            (tmp_path / name / "result.json").write_text(content)
+        (tmp_path / f"damaged {number}" / "points.csv").write_text("nonsense\n")
     assert _spent(_fit(tmp_path / "good")) is None
 
 

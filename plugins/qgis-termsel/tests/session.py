@@ -207,11 +207,11 @@ def model():
 
 def results():
     """What is done with a result, and other algorithms."""
-    result = str(folder / "of layer żółć 東京")
+    result, plain = str(folder / "of layer żółć 東京"), str(folder / "of model")
     told["places"] = run("nextplaces", RESULT=result, NUMBER=3, OUTPUT=str(folder / "places.gpkg"))
     told["export"] = run("export", RESULT=result, FORMAT=0, OUTPUT=str(folder / "scene_RPC.TXT"))
-    told["report"] = run("report", RESULT=result, OUTPUT=str(folder / "p ü.html"))
-    told["sigma"] = run("sigma", RESULT=result, DEM=str(folder / "dem.tif"),
+    told["report"] = run("report", RESULT=plain, OUTPUT=str(folder / "p ü.html"))
+    told["sigma"] = run("sigma", RESULT=plain, DEM=str(folder / "dem.tif"),
                         IMAGE=str(folder / "scene.tif"), OUTPUT=str(folder / "sigma ü.tif"))
     shades = iface.addRasterLayer(told["sigma"].get("OUTPUT", ""), "sigma")
     if shades:

@@ -150,14 +150,11 @@ def python_with_qt_6() -> str | None:
     return None
 
 
-def test_the_dock_works_in_qt_6(tmp_path: Path) -> None:
+def test_the_dock_works_in_qt_6(tmp_path: Path, example_files: Path) -> None:
     python = python_with_qt_6()
     if python is None:
         pytest.skip("PyQt6 is not installed")
-    files = tmp_path / "files"
-    assert invoke("example", files).exit_code == 0
-    done = invoke("run", "--points", files / "gcps.csv", "--out",
-                  tmp_path / "result")
+    done = invoke("run", "--points", example_files / "gcps.csv", "--out", tmp_path / "result")
     assert done.exit_code == 0, done.output
     environment = {**os.environ, "PYTHONPATH": str(PLUGIN), "QT_QPA_PLATFORM": "offscreen"}
     ran = subprocess.run(

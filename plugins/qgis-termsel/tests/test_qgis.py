@@ -36,7 +36,7 @@ Place = tuple[Path, dict[str, str]]
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Place:
+def place(tmp_path_factory: pytest.TempPathFactory, example_files: Path) -> Place:
     """Files of the example in a folder with a space, and an environment of QGIS without a user."""
     base = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
@@ -44,7 +44,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Place:
     folder = base / "of qgis" / "a place"
     with once(base / "of qgis files") as first:
         if first:
-            write_files(folder)
+            write_files(folder, example_files)
     # With another Python first in the path, that of QGIS does not find its own modules.
     environment = {**os.environ, "PATH": SYSTEM, "QGIS_PLUGINPATH": str(PLUGIN),
                    "QGIS_CUSTOM_CONFIG_PATH": str(folder.parent), "TERMSEL_PLACE": str(folder),
@@ -55,12 +55,12 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Place:
     return folder, environment
 
 
-def write_files(folder: Path) -> None:
+def write_files(folder: Path, example_files: Path) -> None:
     """Write the files of the session and the settings of QGIS."""
     folder.parent.mkdir()
-    assert invoke("example", folder).exit_code == 0
+    shutil.copytree(example_files, folder)
     if find_spec("termsel_block"):
-        assert invoke("block-example", folder / "block").exit_code == 0
+        assert invoke("block-example", folder / "block", "--images", 2).exit_code == 0
     stand_in(folder)
     settings = folder.parent / "profiles" / "default" / "QGIS" / "QGIS3.ini"
     settings.parent.mkdir(parents=True)
@@ -134,12 +134,13 @@ def test_qgis_process_gives_the_result_of_the_command_line(place: Place) -> None
     files = {"points": folder / "scene.points", "dem": folder / "dem.tif"}
     done = subprocess.run(
         [str(PROGRAMS[1]), "run", "termsel:georeference", "--", f"FILE={files['points']}",
-         f"DEM={files['dem']}", f"OUTPUT={folder / 'result'}"],
+         f"DEM={files['dem']}", "MODEL=affine", f"OUTPUT={folder / 'result'}"],
         env={**environment, "QT_QPA_PLATFORM": "offscreen"}, capture_output=True, text=True,
         timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
-    same = invoke("run", "--points", files["points"], "--dem", files["dem"],
-                  "--out", folder / "same")
+    same = invoke("run", "--points", files["points"], "--dem", files["dem"], "--problem",
+                  "poly-terms", "--solver", "all-terms", "--strategy", "as-asked", "--model",
+                  "affine", "--out", folder / "same")
     assert same.exit_code == 0, same.output
     records = [record_of(folder / name) for name in ("result", "same")]
     for record in records:

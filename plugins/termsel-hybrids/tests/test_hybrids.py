@@ -362,7 +362,7 @@ def test_a_line_is_left_out_as_a_whole() -> None:
 @pytest.mark.parametrize("name", MODELS)
 def test_features_are_judged_with_the_correction_by_those_in_use(name: str) -> None:
     task = termsel.prepare("owdis-points", dataset="ikonos-hamedan", model=name)
-    genes = task.problem.genome.random(np.random.default_rng(4), 60)
+    genes = task.problem.genome.random(np.random.default_rng(4), 15)
     feasible = task.problem.evaluate(genes).violation == 0
     genes = genes[feasible][:3]
     fitness = task.problem.evaluate(genes).objectives[:, 0]

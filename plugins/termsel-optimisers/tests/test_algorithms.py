@@ -39,7 +39,8 @@ def test_ga_is_the_batched_twin_of_deap(problem: str, options: dict[str, Any]) -
 
 @pytest.mark.parametrize("check", [
     pytest.param(check, id=f"{solver.name}-{check.name}")
-    for solver in (AgeMoea2, SmsEmoa, Spea2) for check in checks(solver)])
+    # A small population is quick, and goes through the same code.
+    for solver in (AgeMoea2, SmsEmoa, Spea2) for check in checks(solver(population=20))])
 def test_the_other_algorithms_conform(check: Check) -> None:
     check.run()
 

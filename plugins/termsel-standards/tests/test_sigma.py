@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -26,9 +27,8 @@ def call(*words: object) -> Result:
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("sigma") / "files"
-    assert invoke("example", folder).exit_code == 0
+def files(tmp_path_factory: pytest.TempPathFactory, example_files: Path) -> Path:
+    folder = shutil.copytree(example_files, tmp_path_factory.mktemp("sigma") / "files")
     for name, *words in (("relief", "--points", folder / "gcps.csv"),
                          ("plain", "--points", folder / "points.csv")):
         assert call("run", *words, "--out", folder / name, "--quiet").exit_code == 0
