@@ -38,6 +38,8 @@ class Kind:
     """Times as many blocks as asked for."""
     model: str = "auto"
     """Of all images."""
+    bend: float = 2.0
+    """What the attitude bends half an image by [px]."""
 
 
 KINDS = (
@@ -56,6 +58,8 @@ KINDS = (
     Kind("triplet, 20 points in two", 3, (20, 20, 0)),
     Kind("triplet, 20 points in one", 3, (20, 0, 0)),
     Kind("triplet without RPCs", 3, (6, 6, 0), rpcs=False, seeds=0.5),
+    Kind("triplet without RPCs, bent as real ones", 3, (6, 6, 0), rpcs=False, seeds=0.5,
+         bend=6.0),
     Kind("triplet without RPCs, scanners", 3, (6, 6, 0), rpcs=False, seeds=0.5, model="scanner"),
     Kind("triplet without RPCs, 20 points in two", 3, (20, 20, 0), rpcs=False),
     Kind("triplet, one without RPC", 3, (6, 6, 0), without_rpc=2),
@@ -76,7 +80,7 @@ def drawn(kind: Kind, seed: int) -> Iterator[tuple[Simulated, Block, float, floa
     simulated = simulate_block(
         kind.images, n_ties=200 if kind.images < 50 else 100, control=kind.control,
         rpcs=kind.rpcs, bias=bias, drift=kind.drift, noise=noise, seed=seed, independent=_JUDGING,
-        views=kind.views, hills=hills, vendor_height=float(rng.normal(0, 40)))
+        views=kind.views, hills=hills, vendor_height=float(rng.normal(0, 40)), bend=kind.bend)
     block = replace(simulated.block, images=tuple(
         replace(image, model=kind.model) for image in simulated.block.images))
     if kind.without_rpc is not None:

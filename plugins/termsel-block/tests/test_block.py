@@ -319,7 +319,10 @@ def test_the_block_is_shown(example: Example) -> None:
     (("rpc =", "rcp ="), "unknown field `rcp`"), (("rpc =", "rcp ="), "bad.toml, line "),
     (('"B.RPB"', '"ties.csv"'), "this file has no RPC"),
     (('name = "C"', 'name = "../C"'), "cannot be the name of an image"),
-    (('crs = "EPSG:4979"', 'crs = "EPSG:32639"'), "CRS"),
+    (('crs = "EPSG:4979"', 'crs = "EPSG:32639"'), "the block says EPSG:32639"),
+    (('crs = "EPSG:4979"', 'crs = "local"'), "'A' has an RPC, which needs the ground's place"),
+    (('points = "A_points.csv"', 'points = "A.RPB"'), "Name the RPC as rpc of the image"),
+    (('ties = "ties.csv"', "ties = []"), "names no file of ties"),
     (('crs = "EPSG:4979"', "crs = "), "not the file of a block"),
     (('rpc = "C.RPB"', 'rpc = "C.RPB"\nmodel = "cubic"'), "has the model 'cubic'"),
 ])

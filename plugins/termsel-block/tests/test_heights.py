@@ -172,3 +172,23 @@ def test_the_rpc_of_another_image_of_the_place_is_doubted() -> None:
     images = (*block.images[:2], replace(block.images[2], rpc=block.images[0].rpc))
     notes = record_of(adjust(replace(block, images=images))).notes
     assert any("I3" in note and "another image" in note for note in notes)
+
+
+@pytest.mark.parametrize("off", [300.0, -1500.0])
+def test_a_dem_hundreds_of_metres_off_moves_nothing(off: float, tmp_path: Path) -> None:
+    simulated = pair()
+    with_truth, with_other = (adjust(replace(
+        simulated.block, dem=dem(tmp_path / f"{by}.tif", Hills(), by))) for by in (0.0, off))
+    assert error(with_other, 1) < 1.1 * error(with_truth, 1)  # 3 and 21 px instead of 1
+    (note,) = record_of(with_other).notes
+    assert f"{abs(off):.0f} m {'below' if off > 0 else 'above'} the DEM" in note
+
+
+@pytest.mark.parametrize(("off", "said"), [(0.0, 0), (1500.0, 1)])
+def test_without_control_a_block_says_that_the_dem_is_another(
+        off: float, said: int, tmp_path: Path) -> None:
+    """The RPCs follow it, so that nothing else would show it: images are 200 px off."""
+    block = simulate_block(3, rpcs=True, control=(), n_ties=60, seed=1, independent=5).block
+    result = adjust(replace(block, dem=dem(tmp_path / "dem.tif", Hills(), off)))
+    assert len(result.block.notes) == said
+    assert all("m below it by the RPCs" in note for note in result.block.notes)

@@ -99,6 +99,8 @@ def test_the_result_of_a_scanner_is_its_model(scanners: BlockResult, tmp_path: P
     ("shift", "", "A correction requires an RPC"),
     ("affine", "", "A correction requires an RPC"),
     ("dlt3d", "", "have no priors"),
+    ("rpc-shift", "", "Name the RPC as rpc of the image"),
+    ("scanner-dimap", "", 'options = { metadata = "FILE" }'),
 ])
 def test_a_wrong_model_is_named(model: str, options: str, said: str, tmp_path: Path) -> None:
     (tmp_path / "ties.csv").write_text("id,image,line,sample\n" + "".join(
@@ -112,7 +114,10 @@ def test_a_wrong_model_is_named(model: str, options: str, said: str, tmp_path: P
         + '[[image]]\nname = "B"\npoints = "a.csv"\n')
     done = invoke("block", tmp_path / "block.toml", "--out", tmp_path / "out")
     assert done.exit_code == 2
-    assert said in " ".join(done.output.split())
+    told = " ".join(done.output.split())
+    assert said in told
+    assert "--" not in told  # options of other commands
+    assert "poly2d" not in told  # models that a block cannot take
     assert not (tmp_path / "out").exists()
 
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from termsel import TermselError, open_dem
 from termsel_block.block import Block, BlockImage
+from termsel_block.contradictions import against_dem, without_wrong_sensor
 from termsel_block.estimation.adjustment import adjust_block
 from termsel_block.estimation.starts import Given, start
 from termsel_block.estimation.unknowns import Adjusted, Measured
@@ -19,7 +20,6 @@ from termsel_block.geometry.control import OwnControl, in_use, own_control
 from termsel_block.geometry.frame import BoolArray, FloatArray, Frame, IntArray
 from termsel_block.geometry.heights import Heights, Known, Surface
 from termsel_block.geometry.physical import ABSURD, PhysicalModel
-from termsel_block.sensors import without_wrong_sensor
 
 _TOLD = 8
 """Ties of an image from which on their extent tells that of the image."""
@@ -107,8 +107,23 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
         result = _adjusted(block, frame, progress)
         other = without_wrong_sensor(block, result.adjusted)
         if other is None:
-            return result
+            return _with_note_on_dem(result)
         block = other
+
+
+def _with_note_on_dem(result: BlockResult) -> BlockResult:
+    """Return the result with a note if the DEM is not of this ground, where no control tells it.
+
+    The RPCs then follow the DEM, so that only a block without it can say so.
+    """
+    block = result.block
+    if block.dem is None or any(map(len, result.control)):
+        return result
+    free = _adjusted(replace(block, dem=None), result.frame, None)
+    with open_dem(block.dem, block.crs) as dem:
+        note = against_dem(free.ties, free.adjusted, dem)
+    return result if note is None else replace(
+        result, block=replace(block, notes=(*block.notes, note)))
 
 
 def _adjusted(block: Block, frame: Frame, progress: Callable[[float], None] | None) -> BlockResult:

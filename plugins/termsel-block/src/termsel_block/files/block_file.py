@@ -17,10 +17,11 @@ import msgspec
 import numpy as np
 
 from termsel import FeatureSet, TermselError, get, open_raster, read, read_rpc
-from termsel.toolkit import normalise
+from termsel.toolkit import LOCAL, normalise
 from termsel_block.block import CORRECTIONS, Block, BlockImage, Ties
 from termsel_block.files.asp import asp_rows, is_asp
 from termsel_block.geometry.control import in_use
+from termsel_block.geometry.physical import MODELS, in_a_block
 
 COLUMNS = {"id": ("id", "tie", "name", "point"), "image": ("image", "img", "scene"),
            "line": ("line", "row", "y_pix"), "sample": ("sample", "col", "column", "x_pix")}
@@ -83,6 +84,8 @@ def read_block(path: Path | str) -> Block:
     folder = path.parent
     crs = normalise(stated.crs)
     dem = folder / stated.dem if stated.dem else None
+    if not stated.ties:
+        raise TermselError("the block names no file of ties", file=path, hint=_EXAMPLE)
     images = tuple(_image(image, folder, crs, dem, path) for image in stated.image)
     files = [stated.ties] if isinstance(stated.ties, str) else stated.ties
     ties, notes = read_ties([folder / file for file in files], names)
@@ -148,6 +151,10 @@ def _image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: Path)
         raise TermselError("an image with an RPC requires the package termsel-rpc, which is not "
                            "installed", file=rpc_file,
                            hint="In a clone of termsel: pip install ./plugins/termsel-rpc.")
+    if rpc is not None and crs == LOCAL:
+        raise TermselError(f"image {stated.name!r} has an RPC, which needs the ground's place, and "
+                           "the block is in plane coordinates without a CRS", file=path,
+                           hint="State the CRS of the ground coordinates.")
     # Options that name a file are relative to the block's folder, as all paths are.
     options = {key: str(folder / value) if isinstance(value, str) and value
                and (folder / value).is_file() else value for key, value in stated.options.items()}
@@ -178,8 +185,11 @@ def _check_model(stated: _Image, options: Mapping[str, Any], has_rpc: bool, path
     try:
         get("models", stated.model)(**options)
     except TermselError as error:
+        hint = in_a_block(error.hint)
+        if error.what.startswith("unknown model"):  # most of the known ones have no priors
+            hint = f"{hint.partition('Known:')[0]}{MODELS}"
         raise TermselError(f"image {stated.name!r}: {error.what}", file=path,
-                           hint=error.hint) from error
+                           hint=hint) from error
 
 
 def _without_height(stated: _Image, folder: Path, crs: str) -> frozenset[str]:
@@ -194,8 +204,13 @@ def _without_height(stated: _Image, folder: Path, crs: str) -> frozenset[str]:
 
 def _read(stated: _Image, folder: Path, crs: str, dem: Path | None) -> FeatureSet:
     """Return the control of an image as `termsel.read` has it."""
-    return read(folder / stated.points if stated.points else None,
-                folder / stated.lines if stated.lines else None, crs=crs, dem=dem)
+    try:
+        return read(folder / stated.points if stated.points else None,
+                    folder / stated.lines if stated.lines else None, crs=crs, dem=dem)
+    except TermselError as error:
+        raise TermselError(error.what.replace("--crs says", "the block says"), file=error.file,
+                           line=error.line, column=error.column,
+                           hint=in_a_block(error.hint)) from error
 
 
 def _features(stated: _Image, folder: Path, crs: str, dem: Path | None, path: Path) -> FeatureSet:

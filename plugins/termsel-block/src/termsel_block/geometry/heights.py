@@ -15,7 +15,7 @@ Surface = Callable[[FloatArray], FloatArray]
 _SLOPE_OVER = 10.0  # m
 _LIKE_GROUND, _LIKE_ERRORS = 6.0, 30.0
 """Independent heights in an image at most: neighbours share hills, and a DEM's errors."""
-_OFF = 10.0
+OFF = 10.0
 """Standard deviation of how far a DEM is off as a whole [m]: most are by another geoid."""
 _OF_GROUND, _OF_ERRORS = 20.0, 5.0
 """Usual roughness of level ground and of a DEM's errors [m]: it counts as `_AS_MANY` ties do."""
@@ -98,6 +98,8 @@ class Heights:
     known: Known = field(default_factory=Known)
     crowd: float = 1.0
     offset: float = 0.0
+    far: float = 0.0
+    """The offset by which a DEM is off beyond what is usual [m]."""
     sigma: float = np.nan
     """Roughness: standard deviation of a height over the surface [m]."""
     control: FloatArray = field(init=False)
@@ -159,10 +161,14 @@ class Heights:
 
     def of_offset(self) -> tuple[float, float]:
         """Return what the prior and control add to the offset's normal equation."""
-        prior = (self.spread / 2 if self.surface is None else _OFF) ** -2
-        each = self._of_control()
+        prior, each = self._of_prior(), self._of_control()
         return (prior + each * len(self.control),
                 each * float((self.control - self.offset).sum()) - prior * self.offset)
+
+    def _of_prior(self) -> float:
+        """Return the weight of no offset: a DEM that is hundreds of metres off is not of the kind.
+        """
+        return (self.spread / 2 if self.surface is None else max(OFF, self.far)) ** -2
 
     def _of_control(self) -> float:
         """Return the weight of a height of control."""
@@ -172,9 +178,8 @@ class Heights:
         """Return the sum of squares of what is off, over the variances."""
         away, joint = self._away(ties)
         each = self.sigma**-2 / max(self.crowd / self._many, 1.0)
-        prior = (self.spread / 2 if self.surface is None else _OFF) ** -2
         return float(each * (away[joint] ** 2).sum() + (away[~joint] ** 2).sum() / self.spread**2
-                     + prior * self.offset**2
+                     + self._of_prior() * self.offset**2
                      + self._of_control() * ((self.control - self.offset) ** 2).sum())
 
     def estimate(self, ties: FloatArray, covariance: FloatArray, seen: BoolArray) -> None:
@@ -185,6 +190,7 @@ class Heights:
         covariance : ndarray, shape (t, 3, 3)
             Of the ties' places, with the images as they are [m2].
         """
+        self.far = abs(self.offset)
         all_seen = self.observed(ties)
         at = seen & all_seen.joint
         row, away = all_seen.row[at], all_seen.away[at]

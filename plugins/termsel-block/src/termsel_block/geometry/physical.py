@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -20,6 +21,9 @@ LEAST = 3
 ABSURD = 0.01
 """Error over the extent of an image from which on a model is not that of its points, and ties are
 no measurements."""
+
+MODELS = ("An image without an RPC takes auto, or a model whose terms have priors, such as "
+          "scanner, frame or panoramic of termsel-scanner.")
 
 _STEP = 1e-4
 """Change of a term, in its standard deviations, by which places are differentiated."""
@@ -88,8 +92,7 @@ class PhysicalCamera(Camera):
         prior = None if about is None else about.prior
         if values is None or prior is None or not np.any(prior):
             raise TermselError(f"the terms of the model {self.model.name!r} have no priors, which "
-                               "few points need", hint="Use auto, or a model of a camera: scanner, "
-                               "frame or panoramic of termsel-scanner.")
+                               "few points need", hint=MODELS)
         # Parameters are terms in their standard deviations.
         self.has_prior = prior > 0
         self.scale = np.where(self.has_prior, prior.max() / np.maximum(prior, 1e-300), _FREE)
@@ -181,6 +184,15 @@ class PhysicalCamera(Camera):
         return np.asarray(self.scaling.pixels(scaled))
 
 
+def in_a_block(hint: str | None) -> str:
+    """Return a hint for the commands of one image as one for the file of a block."""
+    hint = hint or ""
+    if "--rpc" in hint:
+        return ("Name the RPC as rpc of the image, control as points, and a correction as model, "
+                "such as affine.")
+    return re.sub(r"--set (\w+)=(\w+)", r'options = { \1 = "\2" }', hint)
+
+
 @dataclass(frozen=True)
 class PhysicalModel:
     """The name of a model and its options."""
@@ -196,7 +208,8 @@ class PhysicalModel:
             camera = PhysicalCamera(get("models", self.name)(**self.options),
                                     FeatureSet(points, crs=frame.crs), frame)
         except TermselError as error:
-            raise TermselError(f"image {of!r}: {error.what}", hint=error.hint) from error
+            raise TermselError(f"image {of!r}: {error.what}",
+                               hint=in_a_block(error.hint)) from error
         missed = float(np.median(np.hypot(*(image - camera.project(camera.first, local)).T)))
         if not missed <= ABSURD * float(np.ptp(image, axis=0).max()):
             raise TermselError(f"image {of!r}: model {self.name!r} misses half of its points by "

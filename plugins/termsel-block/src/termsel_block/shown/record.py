@@ -22,7 +22,7 @@ _BENT = 50.0
 _NAMED, _MOVING = 3, 1e-3
 """Images that are named, and how far one moves that has not settled [px]."""
 _FEW = 0.5
-"""Share of the ties of an image, below which they are not blunders but the image is."""
+"""Share of an image's ties or control in use below which they are hardly all blunders."""
 _OFF = 12.0
 """Metres that a DEM is off as a whole: geoid and ellipsoid are tens apart."""
 
@@ -147,6 +147,11 @@ def doubts(result: BlockResult) -> list[str]:
         if len(used) and used.mean() < _FEW:
             said.append(f"{(~used).sum()} of {len(used)} ties of {image.name} were left out: check "
                         "its model, and whether the ties are of this image.")
+        control = adjusted.state.control_in_use[i]
+        if len(control) and control.mean() < _FEW:
+            said.append(f"{(~control).sum() / len(control):.0%} of the control of {image.name} was "
+                        "left out: check its places and heights, and those of the DEM if there is "
+                        "one.")
         ties = adjusted.state.ties[result.block.ties.tie[result.block.ties.image == i]]
         camera = result.camera(i)
         if isinstance(camera, RpcCamera) and len(ties):

@@ -1,17 +1,25 @@
-"""Sensors that are not those of their images: what a block says against a model's priors."""
+"""What a block says against what it was given: sensors of images, and heights without control."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from termsel import TermselError
 from termsel_block.block import Block
 from termsel_block.estimation.unknowns import Adjusted
+from termsel_block.geometry.frame import FloatArray
+from termsel_block.geometry.heights import OFF, Surface
 from termsel_block.geometry.physical import Contradiction, PhysicalCamera
 
 CHANCE = 1e-4
 """Probability below which what is known of a model's terms is not true of the image."""
+
+_FAR, _UNSEEN = 5.0, 1e3
+"""Standard deviations from which on the ground is not that of the DEM, and that of a tie whose
+height no rays tell [m]."""
 
 _SENSOR = "sensor"
 """Option that names what is known; without it the model knows least."""
@@ -52,6 +60,31 @@ def without_wrong_sensor(block: Block, adjusted: Adjusted) -> Block | None:
                      f"{Path(sensors[i]).name!r}{_off(found[i])}. The image is adjusted as one of "
                      "an unknown sensor.")
     return replace(block, images=tuple(images), notes=tuple(notes))
+
+
+def against_dem(ground: FloatArray, adjusted: Adjusted, dem: Surface) -> str | None:
+    """Return what the ground as adjusted without a DEM says against it; None if nothing.
+
+    Parameters
+    ----------
+    ground : ndarray, shape (t, 3)
+        Places of the ties in the CRS of the DEM.
+    adjusted : Adjusted
+        The block without the DEM.
+    """
+    over = ground[:, 2] - dem(ground[:, :2])
+    variance = adjusted.solved.covariance_of_ties()[:, 2, 2]
+    known = np.isfinite(over) & (variance < _UNSEEN**2)
+    if not known.any():
+        return None
+    # What the ties of a block are off by they have in common.
+    middle, sigma = float(np.median(over[known])), float(np.sqrt(np.median(variance[known])))
+    if abs(middle) < _FAR * np.hypot(sigma, OFF):
+        return None
+    side = "above" if middle > 0 else "below"
+    return (f"Without the DEM the ground is {abs(middle):.0f} m {side} it by the RPCs, with a "
+            f"standard deviation of {sigma:.0f} m: check what its heights refer to, or give "
+            "control.")
 
 
 def _off(found: Contradiction) -> str:
