@@ -165,7 +165,7 @@ def _recorded(fitted: Fit) -> Fit:
                          numbers, deviations, figures, how)
 
 
-SCENE = simulate_scene("ikonos-hamedan", seed=2)
+SCENE = simulate_scene("ikonos-hamedan", seed=2, roles=(24, 8, 8), n_lines=60)
 FEW = simulate_scene("ikonos-hamedan", roles=(16, 12, 10), n_lines=0)
 PLANE = simulate_map(seed=0, n_points=30)
 MODELS = ("rfm", "poly2d", "poly3d", "affine", "projective2d", "dlt2d", "dlt3d", "helmert2d", "tps",

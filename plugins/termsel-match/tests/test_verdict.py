@@ -133,7 +133,7 @@ def test_a_smooth_correction_is_not_taken_where_no_candidate_holds_it(
 @pytest.mark.parametrize("away", [0.0, 1.5])
 def test_what_no_correction_can_follow_is_said_and_in_sigma(place: Any, tmp_path: Path,
                                                             away: float) -> None:
-    points, rng = place.world.independent(), np.random.default_rng(2)
+    points, rng = place.world.independent(120), np.random.default_rng(2)
     image = points.image + rng.normal(0, 0.2, points.image.shape)
     image[:, 0] += away * np.sin(points.image[:, 1] / 80)  # across the lines
     table = tmp_path / "c.csv"
