@@ -200,11 +200,14 @@ def test_a_sensor_that_is_right_stays(simulated: Simulated, tmp_path: Path) -> N
     assert errors(result)[0] < 2.0
 
 
-def test_a_camera_of_another_kind_is_refused(simulated: Simulated) -> None:
-    images = (*simulated.block.images[:2], replace(simulated.block.images[2], model="frame"))
-    with pytest.raises(TermselError, match=r"'I3': points and ties contradict the model 'frame' "
-                                           r"\(focal by"):
-        adjust(replace(simulated.block, images=images))
+@pytest.mark.parametrize("i", [0, 2])
+def test_a_camera_of_another_kind_is_said(simulated: Simulated, i: int) -> None:
+    """As a frame a scanner is 26 to 48 px off under a predicted 7 to 10."""
+    images = list(simulated.block.images)
+    images[i] = replace(images[i], model="frame")
+    notes = record_of(adjust(replace(simulated.block, images=tuple(images)))).notes
+    assert any(f"I{i + 1} contradict what the model 'frame' knows of cameras (focal by" in one
+               for one in notes)
 
 
 def test_scanners_with_few_ties_converge() -> None:

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from termsel import TermselError
 from termsel_block.block import Block
 from termsel_block.estimation.unknowns import Adjusted
 from termsel_block.geometry.frame import FloatArray
@@ -25,41 +24,57 @@ _SENSOR = "sensor"
 """Option that names what is known; without it the model knows least."""
 
 
-def without_wrong_sensor(block: Block, adjusted: Adjusted) -> Block | None:
+def without_wrong_sensor(block: Block, adjusted: Adjusted) -> tuple[Block, int] | None:
     """Return the block without the sensor that its measurements contradict most; None if none.
 
     One sensor at a time, in all images that it is wrong in: by their ties it bends others, too.
-
-    Raises
-    ------
-    TermselError
-        Naming an image whose model is contradicted, and names no sensor.
+    With it the number of the image that contradicts most.
     """
-    found: dict[int, Contradiction] = {}
-    for i, camera in enumerate(adjusted.state.cameras):
-        if isinstance(camera, PhysicalCamera):
-            one = camera.contradicted(adjusted.state.parameters[i], adjusted.solved.own[i])
-            if one.chance < CHANCE:
-                found[i] = one
-    sensors = {i: str(block.images[i].options.get(_SENSOR) or "") for i in found}
-    worst = max(found, key=lambda i: (bool(sensors[i]), found[i].severity), default=None)
+    sensors = {i: str(block.images[i].options.get(_SENSOR) or "") for i in contradicted(adjusted)}
+    found = {i: one for i, one in contradicted(adjusted).items() if sensors[i]}
+    worst = max(found, key=lambda i: found[i].severity, default=None)
     if worst is None:
         return None
-    if not sensors[worst]:
-        image = block.images[worst]
-        raise TermselError(f"image {image.name!r}: points and ties contradict the model "
-                           f"{image.model!r}{_off(found[worst])}",
-                           hint="Check its points and the options of the model, or choose another "
-                                "model or auto.")
-    wrong = [i for i in found if sensors[i] == sensors[worst]]
     images, notes = list(block.images), list(block.notes)
-    for i in wrong:
+    for i, one in found.items():
+        if sensors[i] != sensors[worst]:
+            continue
         images[i] = replace(images[i], options={
             name: value for name, value in images[i].options.items() if name != _SENSOR})
         notes.append(f"Points and ties of {images[i].name} contradict the sensor "
-                     f"{Path(sensors[i]).name!r}{_off(found[i])}. The image is adjusted as one of "
-                     "an unknown sensor.")
-    return replace(block, images=tuple(images), notes=tuple(notes))
+                     f"{Path(sensors[i]).name!r}{_off(one)}. The image is adjusted as one of an "
+                     "unknown sensor.")
+    return replace(block, images=tuple(images), notes=tuple(notes)), worst
+
+
+def agrees_better(before: Adjusted, after: Adjusted, i: int) -> bool:
+    """Return whether an image contradicts its model far less than before.
+
+    If it does not, its sensor is right, and it turns faster than the model takes scanners to.
+    """
+    one, other = (_of(adjusted, i) for adjusted in (before, after))
+    return one is None or other is None or other.severity < one.severity / 2
+
+
+def contradicted(adjusted: Adjusted) -> dict[int, Contradiction]:
+    """Return the images whose model the block contradicts, by number."""
+    found = ((i, _of(adjusted, i)) for i in range(len(adjusted.state.cameras)))
+    return {i: one for i, one in found if one is not None and one.chance < CHANCE}
+
+
+def _of(adjusted: Adjusted, i: int) -> Contradiction | None:
+    """Return how far an image is from what its model knows; None if that is nothing."""
+    camera = adjusted.state.cameras[i]
+    if not isinstance(camera, PhysicalCamera):
+        return None
+    return camera.contradicted(adjusted.state.parameters[i], adjusted.solved.own[i])
+
+
+def doubts_of_models(block: Block, adjusted: Adjusted) -> list[str]:
+    """Return which models are contradicted and yet in use, as sentences."""
+    return [f"Points and ties of {block.images[i].name} contradict what the model "
+            f"{block.images[i].model!r} knows of cameras{_off(one)}. Its errors may be larger than "
+            "is predicted: compare with auto." for i, one in contradicted(adjusted).items()]
 
 
 def against_dem(ground: FloatArray, adjusted: Adjusted, dem: Surface) -> str | None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from termsel import TermselError, open_dem
 from termsel_block.block import Block, BlockImage
-from termsel_block.contradictions import against_dem, without_wrong_sensor
+from termsel_block.contradictions import against_dem, agrees_better, without_wrong_sensor
 from termsel_block.estimation.adjustment import adjust_block
 from termsel_block.estimation.starts import Given, start
 from termsel_block.estimation.unknowns import Adjusted, Measured
@@ -94,8 +94,7 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
     Raises
     ------
     TermselError
-        Naming the images that nothing holds, those of another place, or a model that an image's
-        points and ties contradict.
+        Naming the images that nothing holds, or those of another place.
 
     Notes
     -----
@@ -103,12 +102,14 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
     result then has it without that option, and says so in its notes.
     """
     frame = Frame.at(_places(block), block.crs)
-    while True:
-        result = _adjusted(block, frame, progress)
-        other = without_wrong_sensor(block, result.adjusted)
-        if other is None:
-            return _with_note_on_dem(result)
-        block = other
+    result = _adjusted(block, frame, progress)
+    while (without := without_wrong_sensor(result.block, result.adjusted)) is not None:
+        other, worst = without
+        freed = _adjusted(other, frame, progress)
+        if not agrees_better(result.adjusted, freed.adjusted, worst):
+            break
+        result = freed
+    return _with_note_on_dem(result)
 
 
 def _with_note_on_dem(result: BlockResult) -> BlockResult:

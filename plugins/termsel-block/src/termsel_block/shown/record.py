@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from termsel_block.accuracy import in_space, independent_points, predicted, rmse
+from termsel_block.contradictions import doubts_of_models
 from termsel_block.geometry.cameras import RpcCamera
 from termsel_block.geometry.frame import IntArray
 from termsel_block.joint import BlockResult
@@ -142,6 +143,7 @@ def doubts(result: BlockResult) -> list[str]:
                  if adjusted.moved[i] > _MOVING] or ["none"]
         said.append(f"Images that still moved in the last step: {', '.join(worst)}. Give them more "
                     "control points or ties, or a plainer model.")
+    said += doubts_of_models(result.block, adjusted)
     for i, image in enumerate(result.block.images):
         used = adjusted.state.in_use[i]
         if len(used) and used.mean() < _FEW:
