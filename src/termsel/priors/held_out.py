@@ -150,8 +150,12 @@ def mean_chance(strain: tuple[FloatArray, FloatArray], cell: tuple[IntArray, Int
     tell which of these occur together. Of each such pair come a factor, `scale` (c,), and its
     probability, `share` (c,). `half` is half the degrees of freedom.
     """
-    both = strain[0].take(cell[0], axis=0) + strain[1].take(cell[1], axis=0)
-    return np.asarray(share @ np.exp(-half * np.log1p(scale[:, None] * both)))
+    power = strain[0].take(cell[0], axis=0)
+    power += strain[1].take(cell[1], axis=0)
+    power *= scale[:, None]
+    np.log1p(power, out=power)
+    power *= -half
+    return np.asarray(share @ np.exp(power, out=power))
 
 
 @_compiled

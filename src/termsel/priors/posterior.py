@@ -142,19 +142,18 @@ def _cells(odds: Sequence[Odds], freedom: int, noise: float, *, affine: bool) ->
     An image is affine in line and sample, or in none; `affine` is whether it may be.
     """
     # Scales are those of both axes; sizes are each axis' own.
-    line, sample = (np.arange(len(of_axis.square)).reshape(-1, len(SIZES)) for of_axis in odds)
-    shape = (*line.shape, len(SIZES))
-    first = np.broadcast_to(line[:, :, None], shape).ravel()
-    second = np.broadcast_to(sample[:, None, :], shape).ravel()
-    logarithm = (odds[0].evidence[first] + odds[1].evidence[second] - freedom / 2 * np.log(
-        odds[0].square[first] + odds[1].square[second] + noise))
+    count = len(SIZES)
+    evidence, square = (
+        getattr(odds[0], name).reshape(-1, count, 1) + getattr(odds[1], name).reshape(-1, 1, count)
+        for name in ("evidence", "square"))
+    logarithm = evidence - freedom / 2 * np.log(square + noise)                # (g, s, s)
     # Without quadratic terms all groups are one.
-    plain = logarithm[0] + np.log(len(line)) if affine and SIZES[0] == 0.0 else -np.inf
-    logarithm[((SIZES[first % len(SIZES)] == 0.0) | (SIZES[second % len(SIZES)] == 0.0))] = -np.inf
-    logarithm[0] = max(logarithm[0], plain)
-    kept = logarithm > logarithm.max() - NEVER
-    share, log = shares(logarithm[kept])
-    return GridCells((first[kept], second[kept]), share, float(log))
+    plain = logarithm[0, 0, 0] + np.log(len(logarithm)) if affine and SIZES[0] == 0.0 else -np.inf
+    logarithm[:, SIZES == 0.0] = logarithm[:, :, SIZES == 0.0] = -np.inf
+    logarithm[0, 0, 0] = max(logarithm[0, 0, 0], plain)
+    group, line, sample = np.nonzero(logarithm > logarithm.max() - NEVER)
+    share, log = shares(logarithm[group, line, sample])
+    return GridCells((group * count + line, group * count + sample), share, float(log))
 
 
 def shares(logarithm: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -46,13 +46,12 @@ class Design:
 
     @cached_property
     def many(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """U, shape (m, m), S, shape (m,), and V' of all shrunken columns but the first few, bare.
+        """U, shape (m, m), S, shape (m,), and S V' of all shrunken columns but the first few, bare.
         """
         # U is complete: the few columns are not within the span of the others.
-        u, values, vt = np.linalg.svd(self.rest[:, self.few:])
-        strength = np.zeros(len(u))
-        strength[:len(values)] = values
-        return u, strength, vt[:len(values)]
+        bare = self.rest[:, self.few:]
+        values, u = np.linalg.eigh(bare @ bare.T)
+        return u, np.sqrt(np.maximum(values, 0.0)), u.T @ bare
 
     @cached_property
     def unexplained(self) -> FloatArray:
@@ -191,9 +190,8 @@ class SharedShrinkage:
                  sizes: FloatArray) -> None:
         few = design.few
         self._design, self._own = design, sizes[size, None] * design.scales[group]
-        u, values, self._vt = design.many
-        self._ratio = self._own[:, few:few + 1] * values                             # (u, m)
-        self._keep = 1.0 / (1.0 + self._ratio**2)
+        u, values, self._bare = design.many
+        self._keep = 1.0 / (1.0 + (self._own[:, few:few + 1] * values) ** 2)         # (u, m)
         self._columns = self._own[:, :few, None] * (design.rest[:, :few].T @ u)  # C', (u, f, m)
         weighted = self._columns * self._keep[:, None]
         # L^-1 of I + C'W C = L L'.
@@ -222,7 +220,8 @@ class SharedShrinkage:
         rest = self._keep * along - (mixed[:, None] @ self._turned)[:, 0]
         coefficients = self._own.copy()
         coefficients[:, :design.few] *= (mixed[:, None] @ self._inverse)[:, 0]
-        coefficients[:, design.few:] *= (self._ratio * rest)[:, :len(self._vt)] @ self._vt
+        coefficients[:, design.few:] *= self._own[:, design.few:design.few + 1] * (
+            rest @ self._bare)
         effective = (design.explained.shape[1] - self._keep.sum(axis=1)
                      + (self._turned**2).sum(axis=(1, 2)))
         errors = rest @ self._along + design.beyond(target)
