@@ -222,7 +222,7 @@ def _of_one(source: FloatArray, first: IntArray, terms: BoolArray, features: Boo
     height = np.diff(first)[used]
     start = np.cumsum(height) - height
     of_each = np.zeros((len(chosen), len(height)))
-    for tall in np.unique(height):  # features with as many rows at once
+    for tall in set(height.tolist()):  # features with as many rows at once
         some = np.flatnonzero(height == tall)
         at = start[some, None] + np.arange(tall)
         mine = q[at]

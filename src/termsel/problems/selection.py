@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from termsel.adjustment.parts import independent_parts, solve_parts
 from termsel.criteria import Criterion, Fits
-from termsel.enumeration.features.walk import RowSystem
 from termsel.errors import TermselError, unknown_name
 from termsel.fits.least_squares import first_order
 from termsel.measurements.coordinates.places import centres
@@ -21,11 +21,12 @@ from termsel.models.terms import Term
 from termsel.problems.base import WORST, EnumerablePart, Evaluation, Inputs, Problem, Selection
 from termsel.problems.constraints import capped, excess, forced, listed, orphans, parents
 from termsel.problems.coverage import uncovered_share
-from termsel.problems.enumeration import enumerable_parts
-from termsel.problems.feature_rows import row_systems
 from termsel.problems.genome import Genome
 from termsel.problems.objectives import PopulationSelection, scored
 from termsel.problems.segments import Bits, Genes, Subset
+
+if TYPE_CHECKING:
+    from termsel.enumeration.features.walk import RowSystem
 
 
 class SelectionProblem(Problem):
@@ -229,6 +230,8 @@ class SelectionProblem(Problem):
         """Return line and sample as parts that can be enumerated (see `Problem.parts`)."""
         if self._gene_of_term is None or self._selects_features:
             return super().parts()
+        from termsel.problems.enumeration import enumerable_parts  # for those who enumerate
+
         return enumerable_parts(self.inputs, self.equations, self.genome, self._gene_of_term,
                                 self._guard, POLE_MARGIN, self._pairs)
 
@@ -239,6 +242,8 @@ class SelectionProblem(Problem):
         # A plugin's own objective, or equations of each selection's own.
         if type(self).evaluate is not SelectionProblem.evaluate or _weighted(self.inputs):
             return ()
+        from termsel.problems.feature_rows import row_systems
+
         return row_systems(self.inputs, self._parts, self._terms_in_use, self._share,
                            self._least_freedom)
 

@@ -30,14 +30,13 @@ from termsel.problems.recipes import Recipe
 from termsel.record.search import SearchLimits
 from termsel.results.result import Result
 from termsel.runs.auto.strategy import LEAST, choose_for, wanted
-from termsel.runs.judgement.assess import assessed
 from termsel.runs.notebook import notebook_observer
-from termsel.runs.search.blunders_out import search_without_blunders
 from termsel.runs.task.blank_heights import to_leave_out
 from termsel.runs.task.request import Request, loaded
 from termsel.runs.task.task import Task, observe, prepared
 from termsel.runs.task.verdict import judge_features
 from termsel.solvers.base import Solver
+from termsel.solvers.heuristics.yardsticks import AllTerms
 from termsel.solvers.search import Observer
 from termsel.threads import one_blas_thread
 
@@ -159,6 +158,9 @@ def run(
         limits |= {"generations": task.recipe.generations, "patience": task.recipe.patience}
 
     def searched() -> Result:
+        from termsel.runs.judgement.assess import assessed
+        from termsel.runs.search.blunders_out import search_without_blunders  # not for auto
+
         verdict = judge_features(task.observations, Portfolio())
         last, found = search_without_blunders(task, verdict, seed=seed, **limits,
                                               observers=observers)
@@ -193,7 +195,7 @@ def _chosen(request: Request, seed: int, observers: Iterable[Observer], out: Pat
     options = {"check_as": "judge", **(request.options or {})}
     if registry().taken("problems", request.problem).control == "lines":
         options["mixed"] = True
-    setup = replace(request, criterion="press", solver="all-terms", options=options).setup()
+    setup = replace(request, criterion="press", solver=AllTerms, options=options).setup()
     if setup.recipe.search_first and setup.features.without_height():
         # The model of the search is not asked for, so that it asks for no heights.
         setup = replace(setup, model=registry().get("models", "poly2d")())

@@ -28,7 +28,6 @@ from termsel.problems.base import Evaluation, Selection
 from termsel.problems.recipes import Recipe
 from termsel.record.search import CandidateRow, Strategy
 from termsel.results.result import Result
-from termsel.runs.auto.owdis import with_selected_lines
 from termsel.runs.judgement.judge import judge_choice
 from termsel.runs.task.data_notes import notes_on_data
 from termsel.runs.task.given import all_candidates
@@ -137,6 +136,8 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
                                hint="Measure more.")
         choice = choose_features(control, portfolio, watch.candidate) if enough else exact(control)
         if choice and len(both.lines):
+            from termsel.runs.auto.owdis import with_selected_lines  # it searches
+
             watch.tell("OWDIS")
             choice, errors = with_selected_lines(control, choice, portfolio, seed)
         if choice and errors is None and enough and len(both) > 1:

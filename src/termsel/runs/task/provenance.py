@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
+from termsel.guard.faults import is_own
 from termsel.measurements.coordinates.crs import height_reference
 from termsel.measurements.coordinates.earth import place_of, swapped
 from termsel.measurements.features import select
@@ -76,6 +77,8 @@ def plugins_of(setup: Setup, **chosen: Any) -> dict[str, dict[str, str]]:
 
 def _origin(thing: Any) -> dict[str, str]:
     """Return what identifies a thing; nothing for one of termsel itself."""
+    if isinstance(thing, type) and is_own(thing):  # without a look at all the others
+        return {}
     entry = registry().origin(thing)
     if entry is not None and entry.provided_by != SESSION:
         return {} if entry.provided_by == PROJECT else {
