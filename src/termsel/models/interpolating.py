@@ -9,12 +9,16 @@ import numpy as np
 
 from termsel.adjustment.interpolation import Interpolation
 from termsel.adjustment.monomials import Exponents, graded_exponents
+from termsel.errors import TermselError, amount
 from termsel.measurements.features import FeatureSet, FloatArray
 from termsel.models.helmert import plane_units
 from termsel.models.polynomial import Polynomial
 from termsel.options import Option
 from termsel.priors.field import collocate
 from termsel.priors.thin_plate import thin_plates
+
+EXACT = 10_000
+"""Most points that a spline meets exactly: it has a kernel around each, and a matrix of all."""
 
 
 class Interpolating(Polynomial):
@@ -68,6 +72,10 @@ class ThinPlate(Interpolating):
 
     def interpolation(self, control: FeatureSet) -> Interpolation | None:
         """Return the spline (see `SensorModel.interpolation`)."""
+        if self.options["smoothing"] == 0 and len(control.points) > EXACT:
+            raise TermselError(
+                f"a spline that meets {amount(len(control.points), 'point')} exactly takes too "
+                "much memory", hint="Leave smoothing out, or give one above 0.")
         return thin_plates(control.points, plane_units(self), self.options["smoothing"],
                            self.options["chosen_by"])
 

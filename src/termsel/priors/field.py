@@ -40,7 +40,13 @@ from termsel.priors.blunder_odds import blunder_odds
 from termsel.priors.foresight import foresee
 from termsel.priors.held_out import Prediction
 from termsel.priors.posterior import NEVER, Posterior, polynomial_posterior, posterior, shares
-from termsel.priors.thin_plate import kernel, squared_distances
+from termsel.priors.thin_plate import (
+    kernel,
+    left_by_affine,
+    own_variance,
+    spread_out,
+    squared_distances,
+)
 
 LENGTHS = ((0.15, 0.15), (0.3, 0.3), (0.6, 0.6), (1.2, 1.2), (0.15, 1.2), (1.2, 0.15))
 """Lengths of line and sample, by the half-range of the image: from about the distance of
@@ -241,7 +247,7 @@ def _collocated(image: bytes, ground: bytes, sigma: bytes | None,
     columns = monomials(points.ground, exponents)
     turn = _turn(points, exponents[:variables + 1])
     there = columns[:, :variables + 1] @ turn
-    knots = _spread_out(there)
+    knots = spread_out(there, KNOTS)
     rules = [fall ** (order[order > 1] - 2.0) * RELIEF ** shrunk[:, 2] for fall in FALLS]
     # Every fall with every ratio; the columns of the field share one scale.
     mixed = np.array([[*rule, *np.full(len(knots), ratio)] for rule in rules for ratio in RATIOS])
@@ -318,12 +324,10 @@ def _covariances(places: FloatArray, knots: FloatArray,
     """
     if lengths != SPLINE:
         return _matern(places, knots, lengths), np.ones(len(places))
-    there, here = (np.column_stack([np.ones(len(one)), one]) for one in (places, knots))
-    fit, among, apart = np.linalg.pinv(here), kernel(knots, knots), kernel(places, knots)
-    rest, fitted = np.eye(len(knots)) - here @ fit, there @ fit
-    unit = np.trace(rest @ among) / len(knots)
-    own = (fitted * (fitted @ among - 2 * apart)).sum(axis=1)
-    return (apart - fitted @ among) @ rest / unit, own / unit
+    here = np.column_stack([np.ones(len(knots)), knots])
+    rest = np.eye(len(knots)) - here @ np.linalg.pinv(here)
+    unit = np.trace(rest @ kernel(knots, knots)) / len(knots)
+    return left_by_affine(places, knots) @ rest / unit, own_variance(places, knots) / unit
 
 
 def _matern(a: FloatArray, b: FloatArray, lengths: tuple[float, float]) -> FloatArray:
@@ -334,17 +338,3 @@ def _matern(a: FloatArray, b: FloatArray, lengths: tuple[float, float]) -> Float
     r += 1.0  # in place, as these are the largest arrays
     correlation *= r
     return correlation
-
-
-def _spread_out(places: FloatArray) -> FloatArray:
-    """Return the places, of many KNOTS that are far apart, whatever their order."""
-    if len(places) <= KNOTS:
-        return places
-    # From the place nearest to the middle, always the place farthest from those taken.
-    taken = [int(np.argmin(np.linalg.norm(places - places.mean(axis=0), axis=1)))]
-    columns, apart = np.ascontiguousarray(places.T), np.full(len(places), np.inf)
-    while len(taken) < KNOTS:
-        line, sample = columns - columns[:, taken[-1:]]
-        apart = np.minimum(apart, np.sqrt(line * line + sample * sample))
-        taken.append(int(apart.argmax()))
-    return places[taken]
