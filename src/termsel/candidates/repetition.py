@@ -16,8 +16,9 @@ from termsel.measurements.features import FeatureSet, FloatArray
 FOLDS_WITH_LINES = 10
 """Folds in which the whole choice is repeated where there are lines, which take longer."""
 
-FOLDS = ((500, 20), (5000, 10), (np.inf, 5))
-"""Folds for fewer points than a number: of many, four fifths predict all but as well as all."""
+FOLDS = ((500, 20), (5000, 10), (50_000, 5), (np.inf, 2))
+"""Folds for fewer points than a number: of many, four fifths predict all but as well as all, and of
+very many a half."""
 
 
 def folds_of(control: FeatureSet) -> int:

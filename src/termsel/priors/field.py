@@ -39,14 +39,14 @@ from termsel.measurements.features import FloatArray, IntArray, Points
 from termsel.priors.blunder_odds import blunder_odds
 from termsel.priors.foresight import foresee
 from termsel.priors.held_out import Prediction
-from termsel.priors.posterior import NEVER, Posterior, polynomial_posterior, posterior, shares
-from termsel.priors.thin_plate import (
+from termsel.priors.kernels import (
     kernel,
     left_by_affine,
     own_variance,
     spread_out,
     squared_distances,
 )
+from termsel.priors.posterior import NEVER, Posterior, polynomial_posterior, posterior, shares
 
 LENGTHS = ((0.15, 0.15), (0.3, 0.3), (0.6, 0.6), (1.2, 1.2), (0.15, 1.2), (1.2, 0.15))
 """Lengths of line and sample, by the half-range of the image: from about the distance of

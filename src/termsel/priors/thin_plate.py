@@ -6,9 +6,9 @@ K + smoothing I on what T leaves (M T = 0), w = M y. Leaving a point out, its er
 and with it each criterion is that of the others alone, so that the errors without each point are
 those of the whole procedure, the choice of the smoothing included.
 
-Of more than KNOTS points only so many that are far apart, the knots, span the field. K is then
-F F^T, of what the affine function through the knots leaves of the kernels, and M has the
-eigenvalue 1 / smoothing on what neither T nor F spans. Memory and time are linear in the points.
+Of more than `kernels.KNOTS` points only so many that are far apart, the knots, span the field. K is
+then F F^T, of what the affine function through the knots leaves of the kernels, and M has the
+eigenvalue 1 / smoothing on what neither T nor F spans. Time is linear in the points.
 
 References
 ----------
@@ -19,6 +19,7 @@ likelihood (REML); Wood 2003, J. R. Stat. Soc. B 65(1), for splines of many poin
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -28,6 +29,7 @@ from termsel.adjustment.equations import weights_of
 from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.adjustment.solve import TOLERANCE
 from termsel.measurements.features import FloatArray, Points
+from termsel.priors.kernels import JITTER, Spans, parts
 
 PLANE = graded_exponents(1, 2)
 
@@ -35,19 +37,9 @@ SMOOTHINGS = 10.0 ** np.arange(-8.0, 6.0, 0.1)
 """From where a spline interpolates to where it is an affine function; kernels are of places within
 about [-1, 1]."""
 
-
-AT_ONCE = 2000
-"""Places whose kernels are held in memory."""
-
-KNOTS, CELLS = 1000, 40_000_000
-"""Most knots, and most numbers of the matrix of knots by points."""
-
-JITTER = 1e-10
-"""Part of the field's variance that is none: that of close points, or of affine functions."""
-
 NEAR = 5
-"""Smoothings to each side of the chosen one that a point may lead to, where there are more than
-KNOTS: one of so many hardly moves the choice."""
+"""Smoothings to each side of the chosen one that a point may lead to, where there are knots:
+one of so many hardly moves the choice."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,8 +113,7 @@ class ThinPlates:
     def _local(self, ground: FloatArray) -> FloatArray:
         """Return the field at places, shape (m, 2)."""
         places, image = ground[:, :2] * self.units, np.empty((len(ground), 2))
-        for start in range(0, len(ground), AT_ONCE):
-            some = slice(start, start + AT_ONCE)
+        for some in parts(len(ground)):
             image[some] = self.spans(places[some]) @ self._coefficients
         return image
 
@@ -137,51 +128,6 @@ class ThinPlates:
             rest = w * (self.points.image[:, axis] - local[:, axis]) - smoothing * one.w
             coefficients[:, axis] = np.linalg.lstsq(columns * w[:, None], rest)[0]
         return coefficients
-
-
-class Spans:
-    """The columns that span a field: kernels around all points, or around knots among many."""
-
-    def __init__(self, places: FloatArray, whole: bool) -> None:
-        many = len(places) > KNOTS and not whole
-        self.knots = spread_out(places, min(KNOTS, CELLS // len(places))) if many else places
-        self.root = spline_root(self.knots) if many else None
-
-    def __call__(self, places: FloatArray) -> FloatArray:
-        """Return the columns at places, shape (m, k)."""
-        if self.root is None:
-            return kernel(places, self.knots)
-        return left_by_affine(places, self.knots) @ self.root
-
-    def coefficients(self, places: FloatArray, w: FloatArray) -> FloatArray:
-        """Return the coefficients of the columns by the kernels' weights (n, 2) at the points."""
-        return w if self.root is None else np.asarray(sum(
-            self(places[start:start + AT_ONCE]).T @ w[start:start + AT_ONCE]
-            for start in range(0, len(places), AT_ONCE)))
-
-    def variance(self, there: FloatArray, columns: FloatArray, lead: FloatArray,
-                 places: FloatArray, smoothing: float, w: FloatArray) -> FloatArray:
-        """Return the variance at places (m, 2) by that of the field, shape (m,).
-
-        The affine columns there are (m, 3), those of the points (n, 3); `w` are their weights.
-        """
-        (n, f), apart = lead.shape, self(there)
-        if self.root is None:
-            # Universal kriging: the kernel at distance 0, which is 0, less right' system^-1 right.
-            system = np.zeros((n + f, n + f))
-            system[:n, :n] = kernel(places, places) + np.diag(smoothing / w**2)
-            system[:n, n:], system[n:, :n] = lead, lead.T
-            right = np.concatenate([apart, columns], axis=1)
-            return np.asarray(-(right * np.linalg.solve(system, right.T).T).sum(axis=1))
-        rows = np.concatenate([columns, apart], axis=1)
-        normal = np.diag(np.r_[np.zeros(f), np.full(apart.shape[1], smoothing)])
-        for start in range(0, n, AT_ONCE):
-            some = slice(start, start + AT_ONCE)
-            one = np.concatenate([lead[some], self(places[some])], axis=1) * w[some, None]
-            normal += one.T @ one
-        beyond = own_variance(there, self.knots) - (apart**2).sum(axis=1)
-        return np.asarray(smoothing * (rows * np.linalg.solve(normal, rows.T).T).sum(axis=1)
-                          + np.maximum(beyond, 0.0))
 
 
 def thin_plates(points: Points, units: tuple[float, float], smoothing: float | None,
@@ -205,20 +151,19 @@ def _splines(image: bytes, ground: bytes, sigma: bytes | None, units: tuple[floa
     points = Points(tuple(map(str, range(len(measured)))), measured,
                     np.frombuffer(ground).reshape(-1, 3),
                     None if sigma is None else np.frombuffer(sigma).reshape(-1, 2))
-    columns, places = monomials(points.ground, PLANE), points.ground[:, :2] * units
+    lead, places = monomials(points.ground, PLANE), points.ground[:, :2] * units
     spans = Spans(places, whole=smoothing == 0)
-    spanned = np.concatenate([spans(places[start:start + AT_ONCE])
-                              for start in range(0, len(places), AT_ONCE)])
     smoothings = SMOOTHINGS if smoothing is None else np.array([smoothing])
-    weights = weights_of(points).T
-    bases = [_basis(columns * weights[0][:, None], spanned, weights[0], spans)]
-    bases.append(bases[0] if (weights[0] == weights[1]).all() else
-                 _basis(columns * weights[1][:, None], spanned, weights[1], spans))
-    if bases[0] is None or bases[1] is None:
-        return None
-    line, sample = (_axis(basis, target, smoothings, criterion) for basis, target in zip(
-        bases, measured.T * weights, strict=True) if basis is not None)
-    return ThinPlates(points, units, smoothings, (line, sample), spans)
+    weights = weights_of(points)
+    alike = bool((weights[:, 0] == weights[:, 1]).all())
+    axes: list[Axis] = []
+    for columns in (slice(0, 2),) if alike else (slice(0, 1), slice(1, 2)):
+        w = weights[:, columns.start]
+        basis = _basis(lead * w[:, None], places, w, spans)
+        if basis is None:
+            return None
+        axes += _axes(basis, measured[:, columns] * w[:, None], smoothings, criterion)
+    return ThinPlates(points, units, smoothings, (axes[0], axes[1]), spans)
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,23 +171,26 @@ class _Basis:
     """Eigenvectors of the kernels on what affine functions leave."""
 
     values: FloatArray  # (k,)
-    u: FloatArray  # (n, k)
     q: FloatArray  # (n, f): an orthonormal basis of the affine functions
+    rows: Callable[[slice], FloatArray]  # (m, c): what spans the eigenvectors, at some points
+    turn: FloatArray | None  # (c, k): of these to the eigenvectors, None where they are these
 
     @property
     def rest(self) -> int:
         """Dimensions in which the kernels are 0."""
-        return int(len(self.u) - self.q.shape[1] - len(self.values))
+        return int(len(self.q) - self.q.shape[1] - len(self.values))
 
-    def left(self, some: slice) -> FloatArray | float:
-        """Return the diagonal of the projection onto these."""
-        if not self.rest:
-            return 0.0
-        spanned = (self.q[some]**2).sum(axis=1) + (self.u[some]**2).sum(axis=1)
-        return np.asarray(np.maximum(1.0 - spanned, 0.0))
+    def u(self, some: slice) -> FloatArray:
+        """Return the eigenvectors at some points, (m, k)."""
+        return self.rows(some) if self.turn is None else np.asarray(self.rows(some) @ self.turn)
+
+    def along(self, free: FloatArray) -> FloatArray:
+        """Return what vectors (n, a) that no affine function fits are along the eigenvectors."""
+        sums = sum(self.rows(some).T @ free[some] for some in parts(len(free)))
+        return np.asarray(sums if self.turn is None else self.turn.T @ sums)
 
 
-def _basis(lead: FloatArray, spanned: FloatArray, weights: FloatArray,
+def _basis(lead: FloatArray, places: FloatArray, weights: FloatArray,
            spans: Spans) -> _Basis | None:
     """Return the eigenvectors, or None if the points do not determine an affine function."""
     n, f = lead.shape
@@ -256,105 +204,100 @@ def _basis(lead: FloatArray, spanned: FloatArray, weights: FloatArray,
         return None
     if whole:
         # The kernel is positive on what affine functions leave alone.
-        values, u = np.linalg.eigh(rest.T @ (spanned * np.outer(weights, weights)) @ rest)
+        values, u = np.linalg.eigh(rest.T @ (spans(places) * np.outer(weights, weights)) @ rest)
+        u = rest @ u
         # Rounding makes values of points at one place a little negative.
-        return _Basis(np.maximum(values, TOLERANCE**2 * values.max(initial=0.0)), rest @ u, q)
-    rows = spanned * weights[:, None]
-    rows -= q @ (q.T @ rows)
-    values, u = np.linalg.eigh(rows.T @ rows)
-    some = values > JITTER * values.max()
-    return _Basis(values[some], rows @ (u[:, some] / np.sqrt(values[some])), q)
+        return _Basis(np.maximum(values, TOLERANCE**2 * values.max(initial=0.0)), q,
+                      lambda some: np.asarray(u[some]), None)
+
+    def weighted(some: slice) -> FloatArray:
+        return np.asarray(spans(places[some]) * weights[some, None])
+
+    affine = np.asarray(sum(q[some].T @ weighted(some) for some in parts(n)))
+
+    def rows(some: slice) -> FloatArray:
+        return np.asarray(weighted(some) - q[some] @ affine)
+
+    products = np.zeros((affine.shape[1],) * 2)
+    for some in parts(n):
+        mine = rows(some)
+        products += mine.T @ mine
+    values, vectors = np.linalg.eigh(products)
+    large = values > JITTER * values.max()
+    return _Basis(values[large], q, rows, vectors[:, large] / np.sqrt(values[large]))
 
 
-def _axis(basis: _Basis, target: FloatArray, smoothings: FloatArray, criterion: str) -> Axis:
-    values, u, q, n = basis.values, basis.u, basis.q, len(target)
-    below = 1.0 / (values + smoothings[:, None])                                     # (s, k)
-    along = u.T @ target
-    # On what the kernels do not span, M is the identity by the smoothing.
-    beyond = target - q @ (q.T @ target) - u @ along if basis.rest else np.zeros(n)
-    apart = 1.0 / smoothings[:, None] if basis.rest else np.zeros((len(smoothings), 1))
-    square = (below * along**2).sum(axis=1) + apart[:, 0] * float(beyond @ beyond)
-    log = -np.log(below).sum(axis=1) - basis.rest * np.log(np.where(apart, apart, 1.0))[:, 0]
-    trace = below.sum(axis=1) + basis.rest * apart[:, 0]
-    freedom, tiny = n - q.shape[1], np.finfo(float).tiny
-    if criterion == "reml":
-        value = freedom * np.log(np.maximum(square, tiny)) + log
-    else:  # n |M y|^2 / tr(M)^2
-        value = n * (((below * along) ** 2).sum(axis=1)
-                     + apart[:, 0] ** 2 * float(beyond @ beyond)) / trace**2
-    best = int(value.argmin())
-    near = slice(None) if n <= KNOTS else slice(max(best - NEAR, 0), best + NEAR + 1)
-    below, apart, square, log, trace = (one[near] for one in (below, apart, square, log, trace))
-    chosen = best - (near.start or 0)
-    w, own, errors = np.empty(n), np.empty(n), np.empty(n)
-    for start in range(0, n, AT_ONCE):
-        some = slice(start, start + AT_ONCE)
-        mine, left, far = u[some].T, basis.left(some), beyond[some]
-        each, diagonal = (below * along) @ mine + apart * far, below @ mine**2 + apart * left
-        if criterion == "reml":
+def _axes(basis: _Basis, targets: FloatArray, smoothings: FloatArray,
+          criterion: str) -> list[Axis]:
+    """Return the splines of so many axes with the same weights, whose targets are (n, a)."""
+    free = targets - basis.q @ (basis.q.T @ targets)
+    along = basis.along(free)
+    # What neither affine functions nor kernels span; there M is the identity by the smoothing.
+    over = np.maximum((free**2).sum(axis=0) - (along**2).sum(axis=0), 0.0) * bool(basis.rest)
+    choices = [_choice(basis, *one, smoothings, criterion)
+               for one in zip(along.T, over.tolist(), strict=True)]
+    n = len(targets)
+    axes = [Axis(one.best, np.empty(n), np.empty(n), np.empty(n)) for one in choices]
+    for some in parts(n):
+        mine = basis.u(some)
+        left = np.maximum(1.0 - (basis.q[some]**2).sum(axis=1) - (mine**2).sum(axis=1), 0.0)
+        beyond = free[some] - mine @ along
+        for axis, one, far in zip(axes, choices, beyond.T, strict=True):
+            w, own, without = one.at(mine.T, left, far, n)
+            least, column = without.argmin(axis=0), np.arange(len(mine))
+            axis.w[some], axis.own[some] = w[one.chosen], own[one.chosen]
+            axis.errors[some] = w[least, column] / own[least, column]
+    return axes
+
+
+@dataclass(frozen=True, eq=False)
+class _Choice:
+    """The smoothing of one axis, and those that it may be without a point."""
+
+    best: int  # of all smoothings
+    chosen: int  # of these here
+    below: FloatArray  # (s, k): the eigenvalues of M
+    along: FloatArray  # (k,)
+    apart: FloatArray  # (s, 1): the eigenvalue of M that kernels leave; 0 where they leave nothing
+    square: FloatArray  # (s,): y' M y, or |M y|^2 for generalised cross-validation
+    log: FloatArray  # (s,): the logarithm of 1 / |M|
+    trace: FloatArray  # (s,)
+    freedom: int
+    reml: bool
+
+    def at(self, mine: FloatArray, left: FloatArray, far: FloatArray, n: int,
+           ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return w, the diagonal of M and the criterion without each of some points, (s, m)."""
+        w = (self.below * self.along) @ mine + self.apart * far
+        own = self.below @ mine**2 + self.apart * left
+        if self.reml:
             # Without point i, y'M y is lower by w_i^2 / M_ii, and |M| by the factor M_ii.
-            others = np.maximum(square[:, None] - each**2 / diagonal, tiny)
-            without = (freedom - 1) * np.log(others) + log[:, None] + np.log(diagonal)
-        else:
-            # M without a point is M less the product of its column by itself, over the diagonal.
-            twice = below**2 @ mine**2 + apart**2 * left
-            again, ratio = (below**2 * along) @ mine + apart**2 * far, each / diagonal
-            whole = ((below * along) ** 2).sum(axis=1) + apart[:, 0] ** 2 * float(beyond @ beyond)
-            others = np.maximum(whole[:, None] - 2 * ratio * again + ratio**2 * twice, 0.0)
-            without = (n - 1) * others / (trace[:, None] - twice / diagonal) ** 2
-        least, column = without.argmin(axis=0), np.arange(each.shape[1])
-        w[some], own[some] = each[chosen], diagonal[chosen]
-        errors[some] = each[least, column] / diagonal[least, column]
-    return Axis(best, w, own, errors)
+            others = np.maximum(self.square[:, None] - w**2 / own, np.finfo(float).tiny)
+            return w, own, (self.freedom - 1) * np.log(others) + self.log[:, None] + np.log(own)
+        # M without a point is M less the product of its column by itself, over the diagonal.
+        twice = self.below**2 @ mine**2 + self.apart**2 * left
+        again, ratio = (self.below**2 * self.along) @ mine + self.apart**2 * far, w / own
+        others = np.maximum(self.square[:, None] - 2 * ratio * again + ratio**2 * twice, 0.0)
+        return w, own, (n - 1) * others / (self.trace[:, None] - twice / own) ** 2
 
 
-def kernel(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return r^2 log r of the distances r between places, shape (len(a), len(b))."""
-    square = squared_distances(a, b)
-    return np.asarray(square * np.log(np.where(square > 0.0, square, 1.0)) / 2)
-
-
-def squared_distances(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the squared distances between places in the plane, shape (len(a), len(b))."""
-    # That of scipy.spatial would be the only part of it that most runs import.
-    square, across = (np.subtract.outer(a[:, i], b[:, i]) for i in range(2))
-    square *= square
-    square += np.square(across, out=across)
-    return square
-
-
-def left_by_affine(places: FloatArray, knots: FloatArray) -> FloatArray:
-    """Return the kernels around knots, less what an affine function fits at these, (m, k)."""
-    there, here = (np.column_stack([np.ones(len(one)), one]) for one in (places, knots))
-    return np.asarray(kernel(places, knots) - there @ (np.linalg.pinv(here) @ kernel(knots, knots)))
-
-
-def own_variance(places: FloatArray, knots: FloatArray) -> FloatArray:
-    """Return the variance at places of what the affine function that fits the knots leaves."""
-    there, here = (np.column_stack([np.ones(len(one)), one]) for one in (places, knots))
-    fitted = there @ np.linalg.pinv(here)
-    return np.asarray((fitted * (fitted @ kernel(knots, knots)
-                                 - 2 * kernel(places, knots))).sum(axis=1))
-
-
-def spline_root(knots: FloatArray) -> FloatArray:
-    """Return what makes coefficients of the kernels uncorrelated, of one variance, shape (k, c)."""
-    here = np.column_stack([np.ones(len(knots)), knots])
-    rest = np.eye(len(knots)) - here @ np.linalg.pinv(here)
-    values, vectors = np.linalg.eigh(rest @ kernel(knots, knots) @ rest)
-    some = values > JITTER * values.max()  # what affine functions fit has no variance
-    return np.asarray(rest @ (vectors[:, some] / np.sqrt(values[some])))
-
-
-def spread_out(places: FloatArray, count: int) -> FloatArray:
-    """Return the places, of more than a count that are far apart, whatever their order."""
-    if len(places) <= count:
-        return places
-    # From the place nearest to the middle, always the place farthest from those taken.
-    taken = [int(np.argmin(np.linalg.norm(places - places.mean(axis=0), axis=1)))]
-    columns, apart = np.ascontiguousarray(places.T), np.full(len(places), np.inf)
-    while len(taken) < count:
-        line, sample = columns - columns[:, taken[-1:]]
-        apart = np.minimum(apart, line * line + sample * sample)
-        taken.append(int(apart.argmax()))
-    return places[taken]
+def _choice(basis: _Basis, along: FloatArray, over: float, smoothings: FloatArray,
+            criterion: str) -> _Choice:
+    """Return the smoothing by the criterion, where |y|^2 is `over` beyond the kernels."""
+    n, f = basis.q.shape
+    below = 1.0 / (basis.values + smoothings[:, None])                               # (s, k)
+    apart = 1.0 / smoothings[:, None] if basis.rest else np.zeros((len(smoothings), 1))
+    log = -np.log(below).sum(axis=1) + (
+        basis.rest * np.log(smoothings) if basis.rest else 0.0)
+    trace = below.sum(axis=1) + basis.rest * apart[:, 0]
+    if criterion == "reml":
+        square = (below * along**2).sum(axis=1) + apart[:, 0] * over
+        value = (n - f) * np.log(np.maximum(square, np.finfo(float).tiny)) + log
+    else:  # n |M y|^2 / tr(M)^2
+        square = ((below * along) ** 2).sum(axis=1) + apart[:, 0] ** 2 * over
+        value = n * square / trace**2
+    best = int(value.argmin())
+    first = max(best - NEAR, 0) if basis.rest else 0
+    near = slice(first, best + NEAR + 1 if basis.rest else None)
+    return _Choice(best, best - first, below[near], along, apart[near], square[near], log[near],
+                   trace[near], n - f, criterion == "reml")
