@@ -19,9 +19,8 @@ import numpy as np
 from msgspec import convert, to_builtins
 from scipy.spatial import Delaunay
 
-from benchmarks.few_points import crs_of
 from benchmarks.kept import resumed
-from benchmarks.sets import names, put, rmse_of, split
+from benchmarks.sets import crs_of, names, put, rmse_of, split
 from benchmarks.unlike_maps import KINDS as MAPS
 from benchmarks.unlike_maps import unlike_map
 from termsel.candidates.portfolio import choose

@@ -17,14 +17,13 @@ import numpy as np
 import termsel
 from benchmarks.kept import resumed
 from benchmarks.old_maps import MAPS, drawn
-from benchmarks.sets import DERIVED, MEASURED, names, put, rmse_of
+from benchmarks.sets import MEASURED, crs_of, names, put, rmse_of
 from benchmarks.unlike_maps import KINDS, unlike_map
 from termsel.candidates.portfolio import choose
 from termsel.candidates.structures import named
 from termsel.errors import TermselError
 from termsel.measurements.control import Control
 from termsel.measurements.features import FeatureSet, Points
-from termsel.simulate.catalogue import SCENES
 from termsel.threads import one_blas_thread
 
 PLAIN = ("affine", "projective", "dlt", "quadratic")
@@ -45,11 +44,6 @@ def exact(kind: str, count: int, seed: int) -> Points:
         image /= 1.0 + at[:, :2] @ rng.normal(0, 0.05, (2, 1))
     ground = at * [20e3, 20e3, 2e3 if "space" in kind else np.nan]
     return Points(tuple(map(str, range(count))), image + rng.normal(0, NOISE, (count, 2)), ground)
-
-
-def crs_of(name: str) -> str:
-    """Return the CRS of a set, as a user gives it."""
-    return "EPSG:4979" if name in SCENES or name in DERIVED[:3] else "local"
 
 
 def split(name: str, count: int, seed: int) -> tuple[FeatureSet, Points]:

@@ -14,13 +14,12 @@ from functools import partial
 
 import numpy as np
 
-from benchmarks.sets import DERIVED, names, put, rmse_of, split
+from benchmarks.sets import crs_of, names, put, rmse_of, split
 from termsel.candidates.portfolio import Portfolio, choose
 from termsel.candidates.structures import CANDIDATES
 from termsel.measurements.control import Control
 from termsel.measurements.features import FeatureSet
 from termsel.runs.task.given import all_candidates
-from termsel.simulate.catalogue import SCENES
 from termsel.threads import one_blas_thread
 from termsel_bench.scenes.cameras import CHOSEN, FRESH, KINDS, Ranges, image_of
 from termsel_scanner.photos import CANDIDATES as CAMERAS
@@ -59,8 +58,7 @@ def case_of(name: str, count: int, seed: int, ranges: Ranges, known: tuple[str, 
             mine = mine.with_(points=replace(mine.points, attributes={"sensor": said}))
     else:
         points, others = split(name, count, 1000 + seed)
-        degrees = name in SCENES or name in DERIVED[:3]
-        mine = FeatureSet(points, crs="EPSG:4979" if degrees else "local")
+        mine = FeatureSet(points, crs=crs_of(name))
     control = Control.of(mine)
     found = [choose(control, portfolio, whole=False) for portfolio in (without, every_one)]
     if found[0] is None or found[1] is None:

@@ -8,6 +8,7 @@ points at random as control and check together, and up to 300 of the others as i
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 from functools import lru_cache
@@ -47,6 +48,16 @@ def names() -> list[str]:
 @lru_cache(maxsize=4)
 def _read(name: str) -> Points:
     return read(DATA / name / "points.csv", crs="local").points
+
+
+def crs_of(name: str) -> str:
+    """Return the CRS of a set, as its data state it: local for simulated maps."""
+    if name in SCENES:
+        return "EPSG:4979"
+    meta = DATA / name / "meta.json"
+    if not meta.is_file():
+        return "local"
+    return str(json.loads(meta.read_text(encoding="utf-8"))["crs"]).split()[0]
 
 
 def split(name: str, count: int, seed: int) -> tuple[Points, Points]:
