@@ -8,7 +8,8 @@ from scipy.special import chdtri, stdtr, stdtrit
 
 from termsel.record.chances import chi_squared_quantile, t_beyond, t_quantile
 
-FREEDOM = [1, 2, 3.5, 48.4, 1000, 2e5]
+FREEDOM = [1, 2, 3.5, 48.4, 999, 1000, 1001, 34319, 65328, 195718, 3e6]
+"""Secants to the quantile of some of the last ones once met no end."""
 
 
 @pytest.mark.parametrize("freedom", FREEDOM)
@@ -24,3 +25,12 @@ def test_quantiles_are_those_of_scipy(freedom: float) -> None:
 def test_chances_of_t_are_those_of_scipy(freedom: float) -> None:
     for t in (0.0, 1e-9, 0.3, 1.0, 1.7, 2.0, 3.0, 9.0, 30.0, 1e8, np.inf):
         assert t_beyond(t, freedom) == pytest.approx(2 * stdtr(freedom, -t), rel=1e-8, abs=1e-300)
+
+
+def test_quantiles_of_all_small_freedoms_are_those_of_scipy() -> None:
+    freedom = np.arange(1, 1001)
+    mine = [[t_quantile(0.95, n), t_quantile(0.975, n), chi_squared_quantile(0.05, n),
+             chi_squared_quantile(0.95, n)] for n in freedom.tolist()]
+    np.testing.assert_allclose(mine, np.transpose([
+        stdtrit(freedom, 0.95), stdtrit(freedom, 0.975), chdtri(freedom, 0.95),
+        chdtri(freedom, 0.05)]), rtol=1e-8)

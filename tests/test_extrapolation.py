@@ -26,6 +26,16 @@ def test_control_without_a_hull_reaches_nothing() -> None:
     assert np.isinf(beyond(SQUARE[:2], SQUARE)).all()
 
 
+@pytest.mark.parametrize("start", [(500000.1, 5500000.3), (51.25, 35.7)])
+def test_places_on_one_oblique_line_have_no_hull(start: tuple[float, float]) -> None:
+    """In UTM and in degrees, whose last digits are rounded."""
+    for seed in range(50):
+        rng = np.random.default_rng(seed)
+        along = rng.uniform(0, 1000 if start[0] > 1e3 else 0.01, 6)
+        line = np.array(start) + along[:, None] * rng.uniform(-2, 2, 2)
+        assert hull(line) == []
+
+
 @pytest.mark.parametrize("n", [3, 10, 1000])
 def test_a_hull_is_that_of_scipy(n: int) -> None:
     places = np.random.default_rng(n).random((n, 2)) * [3.0, 1000.0] + 4e6

@@ -16,7 +16,9 @@ from termsel.files.rasters import require_rasterio
 TILE = 1024
 """Size of the tiles that are computed at once [px]."""
 
-_SUFFIXES = ("", ".tif", ".tiff", ".gtiff", ".cog")
+_OTHERS = (".png", ".jpg", ".jpeg", ".jp2", ".bmp", ".gif", ".webp", ".pdf", ".img", ".ecw", ".sid",
+           ".vrt", ".nc", ".asc")
+"""Endings of names of other formats."""
 
 
 def require_tiff_name(path: Path) -> None:
@@ -27,7 +29,7 @@ def require_tiff_name(path: Path) -> None:
     TermselError
         Naming the file.
     """
-    if path.suffix.lower() not in _SUFFIXES:
+    if path.suffix.lower() in _OTHERS:
         raise TermselError(f"a map is written as GeoTIFF, not as {path.suffix}", file=path,
                            hint=f"Name it {path.with_suffix('.tif').name}; gdal_translate "
                                 "converts it to other formats.")

@@ -102,8 +102,10 @@ def spline_root(knots: FloatArray) -> FloatArray:
     """Return what makes coefficients of the kernels uncorrelated, of one variance, shape (k, c)."""
     here = np.column_stack([np.ones(len(knots)), knots])
     rest = np.eye(len(knots)) - here @ np.linalg.pinv(here)
-    values, vectors = np.linalg.eigh(rest @ kernel(knots, knots) @ rest)
-    some = values > JITTER * values.max()  # what affine functions fit has no variance
+    among = kernel(knots, knots)
+    values, vectors = np.linalg.eigh(rest @ among @ rest)
+    # What affine functions fit has no variance but rounding.
+    some = values > JITTER * max(values.max(), np.abs(among).max())
     return np.asarray(rest @ (vectors[:, some] / np.sqrt(values[some])))
 
 

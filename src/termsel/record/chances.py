@@ -1,7 +1,8 @@
 """Chances and quantiles of the t and chi-squared distributions.
 
-Those of scipy.special take 0.2 s to import, which most runs need for nothing else. References:
-Abramowitz and Stegun 1964, Handbook of Mathematical Functions, 6.5.29 and 26.5.8.
+Those of scipy.special take 0.2 s to import, which runs of few points need for nothing else. They
+are taken above FEW degrees of freedom. References: Abramowitz and Stegun 1964, Handbook of
+Mathematical Functions, 6.5.29 and 26.5.8.
 """
 
 from __future__ import annotations
@@ -9,12 +10,22 @@ from __future__ import annotations
 from collections.abc import Callable
 from math import exp, lgamma, log, sqrt
 
+FEW = 1000
+"""Most degrees of freedom of what is computed here."""
+
 EPS, NEAR = 1e-16, 1e-12
 """Parts of a sum, and a step to a quantile, that change nothing."""
+
+STEPS = 60
+"""Most secants to a quantile: rounding may keep the last ones from meeting NEAR."""
 
 
 def chi_squared_quantile(share: float, freedom: float) -> float:
     """Return what a chi-squared number of so many degrees of freedom is below by that chance."""
+    if freedom > FEW:
+        from scipy.special import chdtri
+
+        return float(chdtri(freedom, 1 - share))
     half = freedom / 2
 
     def below(x: float) -> float:
@@ -35,11 +46,19 @@ def t_quantile(share: float, freedom: float) -> float:
 
     It is above one half.
     """
+    if freedom > FEW:
+        from scipy.special import stdtrit
+
+        return float(stdtrit(freedom, share))
     return _where(lambda t: 1 - t_beyond(t, freedom) / 2, share, 1.0)
 
 
 def t_beyond(t: float, freedom: float) -> float:
     """Return the chance of a larger |t|."""
+    if freedom > FEW:
+        from scipy.special import stdtr
+
+        return float(2 * stdtr(freedom, -t))
     x = freedom / (freedom + t * t)
     return _beta(x, 1 - x, freedom / 2, 0.5) if x < (freedom + 2) / (freedom + 5) \
         else 1 - _beta(1 - x, x, 0.5, freedom / 2)
@@ -65,6 +84,8 @@ def _beta(x: float, rest: float, a: float, b: float) -> float:
 def _where(rising: Callable[[float], float], value: float, x: float) -> float:
     """Return where a function of positive numbers has a value, by secants that begin at x."""
     y, after = rising(x), 1.01 * x
-    while abs(after - x) > NEAR * x and (z := rising(after)) != y:
+    for _ in range(STEPS):
+        if abs(after - x) <= NEAR * x or (z := rising(after)) == y:
+            break
         x, y, after = after, z, max(after + (value - z) * (after - x) / (z - y), after / 10)
     return after

@@ -16,7 +16,7 @@ from termsel_block.geometry.physical import Contradiction, PhysicalCamera
 CHANCE = 1e-4
 """Probability below which what is known of a model's terms is not true of the image."""
 
-_FAR, _UNSEEN = 5.0, 1e3
+_FAR, _UNSEEN = 3.0, 1e3
 """Standard deviations from which on the ground is not that of the DEM, and that of a tie whose
 height no rays tell [m]."""
 
@@ -30,8 +30,9 @@ def without_wrong_sensor(block: Block, adjusted: Adjusted) -> tuple[Block, int] 
     One sensor at a time, in all images that it is wrong in: by their ties it bends others, too.
     With it the number of the image that contradicts most.
     """
-    sensors = {i: str(block.images[i].options.get(_SENSOR) or "") for i in contradicted(adjusted)}
-    found = {i: one for i, one in contradicted(adjusted).items() if sensors[i]}
+    every = contradicted(adjusted)
+    sensors = {i: str(block.images[i].options.get(_SENSOR) or "") for i in every}
+    found = {i: one for i, one in every.items() if sensors[i]}
     worst = max(found, key=lambda i: found[i].severity, default=None)
     if worst is None:
         return None

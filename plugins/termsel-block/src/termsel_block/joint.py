@@ -105,7 +105,10 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
     result = _adjusted(block, frame, progress)
     while (without := without_wrong_sensor(result.block, result.adjusted)) is not None:
         other, worst = without
-        freed = _adjusted(other, frame, progress)
+        try:
+            freed = _adjusted(other, frame, progress)
+        except TermselError:  # without what is known of the sensor, too little holds the image
+            break
         if not agrees_better(result.adjusted, freed.adjusted, worst):
             break
         result = freed
@@ -120,7 +123,10 @@ def _with_note_on_dem(result: BlockResult) -> BlockResult:
     block = result.block
     if block.dem is None or any(map(len, result.control)):
         return result
-    free = _adjusted(replace(block, dem=None), result.frame, None)
+    try:
+        free = _adjusted(replace(block, dem=None), result.frame, None)
+    except TermselError:  # nothing but the DEM holds the heights, so that they say nothing of it
+        return result
     with open_dem(block.dem, block.crs) as dem:
         note = against_dem(free.ties, free.adjusted, dem)
     return result if note is None else replace(

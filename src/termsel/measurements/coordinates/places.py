@@ -8,7 +8,8 @@ from numpy.typing import ArrayLike
 from termsel.measurements.features import FeatureSet, FloatArray, IntArray
 
 ROUNDING = 1e-14
-"""Twice the area of a triangle in a box of side 1 whose corners lie on one line."""
+"""Twice the area of a triangle in a box of side 1 whose corners lie on one line. Large coordinates
+are rounded more."""
 
 
 def spatial_order(xy: ArrayLike) -> IntArray:
@@ -68,6 +69,7 @@ def hull(places: FloatArray) -> list[int]:
     if not 0.0 < size < np.inf:
         return []
     scaled = (places - places.mean(axis=0)) / size
+    least = max(ROUNDING, 8 * np.finfo(float).eps * float(np.abs(places).max()) / size)
     order, (x, y) = np.lexsort(scaled.T[::-1]).tolist(), scaled.T.tolist()
     corners: list[int] = []
     for half in (order, order[::-1]):
@@ -75,7 +77,7 @@ def hull(places: FloatArray) -> list[int]:
         for i in half:
             while len(some) > 1:
                 a, b = some[-2:]
-                if (x[b] - x[a]) * (y[i] - y[a]) - (y[b] - y[a]) * (x[i] - x[a]) > ROUNDING:
+                if (x[b] - x[a]) * (y[i] - y[a]) - (y[b] - y[a]) * (x[i] - x[a]) > least:
                     break
                 some.pop()
             some.append(i)

@@ -140,9 +140,10 @@ def doubts(result: BlockResult) -> list[str]:
                     "measurements: check RPCs and ties.")
     if not adjusted.converged:
         worst = [result.block.images[i].name for i in np.argsort(-adjusted.moved)[:_NAMED]
-                 if adjusted.moved[i] > _MOVING] or ["none"]
-        said.append(f"Images that still moved in the last step: {', '.join(worst)}. Give them more "
-                    "control points or ties, or a plainer model.")
+                 if adjusted.moved[i] > _MOVING]
+        said.append((f"Images that still moved in the last step: {', '.join(worst)}. Give them "
+                     if worst else "The precision of ties and control did not settle. Give images "
+                     ) + "more control points or ties, or a plainer model.")
     said += doubts_of_models(result.block, adjusted)
     for i, image in enumerate(result.block.images):
         used = adjusted.state.in_use[i]
