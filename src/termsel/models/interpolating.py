@@ -17,8 +17,9 @@ from termsel.options import Option
 from termsel.priors.field import collocate
 from termsel.priors.thin_plate import thin_plates
 
-EXACT = 10_000
-"""Most points that a spline meets exactly: it has a kernel around each, and a matrix of all."""
+EXACT = 3000
+"""Most points that a spline meets exactly: it has a kernel around each, and a matrix of all, whose
+time grows with the third power of their number."""
 
 
 class Interpolating(Polynomial):
@@ -75,7 +76,7 @@ class ThinPlate(Interpolating):
         if self.options["smoothing"] == 0 and len(control.points) > EXACT:
             raise TermselError(
                 f"a spline that meets {amount(len(control.points), 'point')} exactly takes too "
-                "much memory", hint="Leave smoothing out, or give one above 0.")
+                "long", hint="Leave smoothing out, or give one above 0.")
         return thin_plates(control.points, plane_units(self), self.options["smoothing"],
                            self.options["chosen_by"])
 
