@@ -82,40 +82,36 @@ def shell(*args, folder=None, **environment):
              "TERMSEL_DEBUG": "", **environment})
 
 
-def test_help_imports_nothing_heavy():
-    code = ("import sys; sys.argv = ['termsel', '--help']\n"
+def imported(*words, then=""):
+    """Return what a command of its own prints, and the modules it has imported at its end."""
+    code = (f"import sys; sys.argv = ['termsel', *{words!r}]\n"
             "from termsel.__main__ import main\n"
             "try: main()\n"
-            "except SystemExit: print(*sys.modules, file=sys.stderr)")
+            f"except SystemExit: {then}print(*sys.modules, file=sys.stderr)")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert "Commands:" in done.stdout
-    loaded = set(done.stderr.split())
+    return done.stdout, set(done.stderr.split())
+
+
+def test_help_imports_nothing_heavy():
+    text, loaded = imported("--help")
+    assert "Commands:" in text
     assert "termsel.cli.main" in loaded
     assert not loaded & {"numpy", "scipy", "numba", "deap", "pymoo", "rich", "pluggy",
                          "importlib.metadata", "termsel.cli.run"}
 
 
 def test_what_few_use_is_imported_by_those_who_use_it():
-    code = ("import sys; sys.argv = ['termsel', 'list', 'models']\n"
-            "from termsel.__main__ import main\n"
-            "try: main()\n"
-            "except SystemExit: import termsel.runs.run; print(*sys.modules, file=sys.stderr)")
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    loaded = set(done.stderr.split())
+    _, loaded = imported("list", "models", then="import termsel.runs.run; ")
     assert {"termsel_rpc.jitter", "termsel.adjustment.kernels"} <= loaded
     assert not loaded & {"numba", "scipy.stats", "scipy.spatial", "scipy.optimize",
                          "scipy.interpolate", "pymoo", "pyproj"}
 
 
 def test_a_choice_for_few_points_imports_neither_scipy_nor_numba_nor_proofs():
-    code = ("import sys; sys.argv = ['termsel', 'run', '--problem', 'rfm-terms', '--quiet']\n"
-            "from termsel.__main__ import main\n"
-            "try: main()\n"
-            "except SystemExit: print(*sys.modules, file=sys.stderr)")
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert "chosen by auto" in done.stdout
-    assert not set(done.stderr.split()) & {"numba", "scipy", "termsel.enumeration.subsets",
-                                           "termsel.runs.search.steps"}
+    text, loaded = imported("run", "--problem", "rfm-terms", "--quiet")
+    assert "chosen by auto" in text
+    assert not loaded & {"numba", "scipy", "termsel.enumeration.subsets",
+                         "termsel.runs.search.steps"}
 
 
 def test_help_tells_all_commands_as_they_tell_themselves(call):

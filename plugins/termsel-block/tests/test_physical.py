@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,13 +18,14 @@ pytest.importorskip("termsel_scanner", reason="termsel-scanner is not installed:
 from termsel import TermselError, read_result
 from termsel.testing import invoke
 from termsel.toolkit import write_result
+from termsel_block import contradictions, joint
 from termsel_block.accuracy import independent_points, rmse
 from termsel_block.block import Block
 from termsel_block.files.block_file import read_block
 from termsel_block.files.folders import image_result
 from termsel_block.geometry.control import own_control
 from termsel_block.geometry.frame import Frame
-from termsel_block.geometry.physical import PhysicalModel
+from termsel_block.geometry.physical import Contradiction, PhysicalModel
 from termsel_block.joint import BlockResult, adjust
 from termsel_block.shown.record import record_of
 from termsel_block.simulated import Simulated, simulate_block
@@ -119,6 +121,29 @@ def test_a_wrong_model_is_named(model: str, options: str, said: str, tmp_path: P
     assert "--" not in told  # options of other commands
     assert "poly2d" not in told  # models that a block cannot take
     assert not (tmp_path / "out").exists()
+
+
+def test_a_sensor_that_is_right_hides_no_other(
+        simulated: Simulated, monkeypatch: pytest.MonkeyPatch) -> None:
+    sensors = ("aster", "planetscope", "aster")
+    block = replace(simulated.block, images=tuple(
+        replace(image, model="scanner", options={"sensor": sensor})
+        for image, sensor in zip(simulated.block.images, sensors, strict=True)))
+    severity = {"aster": 9.0, "planetscope": 5.0}
+
+    def contradicted(adjusted: Block) -> dict[int, Contradiction]:
+        return {i: Contradiction(1e-9, severity[image.options["sensor"]], ())
+                for i, image in enumerate(adjusted.images) if "sensor" in image.options}
+
+    monkeypatch.setattr(joint, "_adjusted", lambda block, *_: SimpleNamespace(
+        block=block, adjusted=block))
+    monkeypatch.setattr(joint, "_with_note_on_dem", lambda result: result)
+    monkeypatch.setattr(joint, "agrees_better", lambda *given: sensors[given[-1]] != "aster")
+    monkeypatch.setattr(contradictions, "contradicted", contradicted)
+    found = adjust(block).block
+    assert [image.options.get("sensor") for image in found.images] == ["aster", None, "aster"]
+    assert sum("'planetscope'" in note for note in found.notes) == 1
+    assert not any("'aster'" in note for note in found.notes)
 
 
 def test_options_are_read(tmp_path: Path) -> None:

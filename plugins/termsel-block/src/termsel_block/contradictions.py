@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,15 +25,16 @@ _SENSOR = "sensor"
 """Option that names what is known; without it the model knows least."""
 
 
-def without_wrong_sensor(block: Block, adjusted: Adjusted) -> tuple[Block, int] | None:
+def without_wrong_sensor(block: Block, adjusted: Adjusted,
+                         right: Collection[str]) -> tuple[Block, int] | None:
     """Return the block without the sensor that its measurements contradict most; None if none.
 
     One sensor at a time, in all images that it is wrong in: by their ties it bends others, too.
-    With it the number of the image that contradicts most.
+    With it the number of the image that contradicts most. Sensors that are right stay.
     """
     every = contradicted(adjusted)
-    sensors = {i: str(block.images[i].options.get(_SENSOR) or "") for i in every}
-    found = {i: one for i, one in every.items() if sensors[i]}
+    sensors = {i: sensor_of(block, i) for i in every}
+    found = {i: one for i, one in every.items() if sensors[i] and sensors[i] not in right}
     worst = max(found, key=lambda i: found[i].severity, default=None)
     if worst is None:
         return None
@@ -46,6 +48,11 @@ def without_wrong_sensor(block: Block, adjusted: Adjusted) -> tuple[Block, int] 
                      f"{Path(sensors[i]).name!r}{_off(one)}. The image is adjusted as one of an "
                      "unknown sensor.")
     return replace(block, images=tuple(images), notes=tuple(notes)), worst
+
+
+def sensor_of(block: Block, i: int) -> str:
+    """Return the sensor of an image as its options name it; "" without one."""
+    return str(block.images[i].options.get(_SENSOR) or "")
 
 
 def agrees_better(before: Adjusted, after: Adjusted, i: int) -> bool:

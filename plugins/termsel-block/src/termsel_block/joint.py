@@ -11,7 +11,12 @@ import numpy as np
 
 from termsel import TermselError, open_dem
 from termsel_block.block import Block, BlockImage
-from termsel_block.contradictions import against_dem, agrees_better, without_wrong_sensor
+from termsel_block.contradictions import (
+    against_dem,
+    agrees_better,
+    sensor_of,
+    without_wrong_sensor,
+)
 from termsel_block.estimation.adjustment import adjust_block
 from termsel_block.estimation.starts import Given, start
 from termsel_block.estimation.unknowns import Adjusted, Measured
@@ -103,15 +108,17 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
     """
     frame = Frame.at(_places(block), block.crs)
     result = _adjusted(block, frame, progress)
-    while (without := without_wrong_sensor(result.block, result.adjusted)) is not None:
+    right: set[str] = set()
+    while (without := without_wrong_sensor(result.block, result.adjusted, right)) is not None:
         other, worst = without
         try:
             freed = _adjusted(other, frame, progress)
         except TermselError:  # without what is known of the sensor, too little holds the image
-            break
-        if not agrees_better(result.adjusted, freed.adjusted, worst):
-            break
-        result = freed
+            freed = result
+        if agrees_better(result.adjusted, freed.adjusted, worst):
+            result = freed
+        else:
+            right.add(sensor_of(result.block, worst))
     return _with_note_on_dem(result)
 
 
