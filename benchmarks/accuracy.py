@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 import termsel
-from benchmarks.sets import NOISE, PLAIN, heights_of, names, put, rmse_of, split
+from benchmarks.sets import NOISE, PLAIN, crs_of, heights_of, names, put, rmse_of, split
 from termsel.candidates import portfolio
 from termsel.candidates.portfolio import choose
 from termsel.formats.readers.csv_tables import write_points_csv
@@ -104,11 +104,11 @@ def draw(folder: Path, wanted: list[str], counts: list[int], splits: int) -> Non
                               np.concatenate([mine.ground, independent.ground]), None)
                 rest = ("independent",) * len(independent)
                 write_points_csv(replace(both, roles=("control",) * count + rest),
-                                 folder / "points" / file, crs="local")
+                                 folder / "points" / file, crs=crs_of(name))
                 if count in GA_COUNTS and seed < GA_SPLITS:
                     half = (("control", "check") * count)[:count]
                     write_points_csv(replace(both, roles=half + rest),
-                                     folder / "halves" / file, crs="local")
+                                     folder / "halves" / file, crs=crs_of(name))
 
 
 def studied(folder: Path, name: str, workers: int) -> termsel.Study:
@@ -288,7 +288,7 @@ def _ratio(jobs: list[tuple[str, int, int]]) -> float:
     found = []
     for name, count, seed in jobs:
         mine, independent = split(name, count, seed)
-        choice = choose(Control.of(FeatureSet(mine), heights_of(mine)))
+        choice = choose(Control.of(FeatureSet(mine, crs=crs_of(name)), heights_of(mine)))
         assert choice is not None
         found.append(rmse_of(choice.chosen.fit.errors(independent))
                      / min(rmse_of(one.fit.errors(independent)) for one in choice.judged

@@ -1,4 +1,4 @@
-"""A polynomial with the prior of a line scanner in orbit."""
+"""A polynomial with the prior of a scanner or radar in orbit."""
 
 from dataclasses import replace
 
@@ -12,6 +12,7 @@ from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.candidates.physical import averaged
 from termsel.measurements.control import Control
 from termsel.priors import physics
+from termsel.priors.cameras import seen_by_radars
 from termsel.priors.physics import FREE, Prior, Solutions
 from termsel.simulate import simulate_scene
 from termsel_bench.scenes.cameras import CHOSEN, image_of
@@ -101,6 +102,41 @@ def test_six_points_of_a_steady_scanner_are_worth_twice_as_much():
     assert np.median(ratios) < 0.5
 
 
+def test_eight_points_of_a_radar_are_worth_more_too():
+    ratios = []
+    for seed in range(4):
+        every = image_of("radar", seed, CHOSEN, 68)
+        mine, others = every.take(np.arange(68) < 8), every.points.take(np.arange(68) >= 8)
+        rmse = [np.sqrt((termsel.fit(mine, name).errors(others) ** 2).sum(axis=1).mean())
+                for name in ("physical-cubic", "shrunken-cubic")]
+        ratios.append(rmse[0] / rmse[1])
+    assert np.median(ratios) < 0.7
+
+
+@pytest.mark.parametrize("on_ground", [False, True])
+@pytest.mark.parametrize("right", [False, True])
+def test_radars_see_heights_nearer_by_the_cotangent_and_in_the_same_line(right, on_ground):
+    """North is ahead: a place 1 km up is nearer as one is on the ground, 1 km / tan away."""
+    places = np.array([[0.0, 0.0, 0.0], [1e3, 0.0, 0.0], [0.0, 1e3, 0.0], [0.0, 0.0, 1e3]])
+    seen = seen_by_radars(places, 0.0, 45.0, right=right, on_ground=on_ground)
+    assert len(seen) > 90
+    _, east, north, up = (seen - seen[:, :1]).transpose(1, 0, 2)
+    across = np.hypot(east[:, 1], north[:, 1])  # by 1 km along the range
+    assert (np.sign(east[:, 1]) == (1 if right else -1)).all()
+    incidence = np.degrees(np.arctan2(across, -up[:, 1]))
+    assert 17.5 < incidence.min() < 22
+    assert 48 < incidence.max() < 52.5
+    assert np.abs(up[:, 0]).max() < 1e-3 * north[:, 0].min()
+    np.testing.assert_allclose(north[:, 0], 0.145, atol=0.015)  # 6 to 8 km/s
+
+
+def test_no_radar_sees_both_sides_of_its_track():
+    wide = np.column_stack([np.linspace(-200e3, 200e3, 9), np.zeros((9, 2))])
+    across = seen_by_radars(wide, 0.0, 45.0, right=True, on_ground=True)[..., 1]
+    assert 10 < len(across) < 90
+    assert (np.diff(across) > 0.0).all()
+
+
 def test_more_than_the_fewest_points_must_call_for_it_by_strong_evidence():
     for count, at_odds_of_ten in ((6, False), (8, True)):
         control = Control.of(simulate_scene("spot-isfahan", roles=(count, 0, 0), n_lines=0))
@@ -128,10 +164,10 @@ def test_no_satellite_has_pixels_of_millimetres_or_of_kilometres(shrunk, meant):
 
 
 def test_auto_chooses_it_and_says_why_and_the_result_is_the_same_fit_again(tmp_path):
-    scene = simulate_scene("spot-isfahan", roles=(6, 0, 30))
+    scene = simulate_scene("spot-isfahan", roles=(8, 0, 30))
     result = termsel.run(features=scene, out=tmp_path / "out")
     assert result.strategy.chosen == "physical-cubic"
-    assert "line scanner in orbit" in result.strategy.reason
+    assert "scanner or radar in orbit" in result.strategy.reason
     again = termsel.fit(scene, "physical-cubic")
     np.testing.assert_allclose(result.fit.adjustment.coefficients, again.adjustment.coefficients)
     others = scene.points.take([role == "independent" for role in scene.points.roles])
@@ -141,7 +177,7 @@ def test_auto_chooses_it_and_says_why_and_the_result_is_the_same_fit_again(tmp_p
 
 @pytest.mark.parametrize(("kind", "count"), [("frame", 12), ("panoramic", 20), ("steady", 5)])
 def test_it_declines_where_the_image_is_no_scanner_or_points_are_few(kind, count):
-    with pytest.raises(TermselError, match="do not call for the prior of a line scanner"):
+    with pytest.raises(TermselError, match="do not call for the prior of a scanner or radar"):
         termsel.fit(image_of(kind, 0, CHOSEN, count), "physical-cubic")
 
 
@@ -160,7 +196,8 @@ def test_a_prior_has_the_covariance_of_its_cameras_even_of_absurd_heights(height
     scaled = rng.uniform(-1.2, 1.2, (60, 3))
     priors = physics.of_cameras(scaled * [6e3, 6e3, height], scaled, graded_exponents(3, 3), 35.0,
                                 np.array([[0.0, -1.0], [1.0, 0.0]]) / 6e3, 4e-4)
-    narrow, wide = (one.root @ one.root.T for one in priors[::len(priors) - 1])
+    of_scanners = priors[:len(physics.WIDTHS) * len(physics.DEPARTURES)]
+    narrow, wide = (one.root @ one.root.T for one in of_scanners[::len(of_scanners) - 1])
     ratio = physics.WIDTHS[-1] / physics.WIDTHS[0]
     off = ~np.eye(len(narrow), dtype=bool)  # what comes to the variances of cameras is diagonal
     np.testing.assert_allclose(wide[off], ratio**2 * narrow[off], rtol=1e-6,

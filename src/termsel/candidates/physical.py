@@ -1,4 +1,4 @@
-"""A polynomial with the prior of a line scanner in orbit, next to shrunken ones in one average."""
+"""A polynomial with the prior of an image from orbit, next to shrunken ones in one average."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from termsel.priors.physics import BOX, PLACES, Solutions, marginal, of_cameras
 from termsel.priors.posterior import Posterior, polynomial_posterior
 
 FEWEST, MOST = 6, 40
-"""Numbers of points for which there is a physical prior: fewer do not tell a scanner from other
-images, and more gain nothing by it."""
+"""Numbers of points for which there is a physical prior: fewer do not tell such images from
+others, and more gain nothing by it."""
 
 CHOSEN = 12
 """Points of control up to which auto tries it. The final fit has the check points, too."""
@@ -70,7 +70,7 @@ class Averaged(Average):
 
 
 def averaged(points: Points, scaling: Scaling, crs: str, exponents: Exponents) -> Averaged | None:
-    """Return the average for scaled control points; None where no scanner could be meant.
+    """Return the average for scaled control points; None where no image from orbit is meant.
 
     The exponents are those of a cubic polynomial of X and Y, or of X, Y and Z.
     """
@@ -141,7 +141,7 @@ class Physical(Estimator):
         local = collocate(scaling.points(mine), model.variables)
         if found is None or found.alone(local):
             raise Undetermined(
-                "the points do not call for the prior of a line scanner in orbit" + (
+                "the points do not call for the prior of a scanner or radar in orbit" + (
                     "" if found is None else f": its probability is {found.probability:.2g}"),
                 hint="Choose a polynomial without it, such as shrunken-cubic.")
         return fit_of(self, model, control, scaling, used, found)

@@ -1,11 +1,14 @@
-"""What line scanners in orbit see of a place: cameras drawn from all that are plausible.
+"""What line scanners and radars in orbit see of a place, drawn from all that are plausible.
 
-A satellite at a height of 450 to 850 km scans the place with a steady attitude: it turns with the
-orbit, and with small rates of its own. The Earth turns below it. The direction in which lines
-follow each other is that of the control, all else is drawn.
+A satellite is at a height of 450 to 850 km, and the Earth turns below it. A scanner has a steady
+attitude: it turns with the orbit, and with small rates of its own. A radar looks sideways. The
+direction in which lines follow each other is that of the control, all else is drawn.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,6 +27,16 @@ ALTITUDES = (450e3, 850e3)
 
 INCIDENCE = np.radians(35.0)
 """Largest angle between ray and vertical on the ground: products beyond are rare."""
+
+SIDEWAYS = tuple(np.radians([18.0, 52.0]))
+"""Angles between ray and vertical at the middle of the image of a radar: others are rare."""
+
+SIDE = tuple(np.sin(np.radians([15.0, 60.0])))
+"""Sines of the smallest and the largest of its other places. No image crosses the track."""
+
+CLIMB = 50.0
+"""Standard deviation of how fast the height changes at which ranges are put on the ground [m/s]:
+processors take that of the terrain along the flight."""
 
 YAW, RATE, CHANGE = np.radians(3.0), 3e-5, 5e-7
 """Standard deviations of the angle between flight and scan, which compensates the rotation of the
@@ -60,6 +73,43 @@ def in_space(scaling: Scaling, crs: str, scaled: FloatArray) -> tuple[FloatArray
     return away, np.nan
 
 
+@dataclass(frozen=True, eq=False)
+class _Flights:
+    """Circular orbits, in axes to the east, north and up whose origin is the centre of the Earth.
+    """
+
+    station: FloatArray  # (c, 3): where satellites are at the time 0 [m]
+    ray: FloatArray      # (c, 3): from the middle of the places to the satellite
+    orbit: FloatArray    # (c, 3): the axis about which satellites turn
+    motion: FloatArray   # (c,): how fast [rad/s]
+    pole: FloatArray     # (c, 3)
+
+    def sight(self, places: FloatArray, time: FloatArray) -> FloatArray:
+        """Return what leads from the satellites to places (m, 3) at times (c, m), (c, m, 3).
+
+        In axes that turn with the orbit the satellite rests; the Earth turns in inertial space.
+        """
+        there = turned(places[None] + [0.0, 0.0, RADIUS], self.pole, EARTH_ROTATION * time)
+        return np.asarray(turned(there, self.orbit, -self.motion[:, None] * time)
+                          - self.station[:, None])
+
+
+def _flights(rng: np.random.Generator, heading: FloatArray, latitude: float, tilt: FloatArray,
+             toward: FloatArray, altitude: FloatArray) -> _Flights:
+    """Return flights seen from the middle under angles from the vertical, in a direction [rad]."""
+    lat = np.radians(np.where(np.isnan(latitude), rng.uniform(-LATITUDE, LATITUDE, len(tilt)),
+                              latitude))
+    ray = np.stack([np.sin(tilt) * np.sin(toward), np.sin(tilt) * np.cos(toward), np.cos(tilt)], 1)
+    radius, along = RADIUS + altitude, RADIUS * np.cos(tilt)
+    station = [0.0, 0.0, RADIUS] + ray * (
+        np.sqrt(along**2 - RADIUS**2 + radius**2) - along)[:, None]
+    up = station / radius[:, None]
+    ahead = np.stack([np.sin(heading), np.cos(heading), np.zeros(len(tilt))], axis=1)
+    ahead = _unit(ahead - up * (ahead * up).sum(axis=1, keepdims=True))
+    return _Flights(station, ray, np.cross(up, ahead), np.sqrt(GRAVITY_CONSTANT / radius**3),
+                    np.stack([np.zeros(len(tilt)), np.cos(lat), np.sin(lat)], axis=1))
+
+
 def seen_by_scanners(places: FloatArray, azimuth: float, latitude: float) -> FloatArray:
     """Return time and slope across of places (m, 3) in images of so many cameras, (c, m, 2).
 
@@ -68,38 +118,58 @@ def seen_by_scanners(places: FloatArray, azimuth: float, latitude: float) -> Flo
     """
     rng, n = np.random.default_rng(0), CAMERAS  # a prior is the same for all data
     altitude, tilt, toward = (rng.uniform(0.0, 1.0, n) for _ in range(3))
-    altitude = ALTITUDES[0] + altitude * (ALTITUDES[1] - ALTITUDES[0])
-    tilt, toward = tilt * INCIDENCE, toward * 2 * np.pi
     yaw, rate, change = (scale * rng.standard_normal((n, 3))
                          for scale in (YAW, RATE, CHANGE))
-    lat = np.radians(np.where(np.isnan(latitude), rng.uniform(-LATITUDE, LATITUDE, n), latitude))
-    # Axes are east, north and up at the middle of the places; the centre of the Earth is below.
-    centre = np.array([0.0, 0.0, RADIUS])
-    ray = np.stack([np.sin(tilt) * np.sin(toward), np.sin(tilt) * np.cos(toward), np.cos(tilt)], 1)
-    radius, along = RADIUS + altitude, RADIUS * np.cos(tilt)
-    station = centre + ray * (np.sqrt(along**2 - RADIUS**2 + radius**2) - along)[:, None]
-    up, heading = station / radius[:, None], azimuth + yaw[:, 0]
-    ahead = np.stack([np.sin(heading), np.cos(heading), np.zeros(n)], axis=1)
-    ahead = _unit(ahead - up * (ahead * up).sum(axis=1, keepdims=True))
-    orbit, motion = np.cross(up, ahead), np.sqrt(GRAVITY_CONSTANT / radius**3)
-    pole = np.stack([np.zeros(n), np.cos(lat), np.sin(lat)], axis=1)
+    flights = _flights(rng, azimuth + yaw[:, 0], latitude, tilt * INCIDENCE, toward * 2 * np.pi,
+                       ALTITUDES[0] + altitude * (ALTITUDES[1] - ALTITUDES[0]))
+    ray = flights.ray
     x = np.broadcast_to([np.sin(azimuth), np.cos(azimuth), 0.0], (n, 3))
     x = _unit(x + ray * -(x * ray).sum(axis=1, keepdims=True))
-    y = np.cross(-ray, x)
-    target, axes = places + centre, np.stack([x, y, -ray], axis=2)
+    axes = np.stack([x, np.cross(-ray, x), -ray], axis=2)
 
     def view(time: FloatArray) -> FloatArray:
-        # In axes that turn with the orbit the satellite rests; the Earth turns in inertial space.
-        there = turned(turned(target[None], pole, EARTH_ROTATION * time), orbit,
-                       -motion[:, None] * time) - station[:, None]
-        looked = there @ axes
+        looked = flights.sight(places, time) @ axes
         slopes = looked[..., :2] / looked[..., 2:]
         roll, pitch, spin = (rate[:, i, None] * time + change[:, i, None] * time**2 / 2
                              for i in range(3))
         return np.asarray(slopes - np.stack([pitch + spin * slopes[..., 1],
                                              roll - spin * slopes[..., 0]], axis=-1))
 
-    time = np.zeros((n, len(places)))
+    return _seen(view, (n, len(places)))
+
+
+def seen_by_radars(places: FloatArray, azimuth: float, latitude: float, *, right: bool,
+                   on_ground: bool) -> FloatArray:
+    """Return time and range of places in images of so many radars (see `seen_by_scanners`).
+
+    A place is seen when it is nearest. Radars look to the right or to the left of the flight, and
+    the range is along the ray or on the ground, of a sphere at the height of the middle.
+    """
+    rng, n = np.random.default_rng(0), CAMERAS // 2
+    altitude, tilt = (rng.uniform(0.0, 1.0, n) for _ in range(2))
+    heading = azimuth + YAW * rng.standard_normal(n)
+    flights = _flights(rng, heading, latitude, SIDEWAYS[0] + tilt * (SIDEWAYS[1] - SIDEWAYS[0]),
+                       heading + (-0.5 if right else 0.5) * np.pi,
+                       ALTITUDES[0] + altitude * (ALTITUDES[1] - ALTITUDES[0]))
+    far = np.linalg.norm(flights.station, axis=1)[:, None]
+    climb = CLIMB * rng.standard_normal((n, 1))
+
+    def view(time: FloatArray) -> FloatArray:
+        away, later = (np.linalg.norm(flights.sight(places, at), axis=2)
+                       for at in (time, time + STEP))
+        surface = RADIUS + climb * time
+        cosine = np.clip((far**2 + surface**2 - away**2) / (2 * far * surface), -1.0, 1.0)
+        sine = np.sqrt(1.0 - cosine**2) * far / away  # of ray and vertical
+        across = np.arccos(cosine) if on_ground else away
+        across = np.where((sine > SIDE[0]) & (sine < SIDE[1]), across, np.nan)
+        return np.stack([(later - away) / STEP / far, across], axis=-1)
+
+    return _seen(view, (n, len(places)))
+
+
+def _seen(view: Callable[[FloatArray], FloatArray], shape: tuple[int, int]) -> FloatArray:
+    """Return the times at which the first of what a view has is 0, and then the other."""
+    time = np.zeros(shape)
     at, step = view(time)[..., 0], np.full_like(time, STEP)
     with np.errstate(all="ignore"):
         for _ in range(ROUNDS):  # the secant method

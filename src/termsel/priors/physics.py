@@ -1,11 +1,11 @@
-"""A cubic polynomial with the prior of a line scanner in orbit, averaged with shrunken ones.
+"""A cubic polynomial with the prior of an image from orbit, averaged with shrunken ones.
 
 Cubic polynomials fitted to what plausible cameras see (see `termsel.priors.cameras`) have a mean
 and a covariance of all coefficients but those that are affine in X and Y, which are free; line and
 sample go together. The prior is normal with that mean, and with the covariance times the square of
-a width: wide, it forgets the physics by degrees. Width and noise are not known, and averaged over
-a grid by marginal likelihood. Every solution on it is linear in the measurements, so that those
-without each point, and their probabilities, are known in closed form.
+a width: wide, it forgets the physics by degrees. Kind of camera, width and noise are not known, and
+averaged over a grid by marginal likelihood. Every solution on it is linear in the measurements, so
+that those without each point, and their probabilities, are known in closed form.
 
 The shrunken polynomials of any image are the other parts of the average, by their own marginal
 likelihood. In it Z has no prior. So that both compare, what a height does gets that of views from
@@ -20,8 +20,9 @@ from an ensemble of cameras is termsel's own.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from math import lgamma
 
 import numpy as np
@@ -29,8 +30,15 @@ import numpy as np
 from termsel.adjustment.monomials import Exponents, monomials
 from termsel.measurements.control import PARALLAX
 from termsel.measurements.features import FloatArray
-from termsel.priors.cameras import seen_by_scanners
+from termsel.priors.cameras import seen_by_radars, seen_by_scanners
 from termsel.priors.posterior import SIZES, Posterior, believed_sizes, shares
+
+VIEWS: tuple[tuple[Callable[[FloatArray, float, float], FloatArray], float], ...] = (
+    (seen_by_scanners, 1.0),
+    *((partial(seen_by_radars, right=right, on_ground=on_ground), 0.125)
+      for right in (True, False) for on_ground in (True, False)))
+"""Kinds of cameras, and how likely they are beforehand, next to an image of which nothing is known:
+radars half as likely as scanners."""
 
 WIDTHS = np.array([0.3, 1.0, 3.0, 10.0])
 """By what the deviations of the cameras from their mean are multiplied."""
@@ -73,7 +81,15 @@ def of_cameras(places: FloatArray, scaled: FloatArray, exponents: Exponents, lat
     None of them if hardly any camera sees these. The slopes are those of line and of sample by
     metres to the east and to the north, (2, 2), in scaled units; `pixel` is that of a pixel.
     """
-    seen = seen_by_scanners(places, float(np.arctan2(*slopes[0])), latitude)
+    azimuth = float(np.arctan2(*slopes[0]))
+    return [prior for views, share in VIEWS
+            for prior in _of_views(views(places, azimuth, latitude), share, places, scaled,
+                                   exponents, slopes, pixel)]
+
+
+def _of_views(seen: FloatArray, share: float, places: FloatArray, scaled: FloatArray,
+              exponents: Exponents, slopes: FloatArray, pixel: float) -> list[Prior]:
+    """Return the priors by what one kind of cameras sees, (c, m, 2) (see `of_cameras`)."""
     if len(seen) < 2 * len(exponents):
         return []
     plane = np.column_stack([np.ones(len(places)), places[:, :2]])
@@ -90,10 +106,10 @@ def of_cameras(places: FloatArray, scaled: FloatArray, exponents: Exponents, lat
     departure = np.tile(pixel * FALL ** np.maximum(powers.sum(axis=1) - 2.0, 0.0)
                         * RELIEF ** powers[:, 2], 2)
     believed = 1.0 / np.hypot(1.0, WIDTHS)
-    believed /= believed.sum() * len(DEPARTURES)
+    believed *= share / (believed.sum() * len(DEPARTURES))
     return [Prior(mean, np.transpose(np.linalg.qr(np.vstack([
-                width * spread, np.diag(size * departure)]), mode="r")), float(share))
-            for width, share in zip(WIDTHS, believed, strict=True) for size in DEPARTURES]
+                width * spread, np.diag(size * departure)]), mode="r")), float(one))
+            for width, one in zip(WIDTHS, believed, strict=True) for size in DEPARTURES]
 
 
 class Solutions:
