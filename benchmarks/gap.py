@@ -110,7 +110,7 @@ def page(proof: termsel.Result, residuals: termsel.Result,
         runs=len(everything), near=len(near),
         reached=sum(one["fitness"] <= reachable(check) for one in everything),
         typical=100 * (np.median([one["fitness"] for one in everything]) / check - 1),
-        space=certificate["space"], rho=correlation_interval(fitness, independent),
+        space=certificate.space, rho=correlation_interval(fitness, independent),
         worse=100 * np.mean(independent > quadratic), median=np.median(independent),
         fewer=correlation_interval(terms, independent),
         listed=", ".join(f"`{name}`" for name in proof.selection.terms))
@@ -130,9 +130,9 @@ def page(proof: termsel.Result, residuals: termsel.Result,
         yield ""
     yield from carried(proof)
     yield RESIDUALS.format(
-        space=certified(residuals)["space"], seconds=residuals.seconds,
+        space=certified(residuals).space, seconds=residuals.seconds,
         terms=len(residuals.selection.terms), minutes=proof.seconds / 60,
-        independent=total(residuals.rmse, "independent"))
+        independent=of_three(rmse_interval(errors_of(residuals))))
     yield from other_scenes()
     yield END
 
@@ -420,7 +420,7 @@ A gap of a few per cent takes nearly the whole proof. So `exact` first proves a 
 RESIDUALS = """Residuals resist less. With `--criterion ebic` the same RFM is fitted to control and
 check points together, and bounds of its residuals know the poles at the guard points. The optimum
 of {space} is proven in {seconds:.0f} s, the check RMSE's in {minutes:.0f} min. It has {terms} terms
-and an independent RMSE of {independent:.2f} px: no selection to use for new points.
+and an RMSE at the new points of {independent} px.
 """
 
 SECOND = """## Other scenes
