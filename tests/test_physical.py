@@ -152,6 +152,15 @@ def test_more_than_the_fewest_points_must_call_for_it_by_strong_evidence():
         assert [by_odds(odds).alone(None) for odds in (2, 10, 30)] == [True, at_odds_of_ten, False]
 
 
+@pytest.mark.parametrize(("count", "needed"), [(12, [False, False, True]),
+                                               (16, [False, True, True])])
+def test_beyond_twelve_points_it_must_also_predict_points_better(count, needed):
+    control = Control.of(simulate_scene("spot-isfahan", roles=(count, 0, 0), n_lines=0))
+    found = averaged(control.scaled.points, control.scaling, control.features.crs,
+                     graded_exponents(3, 3))
+    assert [replace(found, worse=worse).alone(None) for worse in (-1.5, 0.0, 1.5)] == needed
+
+
 @pytest.mark.parametrize(("shrunk", "meant"), [(1.0, True), (0.05, True), (1e-3, False),
                                                (1e4, False)])
 def test_no_satellite_has_pixels_of_millimetres_or_of_kilometres(shrunk, meant):

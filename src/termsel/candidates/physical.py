@@ -27,8 +27,9 @@ FEWEST, MOST = 6, 40
 """Numbers of points for which there is a physical prior: fewer do not tell such images from
 others, and more gain nothing by it."""
 
-CHOSEN = 12
-"""Points of control up to which auto tries it. The final fit has the check points, too."""
+CHOSEN, FEW = 19, 12
+"""Points of control up to which auto tries it, and up to which points do not tell whether it
+predicts better than what stands without it. The final fit has the check points, too."""
 
 PIXELS = (0.1, 2000.0)
 """Sizes of a pixel on the ground [m] that images from orbit have, resampled ones included."""
@@ -39,7 +40,7 @@ odds of twenty to one, beyond which the evidence is strong (Kass and Raftery 199
 
 WORSE = 1.0
 """Standard errors by which the shrunken polynomials alone must predict left-out points better to
-remain alone."""
+remain alone; beyond few points they must be as much worse not to."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +67,8 @@ class Averaged(Average):
         beyond = local.probability if local and local.probability > asked_of(local) else 0.0
         mine, others = self.probability * (1.0 - beyond), 1.0 - self.probability
         asked = LIKELY if len(self.errors) <= FEWEST else STRONG
-        return mine <= asked * (mine + others) or self.worse > WORSE
+        least = WORSE if len(self.errors) <= FEW else -WORSE
+        return mine <= asked * (mine + others) or self.worse > least
 
 
 def averaged(points: Points, scaling: Scaling, crs: str, exponents: Exponents) -> Averaged | None:
