@@ -36,6 +36,7 @@ from .files.atomic import private_folder as private_folder
 from .files.atomic import sync as sync
 from .files.atomic import write_bytes as write_bytes
 from .files.atomic import write_text as write_text
+from .files.cog import require_tiff_name as require_tiff_name
 from .files.cog import write_cog as write_cog
 from .files.lock import locked as locked
 from .files.rasters import require_rasterio as require_rasterio

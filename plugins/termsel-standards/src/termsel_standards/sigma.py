@@ -24,6 +24,7 @@ from termsel.toolkit import (
     nearest,
     outside,
     picture_for,
+    require_tiff_name,
     surface_of,
     write_cog,
 )
@@ -103,6 +104,7 @@ def write_sigma(
         nowhere on it.
     """
     output = Path(output)
+    require_tiff_name(output)
     require_replaceable([output], reads=[image, like_map, dem], overwrite=overwrite)
     if height is not None and not isfinite(height):
         raise TermselError(f"the height of a map cannot be {height}", hint="Give a number.")
