@@ -27,6 +27,11 @@ print(distinct.distinct(np.zeros((2, 1), dtype=np.intp), np.ones((2, 1), dtype=n
 """
 
 
+def _with(folder: Path) -> str:
+    """Return a search path that begins with a folder."""
+    return os.pathsep.join([str(folder), *filter(None, [os.environ.get("PYTHONPATH")])])
+
+
 def _python(code: str, **more: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True,
                           check=False, timeout=300, env={**os.environ, **more})
@@ -70,7 +75,7 @@ def test_a_compilation_is_foretold_where_there_will_be_one(tmp_path: Path) -> No
                       "def kernel(x):\n    return x + 1.0\n")
 
     def told() -> str:
-        return _python(TELL, PYTHONPATH=str(tmp_path)).stdout.strip()
+        return _python(TELL, PYTHONPATH=_with(tmp_path)).stdout.strip()
 
     assert [told(), told()] == ["False False", "True True"]
     os.utime(source)  # installed again, with the date of today
@@ -99,7 +104,7 @@ def test_code_kept_for_a_class_of_another_name_is_compiled_again(tmp_path: Path)
     for name in ("Pair", "Twins"):
         source.write_text(PAIR.replace("Pair", name))
         done = _python(f"import own; print(own.kernel(own.{name}(1.0)))",
-                       PYTHONPATH=str(tmp_path))
+                       PYTHONPATH=_with(tmp_path))
         assert done.stdout == "1.0\n", done.stderr
 
 
@@ -137,3 +142,50 @@ def test_a_run_that_may_compile_nothing_says_so() -> None:
     assert done.returncode == 2, done.stderr
     assert "Error: NUMBA_DISABLE_JIT is set" in done.stderr
     assert "bug" not in done.stderr
+
+
+READY = """
+import sys
+from own import kernel
+print("ready", flush=True)
+sys.stdin.readline()
+kernel(1.0)
+print(bool(kernel.made.stats.cache_hits))
+"""
+
+LONG = """
+import time
+from numba.extending import overload
+from termsel.adjustment.compiled import compiled
+
+
+def shift(x):
+    pass
+
+
+@overload(shift)
+def _shift(x):
+    time.sleep(1.0)  # as long as other code takes to be compiled
+    return lambda x: x + 1.0
+
+
+@compiled
+def kernel(x):
+    return shift(x)
+"""
+
+
+def test_processes_that_begin_together_compile_once(tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(LONG)
+    both = [subprocess.Popen(
+        [sys.executable, "-c", READY], text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": _with(tmp_path)}) for _ in range(2)]
+    for one in both:
+        assert one.stdout is not None
+        assert one.stdout.readline() == "ready\n"
+    for one in both:
+        assert one.stdin is not None
+        one.stdin.write("go\n")
+        one.stdin.flush()
+    assert sorted(one.communicate(timeout=300)[0] for one in both) == ["False\n", "True\n"]
+    assert not list(tmp_path.rglob("*.lock"))

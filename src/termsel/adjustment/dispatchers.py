@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
+from io import FileIO
+from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
 
@@ -15,6 +17,7 @@ from numba.core.registry import cpu_target
 from numba.core.runtime import rtsys
 
 from termsel.errors import TermselError
+from termsel.files.lock import end_turn, turn
 
 log = logging.getLogger(__name__)
 
@@ -22,11 +25,31 @@ _UNREADABLE = (EOFError, UnpicklingError, OSError, AttributeError, ImportError)
 """What reading kept code raises that is damaged, or is of a version with other names."""
 
 
+PATIENCE = 60.0
+"""Seconds for which a process waits for another one that compiles the same."""
+
+
 class _Cache(FunctionCache):
     """Machine code on disk that is compiled again if it is damaged, and need not be kept."""
 
+    _turn: FileIO | None = None  # while this process compiles
+
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the code kept, None if there is none."""
+        """Return the code kept, None if there is none and no other process compiles it."""
+        found = self._read(sig, target_context)
+        if found is None and self._turn is None:
+            self._turn = turn(Path(self._cache_file._index_path).with_suffix(".lock"), PATIENCE)
+            found = self._read(sig, target_context)  # that of another process, meanwhile
+            if found is not None:
+                self._end()
+        return found
+
+    def _end(self) -> None:
+        if self._turn is not None:
+            end_turn(self._turn)
+            self._turn = None
+
+    def _read(self, sig: Any, target_context: Any) -> Any:
         try:
             # Numba first makes itself ready to compile, too, which takes 0.2 s.
             rtsys.initialize(target_context)  # what arrays are allocated by
@@ -42,6 +65,8 @@ class _Cache(FunctionCache):
             super().save_overload(sig, data)
         except _UNREADABLE as error:
             log.info("The compiled code cannot be kept: %s", error)
+        finally:
+            self._end()
 
     def has_code(self) -> bool:
         """Return whether code of this very source, compiled by this numba, is kept."""

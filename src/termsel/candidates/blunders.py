@@ -29,6 +29,7 @@ import numpy as np
 
 from termsel.candidates.base import Judged, Suspects
 from termsel.candidates.contradictions import STRAIN, UNLIKELY, Division, Test, polynomial_of
+from termsel.candidates.memory import remembered
 from termsel.candidates.portfolio import Portfolio, choose
 from termsel.candidates.robust import reweighted
 from termsel.candidates.shrunken import Averaging
@@ -61,6 +62,11 @@ def find_blunders(control: Control, portfolio: Portfolio | None = None) -> Suspe
     those that are built in. Features that the chosen one predicts within STRAIN are no blunders:
     their errors were the polynomial's.
     """
+    portfolio = portfolio or Portfolio()
+    return remembered("blunders", control, portfolio, lambda: _found(control, portfolio))
+
+
+def _found(control: Control, portfolio: Portfolio) -> Suspects | None:
     everything = np.ones(len(control), dtype=bool)
     whole = Division(control, everything).shrunken_test()
     if whole is None:
@@ -128,11 +134,17 @@ def judge_others(chosen: Judged, heights: bool, others: Points) -> Suspects | No
     every = Control.of(control.with_(points=control.points.join(others)), heights)
     there = np.zeros(len(every), dtype=bool)
     there[count:count + len(others)] = True
+    # Where control is scarce, the others tell more than it does. They begin with those it predicts.
+    used = ~there | _predicted_by(chosen, every.features)
+    return remembered((there.tobytes(), used.tobytes()), every, Portfolio(()),
+                      lambda: _contradicting(every, there, used))
+
+
+def _contradicting(every: Control, there: BoolArray, used: BoolArray) -> Suspects | None:
+    """Return which of the features `there` contradict all others, beginning with those `used`."""
     whole = Division(every, ~np.zeros_like(there)).shrunken_test()
     if whole is None:
         return None
-    # Where control is scarce, the others tell more than it does. They begin with those it predicts.
-    used = ~there | _predicted_by(chosen, every.features)
     test = Division(every, used).shrunken_test()
     used, test = _core(every, whole) if test is None else (used, test)
     used, test = _settled(every, *_forward(every, used, test, whole))

@@ -51,20 +51,20 @@ class Portfolio:
 
     def __init__(self, candidates: Iterable[Candidate] = CANDIDATES) -> None:
         self.candidates = tuple(candidates)
-        self._faults: dict[str, TermselError] = {}
+        self.faults: dict[str, TermselError] = {}
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Sentences on the candidates that are left out, with what their authors must know."""
         return tuple(f"Left out of the choice: {fault.what}. {fault.hint or HINT}"
-                     for fault in self._faults.values())
+                     for fault in self.faults.values())
 
     def offered(self, control: Control, *, for_few: bool = False) -> list[Candidate]:
         """Return the candidates to choose from for some features, the plainest first."""
         sizes = {one: self.ask(one, "size", control.heights) for one in self.candidates
                  if not one.only_shown and one.for_few == for_few
                  and self.ask(one, "declines", control) is None}
-        return sorted((one for one in sizes if one.name not in self._faults),
+        return sorted((one for one in sizes if one.name not in self.faults),
                       key=lambda one: sizes[one])
 
     def suspects(self, control: Control) -> Suspects | None:
@@ -85,7 +85,7 @@ class Portfolio:
             None if isinstance(getattr(found.fit.estimator, "name", None), str) else
             "returned a fit by an estimator without a name, by which a result is read again")
         if fault is not None and not is_own(candidate):
-            self._faults[candidate.name] = wrong(candidate, "judge", fault)
+            self.faults[candidate.name] = wrong(candidate, "judge", fault)
             return None
         return found
 
@@ -95,7 +95,7 @@ class Portfolio:
         None where the features do not determine the candidate, and where it fails: then it is left
         out from now on, unless it is termsel's own.
         """
-        if candidate.name in self._faults:
+        if candidate.name in self.faults:
             return None
         try:
             with blamed(candidate, method):
@@ -108,7 +108,7 @@ class Portfolio:
         except TermselError as error:
             if is_own(candidate):
                 raise
-            self._faults[candidate.name] = error if isinstance(error, PluginFault) else \
+            self.faults[candidate.name] = error if isinstance(error, PluginFault) else \
                 TermselError(f"candidate {candidate.name!r} says: {error.what}", hint=error.hint)
             return None
         return found

@@ -8,6 +8,8 @@ from functools import cache
 import numpy as np
 
 from termsel.adjustment.lines import row_weights
+from termsel.candidates.base import Judged
+from termsel.candidates.memory import remembered
 from termsel.candidates.portfolio import Portfolio, Watch, choose, choose_features
 from termsel.measurements.control import Control, carriers
 from termsel.measurements.coordinates.places import ground_centres, spatial_order
@@ -38,8 +40,24 @@ def repeated(control: Control, portfolio: Portfolio | None = None,
     that they compare with two coordinates of a point. None if some fold leaves too little to choose
     by, or lines alone that are too few to shrink.
     """
-    portfolio, features = portfolio or Portfolio(), control.features
-    order, folds = spatial_order(ground_centres(features)), folds_of(features)
+    portfolio, seen = portfolio or Portfolio(), list[None]()
+    folds = folds_of(control.features)
+
+    def see(one: Judged | None) -> None:
+        seen.append(None)
+        if watch:
+            watch(one)
+
+    errors, judged = remembered(("repeated", folds), control, portfolio, lambda: (
+        _errors(control, portfolio, see, folds), len(seen)))
+    for _ in range(judged - len(seen)):  # what was found before is told, too
+        see(None)
+    return errors
+
+
+def _errors(control: Control, portfolio: Portfolio, watch: Watch, folds: int) -> FloatArray | None:
+    features = control.features
+    order = spatial_order(ground_centres(features))
     count, owner = len(features.points), features.feature
     errors = np.empty((len(owner), 2))
     least = portfolio.least(control)
@@ -66,4 +84,5 @@ def repeated(control: Control, portfolio: Portfolio | None = None,
     if count < len(owner):
         errors[count:] *= row_weights(control.scaled, heights=control.heights)[
             2 * count:].reshape(-1, 2)
+    errors.setflags(write=False)  # whoever asks again gets the same
     return errors

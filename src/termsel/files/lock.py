@@ -54,6 +54,28 @@ def _held(folder: Path, hint: str) -> Iterator[FileIO]:
                        file=folder, hint=hint)
 
 
+def turn(path: Path, seconds: float) -> FileIO | None:
+    """Return a lock, once another process that holds it is done: to do what is done only once.
+
+    None after so many seconds, or where nothing can be locked: nobody must depend on it.
+    """
+    until = time.monotonic() + seconds
+    with suppress(OSError):
+        file = open(path, "a+b", buffering=0)  # noqa: SIM115 (closed by `end_turn`)
+        while time.monotonic() < until:
+            if _taken(file):
+                return file
+            time.sleep(0.05)
+        file.close()
+    return None
+
+
+def end_turn(file: FileIO) -> None:
+    """Let other processes have their turn."""
+    _remove(file, Path(str(file.name)))
+    file.close()
+
+
 def holder(folder: Path) -> str | None:
     """Return who is at work in a folder: process, machine and since when; None if nobody is."""
     if not (folder / LOCK).exists():

@@ -279,7 +279,7 @@ def _points_of(distribution: Distribution) -> tuple[list[EntryPoint], str]:
     if points is None:
         _spare_numba()
         return [], f"its entry_points.txt cannot be read: {reason}"
-    if points and attempt(lambda: (canonical(distribution.name), distribution.version))[1]:
+    if points and attempt(lambda: _named(distribution))[1]:
         return [], "its METADATA is missing or cannot be read; install it again"
     first = {point.name: point for point in reversed(points)}
     if len(first) < len(points):
@@ -298,7 +298,7 @@ def _spare_numba() -> None:
 
 def _name_of(distribution: Distribution) -> str:
     """Return the name of a distribution: by its folder where it has no readable metadata."""
-    name, _ = attempt(lambda: canonical(distribution.name))
+    name, _ = attempt(lambda: _named(distribution)[0])
     folder = Path(str(getattr(distribution, "_path", "unknown"))).name
     return name or canonical(folder.partition("-")[0])
 
@@ -306,4 +306,11 @@ def _name_of(distribution: Distribution) -> str:
 def _plugin_of(point: EntryPoint) -> Plugin:
     if point.dist is None:  # made by hand, not found in a distribution
         return Plugin(point.name, canonical(point.module), "")
-    return Plugin(point.name, canonical(point.dist.name), point.dist.version or "")
+    return Plugin(point.name, *_named(point.dist))
+
+
+@cache
+def _named(distribution: Distribution) -> tuple[str, str]:
+    """Return name and version: metadata are parsed whenever they are asked for."""
+    known = distribution.metadata
+    return canonical(known["Name"]), known["Version"] or ""

@@ -61,7 +61,7 @@ class Ledger(ProblemAround):
         self.best_objectives = np.full(len(problem.objectives), np.inf)
         self.least = np.full(len(problem.objectives), np.inf)
         self._row_of: dict[bytes, int] = {}
-        self._objectives: list[np.ndarray[tuple[int], np.dtype[np.float64]]] = []
+        self._objectives: list[list[float]] = []
         self._violation: list[float] = []
 
     def __getstate__(self) -> None:
@@ -134,7 +134,7 @@ class Ledger(ProblemAround):
                 raise wrong(self.inner, "evaluate", fault)
             for key in new:
                 self._row_of[key] = len(self._row_of)
-            self._objectives.extend(evaluation.objectives)
+            self._objectives.extend(evaluation.objectives.tolist())  # quicker than arrays of one
             self._violation.extend(evaluation.violation.tolist())
             self._remember(genes[rows], evaluation)
         self.count += len(genes)  # looked up or not, so that budgets mean the same for all solvers

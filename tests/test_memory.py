@@ -1,0 +1,82 @@
+"""What features say is found once, for all runs on them in one process."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+import termsel
+from termsel.candidates import memory
+from termsel.candidates.memory import remembered
+from termsel.candidates.portfolio import Portfolio
+from termsel.errors import TermselError
+from termsel.measurements.control import Control
+from termsel.measurements.features import FeatureSet
+
+
+@pytest.fixture
+def scene(monkeypatch: pytest.MonkeyPatch) -> FeatureSet:
+    monkeypatch.setattr(memory, "_known", {})
+    return termsel.simulate_scene("spot-isfahan", n_lines=0)
+
+
+def again(features: FeatureSet, shift: float = 0.0) -> Control:
+    """Return other features with the same values, or with other ones."""
+    points = features.points
+    return Control.of(features.with_(points=replace(points, image=points.image + shift)))
+
+
+def test_equal_features_with_equal_candidates_are_looked_at_once(scene: FeatureSet) -> None:
+    calls = []
+
+    def found(what: str, control: Control, portfolio: Portfolio) -> int:
+        return remembered(what, control, portfolio, lambda: calls.append(what) or len(calls))
+
+    assert [found("this", again(scene), Portfolio()) for _ in range(2)] == [1, 1]
+    assert found("that", again(scene), Portfolio()) == 2
+    assert found("this", again(scene, 1e-9), Portfolio()) == 3
+    assert found("this", again(scene), Portfolio(Portfolio().candidates[1:])) == 4
+    assert found("this", replace(again(scene), heights=False), Portfolio()) == 5
+    assert found("this", again(scene), Portfolio()) == 1
+
+
+def test_candidates_that_failed_are_left_out_again(scene: FeatureSet) -> None:
+    first, second = Portfolio(), Portfolio()
+
+    def fail() -> None:
+        first.faults["affine"] = TermselError("it failed")
+
+    remembered("this", again(scene), first, fail)
+    remembered("this", again(scene), second, fail)
+    assert second.notes == first.notes
+    assert "it failed" in second.notes[0]
+
+
+def test_the_last_used_are_kept(scene: FeatureSet) -> None:
+    calls: list[int] = []
+    for i in (0, *range(memory.KEPT), 0, memory.KEPT, 0, 1):
+        remembered(i, again(scene), Portfolio(), lambda i=i: calls.append(i))
+    assert calls == [*range(memory.KEPT + 1), 1]
+
+
+def test_what_cannot_be_compared_is_looked_at_every_time(scene: FeatureSet) -> None:
+    known: Any = type("Local", (), {})()
+    calls: list[int] = []
+    for _ in range(2):
+        remembered("this", Control.of(replace(scene, rpc=known)), Portfolio(),
+                   lambda: calls.append(1))
+    assert calls == [1, 1]
+
+
+def test_another_run_on_the_same_features_tells_as_much(scene: FeatureSet) -> None:
+    told: list[list[Any]] = [[], []]
+    runs = [termsel.run("poly-terms", features=scene, strategy="auto",
+                        observers=[lambda seen, of=of: of.append((seen.evaluations, seen.share))])
+            for of in told]
+    assert told[0] == told[1]
+    assert len(told[0]) > 20
+    same = [{key: one for key, one in run.to_dict().items() if key not in ("seconds", "checksum")}
+            for run in runs]
+    assert same[0] == same[1]
