@@ -143,6 +143,8 @@ def _eigenvalue(a: FloatArray, *, least: bool = False) -> FloatArray:
 
 
 def _times(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
+    if vectors.shape[-1] == 2:
+        return np.asarray(matrices[..., 0] * vectors[..., :1] + matrices[..., 1] * vectors[..., 1:])
     return np.asarray((matrices @ vectors[..., None])[..., 0])
 
 
@@ -160,8 +162,7 @@ def coupled(equations: Equations, exponents: Exponents, draws: int,
     free, scales = np.tile(order < 2, 2), scales_of(powers[order > 1], draws)
     count = int(free.sum())
     freedom = in_use - count
-    alike = [(feature, np.stack([np.flatnonzero(equations.feature == i) for i in feature]))
-             for feature in _of_equal_number(equations.feature)]
+    alike = _of_equal_number(equations.feature)
     if freedom - max(rows.shape[1] for _, rows in alike) < 2 or len(A) <= count:
         return None
     q, r = np.linalg.qr(np.concatenate([A[:, free], A[:, ~free]], axis=1))
@@ -194,25 +195,32 @@ def coupled(equations: Equations, exponents: Exponents, draws: int,
     errors = np.empty((len(group), len(b)))
     left = [np.empty((len(group), *rows.shape, rows.shape[1])) for _, rows in alike]
     coefficients = np.empty((len(group), int((~free).sum())))
-    for one in np.unique(group):  # all sizes of a group have its singular vectors
-        of = group == one
+    # All sizes of a group have its singular vectors, and stand next to each other.
+    groups, starts = np.unique(group, return_index=True)
+    for one, start, end in zip(groups, starts, [*starts[1:], len(group)], strict=True):
+        of = slice(start, end)
         directions = basis @ u[one]
-        errors[of] = outside + part[of] @ directions.T
+        np.add(outside, part[of] @ directions.T, out=errors[of])
         coefficients[of] = grid[one] * ((SIZES[size[of], None] * strength[of] * part[of]) @ vt[one])
         for (_, rows), some in zip(alike, left, strict=True):
-            products = directions[rows][:, :, None] * directions[rows][:, None]  # (f, r, r, q)
-            some[of] = (keep[of] @ products.reshape(-1, products.shape[3]).T).reshape(
-                -1, *products.shape[:3])
+            held = directions[rows]
+            products = held[:, :, None] * held[:, None]                        # (f, r, r, q)
+            np.matmul(keep[of], products.reshape(-1, products.shape[3]).T,
+                      out=some[of].reshape(end - start, -1))
+    for (_, rows), some in zip(alike, left, strict=True):
+        some += _left(q, rows)
     return Coupled(evidence[group, size], square[group, size], errors,
-                   tuple(RowGroup(feature, rows, some + _left(q, rows))
+                   tuple(RowGroup(feature, rows, some)
                          for (feature, rows), some in zip(alike, left, strict=True)),
                    coefficients, count + (1.0 - keep).sum(axis=1), freedom)
 
 
-def _of_equal_number(feature: IntArray) -> list[IntArray]:
-    """Return the features of each number of rows."""
-    number = np.bincount(feature)
-    return [np.flatnonzero(number == rows) for rows in np.unique(number)]
+def _of_equal_number(feature: IntArray) -> list[tuple[IntArray, IntArray]]:
+    """Return the features of each number of rows, (f,), and their rows, (f, r)."""
+    number, order = np.bincount(feature), np.argsort(feature, kind="stable")
+    first = np.cumsum(number) - number
+    alike = [(np.flatnonzero(number == rows), np.arange(rows)) for rows in np.unique(number)]
+    return [(some, order[first[some, None] + rows]) for some, rows in alike]
 
 
 def _left(q: FloatArray, rows: IntArray) -> FloatArray:

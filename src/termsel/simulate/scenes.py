@@ -107,14 +107,6 @@ def simulate_scene(
     if min(roles) < 0 or not 0 <= noise < float("inf"):
         raise TermselError(f"{sum(roles)} points with a noise of {noise} px cannot be simulated",
                            hint="Give a number of points and a noise of at least 0.")
-    return _simulated(name, seed, noise, n_lines, wrong, (roles[0], roles[1], roles[2]))
-
-
-@lru_cache(maxsize=4)
-def _simulated(name: str, seed: int | None, noise: float, n_lines: int, wrong: int,
-               roles: tuple[int, int, int]) -> FeatureSet:
-    """Return the features; runs in one process often ask for the same ones."""
-    scene = _scene(name)
     point_rng, line_rng, wrong_rng, noise_rng = _streams(scene, seed)
     points = _points(scene, point_rng, roles)
     lines = _lines(scene, line_rng, n_lines)
