@@ -85,9 +85,10 @@ HEAD = """| image | points | without [px] | with [px] | ratio of medians | media
 
 PAGE = """# Scanners and few points
 
-What is it worth to know that an image may be of a scanner or radar in orbit? Auto with the
-candidate [`physical-cubic`](../explanation/auto.md#a-scanner-in-orbit) next to auto without, on the
-same points. Figures are the RMSE of independent points. A ratio below 1 says that the prior helps.
+What is it worth to know that an image may be of a scanner or radar in orbit, or a photo? Auto with
+the candidate [`physical-cubic`](../explanation/auto.md#a-scanner-in-orbit) next to auto without, on
+the same points. Figures are the RMSE of independent points. A ratio below 1 says that the prior
+helps.
 
 `python -m benchmarks.scanners --write` makes this page.
 

@@ -1,4 +1,4 @@
-"""A polynomial with the prior of a scanner or radar in orbit."""
+"""A polynomial with the prior of known cameras."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.candidates.physical import averaged
 from termsel.measurements.control import Control
 from termsel.priors import physics
-from termsel.priors.cameras import seen_by_radars
+from termsel.priors.cameras import seen_by_frames, seen_by_radars
 from termsel.priors.physics import FREE, Prior, Solutions
 from termsel.simulate import simulate_scene
 from termsel_bench.scenes.cameras import CHOSEN, image_of
@@ -113,6 +113,33 @@ def test_eight_points_of_a_radar_are_worth_more_too():
     assert np.median(ratios) < 0.7
 
 
+def test_six_points_of_a_photo_are_worth_twice_as_much():
+    ratios = []
+    for seed in range(5):
+        every = image_of("frame", seed, CHOSEN, 66)
+        mine, others = every.take(np.arange(66) < 6), every.points.take(np.arange(66) >= 6)
+        rmse = [np.sqrt((termsel.fit(mine, name).errors(others) ** 2).sum(axis=1).mean())
+                for name in ("physical-cubic", "shrunken-quadratic")]
+        ratios.append(rmse[0] / rmse[1])
+    assert np.median(ratios) < 0.5
+
+
+def test_a_place_above_is_seen_outward_by_its_share_of_the_height_of_the_camera():
+    places = np.array([[1e3, 0.0, 0.0], [1e3, 0.0, 10.0], [0.0, 0.0, 0.0], [0.0, 1e3, 0.0],
+                       [0.0, -1e3, 0.0]])
+    seen = seen_by_frames(places, 0.0)
+    assert len(seen) > 190
+    ahead, right = (seen[:, i] - seen[:, 2] for i in (3, 0))
+    assert (np.sign(ahead[:, 0]) == 1).all()
+    assert (np.sign(right[:, 1]) == 1).all()
+    # Of upright cameras (the middle of the tilts) a place is moved by z / (H - z) of its slope.
+    above = 2.0 / (ahead[:, 0] - (seen[:, 4] - seen[:, 2])[:, 0]) * 1e3
+    moved = np.linalg.norm(seen[:, 1] - seen[:, 0], axis=1)
+    expected = 10.0 / above * np.linalg.norm(seen[:, 0], axis=1)
+    assert np.median(moved / expected) == pytest.approx(1.0, abs=0.1)
+    np.testing.assert_allclose([above.min(), above.max()], [1e3, 1e4], rtol=0.3)
+
+
 @pytest.mark.parametrize("on_ground", [False, True])
 @pytest.mark.parametrize("right", [False, True])
 def test_radars_see_heights_nearer_by_the_cotangent_and_in_the_same_line(right, on_ground):
@@ -186,7 +213,7 @@ def test_auto_chooses_it_and_says_why_and_the_result_is_the_same_fit_again(tmp_p
 
 @pytest.mark.parametrize(("kind", "count"), [("frame", 12), ("panoramic", 20), ("steady", 5)])
 def test_it_declines_where_the_image_is_no_scanner_or_points_are_few(kind, count):
-    with pytest.raises(TermselError, match="do not call for the prior of a scanner or radar"):
+    with pytest.raises(TermselError, match="do not call for the prior of a scanner"):
         termsel.fit(image_of(kind, 0, CHOSEN, count), "physical-cubic")
 
 
@@ -203,10 +230,10 @@ def test_it_declines_on_other_bodies_and_with_lines():
 def test_a_prior_has_the_covariance_of_its_cameras_even_of_absurd_heights(height):
     rng = np.random.default_rng(0)
     scaled = rng.uniform(-1.2, 1.2, (60, 3))
-    priors = physics.of_cameras(scaled * [6e3, 6e3, height], scaled, graded_exponents(3, 3), 35.0,
-                                np.array([[0.0, -1.0], [1.0, 0.0]]) / 6e3, 4e-4)
-    of_scanners = priors[:len(physics.WIDTHS) * len(physics.DEPARTURES)]
-    narrow, wide = (one.root @ one.root.T for one in of_scanners[::len(of_scanners) - 1])
+    priors = physics.of_cameras(
+        physics.IN_ORBIT[:1], scaled * [6e3, 6e3, height], scaled, graded_exponents(3, 3), 35.0,
+        np.array([[0.0, -1.0], [1.0, 0.0]]) / 6e3, 4e-4)
+    narrow, wide = (one.root @ one.root.T for one in priors[::len(priors) - 1])
     ratio = physics.WIDTHS[-1] / physics.WIDTHS[0]
     off = ~np.eye(len(narrow), dtype=bool)  # what comes to the variances of cameras is diagonal
     np.testing.assert_allclose(wide[off], ratio**2 * narrow[off], rtol=1e-6,

@@ -1,4 +1,4 @@
-"""A polynomial with the prior of an image from orbit, next to shrunken ones in one average."""
+"""A polynomial with the prior of known cameras, next to shrunken ones in one average."""
 
 from __future__ import annotations
 
@@ -20,7 +20,15 @@ from termsel.models.polynomial import Polynomial
 from termsel.priors.cameras import in_space
 from termsel.priors.field import Collocation, collocate
 from termsel.priors.foresight import foresee
-from termsel.priors.physics import BOX, PLACES, Solutions, marginal, of_cameras
+from termsel.priors.physics import (
+    BOX,
+    FRAMES,
+    IN_ORBIT,
+    PLACES,
+    Solutions,
+    marginal,
+    of_cameras,
+)
 from termsel.priors.posterior import Posterior, polynomial_posterior
 
 FEWEST, MOST = 6, 40
@@ -91,7 +99,10 @@ def averaged(points: Points, scaling: Scaling, crs: str, exponents: Exponents) -
     per_metre = np.linalg.norm(slopes[1:], axis=0) / pixel
     if not all(1 / PIXELS[1] <= one <= 1 / PIXELS[0] for one in per_metre):
         return None
-    priors = of_cameras(grid[0], scaled, exponents, grid[1], np.asarray(slopes[1:].T), pixel)
+    # From more than the fewest points a DLT tells photos, and without a prior.
+    framed = variables == 3 and len(points) <= FEWEST
+    priors = of_cameras((*IN_ORBIT, FRAMES) if framed else IN_ORBIT, grid[0], scaled, exponents,
+                        grid[1], np.asarray(slopes[1:].T), pixel)
     if not priors:
         return None
     weights = weights_of(points)
@@ -143,7 +154,7 @@ class Physical(Estimator):
         local = collocate(scaling.points(mine), model.variables)
         if found is None or found.alone(local):
             raise Undetermined(
-                "the points do not call for the prior of a scanner or radar in orbit" + (
+                "the points do not call for the prior of a scanner, a radar or a frame camera" + (
                     "" if found is None else f": its probability is {found.probability:.2g}"),
                 hint="Choose a polynomial without it, such as shrunken-cubic.")
         return fit_of(self, model, control, scaling, used, found)

@@ -93,7 +93,7 @@ class _WithField(Structure):
 
 
 class _WithPhysics(Structure):
-    """A structure with the prior of a scanner or radar, which declines where that is not likely."""
+    """A structure with the prior of known cameras, which declines where that is not likely."""
 
     def judge(self, control: Control) -> Judged | None:
         """Return the candidate fitted and judged, for so few points that it gains by the prior."""
@@ -102,8 +102,8 @@ class _WithPhysics(Structure):
     def describe(self, fitted: Fit) -> str:
         """Return what called for the prior."""
         odds = "three" if fitted.used.sum() <= FEWEST else "twenty"
-        return (f"{self.label} is called for: a scanner or radar in orbit is more than {odds} "
-                "times as likely as an image of which nothing is known.")
+        return (f"{self.label} is called for: a scanner or radar in orbit, or a frame camera, is "
+                f"more than {odds} times as likely as an image of which nothing is known.")
 
 
 def _polynomials(degree: int) -> tuple[SensorModel, SensorModel]:
@@ -153,7 +153,7 @@ CANDIDATES: tuple[Structure, ...] = (
     Structure("tps", "a thin-plate spline", None, ThinPlate(), estimator=Interpolated(),
               short="thin-plate spline", needs=("field",)),
     _WithPhysics("physical-cubic",
-                 "a cubic polynomial with the prior of a scanner or radar in orbit",
+                 "a cubic polynomial with the prior of a known kind of camera",
                  *_polynomials(3), estimator=Physical(), short="physical cubic", has_prior=True,
                  contains=(*_LIMITS, *_SHRUNKEN, "field", "tps"), family=_FAMILY),
     *ROBUST,

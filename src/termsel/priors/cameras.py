@@ -1,8 +1,9 @@
-"""What line scanners and radars in orbit see of a place, drawn from all that are plausible.
+"""What scanners, radars and frame cameras see of a place, drawn from all that are plausible.
 
 A satellite is at a height of 450 to 850 km, and the Earth turns below it. A scanner has a steady
-attitude: it turns with the orbit, and with small rates of its own. A radar looks sideways. The
-direction in which lines follow each other is that of the control, all else is drawn.
+attitude: it turns with the orbit, and with small rates of its own. A radar looks sideways. A frame
+camera in an aircraft looks down. The direction in which lines follow each other is that of the
+control, all else is drawn.
 """
 
 from __future__ import annotations
@@ -37,6 +38,11 @@ SIDE = tuple(np.sin(np.radians([15.0, 60.0])))
 CLIMB = 50.0
 """Standard deviation of how fast the height changes at which ranges are put on the ground [m/s]:
 processors take that of the terrain along the flight."""
+
+VIEW, TILT, ASIDE = (0.1, 1.0), np.radians(3.0), 0.25
+"""Half the extent of the places by the height of a frame camera above them, from long lenses and
+parts of a photo to wide angles; standard deviations of its tilt, which vertical photos have, and of
+where it is aside of the middle, by the extent."""
 
 YAW, RATE, CHANGE = np.radians(3.0), 3e-5, 5e-7
 """Standard deviations of the angle between flight and scan, which compensates the rotation of the
@@ -165,6 +171,21 @@ def seen_by_radars(places: FloatArray, azimuth: float, latitude: float, *, right
         return np.stack([(later - away) / STEP / far, across], axis=-1)
 
     return _seen(view, (n, len(places)))
+
+
+def seen_by_frames(places: FloatArray, azimuth: float) -> FloatArray:
+    """Return slopes of places in photos of so many frame cameras (see `seen_by_scanners`)."""
+    rng, n = np.random.default_rng(0), CAMERAS
+    extent = 2.0 * np.abs(places[:, :2]).max()
+    above = extent / 2 / VIEW[0] * (VIEW[0] / VIEW[1]) ** rng.uniform(0.0, 1.0, n)
+    aside, tilt = ASIDE * extent * rng.standard_normal((n, 2)), TILT * rng.standard_normal((n, 2))
+    east, north = np.sin(azimuth), np.cos(azimuth)
+    x = places @ np.array([east, north, 0.0]) - aside[:, :1]
+    y = places @ np.array([north, -east, 0.0]) - aside[:, 1:]
+    down = above[:, None] - places[:, 2]
+    depth = down + tilt[:, :1] * x + tilt[:, 1:] * y
+    seen = np.stack([x - tilt[:, :1] * down, y - tilt[:, 1:] * down], axis=-1) / depth[..., None]
+    return np.asarray(seen[(depth > above[:, None] / 10).all(axis=1)])
 
 
 def _seen(view: Callable[[FloatArray], FloatArray], shape: tuple[int, int]) -> FloatArray:

@@ -1,4 +1,4 @@
-"""A cubic polynomial with the prior of an image from orbit, averaged with shrunken ones.
+"""A cubic polynomial with the prior of known cameras, averaged with shrunken ones.
 
 Cubic polynomials fitted to what plausible cameras see (see `termsel.priors.cameras`) have a mean
 and a covariance of all coefficients but those that are affine in X and Y, which are free; line and
@@ -20,25 +20,29 @@ from an ensemble of cameras is termsel's own.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from math import lgamma
+from typing import TypeAlias
 
 import numpy as np
 
 from termsel.adjustment.monomials import Exponents, monomials
 from termsel.measurements.control import PARALLAX
 from termsel.measurements.features import FloatArray
-from termsel.priors.cameras import seen_by_radars, seen_by_scanners
+from termsel.priors.cameras import seen_by_frames, seen_by_radars, seen_by_scanners
 from termsel.priors.posterior import SIZES, Posterior, believed_sizes, shares
 
-VIEWS: tuple[tuple[Callable[[FloatArray, float, float], FloatArray], float], ...] = (
-    (seen_by_scanners, 1.0),
-    *((partial(seen_by_radars, right=right, on_ground=on_ground), 0.125)
-      for right in (True, False) for on_ground in (True, False)))
-"""Kinds of cameras, and how likely they are beforehand, next to an image of which nothing is known:
-radars half as likely as scanners."""
+Kind: TypeAlias = tuple[Callable[[FloatArray, float, float], FloatArray], float]
+"""What cameras of a kind see (see `termsel.priors.cameras`), and how likely they are beforehand,
+next to an image of which nothing is known."""
+
+IN_ORBIT: tuple[Kind, ...] = ((seen_by_scanners, 1.0), *(
+    (partial(seen_by_radars, right=right, on_ground=on_ground), 0.125)
+    for right in (True, False) for on_ground in (True, False)))
+
+FRAMES: Kind = (lambda places, azimuth, _: seen_by_frames(places, azimuth), 0.5)
 
 WIDTHS = np.array([0.3, 1.0, 3.0, 10.0])
 """By what the deviations of the cameras from their mean are multiplied."""
@@ -74,15 +78,16 @@ class Prior:
     share: float  # how likely it is beforehand
 
 
-def of_cameras(places: FloatArray, scaled: FloatArray, exponents: Exponents, latitude: float,
-               slopes: FloatArray, pixel: float) -> list[Prior]:
+def of_cameras(kinds: Sequence[Kind], places: FloatArray, scaled: FloatArray,
+               exponents: Exponents, latitude: float, slopes: FloatArray,
+               pixel: float) -> list[Prior]:
     """Return priors by cameras that see places (m, 3) [m], which are scaled (m, 3), too.
 
     None of them if hardly any camera sees these. The slopes are those of line and of sample by
     metres to the east and to the north, (2, 2), in scaled units; `pixel` is that of a pixel.
     """
     azimuth = float(np.arctan2(*slopes[0]))
-    return [prior for views, share in VIEWS
+    return [prior for views, share in kinds
             for prior in _of_views(views(places, azimuth, latitude), share, places, scaled,
                                    exponents, slopes, pixel)]
 
