@@ -1,7 +1,8 @@
 """Blocks of several images: accuracy, standard deviations and time, against the truth.
 
 ``python -m benchmarks.blocks --write`` makes docs/evidence/blocks.md. Blocks are those of
-`termsel_block.simulated`; `--seeds` says how many of each kind.
+`termsel_block.simulated`; `--seeds` says how many of each kind. With `--kinds` it renews the rows
+of these alone, and the text after the tables.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from benchmarks.block_bounds import bounds
 from benchmarks.block_kinds import KINDS, OWN, Kind, drawn
 from benchmarks.block_page import PAGE, VERDICT
 from benchmarks.block_rival import fitted
-from benchmarks.sets import put
+from benchmarks.sets import ROOT, put
 from termsel import Points, rpc_of, write_rpc
 from termsel.threads import one_blas_thread
 from termsel_block.accuracy import independent_points, predicted, rmse
@@ -292,13 +293,25 @@ def by_scipy() -> str:
             f"stack the images differ by {gap:.2f} px at most.")
 
 
+def renewed(page: str, rows: Iterable[str]) -> str:
+    """Return the page with these rows of the table of accuracy, and the verdict of today."""
+    tables, heading, _ = page.partition(VERDICT.partition("\n")[0])
+    lines = tables.splitlines()
+    for one in rows:
+        name = one.split("|")[1].strip()
+        at = next(k for k, line in enumerate(lines) if line.startswith(f"| {name} |"))
+        lines[at] = one
+    assert heading
+    return "\n".join([*lines, VERDICT])
+
+
 def main() -> None:
-    """Print or write the page."""
+    """Print or write the page, or rows of it."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--counts", type=int, nargs="*", default=[100, 300, 1000])
     parser.add_argument("--ties", type=int, default=1100)
-    parser.add_argument("--kinds", nargs="*", help="names of kinds; by default all")
+    parser.add_argument("--kinds", nargs="*", help="kinds to renew; by default the whole page")
     parser.add_argument("--write", action="store_true", help="renew the page in docs/evidence")
     asked = parser.parse_args()
     rows = [HEAD]
@@ -307,6 +320,11 @@ def main() -> None:
             rows.append(row(kind, [figures_of(kind, SEED + seed) for seed in range(
                 max(round(asked.seeds * kind.seeds), 1))]))
             print(rows[-1], flush=True)
+    if asked.kinds:
+        if asked.write:
+            page = (ROOT / "docs" / "evidence" / "blocks.md").read_text(encoding="utf-8")
+            put("blocks", renewed(page, rows[1:]), write=True)
+        return
     plain = [block_rival.HEAD, *(
         block_rival.row(kind, [SEED + 50 + seed for seed in range(asked.seeds // 2)])
         for kind in KINDS if kind.name in block_rival.NAMES)]

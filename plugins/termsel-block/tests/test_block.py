@@ -324,6 +324,13 @@ def test_the_block_is_shown(example: Example) -> None:
     (('points = "A_points.csv"', 'points = "A.RPB"'), "Name the RPC as rpc of the image"),
     (('ties = "ties.csv"', "ties = []"), "names no file of ties"),
     (('crs = "EPSG:4979"', "crs = "), "not the file of a block"),
+    (('crs = "EPSG:4979"', ""), "the key 'crs' is missing"),
+    (('crs = "EPSG:4979"', "crs = 4979"), "crs is a whole number, and must be text in quotes"),
+    (('name = "B"', "name = 2"), "name of image number 2 is a whole number, and must be text"),
+    (('rpc = "B.RPB"', 'options = "x"'), "options of image number 2 is text in quotes, and must"),
+    (('name = "B"', 'model = "auto"'), "the key 'name' of image number 2 is missing"),
+    (('name = "B"', 'name = " "'), "cannot be the name of an image"),
+    (("[[image]]", "[image]"), "[image] stands where [[image]] should"),
     (('rpc = "C.RPB"', 'rpc = "C.RPB"\nmodel = "cubic"'), "has the model 'cubic'"),
 ])
 def test_what_is_wrong_is_said_and_nothing_written(

@@ -65,17 +65,23 @@ def predicted(result: BlockResult, i: int, seed: int = 0) -> Spread:
         places = result.frame.local(features.points.ground)
     rows = result.rows(i, places)
     rng = np.random.default_rng([seed, i])
-    covariance = result.covariances[i]
-    root = np.linalg.cholesky(covariance + 1e-12 * np.eye(len(covariance)))
-    draws = root @ rng.standard_normal((len(root), _DRAWS))
-    draws = draws * np.sqrt(_unsure(result, i, rng))
+    drawn = result.adjusted.draws
+    draws = drawn[i].T if drawn else _normal(result, i, rng)
     squares = ((rows @ draws) ** 2).sum(axis=1).mean(axis=0)
     # The variance of control is known from few measurements; the state has its median.
     known = state.freedom_control
-    noise = state.sigma_control**2 * (known - MEDIAN) / rng.chisquare(known, _DRAWS)
+    noise = state.sigma_control**2 * (known - MEDIAN) / rng.chisquare(known, draws.shape[1])
     errors = np.sqrt(squares + 2 * noise)
     low, high = np.quantile(errors, [(1 - _LEVEL) / 2, (1 + _LEVEL) / 2])
     return Spread(float(np.sqrt((errors**2).mean())), float(low), float(high))
+
+
+def _normal(result: BlockResult, i: int, rng: np.random.Generator) -> FloatArray:
+    """Return draws (2m, draws) of an image's errors by its covariance alone."""
+    covariance = result.covariances[i]
+    root = np.linalg.cholesky(covariance + 1e-12 * np.eye(len(covariance)))
+    return np.asarray(root @ rng.standard_normal((len(root), _DRAWS))
+                      * np.sqrt(_unsure(result, i, rng)))
 
 
 def _unsure(result: BlockResult, i: int, rng: np.random.Generator) -> FloatArray:

@@ -75,7 +75,7 @@ def _of(adjusted: Adjusted, i: int) -> Contradiction | None:
     camera = adjusted.state.cameras[i]
     if not isinstance(camera, PhysicalCamera):
         return None
-    return camera.contradicted(adjusted.state.parameters[i], adjusted.solved.own[i])
+    return camera.contradicted(*adjusted.by_priors[i])
 
 
 def doubts_of_models(block: Block, adjusted: Adjusted) -> list[str]:
@@ -85,8 +85,10 @@ def doubts_of_models(block: Block, adjusted: Adjusted) -> list[str]:
             "is predicted: compare with auto." for i, one in contradicted(adjusted).items()]
 
 
-def against_dem(ground: FloatArray, adjusted: Adjusted, dem: Surface) -> str | None:
-    """Return what the ground as adjusted without a DEM says against it; None if nothing.
+def against_dem(ground: FloatArray, adjusted: Adjusted, dem: Surface) -> tuple[float, str]:
+    """Return by how much the ground as adjusted without a DEM is off it [m], and that as a note.
+
+    The note is empty where that may be chance.
 
     Parameters
     ----------
@@ -99,15 +101,16 @@ def against_dem(ground: FloatArray, adjusted: Adjusted, dem: Surface) -> str | N
     variance = adjusted.solved.covariance_of_ties()[:, 2, 2]
     known = np.isfinite(over) & (variance < _UNSEEN**2)
     if not known.any():
-        return None
+        return 0.0, ""
     # What the ties of a block are off by they have in common.
     middle, sigma = float(np.median(over[known])), float(np.sqrt(np.median(variance[known])))
     if abs(middle) < _FAR * np.hypot(sigma, OFF):
-        return None
+        return middle, ""
     side = "above" if middle > 0 else "below"
-    return (f"Without the DEM the ground is {abs(middle):.0f} m {side} it by the RPCs, with a "
-            f"standard deviation of {sigma:.0f} m: check what its heights refer to, or give "
-            "control.")
+    said = (f"Without the DEM the ground is {abs(middle):.0f} m {side} it by the RPCs, with a "
+            f"standard deviation of {sigma:.0f} m, and the DEM is taken to be as far off: check "
+            "what its heights refer to, or give control.")
+    return middle, said
 
 
 def _off(found: Contradiction) -> str:

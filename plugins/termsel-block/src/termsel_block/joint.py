@@ -123,25 +123,41 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
 
 
 def _with_note_on_dem(result: BlockResult) -> BlockResult:
-    """Return the result with a note if the DEM is not of this ground, where no control tells it.
+    """Return the result, or that of a DEM which may be far off, with a note, where RPCs say so.
 
-    The RPCs then follow the DEM, so that only a block without it can say so.
+    Without control RPCs follow the DEM, so that only a block without it can tell. The block is then
+    adjusted with as much uncertainty of the DEM's heights as there is between both.
     """
-    block = result.block
-    if block.dem is None or any(map(len, result.control)):
+    block, path = result.block, result.block.dem
+    if path is None or any(map(len, result.control)):
         return result
+    block = replace(block, notes=(*block.notes, _of_heights(result)))
+    result = replace(result, block=block)
     try:
         free = _adjusted(replace(block, dem=None), result.frame, None)
     except TermselError:  # nothing but the DEM holds the heights, so that they say nothing of it
         return result
-    with open_dem(block.dem, block.crs) as dem:
-        note = against_dem(free.ties, free.adjusted, dem)
-    return result if note is None else replace(
-        result, block=replace(block, notes=(*block.notes, note)))
+    with open_dem(path, block.crs) as dem:
+        off, note = against_dem(free.ties, free.adjusted, dem)
+    return result if not note else _adjusted(replace(
+        block, notes=(*block.notes, note)), result.frame, None, doubt=abs(off))
 
 
-def _adjusted(block: Block, frame: Frame, progress: Callable[[float], None] | None) -> BlockResult:
-    """Return the block as adjusted with the models that it states."""
+def _of_heights(result: BlockResult) -> str:
+    """Return what images are off by where the DEM is, which no interval can know."""
+    seen = result.adjusted.solved.seen[:len(result.block.images)]
+    each = [100 * float(np.median(np.hypot(*part.slopes[:, :, 2].T))) for part in seen
+            if len(part.tie)]
+    return ("Without control the heights are the DEM's. For each 100 m that it is off, images are "
+            f"up to {max(each):.2g} px off, which intervals do not include.")
+
+
+def _adjusted(block: Block, frame: Frame, progress: Callable[[float], None] | None,
+              doubt: float = 0.0) -> BlockResult:
+    """Return the block as adjusted with the models that it states.
+
+    Its DEM may be so much off [m], if that is more than usual.
+    """
     with ExitStack() as files:
         dem = files.enter_context(open_dem(block.dem, block.crs)) if block.dem else None
 
@@ -152,7 +168,7 @@ def _adjusted(block: Block, frame: Frame, progress: Callable[[float], None] | No
                 image.name, Measured(block.ties.tie[mine], block.ties.place[mine]),
                 own_control(image.features, frame), image.rpc,
                 *_model(image)))
-        heights = heights_of(block, frame, dem)
+        heights = replace(heights_of(block, frame, dem), doubt=doubt)
         state = start(given, len(block.ties.names), frame, heights)
         adjusted = adjust_block(
             state, [image.measured for image in given], [image.control for image in given],

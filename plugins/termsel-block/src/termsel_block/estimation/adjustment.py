@@ -1,4 +1,4 @@
-"""The adjustment of a block: steps, robust weights, variances by evidence, and what is dropped."""
+"""The adjustment of a block: robust weights, variances by evidence, and what is dropped."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from termsel import TermselError
-from termsel_block.estimation import common
-from termsel_block.estimation.equations import Seen, Shared, Solved, pairs, solve
+from termsel_block.estimation.equations import Shared, pairs
+from termsel_block.estimation.steps import CONVERGED, Steps, soft
 from termsel_block.estimation.unknowns import Adjusted, Measured, State
 from termsel_block.evidence.factors import log_bayes_factor
 from termsel_block.evidence.growing import CHANCE, chance_of
-from termsel_block.evidence.variances import estimated
-from termsel_block.geometry.cameras import Camera
+from termsel_block.evidence.integrating import MOST, integrate, unknown
+from termsel_block.evidence.variances import estimated, looser
 from termsel_block.geometry.control import OwnControl
 from termsel_block.geometry.frame import FloatArray
 from termsel_block.geometry.heights import Heights
@@ -30,15 +29,12 @@ _PRIOR_COUNT = 4.0
 MEDIAN = 2 / 3
 """What a distribution chi-square of n degrees of freedom has its median below n, about."""
 
-_CONVERGED = 1e-3  # px
 _SETTLED = 0.02  # relative change of a standard deviation
 _STEPS = 15  # of one stage at most
-_BENT = 3  # first steps of a stage, in which derivatives are renewed
+_BENT = 3  # first steps of a stage, in which derivatives are renewed, as after shorter ones
 _WIDE = (8.0, 4.0, 2.0)  # what weights are wider by in the first steps, while much is bent
-_HALVINGS = 6  # of a step at most, less one
 _TRUST = len(_WIDE)  # first steps, in which control keeps its weight
-_ROBUST = 2.5  # standard deviations at which a weight is a half
-_UNSEEN = 1e4  # m, the most that a step moves a tie which no image in use sees
+_LOOSER = 0.1  # relative change of a stated standard deviation, below which it stays
 _SLOW = 2500  # parameters of images from which variances are estimated once in a stage
 _LEAST_SIGMA = 0.01  # px; without it data without noise would have infinite weights
 
@@ -87,28 +83,26 @@ def adjust_block(state: State, measured: Sequence[Measured], control: Sequence[O
         steps += run.iterate(robust=False, limit=_STEPS,
                              report=lambda s: report(0.6 + 0.4 * s))
     steps += run.iterate(robust=False, limit=_STEPS, report=report)
+    by_priors = [(one.copy(), own) for one, own in zip(
+        state.parameters, run.solved.own[:-1], strict=True)]
+    while run.loosen():
+        steps += run.iterate(robust=False, limit=_STEPS, report=_nothing)
+    moved = run.moved()
+    draws = run.integrate()
     residuals, of_control = run.residuals()
     return Adjusted(state, run.solved, residuals, of_control, evidence, steps, run.converged,
-                    heights.offset, heights.sigma, run.freedom, run.moved())
+                    heights.offset, heights.sigma, run.freedom, moved, by_priors, draws)
 
 
-class _Run:
-    """The measurements of a block, and the last step."""
+class _Run(Steps):
+    """A block while it is adjusted."""
 
-    solved: Solved
     converged = False
     freedom = np.nan
-    share = 1.0
-    """Of the last step, that was taken."""
 
     def __init__(self, state: State, measured: Sequence[Measured], control: Sequence[OwnControl],
                  heights: Heights, shared: Sequence[Shared]) -> None:
-        self.state, self.measured, self.control = state, measured, control
-        self.heights, self.shared = heights, shared
-        self.slopes: dict[int, FloatArray] = {}
-        self.kept: dict[int, tuple[Camera, FloatArray, FloatArray, FloatArray]] = {}
-        self.design: dict[int, FloatArray] = {}
-        """Rows of each image's control in the last equations."""
+        super().__init__(state, measured, control, heights, shared)
         self.large = sum(2 * len(camera.groups) for camera in state.cameras) > _SLOW
 
     def iterate(self, *, robust: bool, limit: int, report: Callable[[float], None]) -> int:
@@ -116,145 +110,58 @@ class _Run:
         self.converged = False
         for step in range(limit):
             report(step / limit)
-            # From weights that fall at once a lone control point would never return.
-            if step < _BENT:
+            # From weights that fall at once a lone control point would never return. Nor does a
+            # step that had to be made shorter come nearer along derivatives of elsewhere.
+            if step < _BENT or self.share < 1.0:
                 self.slopes = {}
             self.step(robust, _WIDE[step] if robust and step < _TRUST else 1.0)
             moved = float(self.moved().max(initial=0.0))
             settled = True
             if step >= _TRUST and (not self.large or step == _TRUST):
                 settled = self.estimate(robust)
-            if step > _TRUST and moved < _CONVERGED and settled:
+            if step > _TRUST and moved < CONVERGED and settled:
                 self.converged = True
                 return step + 1
         return limit
 
-    def step(self, robust: bool, wide: float = 1.0) -> None:
-        """Make a step of Gauss and Newton, by weights that fall `wide` times as slowly as told.
-
-        Where that is more than 1, control keeps its weight.
-        """
-        state, seen, own, right = self.state, [], [], []
-        for i, (camera, mine, known) in enumerate(
-                zip(state.cameras, self.measured, self.control, strict=True)):
-            parameters = state.parameters[i]
-            place = state.ties[mine.tie]
-            computed, columns = self._computed(i)
-            residual = mine.place - computed
-            weight = np.where(state.in_use[i], state.sigma_ties**-2, 0.0)
-            if robust:
-                weight = weight * soft(np.hypot(*residual.T) / (wide * state.sigma_ties))
-            if i not in self.slopes:
-                self.slopes[i] = camera.slopes(parameters, place, computed)
-            seen.append(Seen(mine.tie, camera.rows(parameters, place, columns), self.slopes[i],
-                             residual, weight))
-            block, rest = self._of_control(i, camera, known, robust and wide == 1.0)
-            precision = np.diag(np.repeat(1 / state.variances[i][None], 2, axis=0).ravel())
-            own.append(block + precision)
-            right.append(rest - precision @ parameters.T.ravel())
-        of_heights, normal, aim, of_ties, right_of_ties = common.of_heights(
-            self.heights, state.ties)
-        of_ties = of_ties + np.eye(3) * _UNSEEN**-2
-        try:
-            self.solved = solve([*seen, of_heights], [*own, normal], [*right, aim], of_ties,
-                                right_of_ties, self.shared)
-        except (np.linalg.LinAlgError, RuntimeError) as error:
-            raise TermselError("the block is not determined by its control and ties",
-                               hint="Give control to an image, or RPCs, or more ties.") from error
-        self._take(robust, wide)
-
-    def _take(self, robust: bool, wide: float) -> None:
-        """Take the step, or the part of it that does not make things worse."""
-        state, solved, heights = self.state, self.solved, self.heights
-        parameters, ties, before = state.parameters, state.ties, self._cost(robust, wide)
-        offset, start = heights.offset, [self._computed(i)[0] for i in range(len(parameters))]
-        for halvings in range(_HALVINGS):
-            self.share = 0.5**halvings
-            state.ties = ties + self.share * solved.ties
-            state.parameters = [
-                camera.followed(old, self.share * step, at + self.share * moved,
-                                state.ties[part.tie])
-                for camera, old, step, at, moved, part in zip(
-                    state.cameras, parameters, solved.steps[:-1], start, self._moves(),
-                    solved.seen[:-1], strict=True)]
-            heights.offset = offset + self.share * float(solved.steps[-1][0])
-            with np.errstate(over="ignore", invalid="ignore"):
-                after = self._cost(robust, wide)
-            if after <= before * (1 + _CONVERGED):
-                return
-        if not np.isfinite(after):  # no camera is there
-            state.parameters, state.ties, heights.offset = parameters, ties, offset
-
-    def _cost(self, robust: bool, wide: float) -> float:
-        """Return what a step makes less: twice the negative logarithm of the posterior."""
+    def loosen(self) -> bool:
+        """Let the priors that models state scatter as they do; return whether any changed much."""
         state = self.state
-        of_ties, of_control = self.residuals()
-        total = self.heights.cost(state.ties)
-        for i, known in enumerate(self.control):
-            total += float((state.parameters[i]**2 / state.variances[i][:, None]).sum())
-            square = (of_ties[i]**2).sum(axis=1) / state.sigma_ties**2
-            total += float((square / (1 + square / (wide * _ROBUST)**2 * robust))
-                           @ state.in_use[i])
-            square = (of_control[i] / (state.sigma_control * known.sigma))**2
-            far = square / _ROBUST**2 * (robust and wide == 1.0)
-            total += float((square / (1 + far)) @ state.control_in_use[i])
-        return total
+        found = looser(state.cameras, state.parameters, self.solved.own[:-1])
+        change = max((abs(found[name] / camera.looser[at] - 1) for camera in state.cameras
+                      for name, at in camera.stated.items()), default=0.0)
+        if change < _LOOSER:
+            return False
+        pairs_ = [camera.loosened(found, old) for camera, old in zip(
+            state.cameras, state.parameters, strict=True)]
+        state.cameras, state.parameters = [list(one) for one in zip(*pairs_, strict=True)]
+        return True
 
-    def _computed(self, i: int) -> tuple[FloatArray, FloatArray]:
-        """Return places and columns of an image's ties; known parts are computed once for a state.
+    def integrate(self) -> list[FloatArray]:
+        """Go to the mean over all variances; return draws of each image's errors, (d, 2m) each.
+
+        Empty where the variances are known or many.
         """
-        camera, ties, parameters = self.state.cameras[i], self.state.ties, self.state.parameters[i]
-        kept = self.kept.get(i)
-        if kept is None or kept[0] is not camera or kept[1] is not ties:
-            kept = camera, ties, *camera.first_order(ties[self.measured[i].tie])
-            self.kept[i] = kept
-        _, _, image, columns = kept
-        return (image + columns @ parameters
-                + camera.perspective(parameters, ties[self.measured[i].tie])), columns
-
-    def _of_control(self, i: int, camera: Camera, known: OwnControl, robust: bool,
-                    ) -> tuple[FloatArray, FloatArray]:
-        """Return what an image's control adds to its normal equations."""
-        m = len(camera.groups)
-        if not len(known):
-            return np.zeros((2 * m, 2 * m)), np.zeros(2 * m)
-        rows, residual = self._rows(i, camera, known)
-        self.design[i] = rows
-        sigma = self.state.sigma_control * known.sigma
-        weight = np.where(self.state.control_in_use[i], sigma**-2, 0.0)
-        if robust:
-            weight = weight * soft(residual / sigma)
-        return (rows * weight[:, None]).T @ rows, (rows * weight[:, None]).T @ residual
-
-    def _rows(self, i: int, camera: Camera, known: OwnControl) -> tuple[FloatArray, FloatArray]:
-        """Return the rows (n, 2m) of an image's control, and the residuals [px]."""
-        parameters = self.state.parameters[i]
-        rows = np.einsum("na,nap->np", known.normal, camera.rows(
-            parameters, known.local, camera.first_order(known.local)[1]))
-        computed = camera.project(parameters, known.local)
-        return rows, known.value - (known.normal * computed).sum(axis=1)
-
-    def moved(self) -> FloatArray:
-        """Return how far the last step moved any tie or control in each image, at most [px]."""
-        return np.array([
-            float(np.abs(moved[part.weight > 0] if len(part.tie) else step).max(initial=0.0))
-            for part, step, moved in zip(self.solved.seen[:-1], self.solved.steps[:-1],
-                                         self._moves(), strict=True)])
-
-    def _moves(self) -> list[FloatArray]:
-        """Return how far the last step moves the ties in each image, to first order [px]."""
-        return [part.rows @ step + np.einsum("nai,ni->na", part.slopes, self.solved.ties[part.tie])
-                for part, step in zip(self.solved.seen[:-1], self.solved.steps[:-1], strict=True)]
-
-    def residuals(self) -> tuple[list[FloatArray], list[FloatArray]]:
-        """Return the residuals of ties and of control in each image [px]."""
         state = self.state
-        of_ties = []
-        for i, mine in enumerate(self.measured):
-            of_ties.append(mine.place - self._computed(i)[0])
-        return of_ties, [self._rows(i, camera, known)[1] if len(known) else np.empty(0)
-                         for i, (camera, known) in enumerate(
-                             zip(state.cameras, self.control, strict=True))]
+        if not 0 < unknown(state.cameras) <= MOST:
+            return []
+        loose = self.linearised([np.square(camera.spread) for camera in state.cameras])
+        found = integrate(loose.reduced.whole(), np.concatenate(loose.steps), state.cameras,
+                          state.parameters, loose.reduced.slices, self.heights.guessed())
+        self.solved = loose.at(found.mean, found.covariance)
+        start = [self._computed(i)[0] for i in range(len(state.cameras))]
+        moves, state.ties = self._moves(), state.ties + self.solved.ties
+        state.parameters = [
+            camera.followed(old, step, at + moved, state.ties[part.tie])
+            for camera, old, step, at, moved, part in zip(
+                state.cameras, state.parameters, self.solved.steps[:-1], start, moves,
+                self.solved.seen[:-1], strict=True)]
+        self.heights.offset += float(self.solved.steps[-1][0])
+        for i, part in enumerate(loose.reduced.slices[:-1]):
+            precision = found.precision[part].reshape(2, -1).mean(axis=0)
+            known = np.isnan(precision)
+            state.variances[i] = np.where(known, state.variances[i], 1 / precision)
+        return [found.draws[:, part] for part in loose.reduced.slices[:-1]]
 
     def estimate(self, robust: bool) -> bool:
         """Estimate the standard deviations and variances; return whether they settled."""
@@ -382,8 +289,3 @@ class _Run:
 
 def _nothing(share: float) -> None:
     """Show no progress."""
-
-
-def soft(ratio: FloatArray) -> FloatArray:
-    """Return weights that fall with the ratio of residual and standard deviation."""
-    return np.asarray(1 / (1 + (ratio / _ROBUST) ** 2) ** 2)

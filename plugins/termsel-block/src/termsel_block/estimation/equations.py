@@ -8,7 +8,8 @@ ties (Schur complement; Triggs et al. 2000: Bundle adjustment, a modern synthesi
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -72,6 +73,16 @@ class Solved:
         """Covariance of each image's parameters."""
         return self.reduced.own()
 
+    def at(self, step: FloatArray, covariance: FloatArray) -> Solved:
+        """Return this with another step and covariance of all parameters, and the ties' by them."""
+        steps = tuple(step[part] for part in self.reduced.slices)
+        left = np.zeros_like(self.ties)
+        for part, coupling, new, old in zip(self.seen, self.coupling, steps, self.steps,
+                                            strict=True):
+            np.add.at(left, part.tie, np.einsum("tki,k->ti", coupling, old - new))
+        return replace(self, steps=steps, reduced=self.reduced.with_inverse(covariance),
+                       ties=self.ties + np.einsum("tij,tj->ti", self.of_ties, left))
+
     def covariance_of_ties(self) -> FloatArray:
         """Return the covariance of each tie's place (t, 3, 3) [m2], parameters' included.
 
@@ -109,6 +120,17 @@ class Reduced:
         else:
             self.solve = splu(matrix, permc_spec="MMD_AT_PLUS_A",
                               options={"SymmetricMode": True}).solve
+
+    def whole(self) -> FloatArray:
+        """Return the matrix itself."""
+        matrix = self._matrix
+        return np.asarray(matrix if isinstance(matrix, np.ndarray) else matrix.toarray())
+
+    def with_inverse(self, covariance: FloatArray) -> Reduced:
+        """Return this with a covariance that knows more than the matrix."""
+        other = copy(self)
+        other.inverse = covariance
+        return other
 
     @cached_property
     def inverse(self) -> FloatArray | None:

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from termsel import Rpc, TermselError
-from termsel_block.estimation.adjustment import soft
 from termsel_block.estimation.equations import pairs
+from termsel_block.estimation.steps import soft
 from termsel_block.estimation.unknowns import Measured, State
 from termsel_block.geometry.cameras import Camera, PolynomialCamera, RpcCamera
 from termsel_block.geometry.control import OwnControl

@@ -56,6 +56,11 @@ class Adjusted:
         Redundancy: measurements less the unknowns that they determine.
     moved : ndarray, shape (images,)
         How far the last step moved each image, at most [px].
+    by_priors : list of (ndarray, ndarray)
+        Parameters of each image and their covariance with priors as stated and estimated.
+    draws : list of ndarray, shape (d, 2m)
+        Of the errors of each image's parameters, with variances unknown; empty where these are
+        taken as estimated.
     """
 
     state: State
@@ -69,3 +74,5 @@ class Adjusted:
     roughness: float
     freedom: float
     moved: FloatArray
+    by_priors: list[tuple[FloatArray, FloatArray]]
+    draws: list[FloatArray] = field(default_factory=list)

@@ -9,7 +9,7 @@ import numpy as np
 from termsel_block.geometry.cameras import Camera
 from termsel_block.geometry.frame import FloatArray
 
-_OWN = 4.0
+OWN = 4.0
 """Weight of what all images say of a variance, as so many parameters of the image's own."""
 
 _GRID = np.geomspace(1e-4, 1e2, 121)
@@ -59,9 +59,25 @@ def estimated(cameras: Sequence[Camera], parameters: Sequence[FloatArray],
         for name in dict.fromkeys(camera.groups):
             if name not in camera.wide:
                 mine = groups == name
-                new[mine] = (moments[mine].sum() + _OWN * common[name]) / (2 * mine.sum() + _OWN)
+                new[mine] = (moments[mine].sum() + OWN * common[name]) / (2 * mine.sum() + OWN)
         found.append(np.maximum(new, np.square(camera.least)))
     return found
+
+
+def looser(cameras: Sequence[Camera], parameters: Sequence[FloatArray],
+           covariances: Sequence[FloatArray]) -> dict[str, float]:
+    """Return what standard deviations of stated terms are times what their model states.
+
+    By all images of the model together: a sensor may turn faster than most, in all its images.
+    What they do not tell keeps what is stated.
+    """
+    squares: dict[str, list[float]] = {}
+    for camera, mean, covariance in zip(cameras, parameters, covariances, strict=True):
+        values = mean.T.ravel() ** 2 + np.diag(covariance)
+        for name, at in camera.stated.items():
+            squares.setdefault(name, []).append(float(values[at] * camera.looser[at] ** 2))
+    return {name: float(np.sqrt((sum(some) + OWN) / (len(some) + OWN)))
+            for name, some in squares.items()}
 
 
 def posterior_mean(mean: FloatArray, variance: FloatArray, prior: FloatArray,

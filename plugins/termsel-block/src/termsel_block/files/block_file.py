@@ -28,6 +28,8 @@ COLUMNS = {"id": ("id", "tie", "name", "point"), "image": ("image", "img", "scen
 """Known names of the columns of a table of ties."""
 
 _EXAMPLE = "termsel block-example DIR writes a block to begin with."
+_KINDS = {"str": "text in quotes", "int": "a whole number", "float": "a number",
+          "bool": "true or false", "array": "a list", "object": "a table"}
 _NAMED = 5  # in a note
 _LEAST = 3  # ties and control features of an image
 
@@ -77,7 +79,7 @@ def read_block(path: Path | str) -> Block:
         raise TermselError(f"cannot read the block: {error.strerror}", file=path,
                            hint=_EXAMPLE) from error
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
-        raise TermselError(f"this is not the file of a block: {error}", file=path,
+        raise TermselError(f"this is not the file of a block: {_said(str(error))}", file=path,
                            line=_line_of(str(error), text), hint=_EXAMPLE) from error
     names = [image.name for image in stated.image]
     _check_names(names, path)
@@ -108,6 +110,23 @@ def _refuse_alone(images: Sequence[BlockImage], ties: Ties, path: Path) -> None:
                                hint=f"Give it {_LEAST} ties or more, or remove it.")
 
 
+def _said(error: str) -> str:
+    """Return what a decoder says, in the words of the file."""
+    what, _, place = error.partition(" - at `$")
+    image = re.search(r"image\[(\d+)\]", place)
+    of = f" of image number {int(image[1]) + 1}" if image else ""
+    key = re.search(r"\.(\w+)`", place)
+    if missing := re.match(r"Object missing required field `(.+?)`", what):
+        return f"the key {missing[1]!r}{of} is missing"
+    if key and (wrong := re.match(r"Expected `(.+?)`, got `(.+?)`", what)):
+        wanted = " or ".join(_KINDS.get(kind, kind) for kind in wrong[1].split(" | ")
+                             if kind != "null")
+        return f"{key[1]}{of} is {_KINDS.get(wrong[2], wrong[2])}, and must be {wanted}"
+    if what.startswith(("Cannot overwrite", "Cannot declare")):  # a table, and again
+        return f"a key is stated twice, or [image] stands where [[image]] should: {what}"
+    return error
+
+
 def _line_of(said: str, text: bytes) -> int | None:
     """Return the line of an unknown key; a decoder names the key alone, but lines of bad TOML."""
     key = re.search(r"unknown field `(.+?)`", said)
@@ -124,7 +143,8 @@ def _check_names(names: Sequence[str], path: Path) -> None:
         if count > 1:
             raise TermselError(f"{count} images are called {name!r}", file=path,
                                hint="Give each image a name of its own.")
-        if not name or name != Path(name).name or name.startswith(".") or not name.isprintable():
+        if not name.strip() or name != Path(name).name or name.startswith(".") \
+                or not name.isprintable():
             raise TermselError(f"{name!r} cannot be the name of an image, whose result gets a "
                                "folder of that name", file=path,
                                hint="Use letters, digits, - and _.")
@@ -268,7 +288,8 @@ def read_ties(files: Sequence[Path], images: Sequence[str]) -> tuple[Ties, tuple
     names = tuple(name for name in count if count[name] > 1)
     alone = [name for name in count if count[name] == 1]
     if not names:
-        raise TermselError(f"none of the {len(count)} ties is in two images",
+        raise TermselError("there are no ties" if not count else
+                           f"none of the {len(count)} ties is in two images",
                            file=files[0] if files else None,
                            hint="A tie has the same id in each image that sees it.")
     of = {name: i for i, name in enumerate(names)}
@@ -294,7 +315,8 @@ def _rows(file: Path) -> list[tuple[int, dict[str, str]]]:
                 if len(found) != 1:
                     raise TermselError(f"this table has {'no' if not found else 'more than one'} "
                                        f"column {meaning!r}", file=file, line=1,
-                                       hint="A table of ties is headed id,image,line,sample.")
+                                       hint="A table of ties is headed id,image,line,sample, "
+                                            "with commas.")
                 at[meaning] = found[0]
             rows = []
             for cells in reader:

@@ -100,6 +100,8 @@ class Heights:
     offset: float = 0.0
     far: float = 0.0
     """The offset by which a DEM is off beyond what is usual [m]."""
+    doubt: float = 0.0
+    """That which it may have, as others say [m]."""
     sigma: float = np.nan
     """Roughness: standard deviation of a height over the surface [m]."""
     control: FloatArray = field(init=False)
@@ -168,7 +170,11 @@ class Heights:
     def _of_prior(self) -> float:
         """Return the weight of no offset: a DEM that is hundreds of metres off is not of the kind.
         """
-        return (self.spread / 2 if self.surface is None else max(OFF, self.far)) ** -2
+        return (self.spread / 2 if self.surface is None else max(OFF, self.far, self.doubt)) ** -2
+
+    def guessed(self) -> float | None:
+        """Return that weight if it is a guess: few DEMs are far off, and those are far off."""
+        return None if self.surface is None else self._of_prior()
 
     def _of_control(self) -> float:
         """Return the weight of a height of control."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -102,6 +103,9 @@ class PhysicalCamera(Camera):
         self.spread = (1.0,) * half
         self.least = (1e-4,) * half
         self.kept = self.wide = frozenset({self.model.name})
+        self.stated = {f"{self.model.name} {term}": k % 2 * half + k // 2
+                       for k, term in enumerate(self.model.terms) if self.has_prior[k]}
+        self.looser = np.ones(2 * half)
         local = frame.local(control.points.ground)
         low, high = local.min(axis=0), local.max(axis=0)
         self._area = (low + high) / 2, np.maximum((high - low)[:2] / 2, 1.0)
@@ -144,6 +148,24 @@ class PhysicalCamera(Camera):
             back = np.linalg.solve(rows.T @ rows + _LOOSE * np.eye(found.size), right)
             found = np.asarray(found + back.reshape(2, -1).T)
         return found
+
+    def loosened(self, of_terms: Mapping[str, float], parameters: FloatArray,
+                 ) -> tuple[PhysicalCamera, FloatArray]:
+        """Return the camera with other standard deviations, and its parameters (m, 2) by them.
+
+        Parameters
+        ----------
+        of_terms : mapping
+            What the standard deviation of each stated term is times that of the model.
+        """
+        other = copy(self)
+        other.looser = np.ones(parameters.size)
+        for name, at in self.stated.items():
+            other.looser[at] = of_terms[name]
+        ratio = (other.looser / self.looser).reshape(2, -1).T
+        other.scale = self.scale * ratio.ravel()[:len(self.scale)]
+        other.first = self.first / ratio
+        return other, np.asarray(parameters / ratio)
 
     def area(self) -> tuple[FloatArray, FloatArray]:
         """Return middle and half widths of the ground that the start knows."""
