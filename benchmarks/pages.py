@@ -34,7 +34,7 @@ PAGES: dict[str, tuple[str, ...]] = {
     "plan": ("plan", "--processes", "2"),
     "lines": ("lines", "--processes", "2"),
     "old-maps": ("old_maps", "--processes", "2"),
-    "rpc-few-points": ("rpc_few_points", "--workers", "2"),
+    "rpc-few-points": ("rpc_few_points", "--workers", "2", "--cases", "40"),
     "blocks": ("blocks", "--seeds", "3", "--counts", "30", "100", "--ties", "800"),
     "scanners": ("scanners", "--processes", "2", "--images", "24", "--splits", "6"),
     "coverage": ("coverage", "--processes", "2", "--kept", KEPT),
