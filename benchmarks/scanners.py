@@ -127,7 +127,7 @@ more than 3 px are declined.
   image in ten is worse by the part in the table.
 - ikonos_lines is up to 1.1 times as far off with it (8 points).
 - With 12 points, one split in ten of phr_grid_nice_a, an agile satellite, is 1.6 times worse.
-- Beyond 12 points the prior must also predict left-out points better; it ends at 19 points.
+- Beyond 12 points the prior must also predict left-out points better; it ends at 18 points.
 - With 4 or 5 points nothing tells a scanner from another image, and the prior is not used.
 """
 

@@ -35,7 +35,7 @@ FEWEST, MOST = 6, 40
 """Numbers of points for which there is a physical prior: fewer do not tell such images from
 others, and more gain nothing by it."""
 
-CHOSEN, FEW = 19, 12
+CHOSEN, FEW = 18, 12
 """Points of control up to which auto tries it, and up to which points do not tell whether it
 predicts better than what stands without it. The final fit has the check points, too."""
 

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from math import lgamma
 from typing import TypeAlias
 
@@ -34,7 +34,9 @@ from termsel.measurements.features import FloatArray
 from termsel.priors.cameras import seen_by_frames, seen_by_radars, seen_by_scanners
 from termsel.priors.posterior import SIZES, Posterior, believed_sizes, shares
 
-Kind: TypeAlias = tuple[Callable[[FloatArray, float, float], FloatArray], float]
+Views: TypeAlias = Callable[[FloatArray, float, float], FloatArray]
+
+Kind: TypeAlias = tuple[Views, float]
 """What cameras of a kind see (see `termsel.priors.cameras`), and how likely they are beforehand,
 next to an image of which nothing is known."""
 
@@ -56,6 +58,9 @@ targets to 4 px of crossings in a coarse image, four times in five."""
 
 FREE = 3
 """Columns of an axis that are free: 1, X and Y."""
+
+AZIMUTHS = 0.5
+"""Steps in which cameras turn [degrees], much less than what is unknown of it."""
 
 PLACES, BOX = 60, 1.2
 """Places at which cameras look, in a box so much wider than that of the points."""
@@ -86,10 +91,15 @@ def of_cameras(kinds: Sequence[Kind], places: FloatArray, scaled: FloatArray,
     None of them if hardly any camera sees these. The slopes are those of line and of sample by
     metres to the east and to the north, (2, 2), in scaled units; `pixel` is that of a pixel.
     """
-    azimuth = float(np.arctan2(*slopes[0]))
+    azimuth = AZIMUTHS * round(np.degrees(float(np.arctan2(*slopes[0]))) / AZIMUTHS)
     return [prior for views, share in kinds
-            for prior in _of_views(views(places, azimuth, latitude), share, places, scaled,
-                                   exponents, slopes, pixel)]
+            for prior in _of_views(_seen(views, places.tobytes(), azimuth, latitude), share, places,
+                                   scaled, exponents, slopes, pixel)]
+
+
+@lru_cache(maxsize=16)  # points held out hardly turn an image, and most do not narrow its extent
+def _seen(views: Views, places: bytes, azimuth: float, latitude: float) -> FloatArray:
+    return views(np.frombuffer(places).reshape(-1, 3), np.radians(azimuth), latitude)
 
 
 def _of_views(seen: FloatArray, share: float, places: FloatArray, scaled: FloatArray,
