@@ -5,6 +5,7 @@ Another solver, seed or criterion changes nothing of what the features alone say
 
 from __future__ import annotations
 
+import hashlib
 import pickle
 from collections.abc import Callable, Hashable
 from threading import Lock
@@ -28,7 +29,7 @@ def remembered(what: Hashable, control: Control, portfolio: Portfolio,
     Candidates that failed then are left out of the portfolio now.
     """
     try:
-        told = pickle.dumps(control)
+        told = hashlib.sha256(pickle.dumps(control)).digest()  # features may be many
     except (pickle.PicklingError, TypeError, AttributeError):  # by what a package made of an RPC
         return find()
     key = what, told, portfolio.candidates, tuple(portfolio.faults)
