@@ -13,7 +13,7 @@ from termsel.candidates.physical import averaged
 from termsel.measurements.control import Control
 from termsel.priors import physics
 from termsel.priors.cameras import seen_by_frames, seen_by_radars
-from termsel.priors.physics import FREE, Prior, Solutions
+from termsel.priors.physics import FREE, Equations, Prior, Solutions
 from termsel.simulate import simulate_scene
 from termsel_bench.scenes.cameras import CHOSEN, image_of
 
@@ -25,7 +25,7 @@ def solutions(rows=slice(None), seed=3, scale=1.0):
     rest = 2 * (columns.shape[1] - FREE)
     prior = Prior(0.1 * rng.normal(size=rest), scale * rng.normal(size=(rest, rest)), 0.25)
     return columns, image, weights, prior, Solutions(
-        columns[rows], image[rows], weights[rows], prior, 1.0)
+        Equations(columns[rows], image[rows], weights[rows]), prior, 1.0)
 
 
 def dense(columns, image, weights, prior, noise, free):
@@ -127,7 +127,7 @@ def test_six_points_of_a_photo_are_worth_twice_as_much():
 def test_a_place_above_is_seen_outward_by_its_share_of_the_height_of_the_camera():
     places = np.array([[1e3, 0.0, 0.0], [1e3, 0.0, 10.0], [0.0, 0.0, 0.0], [0.0, 1e3, 0.0],
                        [0.0, -1e3, 0.0]])
-    seen = seen_by_frames(places, 0.0)
+    seen, = seen_by_frames(places, 0.0)
     assert len(seen) > 190
     ahead, right = (seen[:, i] - seen[:, 2] for i in (3, 0))
     assert (np.sign(ahead[:, 0]) == 1).all()
@@ -145,7 +145,7 @@ def test_a_place_above_is_seen_outward_by_its_share_of_the_height_of_the_camera(
 def test_radars_see_heights_nearer_by_the_cotangent_and_in_the_same_line(right, on_ground):
     """North is ahead: a place 1 km up is nearer as one is on the ground, 1 km / tan away."""
     places = np.array([[0.0, 0.0, 0.0], [1e3, 0.0, 0.0], [0.0, 1e3, 0.0], [0.0, 0.0, 1e3]])
-    seen = seen_by_radars(places, 0.0, 45.0, right=right, on_ground=on_ground)
+    seen = seen_by_radars(places, 0.0, 45.0, right=right)[on_ground]
     assert len(seen) > 90
     _, east, north, up = (seen - seen[:, :1]).transpose(1, 0, 2)
     across = np.hypot(east[:, 1], north[:, 1])  # by 1 km along the range
@@ -159,7 +159,7 @@ def test_radars_see_heights_nearer_by_the_cotangent_and_in_the_same_line(right, 
 
 def test_no_radar_sees_both_sides_of_its_track():
     wide = np.column_stack([np.linspace(-200e3, 200e3, 9), np.zeros((9, 2))])
-    across = seen_by_radars(wide, 0.0, 45.0, right=True, on_ground=True)[..., 1]
+    across = seen_by_radars(wide, 0.0, 45.0, right=True)[1][..., 1]
     assert 10 < len(across) < 90
     assert (np.diff(across) > 0.0).all()
 

@@ -25,6 +25,7 @@ from termsel.priors.physics import (
     FRAMES,
     IN_ORBIT,
     PLACES,
+    Equations,
     Solutions,
     marginal,
     of_cameras,
@@ -38,6 +39,10 @@ others, and more gain nothing by it."""
 CHOSEN, FEW = 18, 12
 """Points of control up to which auto tries it, and up to which points do not tell whether it
 predicts better than what stands without it. The final fit has the check points, too."""
+
+NEGLIGIBLE = 16.0
+"""Logarithm by which a prior explains the points worse than the best, to be left out of the
+average: a share of 1e-7 is none, even if a single point makes it."""
 
 PIXELS = (0.1, 2000.0)
 """Sizes of a pixel on the ground [m] that images from orbit have, resampled ones included."""
@@ -106,8 +111,10 @@ def averaged(points: Points, scaling: Scaling, crs: str, exponents: Exponents) -
     if not priors:
         return None
     weights = weights_of(points)
-    columns = monomials(points.ground, exponents)
-    physical = [Solutions(columns, points.image, weights, one, pixel) for one in priors]
+    equations = Equations(monomials(points.ground, exponents), points.image, weights)
+    physical = [Solutions(equations, one, pixel) for one in priors]
+    least = max(one.log for one in physical) - NEGLIGIBLE
+    physical = [one for one in physical if one.log > least]
     logs, each, errors, coefficients, effective = (
         [getattr(one, name) for one in physical]
         for name in ("log", "log_each", "errors", "coefficients", "effective"))

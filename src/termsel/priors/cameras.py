@@ -52,9 +52,9 @@ these change [rad/s^2], within about a minute."""
 LATITUDE = 60.0
 """Largest latitude of places where it is not known."""
 
-ROUNDS, STEP, CLOSE, FAR = 8, 1e-3, 1e-6, 500.0
-"""Most steps to the time at which a place is seen, the first one's length, that of the last, and
-the longest time [s]."""
+ROUNDS, STEP, CLOSE, FAR, SPEED = 8, 1e-3, 1e-6, 500.0, 7e3
+"""Most steps to the time at which a place is seen, the least first one, the last, and the longest
+time [s]; what of the ground a satellite passes in one [m/s]."""
 
 
 def in_space(scaling: Scaling, crs: str, scaled: FloatArray) -> tuple[FloatArray, float] | None:
@@ -116,8 +116,9 @@ def _flights(rng: np.random.Generator, heading: FloatArray, latitude: float, til
                     np.stack([np.zeros(len(tilt)), np.cos(lat), np.sin(lat)], axis=1))
 
 
-def seen_by_scanners(places: FloatArray, azimuth: float, latitude: float) -> FloatArray:
-    """Return time and slope across of places (m, 3) in images of so many cameras, (c, m, 2).
+def seen_by_scanners(places: FloatArray, azimuth: float,
+                     latitude: float) -> tuple[FloatArray, ...]:
+    """Return time and slope across of places (m, 3) in images of so many cameras, once (c, m, 2).
 
     The azimuth of the scan is clockwise from north [rad]; the latitude is in degrees, or NaN.
     Cameras that do not see all places are left out.
@@ -141,15 +142,16 @@ def seen_by_scanners(places: FloatArray, azimuth: float, latitude: float) -> Flo
         return np.asarray(slopes - np.stack([pitch + spin * slopes[..., 1],
                                              roll - spin * slopes[..., 0]], axis=-1))
 
-    return _seen(view, (n, len(places)))
+    return (_seen(view, places, azimuth, n),)
 
 
-def seen_by_radars(places: FloatArray, azimuth: float, latitude: float, *, right: bool,
-                   on_ground: bool) -> FloatArray:
+def seen_by_radars(places: FloatArray, azimuth: float, latitude: float, *,
+                   right: bool) -> tuple[FloatArray, ...]:
     """Return time and range of places in images of so many radars (see `seen_by_scanners`).
 
-    A place is seen when it is nearest. Radars look to the right or to the left of the flight, and
-    the range is along the ray or on the ground, of a sphere at the height of the middle.
+    A place is seen when it is nearest. Radars look to the right or to the left of the flight. The
+    range is first that along the ray, then that on the ground, of a sphere at the height of the
+    middle.
     """
     rng, n = np.random.default_rng(0), CAMERAS // 2
     altitude, tilt = (rng.uniform(0.0, 1.0, n) for _ in range(2))
@@ -166,14 +168,14 @@ def seen_by_radars(places: FloatArray, azimuth: float, latitude: float, *, right
         surface = RADIUS + climb * time
         cosine = np.clip((far**2 + surface**2 - away**2) / (2 * far * surface), -1.0, 1.0)
         sine = np.sqrt(1.0 - cosine**2) * far / away  # of ray and vertical
-        across = np.arccos(cosine) if on_ground else away
-        across = np.where((sine > SIDE[0]) & (sine < SIDE[1]), across, np.nan)
-        return np.stack([(later - away) / STEP / far, across], axis=-1)
+        there = np.where((sine > SIDE[0]) & (sine < SIDE[1]), away, np.nan)
+        return np.stack([(later - away) / STEP / far, there, np.arccos(cosine)], axis=-1)
 
-    return _seen(view, (n, len(places)))
+    seen = _seen(view, places, azimuth, n)
+    return seen[..., [0, 1]], seen[..., [0, 2]]
 
 
-def seen_by_frames(places: FloatArray, azimuth: float) -> FloatArray:
+def seen_by_frames(places: FloatArray, azimuth: float) -> tuple[FloatArray, ...]:
     """Return slopes of places in photos of so many frame cameras (see `seen_by_scanners`)."""
     rng, n = np.random.default_rng(0), CAMERAS
     extent = 2.0 * np.abs(places[:, :2]).max()
@@ -185,25 +187,30 @@ def seen_by_frames(places: FloatArray, azimuth: float) -> FloatArray:
     down = above[:, None] - places[:, 2]
     depth = down + tilt[:, :1] * x + tilt[:, 1:] * y
     seen = np.stack([x - tilt[:, :1] * down, y - tilt[:, 1:] * down], axis=-1) / depth[..., None]
-    return np.asarray(seen[(depth > above[:, None] / 10).all(axis=1)])
+    return (np.asarray(seen[(depth > above[:, None] / 10).all(axis=1)]),)
 
 
-def _seen(view: Callable[[FloatArray], FloatArray], shape: tuple[int, int]) -> FloatArray:
-    """Return the times at which the first of what a view has is 0, and then the other."""
-    time = np.zeros(shape)
-    at, step = view(time)[..., 0], np.full_like(time, STEP)
+def _seen(view: Callable[[FloatArray], FloatArray], places: FloatArray, azimuth: float,
+          cameras: int) -> FloatArray:
+    """Return times (c, m) at which the first of what a view has is 0, and then the others.
+
+    Cameras that do not see all places are left out.
+    """
+    along = places @ np.array([np.sin(azimuth), np.cos(azimuth), 0.0]) / SPEED
+    step = np.tile(np.where(np.abs(along) < STEP, STEP, along), (cameras, 1))
+    time, seen = np.zeros_like(step), view(np.zeros_like(step))
     with np.errstate(all="ignore"):
         for _ in range(ROUNDS):  # the secant method
             if np.abs(step).max() < CLOSE:
                 break
             time = np.clip(time + step, -FAR, FAR)
-            before, at = at, view(time)[..., 0]
-            change_of = at - before
-            step = np.where(np.abs(change_of) > 1e-13, -at * step / change_of, 0.0)
-        image = np.stack([time, view(time)[..., 1]], axis=2)
-    good = np.isfinite(image).all(axis=(1, 2)) & (np.abs(step).max(axis=1) < CLOSE) & (
+            before, seen = seen, view(time)
+            change = seen[..., 0] - before[..., 0]
+            step = np.where(np.abs(change) > 1e-13, -seen[..., 0] * step / change, 0.0)
+    seen[..., 0] = time
+    good = np.isfinite(seen).all(axis=(1, 2)) & (np.abs(step).max(axis=1) < CLOSE) & (
         np.abs(time).max(axis=1) < FAR)
-    return np.asarray(image[good])
+    return np.asarray(seen[good])
 
 
 def _unit(vectors: FloatArray) -> FloatArray:

@@ -34,15 +34,14 @@ from termsel.measurements.features import FloatArray
 from termsel.priors.cameras import seen_by_frames, seen_by_radars, seen_by_scanners
 from termsel.priors.posterior import SIZES, Posterior, believed_sizes, shares
 
-Views: TypeAlias = Callable[[FloatArray, float, float], FloatArray]
+Views: TypeAlias = Callable[[FloatArray, float, float], tuple[FloatArray, ...]]
 
 Kind: TypeAlias = tuple[Views, float]
-"""What cameras of a kind see (see `termsel.priors.cameras`), and how likely they are beforehand,
-next to an image of which nothing is known."""
+"""What cameras of a kind see (see `termsel.priors.cameras`), and how likely each of these views is
+beforehand, next to an image of which nothing is known."""
 
 IN_ORBIT: tuple[Kind, ...] = ((seen_by_scanners, 1.0), *(
-    (partial(seen_by_radars, right=right, on_ground=on_ground), 0.125)
-    for right in (True, False) for on_ground in (True, False)))
+    (partial(seen_by_radars, right=right), 0.125) for right in (True, False)))
 
 FRAMES: Kind = (lambda places, azimuth, _: seen_by_frames(places, azimuth), 0.5)
 
@@ -93,12 +92,13 @@ def of_cameras(kinds: Sequence[Kind], places: FloatArray, scaled: FloatArray,
     """
     azimuth = AZIMUTHS * round(np.degrees(float(np.arctan2(*slopes[0]))) / AZIMUTHS)
     return [prior for views, share in kinds
-            for prior in _of_views(_seen(views, places.tobytes(), azimuth, latitude), share, places,
-                                   scaled, exponents, slopes, pixel)]
+            for seen in _seen(views, places.tobytes(), azimuth, latitude)
+            for prior in _of_views(seen, share, places, scaled, exponents, slopes, pixel)]
 
 
 @lru_cache(maxsize=16)  # points held out hardly turn an image, and most do not narrow its extent
-def _seen(views: Views, places: bytes, azimuth: float, latitude: float) -> FloatArray:
+def _seen(views: Views, places: bytes, azimuth: float,
+          latitude: float) -> tuple[FloatArray, ...]:
     return views(np.frombuffer(places).reshape(-1, 3), np.radians(azimuth), latitude)
 
 
@@ -127,46 +127,68 @@ def _of_views(seen: FloatArray, share: float, places: FloatArray, scaled: FloatA
             for width, one in zip(WIDTHS, believed, strict=True) for size in DEPARTURES]
 
 
-class Solutions:
-    """All solutions of a polynomial with a prior, for all noises.
+class Equations:
+    """Weighted equations of a polynomial, without what free coefficients take.
 
     The columns (n, k) are monomials, free ones first, of which the image is (n, 2), and the weights
-    are (n, 2). All is scaled; `pixel` is the size of a pixel then.
+    are (n, 2). All is scaled.
     """
 
-    def __init__(self, columns: FloatArray, image: FloatArray, weights: FloatArray, prior: Prior,
-                 pixel: float) -> None:
-        n, self._prior, self._columns = len(columns), prior, columns
+    def __init__(self, columns: FloatArray, image: FloatArray, weights: FloatArray) -> None:
+        self.columns, self.image, self.weights = columns, image, weights
         lead, rest = _stacked(columns[:, :FREE], weights), _stacked(columns[:, FREE:], weights)
-        self._image, self._weights = image, weights
         q, r = np.linalg.qr(lead, mode="complete")
-        self._lead, basis = r[:2 * FREE], q[:, 2 * FREE:]
-        self._cross = q[:, :2 * FREE].T @ rest
-        target = (image * weights).T.ravel() - rest @ prior.mean
+        self.lead, self.basis = r[:2 * FREE], q[:, 2 * FREE:]
+        self.cross, self.rest = q[:, :2 * FREE].T @ rest, self.basis.T @ rest
+        self.target = self.basis.T @ (image * weights).T.ravel()
+
+
+class Solutions:
+    """All solutions of equations with a prior, for all noises; `pixel` is a pixel, scaled."""
+
+    def __init__(self, equations: Equations, prior: Prior, pixel: float) -> None:
+        self._equations, self._prior = equations, prior
         # Along U, what the prior lets vary has the variance S^2, to which comes that of the noise.
-        u, values, self._vt = np.linalg.svd(basis.T @ rest @ prior.root)
+        varying = equations.rest @ prior.root
+        u, values, self._vt = np.linalg.svd(varying,
+                                            full_matrices=varying.shape[0] > varying.shape[1])
         self._strength = np.zeros(len(u))
         self._strength[:len(values)] = values
         self.noise = NOISES * pixel
         self._variance = self._strength**2 + self.noise[:, None] ** 2                   # (c, v)
-        self._along, rows = u.T @ (basis.T @ target), basis @ u
-        logs = np.log(shares(-0.5 * (np.log(NOISES / NOISE) / SPREAD) ** 2)[0]) - 0.5 * (
+        self._along = u.T @ (equations.target - equations.rest @ prior.mean)
+        self._rows = equations.basis @ u
+        self._logs = np.log(shares(-0.5 * (np.log(NOISES / NOISE) / SPREAD) ** 2)[0]) - 0.5 * (
             np.log(2 * np.pi * self._variance).sum(axis=1)
             + (self._along**2 / self._variance).sum(axis=1)) \
-            - np.log(np.abs(np.diag(self._lead))).sum() + np.log(prior.share)
-        self.log = float(np.logaddexp.reduce(logs))
-        self.share = np.exp(logs - self.log)
+            - np.log(np.abs(np.diag(equations.lead))).sum() + np.log(prior.share)
+        self.log = float(np.logaddexp.reduce(self._logs))
+        self.share = np.exp(self._logs - self.log)
+
+    @property
+    def log_each(self) -> FloatArray:
+        """The logarithm of the marginal likelihood without each point, shape (n,)."""
+        return self._left_out[0]
+
+    @property
+    def errors(self) -> FloatArray:
+        """Errors of each point left out, shape (n, 2)."""
+        return self._left_out[1]
+
+    @cached_property
+    def _left_out(self) -> tuple[FloatArray, FloatArray]:
         # The errors of a point by all others: P^-1 P y of its two rows, P the inverse covariance.
-        line, sample = rows[:n], rows[n:]
+        line, sample = np.split(self._rows, 2)
         each = 1.0 / self._variance
         inverse = np.stack([[each @ (a * b).T for b in (line, sample)] for a in (line, sample)])
         inverse = inverse.transpose(2, 3, 0, 1)                                       # (c, n, 2, 2)
         right = np.stack([(each * self._along) @ one.T for one in (line, sample)], axis=2)
         errors = np.linalg.solve(inverse, right[..., None])[..., 0]
-        logs = logs[:, None] + 0.5 * (errors * right).sum(axis=2) + np.log(2 * np.pi) \
+        logs = self._logs[:, None] + 0.5 * (errors * right).sum(axis=2) + np.log(2 * np.pi) \
             - 0.5 * np.log(np.linalg.det(inverse))
-        self.log_each = np.logaddexp.reduce(logs, axis=0)
-        self.errors = np.einsum("cn,cna->na", np.exp(logs - self.log_each), errors) / weights
+        log_each = np.logaddexp.reduce(logs, axis=0)
+        return log_each, np.einsum("cn,cna->na", np.exp(logs - log_each), errors) \
+            / self._equations.weights
 
     @cached_property
     def coefficients(self) -> FloatArray:
@@ -175,11 +197,12 @@ class Solutions:
         rank = min(len(known), len(self._vt))
         rest = self._prior.mean + self._prior.root @ (self._vt[:rank].T @ known[:rank])
         rest = rest.reshape(2, -1).T
-        found = np.empty((self._columns.shape[1], 2))
+        columns, image = self._equations.columns, self._equations.image
+        found = np.empty((columns.shape[1], 2))
         found[FREE:] = rest
-        lead = self._columns[:, :FREE]
-        for axis, w in enumerate(self._weights.T):
-            left = self._image[:, axis] - self._columns[:, FREE:] @ rest[:, axis]
+        lead = columns[:, :FREE]
+        for axis, w in enumerate(self._equations.weights.T):
+            left = image[:, axis] - columns[:, FREE:] @ rest[:, axis]
             found[:FREE, axis] = np.linalg.lstsq(lead * w[:, None], left * w)[0]
         return found
 
@@ -198,8 +221,8 @@ class Solutions:
             lead, rest = (_stacked(part, np.ones((len(columns), 2)))[
                 axis * len(columns):(axis + 1) * len(columns)]
                 for part in (columns[:, :FREE], columns[:, FREE:]))
-            q = np.linalg.solve(self._lead.T, lead.T).T
-            free = (rest - q @ self._cross) @ self._prior.root
+            q = np.linalg.solve(self._equations.lead.T, lead.T).T
+            free = (rest - q @ self._equations.cross) @ self._prior.root
             along = (free @ self._vt.T)[:, :rank]
             gain = (self._strength / self._variance)[:, :rank]
             means = along @ (gain * self._along[:rank]).T                            # (m, c)
