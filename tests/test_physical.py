@@ -231,7 +231,7 @@ def test_a_prior_has_the_covariance_of_its_cameras_even_of_absurd_heights(height
     rng = np.random.default_rng(0)
     scaled = rng.uniform(-1.2, 1.2, (60, 3))
     priors = physics.of_cameras(
-        physics.IN_ORBIT[:1], scaled * [6e3, 6e3, height], scaled, graded_exponents(3, 3), 35.0,
+        [physics.SCANNERS], scaled * [6e3, 6e3, height], scaled, graded_exponents(3, 3), 35.0,
         np.array([[0.0, -1.0], [1.0, 0.0]]) / 6e3, 4e-4)
     narrow, wide = (one.root @ one.root.T for one in priors[::len(priors) - 1])
     ratio = physics.WIDTHS[-1] / physics.WIDTHS[0]

@@ -23,8 +23,9 @@ from termsel.priors.foresight import foresee
 from termsel.priors.physics import (
     BOX,
     FRAMES,
-    IN_ORBIT,
     PLACES,
+    RADARS,
+    SCANNERS,
     Equations,
     Solutions,
     marginal,
@@ -104,10 +105,12 @@ def averaged(points: Points, scaling: Scaling, crs: str, exponents: Exponents) -
     per_metre = np.linalg.norm(slopes[1:], axis=0) / pixel
     if not all(1 / PIXELS[1] <= one <= 1 / PIXELS[0] for one in per_metre):
         return None
-    # From more than the fewest points a DLT tells photos, and without a prior.
-    framed = variables == 3 and len(points) <= FEWEST
-    priors = of_cameras((*IN_ORBIT, FRAMES) if framed else IN_ORBIT, grid[0], scaled, exponents,
-                        grid[1], np.asarray(slopes[1:].T), pixel)
+    kinds = [SCANNERS]
+    if variables == 3:  # without heights a map that bends would look like one of the others
+        kinds += RADARS
+        if len(points) <= FEWEST:  # from more a DLT tells photos, and without a prior
+            kinds.append(FRAMES)
+    priors = of_cameras(kinds, grid[0], scaled, exponents, grid[1], np.asarray(slopes[1:].T), pixel)
     if not priors:
         return None
     weights = weights_of(points)

@@ -40,9 +40,10 @@ Kind: TypeAlias = tuple[Views, float]
 """What cameras of a kind see (see `termsel.priors.cameras`), and how likely each of these views is
 beforehand, next to an image of which nothing is known."""
 
-IN_ORBIT: tuple[Kind, ...] = ((seen_by_scanners, 1.0), *(
-    (partial(seen_by_radars, right=right), 0.125) for right in (True, False)))
+SCANNERS: Kind = (seen_by_scanners, 1.0)
 
+RADARS: tuple[Kind, ...] = tuple(
+    (partial(seen_by_radars, right=right), 0.125) for right in (True, False))
 FRAMES: Kind = (lambda places, azimuth, _: seen_by_frames(places, azimuth), 0.5)
 
 WIDTHS = np.array([0.3, 1.0, 3.0, 10.0])
