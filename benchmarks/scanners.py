@@ -127,6 +127,8 @@ more than 3 px are declined.
   image in ten is worse by the part in the table.
 - ikonos_lines is up to 1.1 times as far off with it (8 points).
 - With 12 points, one split in ten of phr_grid_nice_a, an agile satellite, is 1.6 times worse.
+- s1_grd_iw is merged of three swaths, with steps of some pixels. One of its splits in ten is 1.2
+  and 1.4 times worse with 12 and 16 points.
 - Beyond 12 points the prior must also predict left-out points better; it ends at 18 points.
 - With 4 or 5 points nothing tells a scanner from another image, and the prior is not used.
 """
