@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal
 import termsel
 from termsel import FeatureSet, TermselError
 from termsel.adjustment.monomials import graded_exponents, monomials
-from termsel.candidates.physical import averaged
+from termsel.candidates.physical import averaged, averaged_of
 from termsel.measurements.control import Control
 from termsel.priors import physics
 from termsel.priors.cameras import seen_by_frames, seen_by_radars
@@ -23,7 +23,7 @@ def solutions(rows=slice(None), seed=3, scale=1.0):
     columns = monomials(rng.uniform(-1, 1, (7, 3)), graded_exponents(2, 3))
     image, weights = rng.normal(size=(7, 2)), rng.uniform(0.5, 1.5, (7, 2))
     rest = 2 * (columns.shape[1] - FREE)
-    prior = Prior(0.1 * rng.normal(size=rest), scale * rng.normal(size=(rest, rest)), 0.25)
+    prior = Prior(0.1 * rng.normal(size=rest), scale * rng.normal(size=(rest, rest)), 0.25, "any")
     return columns, image, weights, prior, Solutions(
         Equations(columns[rows], image[rows], weights[rows]), prior, 1.0)
 
@@ -110,6 +110,7 @@ def test_eight_points_of_a_radar_are_worth_more_too():
         rmse = [np.sqrt((termsel.fit(mine, name).errors(others) ** 2).sum(axis=1).mean())
                 for name in ("physical-cubic", "shrunken-cubic")]
         ratios.append(rmse[0] / rmse[1])
+        assert averaged_of(termsel.fit(mine, "physical-cubic")).kind == "a radar in orbit"
     assert np.median(ratios) < 0.7
 
 
@@ -203,7 +204,7 @@ def test_auto_chooses_it_and_says_why_and_the_result_is_the_same_fit_again(tmp_p
     scene = simulate_scene("spot-isfahan", roles=(8, 0, 30))
     result = termsel.run(features=scene, out=tmp_path / "out")
     assert result.strategy.chosen == "physical-cubic"
-    assert "scanner or radar in orbit" in result.strategy.reason
+    assert "most likely a line scanner in orbit" in result.strategy.reason
     again = termsel.fit(scene, "physical-cubic")
     np.testing.assert_allclose(result.fit.adjustment.coefficients, again.adjustment.coefficients)
     others = scene.points.take([role == "independent" for role in scene.points.roles])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,6 +71,14 @@ class Averaged(Average):
     def probability(self) -> float:
         """Probability of the physical prior."""
         return float(self.shares[:len(self.physical)].sum())
+
+    @property
+    def kind(self) -> str:
+        """The kind of cameras that is likeliest."""
+        likely: defaultdict[str, float] = defaultdict(float)
+        for one, share in zip(self.physical, self.shares, strict=False):
+            likely[one.kind] += float(share)
+        return max(likely, key=likely.__getitem__)
 
     def alone(self, local: Collocation | None) -> bool:
         """Return whether the prior is not called for: next to a field, if points call for one.
@@ -150,6 +159,15 @@ def averaged(points: Points, scaling: Scaling, crs: str, exponents: Exponents) -
                     gain_of((others**2).sum(axis=1), (mean**2).sum(axis=1)))
 
 
+def averaged_of(fitted: Fit) -> Averaged:
+    """Return the average that a fit was made of."""
+    assert isinstance(fitted.model, Polynomial)
+    points = fitted.scaling.points(fitted.control.points.take(fitted.used))
+    found = averaged(points, fitted.scaling, fitted.control.crs, fitted.model.exponents)
+    assert found is not None
+    return found
+
+
 class Physical(Estimator):
     """The average of polynomials with a physical prior and of shrunken ones."""
 
@@ -172,11 +190,8 @@ class Physical(Estimator):
     def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
         """Return the mean square errors of a fit at scaled places, under all priors."""
         assert isinstance(fitted.model, Polynomial)
-        exponents = fitted.model.exponents
-        points = fitted.scaling.points(fitted.control.points.take(fitted.used))
-        found = averaged(points, fitted.scaling, fitted.control.crs, exponents)
-        assert found is not None  # the fit was made of it
-        columns, parts = monomials(ground, exponents), []
+        found, parts = averaged_of(fitted), []
+        columns = monomials(ground, fitted.model.exponents)
         for one in found.physical:
             parts.append((columns @ one.coefficients, *one.spread(columns)))
         for posterior, powers in found.shrunken:

@@ -8,7 +8,7 @@ import numpy as np
 
 from termsel.candidates.base import Candidate, Judged
 from termsel.candidates.local import LIKELY, Interpolated, asked_of
-from termsel.candidates.physical import CHOSEN, FEWEST, Physical
+from termsel.candidates.physical import CHOSEN, FEWEST, Physical, averaged_of
 from termsel.candidates.ridge import RidgeByOrder
 from termsel.candidates.robust import Reweighted
 from termsel.candidates.selected import ForwardSelection
@@ -102,8 +102,9 @@ class _WithPhysics(Structure):
     def describe(self, fitted: Fit) -> str:
         """Return what called for the prior."""
         odds = "three" if fitted.used.sum() <= FEWEST else "twenty"
-        return (f"{self.label} is called for: a scanner or radar in orbit, or a frame camera, is "
-                f"more than {odds} times as likely as an image of which nothing is known.")
+        return (f"{self.label} is called for: a known kind of camera, most likely "
+                f"{averaged_of(fitted).kind}, is more than {odds} times as likely as an image of "
+                "which nothing is known.")
 
 
 def _polynomials(degree: int) -> tuple[SensorModel, SensorModel]:

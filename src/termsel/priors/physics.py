@@ -36,15 +36,15 @@ from termsel.priors.posterior import SIZES, Posterior, believed_sizes, shares
 
 Views: TypeAlias = Callable[[FloatArray, float, float], tuple[FloatArray, ...]]
 
-Kind: TypeAlias = tuple[Views, float]
-"""What cameras of a kind see (see `termsel.priors.cameras`), and how likely each of these views is
-beforehand, next to an image of which nothing is known."""
+Kind: TypeAlias = tuple[str, Views, float]
+"""A kind of cameras, what they see (see `termsel.priors.cameras`), and how likely each of these
+views is beforehand, next to an image of which nothing is known."""
 
-SCANNERS: Kind = (seen_by_scanners, 1.0)
+SCANNERS: Kind = ("a line scanner in orbit", seen_by_scanners, 1.0)
 
 RADARS: tuple[Kind, ...] = tuple(
-    (partial(seen_by_radars, right=right), 0.125) for right in (True, False))
-FRAMES: Kind = (lambda places, azimuth, _: seen_by_frames(places, azimuth), 0.5)
+    ("a radar in orbit", partial(seen_by_radars, right=right), 0.125) for right in (True, False))
+FRAMES: Kind = ("a frame camera", lambda places, azimuth, _: seen_by_frames(places, azimuth), 0.5)
 
 WIDTHS = np.array([0.3, 1.0, 3.0, 10.0])
 """By what the deviations of the cameras from their mean are multiplied."""
@@ -81,6 +81,7 @@ class Prior:
     mean: FloatArray  # (c,)
     root: FloatArray  # (c, c): times its transpose it is the covariance
     share: float  # how likely it is beforehand
+    kind: str
 
 
 def of_cameras(kinds: Sequence[Kind], places: FloatArray, scaled: FloatArray,
@@ -92,9 +93,9 @@ def of_cameras(kinds: Sequence[Kind], places: FloatArray, scaled: FloatArray,
     metres to the east and to the north, (2, 2), in scaled units; `pixel` is that of a pixel.
     """
     azimuth = AZIMUTHS * round(np.degrees(float(np.arctan2(*slopes[0]))) / AZIMUTHS)
-    return [prior for views, share in kinds
+    return [prior for kind, views, share in kinds
             for seen in _seen(views, places.tobytes(), azimuth, latitude)
-            for prior in _of_views(seen, share, places, scaled, exponents, slopes, pixel)]
+            for prior in _of_views(kind, seen, share, places, scaled, exponents, slopes, pixel)]
 
 
 @lru_cache(maxsize=16)  # points held out hardly turn an image, and most do not narrow its extent
@@ -103,7 +104,7 @@ def _seen(views: Views, places: bytes, azimuth: float,
     return views(np.frombuffer(places).reshape(-1, 3), np.radians(azimuth), latitude)
 
 
-def _of_views(seen: FloatArray, share: float, places: FloatArray, scaled: FloatArray,
+def _of_views(kind: str, seen: FloatArray, share: float, places: FloatArray, scaled: FloatArray,
               exponents: Exponents, slopes: FloatArray, pixel: float) -> list[Prior]:
     """Return the priors by what one kind of cameras sees, (c, m, 2) (see `of_cameras`)."""
     if len(seen) < 2 * len(exponents):
@@ -124,7 +125,7 @@ def _of_views(seen: FloatArray, share: float, places: FloatArray, scaled: FloatA
     believed = 1.0 / np.hypot(1.0, WIDTHS)
     believed *= share / (believed.sum() * len(DEPARTURES))
     return [Prior(mean, np.transpose(np.linalg.qr(np.vstack([
-                width * spread, np.diag(size * departure)]), mode="r")), float(one))
+                width * spread, np.diag(size * departure)]), mode="r")), float(one), kind)
             for width, one in zip(WIDTHS, believed, strict=True) for size in DEPARTURES]
 
 
@@ -148,7 +149,7 @@ class Solutions:
     """All solutions of equations with a prior, for all noises; `pixel` is a pixel, scaled."""
 
     def __init__(self, equations: Equations, prior: Prior, pixel: float) -> None:
-        self._equations, self._prior = equations, prior
+        self._equations, self._prior, self.kind = equations, prior, prior.kind
         # Along U, what the prior lets vary has the variance S^2, to which comes that of the noise.
         varying = equations.rest @ prior.root
         u, values, self._vt = np.linalg.svd(varying,
