@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
@@ -32,6 +33,19 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if listed & {item.nodeid, item.nodeid.partition("[")[0]}:
             item.add_marker("slow")
+
+
+@pytest.fixture(autouse=True)
+def _remember_nothing_patched(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Look at features anew, before and after, where a test changes what is done with them."""
+    def forget() -> None:
+        if "monkeypatch" in request.fixturenames and (
+                memory := sys.modules.get("termsel.candidates.memory")):
+            memory._known.clear()
+
+    forget()
+    yield
+    forget()
 
 
 @pytest.fixture(scope="session")

@@ -9,6 +9,7 @@ import pytest
 
 import termsel
 from termsel.candidates import memory
+from termsel.candidates.blunders import find_blunders
 from termsel.candidates.memory import remembered
 from termsel.candidates.portfolio import Portfolio
 from termsel.errors import TermselError
@@ -42,16 +43,25 @@ def test_equal_features_with_equal_candidates_are_looked_at_once(scene: FeatureS
     assert found("this", again(scene), Portfolio()) == 1
 
 
-def test_candidates_that_failed_are_left_out_again(scene: FeatureSet) -> None:
-    first, second = Portfolio(), Portfolio()
+def test_where_a_candidate_failed_it_is_asked_again(scene: FeatureSet) -> None:
+    """What it lacked, as a file, may be there by now."""
+    calls: list[int] = []
+    for _ in range(2):
+        portfolio = Portfolio()
 
-    def fail() -> None:
-        first.faults["affine"] = TermselError("it failed")
+        def fail(portfolio: Portfolio = portfolio) -> None:
+            calls.append(1)
+            portfolio.faults["affine"] = TermselError("it failed")
 
-    remembered("this", again(scene), first, fail)
-    remembered("this", again(scene), second, fail)
-    assert second.notes == first.notes
-    assert "it failed" in second.notes[0]
+        remembered("this", again(scene), portfolio, fail)
+    assert calls == [1, 1]
+
+
+def test_nobody_changes_what_is_remembered(scene: FeatureSet) -> None:
+    suspects = find_blunders(again(scene))
+    with pytest.raises(ValueError, match="read-only"):
+        suspects.blunders[:] = True
+    assert not find_blunders(again(scene)).blunders.any()
 
 
 def test_the_last_used_are_kept(scene: FeatureSet) -> None:

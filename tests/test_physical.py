@@ -212,6 +212,24 @@ def test_auto_chooses_it_and_says_why_and_the_result_is_the_same_fit_again(tmp_p
     assert 0.5 < np.sqrt((sigma**2).mean() / (errors**2).mean()) < 3.0
 
 
+@pytest.mark.parametrize(("kind", "seed", "control", "more"), [
+    ("frame", 1, 6, 10), ("radar", 2, 8, 20), ("steady", 1, 8, 40)])
+def test_with_independent_points_there_is_a_final_fit_as_well(kind, seed, control, more, tmp_path):
+    """More points may no longer call for the prior, but the model to export is fitted to them."""
+    every = image_of(kind, seed, CHOSEN, control + more)
+    roles = ("control",) * control + ("independent",) * more
+    result = termsel.run(features=every.with_(points=replace(every.points, roles=roles)),
+                         out=tmp_path / "out")
+    assert result.strategy.chosen == "physical-cubic"
+    assert result.final is not None
+    again = termsel.read_result(tmp_path / "out")
+    ground = every.points.ground
+    np.testing.assert_allclose(again.as_exported(True).project(ground),
+                               result.as_exported(True).project(ground))
+    errors = result.as_exported(True).project(ground) - every.points.image
+    assert np.sqrt((errors**2).sum(axis=1).mean()) < 2.5
+
+
 @pytest.mark.parametrize(("kind", "count"), [("frame", 12), ("panoramic", 20), ("steady", 5)])
 def test_it_declines_where_the_image_is_no_scanner_or_points_are_few(kind, count):
     with pytest.raises(TermselError, match="do not call for the prior of a scanner"):

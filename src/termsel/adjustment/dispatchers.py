@@ -33,18 +33,19 @@ class _Cache(FunctionCache):
     """Machine code on disk that is compiled again if it is damaged, and need not be kept."""
 
     _turn: FileIO | None = None  # while this process compiles
+    _waits = True  # until another process took too long, or nothing could be locked
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the code kept, None if there is none and no other process compiles it."""
         found = self._read(sig, target_context)
-        if found is None and self._turn is None:
+        if found is None and self._turn is None and _Cache._waits:
             self._turn = turn(Path(self._cache_file._index_path).with_suffix(".lock"), PATIENCE)
+            _Cache._waits = self._turn is not None
             found = self._read(sig, target_context)  # that of another process, meanwhile
-            if found is not None:
-                self._end()
         return found
 
-    def _end(self) -> None:
+    def end(self) -> None:
+        """Let another process compile."""
         if self._turn is not None:
             end_turn(self._turn)
             self._turn = None
@@ -65,8 +66,6 @@ class _Cache(FunctionCache):
             super().save_overload(sig, data)
         except _UNREADABLE as error:
             log.info("The compiled code cannot be kept: %s", error)
-        finally:
-            self._end()
 
     def has_code(self) -> bool:
         """Return whether code of this very source, compiled by this numba, is kept."""
@@ -106,9 +105,19 @@ def dispatcher_of(function: Callable[..., Any], flags: dict[str, Any]) -> Any:
 
     dispatcher.get_call_template = of_plain_types
     try:
-        dispatcher._cache = _Cache(function)  # as numba does for cache=True
+        kept = dispatcher._cache = _Cache(function)  # as numba does for cache=True
     except RuntimeError:  # numba finds no folder that it can write to
         _say_that_nothing_is_kept()
+        return dispatcher
+    of_signature = dispatcher.compile
+
+    def once(signature: Any) -> Any:
+        try:
+            return of_signature(signature)
+        finally:  # also of what cannot be compiled, or was interrupted
+            kept.end()
+
+    dispatcher.compile = once
     return dispatcher
 
 

@@ -48,6 +48,10 @@ class Suspects:
     errors: FloatArray
     limits: FloatArray
 
+    def __post_init__(self) -> None:
+        for one in (self.blunders, self.probable, self.undecided, self.errors, self.limits):
+            one.setflags(write=False)  # who asks again gets the same
+
 
 @dataclass(frozen=True, eq=False)
 class Judged:

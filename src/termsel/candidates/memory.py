@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import pickle
 from collections.abc import Callable, Hashable
-from threading import Lock
 from typing import Any, TypeVar
 
 from termsel.candidates.portfolio import Portfolio
@@ -18,28 +17,31 @@ KEPT = 16
 """How much is kept, the last used: verdicts and errors, a few numbers for each feature."""
 
 _T = TypeVar("_T")
-_known: dict[Hashable, tuple[Any, Any]] = {}
-_lock = Lock()
+_known: dict[Hashable, tuple[Any]] = {}
+
+_UNTOLD = (pickle.PicklingError, TypeError, AttributeError, ValueError, RecursionError,
+           NotImplementedError)
+"""What pickling raises of what cannot be."""
 
 
 def remembered(what: Hashable, control: Control, portfolio: Portfolio,
                find: Callable[[], _T]) -> _T:
     """Return what was found of equal features and the same candidates, or find it.
 
-    Candidates that failed then are left out of the portfolio now.
+    Nothing is kept where a candidate failed, as it may not the next time.
     """
     try:
         told = hashlib.sha256(pickle.dumps(control)).digest()  # features may be many
-    except (pickle.PicklingError, TypeError, AttributeError):  # by what a package made of an RPC
+    except _UNTOLD:  # by what a package made of an RPC
         return find()
     key = what, told, portfolio.candidates, tuple(portfolio.faults)
-    with _lock:
-        known = _known.pop(key, None)
-    if known is None:
-        known = find(), portfolio.faults.copy()
-    with _lock:
-        _known[key] = known
-        if len(_known) > KEPT:
-            del _known[next(iter(_known))]
-    portfolio.faults.update(known[1])
-    return known[0]
+    found = _known.pop(key, None)  # put to the end; each step is one for all threads
+    if found is None:
+        before = len(portfolio.faults)
+        found = (find(),)
+        if len(portfolio.faults) > before:
+            return found[0]
+    _known[key] = found
+    while len(_known) > KEPT:
+        _known.pop(list(_known)[0], None)  # noqa: RUF015 (threads may add meanwhile)
+    return found[0]

@@ -28,6 +28,7 @@ from termsel.priors.physics import (
     RADARS,
     SCANNERS,
     Equations,
+    Kind,
     Solutions,
     marginal,
     of_cameras,
@@ -42,12 +43,16 @@ CHOSEN, FEW = 18, 12
 """Points of control up to which auto tries it, and up to which points do not tell whether it
 predicts better than what stands without it. The final fit has the check points, too."""
 
-NEGLIGIBLE = 16.0
+NEGLIGIBLE = 25.0
 """Logarithm by which a prior explains the points worse than the best, to be left out of the
-average: a share of 1e-7 is none, even if a single point makes it."""
+average. Without one of the points its share is hardly ever one, either."""
 
-PIXELS = (0.1, 2000.0)
-"""Sizes of a pixel on the ground [m] that images from orbit have, resampled ones included."""
+FRAMED = 7
+"""Points up to which frame cameras are among the kinds: from more a DLT tells photos, and without a
+prior. One more than the fewest, as a point is held out."""
+
+FROM_ORBIT, FROM_THE_AIR = (0.1, 2000.0), (0.002, 20.0)
+"""Sizes of a pixel on the ground [m] that images have, resampled ones included."""
 
 STRONG = 20 / 21
 """Probability asked of the prior beyond the fewest points, where what stands without it is better:
@@ -95,7 +100,7 @@ class Averaged(Average):
 
 
 def averaged(points: Points, scaling: Scaling, crs: str, exponents: Exponents) -> Averaged | None:
-    """Return the average for scaled control points; None where no image from orbit is meant.
+    """Return the average for scaled control points; None where none of the kinds can be meant.
 
     The exponents are those of a cubic polynomial of X and Y, or of X, Y and Z.
     """
@@ -112,13 +117,13 @@ def averaged(points: Points, scaling: Scaling, crs: str, exponents: Exponents) -
     if rank < 3:
         return None
     per_metre = np.linalg.norm(slopes[1:], axis=0) / pixel
-    if not all(1 / PIXELS[1] <= one <= 1 / PIXELS[0] for one in per_metre):
-        return None
-    kinds = [SCANNERS]
-    if variables == 3:  # without heights a map that bends would look like one of the others
-        kinds += RADARS
-        if len(points) <= FEWEST:  # from more a DLT tells photos, and without a prior
-            kinds.append(FRAMES)
+    kinds: list[Kind] = []
+    if all(1 / FROM_ORBIT[1] <= one <= 1 / FROM_ORBIT[0] for one in per_metre):
+        # Without heights a map that bends would look like a radar image.
+        kinds += [SCANNERS, *RADARS] if variables == 3 else [SCANNERS]
+    if variables == 3 and len(points) <= FRAMED and all(
+            1 / FROM_THE_AIR[1] <= one <= 1 / FROM_THE_AIR[0] for one in per_metre):
+        kinds.append(FRAMES)
     priors = of_cameras(kinds, grid[0], scaled, exponents, grid[1], np.asarray(slopes[1:].T), pixel)
     if not priors:
         return None

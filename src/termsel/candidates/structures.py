@@ -13,7 +13,7 @@ from termsel.candidates.ridge import RidgeByOrder
 from termsel.candidates.robust import Reweighted
 from termsel.candidates.selected import ForwardSelection
 from termsel.candidates.shrunken import Averaging
-from termsel.fits.fit import Fit
+from termsel.fits.fit import Fit, Undetermined
 from termsel.fits.least_squares import LEAST_SQUARES, LeastSquares
 from termsel.fits.of_features import require_determined
 from termsel.measurements.control import Control
@@ -98,6 +98,15 @@ class _WithPhysics(Structure):
     def judge(self, control: Control) -> Judged | None:
         """Return the candidate fitted and judged, for so few points that it gains by the prior."""
         return super().judge(control) if len(control) <= CHOSEN else None
+
+    def refit(self, fitted: Fit, control: Control) -> Fit:
+        """Return the fit to more points, which may no longer call for the prior."""
+        try:
+            return self.fit_control(control)
+        except Undetermined:
+            without = named("shrunken-cubic")
+            assert without is not None
+            return without.fit_control(control)
 
     def describe(self, fitted: Fit) -> str:
         """Return what called for the prior."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import platform
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from io import FileIO
 from pathlib import Path
 from typing import Literal
@@ -15,6 +16,9 @@ from typing import Literal
 from termsel.errors import TermselError
 
 LOCK = ".lock"
+
+_HELD = (errno.EACCES, errno.EAGAIN, errno.EDEADLK)
+"""What systems say where another process holds a lock; all else is that nothing can be locked."""
 
 
 @contextmanager
@@ -41,7 +45,7 @@ def _held(folder: Path, hint: str) -> Iterator[FileIO]:
         if i:
             time.sleep(0.1)
         with _opened(folder, "a+b") as file:
-            if not _taken(file):
+            if not _free(file, folder):
                 continue
             if not _is_at(file, folder / LOCK):  # who held it before has removed this file
                 continue
@@ -60,13 +64,13 @@ def turn(path: Path, seconds: float) -> FileIO | None:
     None after so many seconds, or where nothing can be locked: nobody must depend on it.
     """
     until = time.monotonic() + seconds
-    with suppress(OSError):
-        file = open(path, "a+b", buffering=0)  # noqa: SIM115 (closed by `end_turn`)
+    with suppress(OSError), ExitStack() as files:
+        file = files.enter_context(open(path, "a+b", buffering=0))
         while time.monotonic() < until:
             if _taken(file):
+                files.pop_all()  # it is closed by `end_turn`
                 return file
             time.sleep(0.05)
-        file.close()
     return None
 
 
@@ -81,7 +85,7 @@ def holder(folder: Path) -> str | None:
     if not (folder / LOCK).exists():
         return None
     with _opened(folder, "r+b") as file:
-        if _taken(file):
+        if _free(file, folder):
             return None
         file.seek(0)
         return file.read(200).decode(errors="replace").strip() or "another process"
@@ -99,6 +103,25 @@ def _opened(folder: Path, mode: Literal["a+b", "r+b"]) -> Iterator[FileIO]:
         file.close()
 
 
+def _free(file: FileIO, folder: Path) -> bool:
+    """Take the lock of a folder if no other process has it."""
+    try:
+        return _taken(file)
+    except OSError as error:
+        raise _unwritable(folder, error) from error
+
+
+def _taken(file: FileIO) -> bool:
+    """Take a lock if no other process has it; raises OSError where nothing can be locked."""
+    try:
+        _lock(file)
+    except OSError as error:
+        if error.errno in _HELD:
+            return False
+        raise
+    return True
+
+
 def _unwritable(folder: Path, error: OSError) -> TermselError:
     return TermselError(f"cannot write to the folder: {error.strerror or error}", file=folder,
                         hint="Choose another --out.")
@@ -114,13 +137,9 @@ def _is_at(file: FileIO, path: Path) -> bool:
 if sys.platform == "win32":
     import msvcrt
 
-    def _taken(file: FileIO) -> bool:
+    def _lock(file: FileIO) -> None:
         file.seek(1 << 30)  # what is locked cannot be read by others, so not the text itself
-        try:
-            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-        except OSError:
-            return False
-        return True
+        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
 
     def _remove(file: FileIO, path: Path) -> None:
         file.close()
@@ -129,12 +148,8 @@ if sys.platform == "win32":
 else:
     import fcntl
 
-    def _taken(file: FileIO) -> bool:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            return False
-        return True
+    def _lock(file: FileIO) -> None:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
     def _remove(_file: FileIO, path: Path) -> None:
         with suppress(OSError):  # the folder itself may be gone, or be read-only by now

@@ -140,7 +140,7 @@ def _with_note_on_dem(result: BlockResult) -> BlockResult:
     with open_dem(path, block.crs) as dem:
         off, note = against_dem(free.ties, free.adjusted, dem)
     return result if not note else _adjusted(replace(
-        block, notes=(*block.notes, note)), result.frame, None, doubt=abs(off))
+        block, notes=(*block.notes[:-1], note)), result.frame, None, doubt=abs(off))
 
 
 def _of_heights(result: BlockResult) -> str:
