@@ -91,38 +91,35 @@ def test_spread_at_a_place_is_the_variance_of_a_measurement_there():
     np.testing.assert_allclose((place @ found.coefficients)[0], middle, rtol=1e-3)
 
 
+def worth(mine, others, without):
+    """Return the RMSE with the prior over that without it."""
+    rmse = [np.sqrt((termsel.fit(mine, name).errors(others) ** 2).sum(axis=1).mean())
+            for name in ("physical-cubic", without)]
+    return rmse[0] / rmse[1]
+
+
 def test_six_points_of_a_steady_scanner_are_worth_twice_as_much():
     ratios = []
     for seed in range(4):
         scene = simulate_scene("spot-isfahan", seed=seed, roles=(6, 0, 60))
         independent = scene.points.take([role == "independent" for role in scene.points.roles])
-        rmse = [np.sqrt((termsel.fit(scene, name).errors(independent) ** 2).sum(axis=1).mean())
-                for name in ("physical-cubic", "shrunken-cubic")]
-        ratios.append(rmse[0] / rmse[1])
+        ratios.append(worth(scene, independent, "shrunken-cubic"))
     assert np.median(ratios) < 0.5
 
 
-def test_eight_points_of_a_radar_are_worth_more_too():
-    ratios = []
+@pytest.mark.parametrize(("kind", "count", "without", "least", "named"), [
+    ("radar", 8, "shrunken-cubic", 0.7, "a radar in orbit"),
+    ("frame", 6, "shrunken-quadratic", 0.5, "a frame camera")])
+def test_few_points_of_a_radar_or_a_photo_are_worth_more_too(kind, count, without, least, named):
+    ratios, kinds = [], []
     for seed in range(4):
-        every = image_of("radar", seed, CHOSEN, 68)
-        mine, others = every.take(np.arange(68) < 8), every.points.take(np.arange(68) >= 8)
-        rmse = [np.sqrt((termsel.fit(mine, name).errors(others) ** 2).sum(axis=1).mean())
-                for name in ("physical-cubic", "shrunken-cubic")]
-        ratios.append(rmse[0] / rmse[1])
-        assert averaged_of(termsel.fit(mine, "physical-cubic")).kind == "a radar in orbit"
-    assert np.median(ratios) < 0.7
-
-
-def test_six_points_of_a_photo_are_worth_twice_as_much():
-    ratios = []
-    for seed in range(5):
-        every = image_of("frame", seed, CHOSEN, 66)
-        mine, others = every.take(np.arange(66) < 6), every.points.take(np.arange(66) >= 6)
-        rmse = [np.sqrt((termsel.fit(mine, name).errors(others) ** 2).sum(axis=1).mean())
-                for name in ("physical-cubic", "shrunken-quadratic")]
-        ratios.append(rmse[0] / rmse[1])
-    assert np.median(ratios) < 0.5
+        every = image_of(kind, seed, CHOSEN, count + 60)
+        first = np.arange(count + 60) < count
+        mine, others = every.take(first), every.points.take(~first)
+        ratios.append(worth(mine, others, without))
+        kinds.append(averaged_of(termsel.fit(mine, "physical-cubic")).kind)
+    assert np.median(ratios) < least
+    assert kinds.count(named) >= 3
 
 
 def test_a_place_above_is_seen_outward_by_its_share_of_the_height_of_the_camera():

@@ -116,13 +116,16 @@ def averaged(points: Points, scaling: Scaling, crs: str, exponents: Exponents) -
         np.column_stack([np.ones(len(plan)), plan]), points.image)
     if rank < 3:
         return None
-    per_metre = np.linalg.norm(slopes[1:], axis=0) / pixel
+    coarse, fine = sorted(np.linalg.norm(slopes[1:], axis=0) / pixel)  # pixels per metre
+
+    def seen(sizes: tuple[float, float]) -> bool:
+        return bool(sizes[0] * fine <= 1.0 <= sizes[1] * coarse)
+
     kinds: list[Kind] = []
-    if all(1 / FROM_ORBIT[1] <= one <= 1 / FROM_ORBIT[0] for one in per_metre):
+    if seen(FROM_ORBIT):
         # Without heights a map that bends would look like a radar image.
         kinds += [SCANNERS, *RADARS] if variables == 3 else [SCANNERS]
-    if variables == 3 and len(points) <= FRAMED and all(
-            1 / FROM_THE_AIR[1] <= one <= 1 / FROM_THE_AIR[0] for one in per_metre):
+    if variables == 3 and len(points) <= FRAMED and seen(FROM_THE_AIR):
         kinds.append(FRAMES)
     priors = of_cameras(kinds, grid[0], scaled, exponents, grid[1], np.asarray(slopes[1:].T), pixel)
     if not priors:

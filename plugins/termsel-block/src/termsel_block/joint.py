@@ -131,8 +131,7 @@ def _with_note_on_dem(result: BlockResult) -> BlockResult:
     block, path = result.block, result.block.dem
     if path is None or any(map(len, result.control)):
         return result
-    block = replace(block, notes=(*block.notes, _of_heights(result)))
-    result = replace(result, block=block)
+    result = replace(result, block=replace(block, notes=(*block.notes, _of_heights(result))))
     try:
         free = _adjusted(replace(block, dem=None), result.frame, None)
     except TermselError:  # nothing but the DEM holds the heights, so that they say nothing of it
@@ -140,7 +139,7 @@ def _with_note_on_dem(result: BlockResult) -> BlockResult:
     with open_dem(path, block.crs) as dem:
         off, note = against_dem(free.ties, free.adjusted, dem)
     return result if not note else _adjusted(replace(
-        block, notes=(*block.notes[:-1], note)), result.frame, None, doubt=abs(off))
+        block, notes=(*block.notes, note)), result.frame, None, doubt=abs(off))
 
 
 def _of_heights(result: BlockResult) -> str:

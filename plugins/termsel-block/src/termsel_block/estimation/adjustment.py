@@ -34,6 +34,7 @@ _STEPS = 15  # of one stage at most
 _BENT = 3  # first steps of a stage, in which derivatives are renewed, as after shorter ones
 _WIDE = (8.0, 4.0, 2.0)  # what weights are wider by in the first steps, while much is bent
 _TRUST = len(_WIDE)  # first steps, in which control keeps its weight
+_LOOSENED = 20  # times at most, of which two or three are usual
 _LOOSER = 0.1  # relative change of a stated standard deviation, below which it stays
 _SLOW = 2500  # parameters of images from which variances are estimated once in a stage
 _LEAST_SIGMA = 0.01  # px; without it data without noise would have infinite weights
@@ -85,7 +86,9 @@ def adjust_block(state: State, measured: Sequence[Measured], control: Sequence[O
     steps += run.iterate(robust=False, limit=_STEPS, report=report)
     by_priors = [(one.copy(), own) for one, own in zip(
         state.parameters, run.solved.own[:-1], strict=True)]
-    while run.loosen():
+    for _ in range(_LOOSENED):
+        if not run.loosen():
+            break
         steps += run.iterate(robust=False, limit=_STEPS, report=_nothing)
     moved = run.moved()
     draws = run.integrate()
