@@ -412,7 +412,7 @@ FRONT = """The walk decides the best selection of each number of terms as well. 
 beat is left out. So the check RMSE falls with each line; the independent RMSE does not.
 
 ```{image} ../_static/gap-to-optimum.svg
-:alt: With more terms the check RMSE of the best selection falls, its independent RMSE rises.
+:alt: With more terms the check RMSE of the best selection falls, its independent RMSE does not.
 ```
 """
 
