@@ -116,7 +116,7 @@ def averaged(points: Points, scaling: Scaling, crs: str, exponents: Exponents) -
         np.column_stack([np.ones(len(plan)), plan]), points.image)
     if rank < 3:
         return None
-    coarse, fine = sorted(np.linalg.norm(slopes[1:], axis=0) / pixel)  # pixels per metre
+    coarse, fine = sorted(np.linalg.norm(slopes[1:], axis=0) / pixel)  # px per metre
 
     def seen(sizes: tuple[float, float]) -> bool:
         return bool(sizes[0] * fine <= 1.0 <= sizes[1] * coarse)
