@@ -14,6 +14,7 @@ import pytest
 import termsel
 from termsel.candidates.base import Candidate, Judged
 from termsel.candidates.portfolio import BETTER, CLEARLY, EXPECTED, Portfolio, best_of, choose
+from termsel.candidates.repetition import repeated
 from termsel.candidates.structures import CANDIDATES, Structure, named
 from termsel.errors import TermselError
 from termsel.fits.fit import Estimator, Fit, HeldOut, Undetermined
@@ -148,6 +149,19 @@ def test_one_that_declines_or_needs_another_is_not_judged(control: Control) -> N
     with pytest.raises(TermselError, match="the known geometry needs heights"):
         mine.fit(control.features.with_(points=replace(
             control.features.points, ground=control.features.points.ground * [1, 1, np.nan])))
+
+
+def test_one_for_few_features_is_not_tried_in_folds_of_more(control: Control) -> None:
+    mine = Known("mine", "a known model", Affine(), has_prior=True, most=len(control) - 1)
+    portfolio, seen = Portfolio((*CANDIDATES[3:4], mine)), Counter[str]()
+
+    def see(one: Judged | None) -> None:
+        seen.update([one.name] if one else [])
+
+    for some in (control, control.take(np.arange(len(control)) > 0)):
+        repeated(some, portfolio, see)
+        assert ("mine" in [one.name for one in portfolio.offered(some)]) == (seen["mine"] > 0)
+    assert seen["affine"] > seen["mine"] > 0
 
 
 def _judge_nothing(self: Candidate, control: Control) -> str:

@@ -123,6 +123,9 @@ class Candidate(ABC):
     from_one : bool
         Whether one feature is enough, as the candidate knows what features do not determine. Then
         two or three are not taken for a model that they determine exactly.
+    most : float
+        Number of features up to which it is tried: more tell as much as what it knows. Where the
+        choice is repeated without some features, the number of all of them counts.
     """
 
     kind: ClassVar[str] = "candidate"
@@ -141,6 +144,7 @@ class Candidate(ABC):
     only_shown: bool = False
     central: bool = False
     from_one: bool = False
+    most: float = np.inf
 
     @property
     def label(self) -> str:

@@ -53,6 +53,12 @@ class Portfolio:
         self.candidates = tuple(candidates)
         self.faults: dict[str, TermselError] = {}
 
+    def for_parts_of(self, control: Control) -> Portfolio:
+        """Return the portfolio without candidates that are for fewer features than all of these."""
+        parts = Portfolio(one for one in self.candidates if len(control) <= one.most)
+        parts.faults = self.faults
+        return parts
+
     @property
     def notes(self) -> tuple[str, ...]:
         """Sentences on the candidates that are left out, with what their authors must know."""
@@ -62,7 +68,7 @@ class Portfolio:
     def offered(self, control: Control, *, for_few: bool = False) -> list[Candidate]:
         """Return the candidates to choose from for some features, the plainest first."""
         sizes = {one: self.ask(one, "size", control.heights) for one in self.candidates
-                 if not one.only_shown and one.for_few == for_few
+                 if not one.only_shown and one.for_few == for_few and len(control) <= one.most
                  and self.ask(one, "declines", control) is None}
         return sorted((one for one in sizes if one.name not in self.faults),
                       key=lambda one: sizes[one])

@@ -56,7 +56,7 @@ def repeated(control: Control, portfolio: Portfolio | None = None,
 
 
 def _errors(control: Control, portfolio: Portfolio, watch: Watch, folds: int) -> FloatArray | None:
-    features = control.features
+    features, portfolio = control.features, portfolio.for_parts_of(control)
     order = spatial_order(ground_centres(features))
     count, owner = len(features.points), features.feature
     errors = np.empty((len(owner), 2))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.candidates.base import Candidate, Judged
+from termsel.candidates.base import Candidate
 from termsel.candidates.local import LIKELY, Interpolated, asked_of
 from termsel.candidates.physical import CHOSEN, FEWEST, Physical, averaged_of
 from termsel.candidates.ridge import RidgeByOrder
@@ -95,10 +95,6 @@ class _WithField(Structure):
 class _WithPhysics(Structure):
     """A structure with the prior of known cameras, which declines where that is not likely."""
 
-    def judge(self, control: Control) -> Judged | None:
-        """Return the candidate fitted and judged, for so few points that it gains by the prior."""
-        return super().judge(control) if len(control) <= CHOSEN else None
-
     def refit(self, fitted: Fit, control: Control) -> Fit:
         """Return the fit to more points, which may no longer call for the prior."""
         try:
@@ -165,7 +161,7 @@ CANDIDATES: tuple[Structure, ...] = (
     _WithPhysics("physical-cubic",
                  "a cubic polynomial with the prior of a known kind of camera",
                  *_polynomials(3), estimator=Physical(), short="physical cubic", has_prior=True,
-                 contains=(*_LIMITS, *_SHRUNKEN, "field", "tps"), family=_FAMILY),
+                 contains=(*_LIMITS, *_SHRUNKEN, "field", "tps"), family=_FAMILY, most=CHOSEN),
     *ROBUST,
 )
 """All built-in candidates, in the order of the tables that compare them."""

@@ -137,7 +137,8 @@ def _describe_candidate(entry: Entry) -> None:
             if one.has_prior else
             f"where it is better by {'two' if one.central else 'three'} standard errors and has "
             "the smaller RMSE",
-            "contains": ", ".join(one.contains), "needs": ", ".join(one.needs)})
+            "contains": ", ".join(one.contains), "needs": ", ".join(one.needs),
+            "tried for": f"up to {one.most:g} features" if one.most < float("inf") else ""})
     echo(f"\nFit it alone with termsel.fit(features, {entry.name!r}).")
 
 

@@ -36,7 +36,7 @@ class NamedScanner(Candidate):
             return f"the points have no column {COLUMN!r} that names one sensor"
         if named in CAMERAS:
             return "the points are said to be of a photo"
-        if len(features.lines) or not FEWEST <= len(features.points) <= MOST:
+        if len(features.lines) or len(features.points) < FEWEST:
             return f"it is for {FEWEST} to {MOST} control points, without lines"
         if features.without_height() or features.crs in ("", "local"):
             return "it needs heights and a CRS"
@@ -95,4 +95,4 @@ def sensor_of(control: Control) -> str:
 
 SCANNER = NamedScanner("named-scanner", "the physical scanner that the points name",
                        short="physical scanner", estimator=RobustFit(), has_prior=True,
-                       from_one=True)
+                       from_one=True, most=MOST)

@@ -229,13 +229,11 @@ class FewOfPhoto(Candidate):
         return bool(np.linalg.norm(rest) > RELIEF * np.sqrt(np.var(plan, axis=1).sum()))
 
     def judge(self, control: Control) -> Judged | None:
-        """Return the candidate fitted and judged, for so few points that it gains by the physics.
+        """Return the candidate fitted and judged where the points say that they are of a photo.
 
-        Only where the points say that they are of a photo: to try cameras on every image would
-        take auto several times as long.
+        To try cameras on every image would take auto several times as long.
         """
-        few = len(control) <= MOST and sensor_of(control) == self.camera.name
-        return super().judge(control) if few else None
+        return super().judge(control) if sensor_of(control) == self.camera.name else None
 
     def fit_control(self, control: Control) -> Fit:
         """Fit the camera by all features."""
@@ -276,7 +274,7 @@ class FewOfPhoto(Candidate):
 
 CANDIDATES = (
     FewOfPhoto("frame-camera", "a frame camera", short="frame camera", estimator=RobustFit(),
-               has_prior=True, camera=Frame),
+               has_prior=True, most=MOST, camera=Frame),
     FewOfPhoto("panoramic-camera", "a panoramic camera", short="panoramic camera",
-               estimator=RobustFit(), has_prior=True, camera=Panoramic))
+               estimator=RobustFit(), has_prior=True, most=MOST, camera=Panoramic))
 """Cameras of which nothing is known."""

@@ -254,7 +254,7 @@ def _on_rpc(control: Control, portfolio: Portfolio, chosen: Judged | None = None
         reason = (f"{chosen.candidate.title} predicts the {control.features.word} better by more "
                   f"than {CLEARLY:g} standard errors")
     elif able:
-        reason = portfolio.ask(able[0], "declines", control)
+        reason = next(filter(None, (portfolio.ask(one, "declines", control) for one in able)), "")
     else:
         reason = f"no installed package corrects an RPC. {registry().missing('rpc-gcps')}"
     return [f"The RPC is not used: {reason}."]
