@@ -287,6 +287,18 @@ def test_the_same_call_gives_the_same_data(name):
     assert scene_truth(name, seed=1).terrain == scene_truth(name).terrain
 
 
+def test_what_is_kept_of_a_call_is_free_of_noise_and_cannot_be_changed():
+    exact = simulate_scene("ikonos-hamedan", seed=7, noise=0.0, wrong_lines=0)
+    noisy = simulate_scene("ikonos-hamedan", seed=7, noise=9.0, wrong_lines=5)
+    again = simulate_scene("ikonos-hamedan", seed=7, noise=0.0, wrong_lines=0)
+    assert not np.array_equal(noisy.points.image, exact.points.image)
+    for part in ("points", "lines"):
+        first, second = getattr(exact, part), getattr(again, part)
+        np.testing.assert_array_equal(second.image, first.image)
+        with pytest.raises(ValueError, match="read-only"):
+            second.ground[0] = 0.0
+
+
 def design(ground, degree, dimensions):
     """Columns of the full polynomial of scaled coordinates."""
     unit = (ground - ground.mean(axis=0)) / np.ptp(ground, axis=0)
@@ -323,6 +335,7 @@ def test_datasets_are_declared_simulated():
 def test_sensor_and_terrain_of_a_scene_are_computed_once():
     for name in NAMES:
         simulate_scene(name)
+    scenes._measured.cache_clear()
     before = scenes._geometry.cache_info()
     for name in NAMES:
         simulate_scene(name, seed=1)
@@ -352,6 +365,7 @@ def test_loading_needs_numpy_alone():
 def test_many_points_are_as_far_apart_as_could_be(monkeypatch):
     """A tree of all but the latest points answers as the distances to each would."""
     def drawn():
+        scenes._measured.cache_clear()
         return simulate_scene("ikonos-hamedan", roles=(90, 60, 50), n_lines=0).points.ground
 
     each = drawn()

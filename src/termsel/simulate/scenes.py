@@ -107,9 +107,8 @@ def simulate_scene(
     if min(roles) < 0 or not 0 <= noise < float("inf"):
         raise TermselError(f"{sum(roles)} points with a noise of {noise} px cannot be simulated",
                            hint="Give a number of points and a noise of at least 0.")
-    point_rng, line_rng, wrong_rng, noise_rng = _streams(scene, seed)
-    points = _points(scene, point_rng, roles)
-    lines = _lines(scene, line_rng, n_lines)
+    wrong_rng, noise_rng = _streams(scene, seed)[2:]
+    points, lines = _measured(name, seed, tuple(roles), n_lines)
     image = _displaced(lines.image, wrong_rng, wrong)
     point_noise, line_noise = noise_rng.spawn(2)
     points = replace(points, image=points.image
@@ -224,6 +223,15 @@ def _role_counts(scene: Scene, count: int) -> tuple[int, int, int]:
         return scene.roles
     third, rest = divmod(count, 3)
     return third + (rest == 2), third, third + (rest > 0)
+
+
+@lru_cache(maxsize=16)
+def _measured(name: str, seed: int | None, roles: tuple[int, int, int],
+              n_lines: int) -> tuple[Points, Lines]:
+    """Return points and lines free of noise; studies and tests ask for the same ones often."""
+    scene = _scene(name)
+    point_rng, line_rng = _streams(scene, seed)[:2]
+    return _points(scene, point_rng, roles), _lines(scene, line_rng, n_lines)
 
 
 def _points(scene: Scene, rng: Generator, numbers: tuple[int, int, int]) -> Points:
