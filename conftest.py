@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -43,17 +44,23 @@ def pytest_collection_finish() -> None:
     gc.set_threshold(20_000, 20, 20)
 
 
+def _known() -> dict[Any, Any]:
+    """Return what is remembered of features, a new dict before that module is imported."""
+    memory = sys.modules.get("termsel.candidates.memory")
+    return {} if memory is None else memory._known
+
+
 @pytest.fixture(autouse=True)
 def _remember_nothing_patched(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Look at features anew, before and after, where a test changes what is done with them."""
-    def forget() -> None:
-        if "monkeypatch" in request.fixturenames and (
-                memory := sys.modules.get("termsel.candidates.memory")):
-            memory._known.clear()
-
-    forget()
+    """Look at features anew where a test changes what is done with them; then go on as before."""
+    if "monkeypatch" not in request.fixturenames:
+        yield
+        return
+    before = dict(_known())
+    _known().clear()
     yield
-    forget()
+    _known().clear()
+    _known().update(before)
 
 
 @pytest.fixture(scope="session")
