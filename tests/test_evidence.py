@@ -41,14 +41,14 @@ def test_the_optimum_of_the_rfm_has_the_figures_of_the_page():
     assert said_of_new == f"{result.rmse['independent'].total:.3f}"
 
 
-def test_a_set_of_the_open_benchmark_has_the_figure_of_the_page():
+@pytest.mark.parametrize("name", ["agile-1", "frame-4"])
+def test_a_set_of_the_open_benchmark_has_the_figure_of_the_page(name):
     pytest.importorskip("termsel_bench")
     from termsel_bench.methods.base import AUTO
     from termsel_bench.protocol import Work, score
 
-    for name in ("agile-1", "frame-4"):
-        said = float(row("benchmark", name)[2].split()[0])
-        assert score(Work(AUTO, name)).rmse == pytest.approx(said, rel=0.01)
+    said = float(row("benchmark", name)[2].split()[0])
+    assert score(Work(AUTO, name)).rmse == pytest.approx(said, rel=0.01)
 
 
 def test_the_standard_ga_of_akhoundi_has_the_figures_of_the_page():

@@ -74,9 +74,26 @@ class Scenario:
     count: int
 
 
-def scenarios() -> dict[str, Scenario]:
-    old, new = example_results()[:2]
-    of_result = frozenset({"result.json", "residuals.csv", "summary.txt", "points.csv"})
+def scenario_of(name: str) -> Scenario:
+    """Return one scenario, as what the others write takes a second to make."""
+    if name == "file":
+        return Scenario(
+            lambda folder: write_text(folder / "mine.txt", "old"),
+            lambda folder: write_text(folder / "mine.txt", "new " * 5000),
+            lambda folder: (folder / "mine.txt").read_text()[:3], frozenset({"mine.txt"}), 1)
+    if name == "map":
+        return Scenario(_first_map, partial(_map, 9.0), _map_in, frozenset({"map.tif"}), 1)
+    if name == "grid":
+        grids = [GeolocationVrt(step=step, height=0.0) for step in (2000, 1000)]
+        return Scenario(lambda folder: grids[0].write(_flat(), folder / "s.vrt"),
+                        lambda folder: grids[1].write(_flat(), folder / "s.vrt"), _grid_in,
+                        frozenset({"s.vrt", "s_xy.tif", "s_xy_2.tif"}), 2)
+    if name == "GeoPackage":
+        tables = [ResidualsGeopackage(exaggeration=times) for times in (1, 2)]
+        return Scenario(lambda folder: tables[0].write(_flat(), folder / "r.gpkg"),
+                        lambda folder: tables[1].write(_flat(), folder / "r.gpkg"), _table_in,
+                        frozenset({"r.gpkg"}), 1)
+    old, new = _results()
 
     def run(result: Any, folder: Path) -> None:
         with claimed(folder, overwrite=True):
@@ -89,29 +106,25 @@ def scenarios() -> dict[str, Scenario]:
         except TermselError as error:
             return "old" if "there is no result here" in str(error) else str(error)
 
+    prepare = partial(run, old) if name == "next result" else (lambda folder: None)
+    return Scenario(prepare, partial(run, new), result_in, frozenset(
+        {"result.json", "residuals.csv", "summary.txt", "points.csv"}), 4)
+
+
+@cache
+def _results() -> tuple[termsel.Result, termsel.Result]:
+    old, new = example_results()[:2]
+    return old, new
+
+
+@cache
+def _flat() -> termsel.Result:
+    """Return the result of a plane in no CRS."""
     xy = np.random.default_rng(1).uniform(0.0, 8000.0, (20, 2))
-    flat = termsel.run("poly-terms", strategy="as-asked", model="affine", solver="all-terms",
+    return termsel.run("poly-terms", strategy="as-asked", model="affine", solver="all-terms",
                        features=termsel.FeatureSet(termsel.Points(
                            tuple(map(str, range(20))), xy, np.column_stack([xy, 0 * xy[:, 0]])),
                            crs="local", image_size=(8001, 8001)))
-    grids = [GeolocationVrt(step=step, height=0.0) for step in (2000, 1000)]
-    tables = [ResidualsGeopackage(exaggeration=times) for times in (1, 2)]
-    return {
-        "file": Scenario(
-            lambda folder: write_text(folder / "mine.txt", "old"),
-            lambda folder: write_text(folder / "mine.txt", "new " * 5000),
-            lambda folder: (folder / "mine.txt").read_text()[:3], frozenset({"mine.txt"}), 1),
-        "first result": Scenario(lambda folder: None, partial(run, new), result_in, of_result, 4),
-        "next result": Scenario(partial(run, old), partial(run, new), result_in, of_result, 4),
-        "grid": Scenario(lambda folder: grids[0].write(flat, folder / "s.vrt"),
-                         lambda folder: grids[1].write(flat, folder / "s.vrt"), _grid_in,
-                         frozenset({"s.vrt", "s_xy.tif", "s_xy_2.tif"}), 2),
-        "GeoPackage": Scenario(lambda folder: tables[0].write(flat, folder / "r.gpkg"),
-                               lambda folder: tables[1].write(flat, folder / "r.gpkg"),
-                               _table_in, frozenset({"r.gpkg"}), 1),
-        "map": Scenario(_first_map, partial(_map, 9.0), _map_in,
-                        frozenset({"map.tif"}), 1),
-    }
 
 
 @cache
@@ -231,7 +244,7 @@ def at_size(write: Callable[[], object], point: int, way: str) -> bool:
 
 
 def main(name: str, top: Path) -> None:
-    scenario = scenarios()[name]
+    scenario = scenario_of(name)
     for way in WAYS:
         stopped = at_size if way in ("SIGXFSZ", "EFBIG") else at_point
         point, code = 0, -1
@@ -306,7 +319,7 @@ def _fill(disk: Path, left: int) -> Path:
 @pytest.mark.parametrize("scenario", POINTS)
 def test_a_full_disk_leaves_what_was_there(scenario: str, small_disk: Path,
                                            monkeypatch: pytest.MonkeyPatch) -> None:
-    one = scenarios()[scenario]
+    one = scenario_of(scenario)
     temporary = small_disk / "tmp"
     temporary.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(temporary))
