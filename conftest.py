@@ -8,7 +8,6 @@ test itself. It is set before anything imports numpy, and what tests start inher
 
 from __future__ import annotations
 
-import gc
 import logging
 import os
 import sys
@@ -35,13 +34,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if listed & {item.nodeid, item.nodeid.partition("[")[0]}:
             item.add_marker("slow")
-
-
-def pytest_collection_finish() -> None:
-    """Let no garbage collection look through what was imported and collected, again and again."""
-    gc.collect()
-    gc.freeze()
-    gc.set_threshold(20_000, 20, 20)
 
 
 def _known() -> dict[Any, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import re
+import shutil
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -34,10 +35,8 @@ def chain() -> ModuleType:
 
 
 @pytest.fixture(scope="module")
-def folder(chain: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("chain") / "files"
-    chain.write_example(path)
-    return path
+def folder(example_files: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return shutil.copytree(example_files, tmp_path_factory.mktemp("chain") / "files")
 
 
 def _termsel(*arguments: str) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.io.example import FILES, README, write_example
+from termsel.io.example import FILES, README
 from termsel.simulate.example import NOISE, SENSOR, VENDOR
 
 pytest.importorskip("rasterio")
@@ -19,10 +19,8 @@ pytest.importorskip("pyproj")
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("example") / "files"
-    write_example(folder)
-    return folder
+def files(example_files: Path) -> Path:
+    return example_files
 
 
 def test_readme_names_every_file(files: Path) -> None:
