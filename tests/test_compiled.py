@@ -10,20 +10,20 @@ from pathlib import Path
 
 import pytest
 
+from termsel.adjustment.compiled import is_compiled
+
 NO_PLACE = """
 from numba.core import caching
 caching.CacheImpl._locator_classes = []  # as with a read-only home and a read-only package
 import numpy as np
-from termsel.adjustment.distinct import distinct
 from termsel.adjustment.kernels import needs_compilation
 assert needs_compilation()
 """
 
 CALL = """
 import numpy as np
-from termsel.adjustment.compiled import compiled
-from termsel.adjustment import distinct
-print(distinct.distinct(np.zeros((2, 1), dtype=np.intp), np.ones((2, 1), dtype=np.uintp)))
+from termsel.problems.coverage import hull_areas
+print(hull_areas(np.eye(3, 2), np.ones((1, 3), dtype=bool)))
 """
 
 
@@ -132,7 +132,18 @@ def test_a_counter_that_begins_with_a_constant_is_any_integer(
     monkeypatch.syspath_prepend(tmp_path)
     counting = importlib.import_module("counting")
     assert counting.counts(3) == 6
-    assert len(counting.more.made.signatures) == 1
+    assert len(counting.more.part.signatures) == 1
+
+
+def test_a_part_of_kernels_is_compiled_again_where_python_calls_it(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "parts.py").write_text(COUNTS)
+    monkeypatch.syspath_prepend(tmp_path)
+    parts = importlib.import_module("parts")
+    assert parts.counts(3) == 6
+    assert not is_compiled(parts.more)
+    assert parts.more(1, 2) == 3
+    assert is_compiled(parts.more)
 
 
 def test_a_run_that_may_compile_nothing_says_so() -> None:

@@ -15,20 +15,25 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 class Later:
     """What stands for a kernel, or a part of kernels, until it is called or compiled."""
 
-    def __init__(self, made: Callable[[], Any]) -> None:
-        self._make = made
+    def __init__(self, made: Callable[[], Any], part: Callable[[], Any] | None = None) -> None:
+        self._make, self._make_part = made, part
 
     @cached_property
     def made(self) -> Any:
         """What numba knows."""
         return self._make()
 
-    @property
+    @cached_property
+    def part(self) -> Any:
+        """The same as a part of kernels, without what Python calls it by: that takes long."""
+        return self._make_part() if self._make_part else self.made
+
+    @cached_property
     def _numba_type_(self) -> Any:
         """What numba asks for where a kernel that it compiles uses this."""
         from termsel.adjustment.dispatchers import type_of
 
-        return type_of(self.made)
+        return type_of(self.part)
 
     def __call__(self, *args: Any) -> Any:
         return self.made(*args)
@@ -40,7 +45,9 @@ def compiled(function: _Function, **flags: Any) -> _Function:
     Flags are those of `numba.njit`. The first call raises TermselError where numba is to compile
     nothing.
     """
-    return cast(_Function, update_wrapper(Later(partial(_dispatcher, function, flags)), function))
+    made = Later(partial(_dispatcher, function, flags),
+                 partial(_dispatcher, function, {**flags, "no_cpython_wrapper": True}))
+    return cast(_Function, update_wrapper(made, function))
 
 
 def _dispatcher(function: Callable[..., Any], flags: dict[str, Any]) -> Any:

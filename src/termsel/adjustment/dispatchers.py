@@ -35,6 +35,14 @@ class _Cache(FunctionCache):
     _turn: FileIO | None = None  # while this process compiles
     _waits = True  # until another process took too long, or nothing could be locked
 
+    def __init__(self, function: Callable[..., Any], flags: dict[str, Any]) -> None:
+        self._part = "no_cpython_wrapper" in flags  # of kernels: Python cannot call it
+        self._allocates = flags.get("_nrt", True)
+        super().__init__(function)
+
+    def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
+        return *super()._index_key(sig, codegen), self._part
+
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the code kept, None if there is none and no other process compiles it."""
         found = self._read(sig, target_context)
@@ -53,7 +61,8 @@ class _Cache(FunctionCache):
     def _read(self, sig: Any, target_context: Any) -> Any:
         try:
             # Numba first makes itself ready to compile, too, which takes 0.2 s.
-            rtsys.initialize(target_context)  # what arrays are allocated by
+            if self._allocates:
+                rtsys.initialize(target_context)  # what arrays are allocated by
             with self._guard_against_spurious_io_errors():
                 return self._load_overload(sig, target_context)
         except _UNREADABLE:  # emptied, truncated, not to be read
@@ -70,7 +79,7 @@ class _Cache(FunctionCache):
     def has_code(self) -> bool:
         """Return whether code of this very source, compiled by this numba, is kept."""
         try:
-            return bool(self._cache_file._load_index())
+            return any(key[-1] == self._part for key in self._cache_file._load_index())
         except _UNREADABLE:  # it will be compiled again
             return False
 
@@ -105,7 +114,7 @@ def dispatcher_of(function: Callable[..., Any], flags: dict[str, Any]) -> Any:
 
     dispatcher.get_call_template = of_plain_types
     try:
-        kept = dispatcher._cache = _Cache(function)  # as numba does for cache=True
+        kept = dispatcher._cache = _Cache(function, flags)  # as numba does for cache=True
     except RuntimeError:  # numba finds no folder that it can write to
         _say_that_nothing_is_kept()
         return dispatcher

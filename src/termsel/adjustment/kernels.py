@@ -245,8 +245,9 @@ def _triangle(source: FloatArray) -> FloatArray:
     """Reduce all columns and the right-hand side; not by LAPACK, whose rounding varies."""
     m, k = source.shape[0], source.shape[1] - 2
     panels, work, heights, columns = _workspace(k, m)
-    _factor(panels, work, source, False, np.arange(m, dtype=np.uintp), columns, heights, k,
-            -1.0, 0.0)
+    _solve(panels, work, source, False, np.zeros(m, dtype=np.intp), np.empty(m, dtype=np.uintp),
+           columns, heights, np.ones((1, k), dtype=bool), np.ones((1, 1), dtype=bool), -1.0, 0.0,
+           np.empty((1, k)), np.empty(1, dtype=np.intp))
     triangle = np.zeros((min(m, k), k + 2))
     by_rows = panels.transpose(1, 0, 2).reshape(panels.shape[1], panels.shape[0] * LANES)
     triangle[:, :k + 1] = np.triu(by_rows[:len(triangle), :k + 1])

@@ -145,7 +145,8 @@ class Stack:
             pruned = branch(self.kind, vectors, limits, records, place, self._space(vectors), None)
         else:
             walk(self.kind, vectors, limits, records, place,
-                 None if vectors.share[0].size == n + 1 else False)
+                 None if vectors.share[0].size == n + 1 else False,
+                 True if self.kind == PRESS else None)
         return Walked(best, masks, pruned)
 
     def _walk_residuals(self, piece: Piece, best: FloatArray, masks: Masks) -> Walked:

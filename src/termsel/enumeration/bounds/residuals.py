@@ -187,4 +187,4 @@ def _enumerate(tree: Tree, d: int, n: int, room: int, all_in_use: bool, limits: 
     within = Limits(limits.margin, limits.tolerance, tree.rss[d], limits.slack, p, room)
     tree.mask[0] = used
     place = Place(tree.cursor, tree.cursor, tree.mask, counts)
-    walk(RSS, vectors, within, inside, place, single)
+    walk(RSS, vectors, within, inside, place, single, None)

@@ -112,7 +112,7 @@ def at_depth(vectors: Vectors, depth: int) -> Depth:
 
 @_compiled
 def score_of(kind: int, at: Depth, c: int, systems: int, r: int, limits: Limits) -> float:
-    """Return the score of one depth's column c."""
+    """Return the score of one depth's column c, by any kind but PRESS."""
     n = at.top.shape[1] - r
     half = at.extra.shape[2] // 2
     total = limits.offset
@@ -122,12 +122,10 @@ def score_of(kind: int, at: Depth, c: int, systems: int, r: int, limits: Limits)
                 total += squares(at.extra[f, n + j], at.extra[f, c], at.share[f, c, j])
             elif kind == RSS:
                 total += squares(at.top[f, n + j], at.top[f, c], at.share[f, c, j])
-            elif kind == RATIONAL:
+            else:
                 total += _rational_squares(
                     at.extra[f, n + j, :half], at.extra[f, c, :half], at.extra[f, n + j, half:],
                     at.extra[f, c, half:], at.share[f, c, j], limits.margin)
-            else:  # of one system
-                total += _press_squares(at, n, c, j, limits)
     return total
 
 
@@ -215,11 +213,12 @@ def _open_leverage(vectors: Vectors, depth: int, i: int) -> None:
 
 @_compiled
 def walk(kind: int, vectors: Vectors, limits: Limits, records: Records, place: Place,
-         single: bool | None) -> None:
+         single: bool | None, press: bool | None) -> None:
     """Enumerate all subsets of n columns in addition to those in use already.
 
     The kind is LINEAR, RATIONAL, PRESS or RSS. If f = r = 1, `single` is None: a type of its own,
-    for which faster code is compiled.
+    for which faster code is compiled. `press` is None unless the kind is PRESS: no other compiles
+    that part.
     """
     if single is None:
         systems, r = 1, 1
@@ -257,7 +256,12 @@ def walk(kind: int, vectors: Vectors, limits: Limits, records: Records, place: P
             if dependent:
                 here.square[0, c] = 0.0  # a mark not to descend
                 continue
-            score = score_of(kind, here, c, systems, r, limits)
+            if press is None:
+                score = score_of(kind, here, c, systems, r, limits)
+            else:  # of one system
+                score = limits.offset
+                for j in range(r):
+                    score += _press_squares(here, n, c, j, limits)
             new = size + depth + (c < n)
             if score <= records.best[new]:
                 cursor[depth] = c
@@ -274,7 +278,7 @@ def walk(kind: int, vectors: Vectors, limits: Limits, records: Records, place: P
             elif vectors.square[depth, 0, i] > 0.0:
                 break
             cursor[depth] += 1
-        if kind == PRESS:
+        if press is not None:
             _open_leverage(vectors, depth, i)
         mask[depth + 1] = mask[depth] | records.bits[i]
         depth += 1
