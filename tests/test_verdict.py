@@ -66,6 +66,15 @@ def test_a_blunder_of_each_role_is_named_next_to_the_others(tmp_path: Path) -> N
     assert [one.id for one in kept.outliers] == [one.id for one in result.outliers]
 
 
+@pytest.mark.parametrize("problem", ["rfm-terms", "owdis-points"])
+def test_what_was_tested_before_is_not_tested_again(problem: str) -> None:
+    """But for independent points, which whoever tested control and check has not seen."""
+    features = scene({"control": 40.0, "independent": 30.0})
+    result = termsel.run(problem, features=features, tested=True, **PROBLEMS[problem])
+    assert {one.role for one in result.outliers} == {"independent"}
+    assert features.points.ids[0] in {one.id for one in result.residuals}
+
+
 def test_six_control_points_and_others_tell_an_independent_blunder() -> None:
     points = scene({"independent": 60.0}).points
     roles = tuple("control" if i % 10 == 0 else "independent" for i in range(60))

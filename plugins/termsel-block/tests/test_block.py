@@ -17,12 +17,12 @@ import jsonschema  # type: ignore[import-untyped]
 
 from termsel import FeatureSet, Points, Rpc, TermselError, read_result, read_rpc
 from termsel.testing import invoke
-from termsel_block.accuracy import in_space, independent_points, predicted, rmse
+from termsel_block.accuracy import Spread, in_space, independent_points, predicted, rmse
 from termsel_block.block import Block, BlockImage, Ties
 from termsel_block.estimation.equations import Seen, pairs, solve
 from termsel_block.evidence.factors import log_bayes_factor
 from termsel_block.files.block_file import read_block
-from termsel_block.geometry.frame import FloatArray
+from termsel_block.geometry.frame import FloatArray, IntArray
 from termsel_block.joint import BlockResult, adjust
 from termsel_block.shown.record import joined, record_of
 from termsel_block.shown.summary import text_of
@@ -110,6 +110,22 @@ def test_standard_deviations_are_true(vendors: Simulated, adjusted: BlockResult)
         expected = predicted(adjusted, i)
         assert expected.low < expected.rmse < 1.2 * expected.high
         assert errors(adjusted, i) < 2.5 * expected.high
+
+
+def test_an_interval_is_for_the_independent_points_of_the_image(adjusted: BlockResult) -> None:
+    """For so many, where they are; where there are none, for the area of the ties."""
+    def of(keep: IntArray) -> Spread:
+        image, points = adjusted.block.images[2], judging(adjusted, 2).take(keep)
+        images = (*adjusted.block.images[:2], replace(image, features=replace(
+            own(image), points=points)))
+        return predicted(replace(adjusted, block=replace(adjusted.block, images=images)), 2)
+
+    points = judging(adjusted, 2)
+    away = np.hypot(*(points.image - points.image.mean(axis=0)).T)
+    near, few = np.argsort(away)[:len(away) // 3], np.argsort(away)[:2]
+    every, middle, two, ties = map(of, (np.arange(len(away)), near, few, np.empty(0, np.intp)))
+    assert middle.rmse < every.rmse < ties.rmse
+    assert two.high / two.low > 1.3 * middle.high / middle.low
 
 
 def test_the_step_is_that_of_lapack() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,7 +29,8 @@ def observed(truth: FloatArray, noise: FloatArray, rng: np.random.Generator,
     measured = np.append(truth.ravel() + np.repeat(noise, 2) * rng.standard_normal(2 * IMAGES),
                          [0.0, 0.0])
     prior = np.append(np.full(2 * IMAGES, GUESS**-2), [0.0, 0.0])
-    camera = SimpleNamespace(groups=("shift",), spread=(GUESS,), least=(1e-4,), wide=frozenset())
+    camera = SimpleNamespace(groups=("shift",), scales=("shift",), spread=(GUESS,), least=(1e-4,),
+                             wide=frozenset())
     cameras = [camera] * IMAGES
     return integrate(np.diag(precision + prior), precision * measured / (precision + prior),
                      cameras, [np.zeros((1, 2))] * IMAGES, SLICES), measured  # type: ignore[arg-type]
@@ -58,6 +60,27 @@ def test_draws_and_variances_are_those_of_the_posterior() -> None:
     # As known variances they have the same mean.
     np.testing.assert_allclose(found.mean, measured * 0.25 / (
         0.25 + np.nan_to_num(found.precision)), atol=1e-9)
+
+
+def test_columns_that_are_unlike_scatter_unlike() -> None:
+    """Of two columns of a group one is large in all images: its prior must not be that of both."""
+    large, precision = np.array([40.0, -30.0, 35.0, -45.0, 50.0, 38.0]), []
+    normal = np.diag(np.append(np.full(4 * IMAGES, 0.04 + GUESS**-2), [1.0, 1.0]))
+    right = np.zeros(len(normal))
+    right[0:4 * IMAGES:4] = right[2:4 * IMAGES:4] = 0.04 * large
+    slices = [slice(4 * i, 4 * i + 4) for i in range(IMAGES)] + [slice(4 * IMAGES, len(normal))]
+    for scales in (("degree 2", "degree 2"), ("x2", "y2")):
+        camera = SimpleNamespace(groups=("degree 2",) * 2, scales=scales, spread=(GUESS,) * 2,
+                                 least=(1e-4,) * 2, wide=frozenset())
+        cameras: list[Any] = [camera] * IMAGES
+        found = integrate(normal, right / np.diag(normal), cameras,
+                          [np.zeros((2, 2))] * IMAGES, slices)
+        precision.append(found.precision[:4])
+        error = large - found.mean[0:4 * IMAGES:4]
+        assert (np.abs(error) < (15.0 if scales[0] == scales[1] else 3.0)).all()
+    one, each = precision
+    assert one[1] < 3 * one[0]  # small columns are taken to scatter nearly as the large ones
+    assert each[1] > 20 * each[0]
 
 
 def test_terms_of_sensors_scatter_as_the_images_say() -> None:

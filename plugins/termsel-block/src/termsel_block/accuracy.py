@@ -54,13 +54,17 @@ def rmse(errors: FloatArray) -> float:
 def predicted(result: BlockResult, i: int, seed: int = 0) -> Spread:
     """Return what points of an image, measured as its control is, will miss the model by.
 
-    Over the ties of the image, by draws from the posterior of its parameters and of the precision
-    of control: what all its points have in common makes the interval wide.
+    Over as many points as the image has independent ones, at their places; where it has none, over
+    its ties. By draws from the posterior of its parameters and of the precision of control: what
+    all its points have in common makes the interval wide.
     """
-    state, mine = result.adjusted.state, result.block.ties.image == i
+    state, points = result.adjusted.state, independent_points(result, i)
+    mine = result.block.ties.image == i
     places = state.ties[result.block.ties.tie[mine]]
     features = result.block.images[i].features
-    if not len(places):
+    if points is not None:
+        places = result.frame.local(points.ground)
+    elif not len(places):
         assert features is not None  # an image without ties has control
         places = result.frame.local(features.points.ground)
     rows = result.rows(i, places)
@@ -71,6 +75,8 @@ def predicted(result: BlockResult, i: int, seed: int = 0) -> Spread:
     # The variance of control is known from few measurements; the state has its median.
     known = state.freedom_control
     noise = state.sigma_control**2 * (known - MEDIAN) / rng.chisquare(known, draws.shape[1])
+    if points is not None:  # few of them have more noise than that, or less
+        noise = noise * rng.chisquare(2 * len(points), draws.shape[1]) / (2 * len(points))
     errors = np.sqrt(squares + 2 * noise)
     low, high = np.quantile(errors, [(1 - _LEVEL) / 2, (1 + _LEVEL) / 2])
     return Spread(float(np.sqrt((errors**2).mean())), float(low), float(high))

@@ -109,7 +109,7 @@ class _Watch:
 
 
 def choose_for(setup: Setup, observations: Observations, seed: int,
-               observers: Iterable[Observer] = ()) -> Result:
+               observers: Iterable[Observer] = (), tested: bool = False) -> Result:
     """Return the choice from the portfolio as a result.
 
     The model and the solver of the setup take no part. The seed is that of the search by OWDIS,
@@ -123,7 +123,7 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
                    folds_of(observations.pool.features))
     watch.tell("blunders")
     known = portfolio.least(observations.pool) == 1
-    verdict = judge_features(observations, portfolio)
+    verdict = judge_features(observations, portfolio, tested)
     out = verdict.blunders | verdict.high
     clean = leave_out(observations, out) if out else observations
     control, both = clean.pool, clean.pool.features
@@ -163,7 +163,6 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
     observations = with_lines(clean, observations.control.lines)
     fitted = in_role(chosen.fit, observations)
     model = fitted.model
-    rmse = figures(fitted, observations)
     contradicting, agreeing = judge_independent(clean, choice)
     outliers = (*verdict.without({*clean.together.ids}), *contradicting.outliers)
     final = _final_fit(chosen, observations.features.points, control.heights, portfolio,
@@ -174,7 +173,6 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
         return tuple(b for b in comparison.baselines(seen)
                      if b.name != chosen.name or chosen.candidate.is_plain)
 
-    folds = folds_of(both)
     said = INTERRUPTED.format(min(watch.count, watch.candidates), watch.candidates) \
         if interrupted else ""
     return Result(
@@ -184,7 +182,7 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
         data=data_of(setup, observations),
         selection=Selection(select(model.terms, fitted.terms),
                             select(observations.control.ids, fitted.used)),
-        feasible=True, rmse=rmse, baselines=others(clean),
+        feasible=True, rmse=figures(fitted, observations), baselines=others(clean),
         judgement=judge_choice(chosen.candidate, None if expected is None else expected.rmse,
                                figures(fitted, agreeing), others(agreeing), setup.features.noise),
         notes=(*_on_rpc(control, portfolio, chosen), *_few(setup), *of_data,
@@ -203,7 +201,7 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
         diagnosis=diagnose(fitted),
         features=observations.features, versions=versions(),
         plugins=plugins_of(setup, model=type(model), candidate=chosen.candidate),
-        strategy=Strategy("auto", chosen.name, choice.reason, held_out, folds,
+        strategy=Strategy("auto", chosen.name, choice.reason, held_out, folds_of(both),
                           ("control", "check"), tuple(CandidateRow(
                               one.name, one.fit.model.name, int(one.fit.terms.sum()),
                               one.fit.effective, finite_or_none(one.predicted))

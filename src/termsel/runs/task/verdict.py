@@ -45,8 +45,11 @@ class Verdict:
         return tuple(changed(one, excluded=one.id not in in_use) for one in self.outliers)
 
 
-def judge_features(observations: Observations, portfolio: Portfolio) -> Verdict:
-    """Return the verdict on control and check features; independent points take no part."""
+def judge_features(observations: Observations, portfolio: Portfolio, tested: bool = False,
+                   ) -> Verdict:
+    """Return the verdict on control and check features; none on those `tested` before."""
+    if tested:
+        return Verdict()
     roles: dict[str, Role] = dict.fromkeys(observations.together.ids, "control")
     roles.update(dict.fromkeys(observations.check.ids, "check"))
     points, carriers = observations.together.points, observations.carriers
@@ -54,8 +57,7 @@ def judge_features(observations: Observations, portfolio: Portfolio) -> Verdict:
         carriers = ()  # what is known of the image says what heights do
     high = with_twins(points, carriers).union(carriers)
     # Where no plane is determined without them, they are judged like others.
-    held = _held_against_others(observations, roles, high)
-    if held:
+    if held := _held_against_others(observations, roles, high):
         observations = leave_out(observations, high)
     verdict = Verdict(held, high=high if held else frozenset())
     both, pool = observations.pool.features, observations.pool

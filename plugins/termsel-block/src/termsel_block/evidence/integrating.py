@@ -58,11 +58,15 @@ class _Group:
     Parameters
     ----------
     images : tuple of ndarray
+        Of an image and a scale, each.
+    scale : ndarray, shape (n,)
+        Number of that scale.
     least : float
         Of the standard deviation that all images share; nan where that is 1 and known.
     """
 
     images: tuple[IntArray, ...]
+    scale: IntArray
     least: float
 
 
@@ -93,6 +97,10 @@ def integrate(normal: FloatArray, step: FloatArray, cameras: Sequence[Camera],
     Taken as known they would make errors look smaller than they are, as 20 columns tell a variance
     to a third. So is that of a DEM's offset.
 
+    Columns of a group may be unlike (`Camera.scales`). An attitude bends images along their lines
+    alone, and one variance of all columns of degree 2 would be too small for that of lines. So each
+    scale has a standard deviation in all images, which follows the group's as an image's own does.
+
     Draws are those of Gibbs: parameters by variances, variances by parameters. Where data hardly
     tell a parameter, its scale follows it, and neither would move. So a scale is drawn a second
     time together with its parameters, as Yu and Meng 2011 interweave them (To center or not to
@@ -101,7 +109,7 @@ def integrate(normal: FloatArray, step: FloatArray, cameras: Sequence[Camera],
     at, scale, groups = _unknown(cameras, slices)
     now = np.concatenate([one.T.ravel() for one in parameters])[at]
     if of_offset is not None:
-        groups.append(_Group((np.array([len(at)]),), np.nan))
+        groups.append(_Group((np.array([len(at)]),), np.zeros(1, np.intp), np.nan))
         at, scale = np.append(at, slices[-1].start), np.append(scale, of_offset**-0.5)
         now = np.append(now, 0.0)
     rest = np.setdiff1d(np.arange(len(normal)), at)
@@ -145,18 +153,21 @@ def _unknown(cameras: Sequence[Camera], slices: Sequence[slice],
     scale: list[float] = []
     members: dict[str, list[IntArray]] = {}
     least: dict[str, float] = {}
+    scales: dict[str, list[str]] = {}
     for camera, part in zip(cameras, slices, strict=False):
-        names, spread = np.tile(camera.groups, 2), np.tile(camera.spread, 2)
-        for name in dict.fromkeys(camera.groups):
-            if name in camera.wide:
+        names, spread = np.tile(camera.scales, 2), np.tile(camera.spread, 2)
+        for scale_name, group in dict(zip(camera.scales, camera.groups, strict=True)).items():
+            if group in camera.wide:
                 continue
-            mine = np.flatnonzero(names == name)
-            members.setdefault(name, []).append(len(at) + np.arange(len(mine)))
+            mine = np.flatnonzero(names == scale_name)
+            members.setdefault(group, []).append(len(at) + np.arange(len(mine)))
+            scales.setdefault(group, []).append(scale_name)
             at += (part.start + mine).tolist()
             scale += spread[mine].tolist()
             ratio = float((np.tile(camera.least, 2)[mine] / spread[mine]).max())
-            least[name] = max(least.get(name, _GRID[0]), ratio)
-    groups = [_Group(tuple(images), least[name]) for name, images in members.items()]
+            least[group] = max(least.get(group, _GRID[0]), ratio)
+    groups = [_Group(tuple(images), np.unique(scales[name], return_inverse=True)[1], least[name])
+              for name, images in members.items()]
     return np.array(at, np.intp), np.array(scale), groups
 
 
@@ -169,11 +180,12 @@ def _chain(matrix: FloatArray, right: FloatArray, groups: Sequence[_Group],
     rng, k = np.random.default_rng(0), len(right)
     shared = [1.0 if np.isnan(group.least) else max(0.3, group.least) for group in groups]
     own = [np.ones(len(group.images)) for group in groups]
+    of_scale = [np.ones(group.scale.max() + 1) for group in groups]
     means, draws = np.empty((_KEPT, k)), np.empty((_KEPT, k))
     total, precision = np.zeros((k, k)), np.empty(k)
     for round_ in range(-_FIRST, _KEPT):
-        for group, common, mine in zip(groups, shared, own, strict=True):
-            for columns, ratio in zip(group.images, mine, strict=True):
+        for group, common, mine, each in zip(groups, shared, own, of_scale, strict=True):
+            for columns, ratio in zip(group.images, mine * each[group.scale], strict=True):
                 precision[columns] = (common * ratio) ** -2
         lower = np.linalg.cholesky(matrix + np.diag(precision))
         mean = linalg.cho_solve((lower, True), right, check_finite=False)
@@ -183,36 +195,42 @@ def _chain(matrix: FloatArray, right: FloatArray, groups: Sequence[_Group],
             means[round_], draws[round_] = mean, x
             total += linalg.lapack.dpotri(lower, lower=1)[0]
         for number, group in enumerate(groups):
-            shared[number], own[number] = _scales(x, matrix, right, group, own[number], rng)
+            shared[number], own[number], of_scale[number] = _scales(
+                x, matrix, right, group, own[number], of_scale[number], rng)
     total = np.tril(total) / _KEPT
     away = means - means.mean(axis=0)
     return means, draws, total + np.tril(total, -1).T + away.T @ away / _KEPT
 
 
 def _scales(x: FloatArray, matrix: FloatArray, right: FloatArray, group: _Group, own: FloatArray,
-            rng: np.random.Generator) -> tuple[float, FloatArray]:
-    """Return draws of a group's standard deviation and of its images', and scale `x` with it."""
+            each: FloatArray, rng: np.random.Generator) -> tuple[float, FloatArray, FloatArray]:
+    """Return draws of a group's standard deviation, of its images' over that of their scale, and of
+    its scales' over that of the group; and scale `x` with the first."""
     squares = np.array([float(x[columns] @ x[columns]) for columns in group.images])
     count = np.array([len(columns) for columns in group.images])
 
-    def of_images(common: float) -> FloatArray:
-        square = (squares / common**2 + OWN) / rng.chisquare(OWN + count)
+    def drawn(over: FloatArray, number: IntArray) -> FloatArray:
+        square = (over + OWN) / rng.chisquare(OWN + number)
         return np.clip(np.sqrt(square), _LEAST, _MOST)
 
     if np.isnan(group.least):
-        return 1.0, of_images(1.0)
+        return 1.0, drawn(squares, count), each
     grid = _GRID[group.least * 0.999 <= _GRID]
     prior = np.log(grid) - (TAIL + 1) / 2 * np.log1p(grid**2 / TAIL)
     common = _drawn(grid, prior - count.sum() * np.log(grid)
-                    - float((squares / own**2).sum()) / 2 / grid**2, rng)
-    own, every = of_images(common), np.concatenate(group.images)
+                    - float((squares / (own * each[group.scale])**2).sum()) / 2 / grid**2, rng)
+    if len(each) > 1:
+        each = drawn(np.bincount(group.scale, squares / (common * own)**2).astype(float),
+                     np.bincount(group.scale, count).astype(np.intp))
+    own = drawn(squares / (common * each[group.scale])**2, count)
+    every = np.concatenate(group.images)
     shape = x[every] / common
     pulled = matrix[:, every] @ shape
     bend = float(shape @ pulled[every])
     slope = float(shape @ right[every] - pulled @ x) + common * bend
     again = _drawn(grid, prior - grid**2 * bend / 2 + grid * slope, rng)
     x[every] = again * shape
-    return again, own
+    return again, own, each
 
 
 def _drawn(grid: FloatArray, logarithm: FloatArray, rng: np.random.Generator) -> float:

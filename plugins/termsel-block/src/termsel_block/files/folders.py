@@ -107,7 +107,8 @@ def write_block(result: BlockResult, folder: Path | str, *, overwrite: bool = Fa
 def image_result(result: BlockResult, i: int, record: BlockRecord) -> Result:
     """Return an image's own result: its model, fitted to its control and to ties at their places.
 
-    At the optimum of the block that fit has the block's parameters, but for the priors. What the
+    At the optimum of the block that fit has the block's parameters, but for the priors. The block
+    has named what is wrong of its ties and control, which is not looked for again. What the
     places of the ties have in common is not seen in one image, so the result states the RMSE that
     the block predicts.
     """
@@ -115,10 +116,10 @@ def image_result(result: BlockResult, i: int, record: BlockRecord) -> Result:
     features = _features(result, i, image)
     name = correction_of(result, i)
     if name == "polynomial":
-        found = run(features=features)
+        found = run(features=features, tested=True)
     elif image.rpc is None:
         found = run("rfm-terms", features=features, solver="all-terms", criterion="press",
-                    model=name, options=dict(image.options))
+                    model=name, options=dict(image.options), tested=True)
     else:
         rpc = {"file": (image.rpc_file or Path(f"{image.name}.RPB")).name, **asdict(image.rpc)}
         model = f"rpc-{name}"
@@ -130,13 +131,13 @@ def image_result(result: BlockResult, i: int, record: BlockRecord) -> Result:
             intervals = max(2, min(_INTERVALS, len(features.points) // _PER_INTERVAL))
             options |= {"across": True, "intervals": intervals}
         found = run("rfm-terms", features=features, solver="all-terms", criterion="press",
-                    model=model, options=options)
+                    model=model, options=options, tested=True)
     mine = record.images[i]
     note = (f"The places of {int(state.in_use[i].sum())} ties come from a block of "
             f"{len(record.images)} images. By the block points in this image have an RMSE of "
             f"{mine.predicted:.2f} px, with an interval of 90 % from {mine.low:.2f} to "
             f"{mine.high:.2f} px; figures from this image alone know nothing of what the ties "
-            "have in common.")
+            "have in common. Blunders among control and ties are named by the block.")
     return replace(found, notes=(note, *found.notes))
 
 

@@ -62,6 +62,8 @@ class Camera(ABC):
         Those of them whose variance stays what it was.
     nested : bool
         Whether a group makes sense only with all before it.
+    scales : tuple of str
+        Of each column: those of one scale share a standard deviation while variances are unknown.
     stated : mapping
         Parameters whose prior is what a model says of its terms: name and index, by image axis,
         then column.
@@ -77,6 +79,11 @@ class Camera(ABC):
     nested = False
     stated: Mapping[str, int] = MappingProxyType({})
     looser: FloatArray
+
+    @property
+    def scales(self) -> tuple[str, ...]:
+        """The name of each column's scale."""
+        return self.groups
 
     @abstractmethod
     def only(self, keep: BoolArray) -> Camera:
@@ -292,6 +299,11 @@ class PolynomialCamera(Camera):
         away = ray - (ray[:2] @ way) * line
         return np.stack([-self.half / _EARTH * np.outer(line, (0, 0, 1)),
                          -self.half / DISTANCE * np.outer(sample, away)])
+
+    @property
+    def scales(self) -> tuple[str, ...]:
+        """The name of each column's scale: an attitude bends along the lines alone."""
+        return tuple(f"x{a} y{b} z{c}" for a, b, c in self.powers)
 
     def area(self) -> tuple[FloatArray, FloatArray]:
         """Return middle and half widths of the ground that the coordinates fit."""
