@@ -231,7 +231,7 @@ def test_a_camera_of_another_kind_is_said(simulated: Simulated, i: int) -> None:
     images = list(simulated.block.images)
     images[i] = replace(images[i], model="frame")
     notes = record_of(adjust(replace(simulated.block, images=tuple(images)))).notes
-    assert any(f"I{i + 1} contradict what the model 'frame' knows of cameras (focal by" in one
+    assert any(f"I{i + 1} contradict what the model 'frame' knows of cameras (" in one
                for one in notes)
 
 
