@@ -39,14 +39,15 @@ class Interpolated(Estimator):
             used: BoolArray) -> Fit:
         """Fit a model (see `Estimator.fit`)."""
         points_alone(control, used, "an interpolation")
-        plain = LeastSquares(iterated=False).fit(model, control, scaling, terms, used)
-        found = plain.interpolation
+        found = model.prepared(scaling, control.crs).interpolation(
+            scaling.features(control.take(used)))
         if found is None:
             raise Undetermined(f"{used.sum()} control points are too few to interpolate by",
                                hint="Measure more control, spread over the area.")
         if isinstance(found, Collocation) and found.probability <= asked_of(found):
             raise Undetermined("the points do not call for a random field: its probability is "
                                f"{found.probability:.2g}", hint="Choose a polynomial.")
+        plain = LeastSquares(iterated=False).fit(model, control, scaling, terms, used)
         errors = found.errors * scaling.image_scale
         unknown = np.full(len(terms), np.nan)
         return replace(plain, estimator=self, trace=found.effective,

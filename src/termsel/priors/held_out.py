@@ -114,8 +114,9 @@ def _of_few(line: OfAxis, sample: OfAxis, some: slice, square: FloatArray, least
     left /= square[:, None]
     np.minimum(left, (1.0 - least / square)[:, None], out=left)
     np.subtract(1.0, left, out=left)  # S' / S, (c, m)
-    root, more = (np.sqrt(own).take(cell, axis=0) for own, _, cell in axes)
-    root *= more
+    root = np.sqrt(axes[0][0]).take(line.cell, axis=0)
+    # Into the same memory each time; `out` is only quick without a check of the numbers.
+    root *= np.take(np.sqrt(axes[1][0]), sample.cell, axis=0, out=more, mode="clip")
     share = np.log(left)
     least_log = share.min(axis=0)
     share -= least_log  # of the largest power, lest powers overflow
@@ -125,8 +126,9 @@ def _of_few(line: OfAxis, sample: OfAxis, some: slice, square: FloatArray, least
     share *= weight[:, None]
     ones = np.ones(len(share))  # sums of columns by BLAS, in an eighth of the time
     total = ones @ share
-    errors, spread = (np.stack([np.einsum("cm,cm->m", share, one.take(cell, axis=0))
-                                for one, cell in each], axis=1) / total[:, None] for each in (
+    errors, spread = (np.stack([np.einsum(
+        "cm,cm->m", share, np.take(one, cell, axis=0, out=more, mode="clip"))
+        for one, cell in each], axis=1) / total[:, None] for each in (
         [(own * error, cell) for own, error, cell in axes],
         [(own, cell) for own, _, cell in axes]))
     share /= left
