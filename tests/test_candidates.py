@@ -112,6 +112,24 @@ def test_a_candidate_with_a_prior_or_a_central_one_needs_less(
     assert ("The geometry of poly3d is known." in choice.reason) == (chosen == "mine")
 
 
+@pytest.mark.parametrize("has_prior", [True, False])
+@pytest.mark.parametrize(("count", "sure"), [(8, 4.53), (40, 3.2)])
+def test_fewer_features_must_speak_more_clearly_against_what_is_known(
+        control: Control, has_prior: bool, count: int, sure: float) -> None:
+    some = control.take(np.arange(len(control)) < count)
+    noise = np.random.default_rng(1).normal(size=count)
+    noise = (noise - noise.mean()) / noise.std(ddof=1)
+    known = Known("known", "what is known", Affine(), has_prior=True, from_one=True)
+    points = Known("points", "the points alone", Affine(), has_prior=has_prior)
+    for gain in (sure - 0.1, sure + 0.1):
+        squares = np.exp(-0.1 * (gain / np.sqrt(count) + noise))
+        choice = best_of([judged_as(known, some, np.ones(count)),
+                          judged_as(points, some, squares)])
+        assert choice is not None
+        assert choice.chosen.name == ("points" if gain > sure else "known")
+        assert f"it must be better by more than {sure:.2g}" in choice.reason
+
+
 def test_what_a_prior_contains_is_not_chosen_next_to_it(control: Control) -> None:
     # Its own errors are ten times too large: it takes the place of what it contains all the same.
     mine = Known("mine", "a known model", Polynomial3D(degree=2), 100.0, has_prior=True,

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numbers
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from math import erf, sqrt
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from termsel.guard.faults import HINT, PluginFault, blamed, is_own, wrong
 from termsel.measurements.control import Control
 from termsel.measurements.features import no_lines
 from termsel.models.base import SensorModel
+from termsel.record.chances import t_quantile
 
 BETTER, EXPECTED, CLEARLY = 1.0, 2.0, 3.0
 """Standard errors by which the logarithms of squared errors must be smaller: of a candidate with a
@@ -199,8 +201,8 @@ def best_of(candidates: Iterable[Judged], portfolio: Portfolio | None = None) ->
             base, said = one, []
         elif one.name not in base.candidate.contains:
             # Leave-one-out says little of places beyond the points, where what is known holds, too.
-            asked = CLEARLY if base.candidate.from_one > one.candidate.from_one else BETTER
-            said.append(f"{_compared(one, base)}; it must be better by more than {asked:g}.")
+            asked = _sure(base) if base.candidate.from_one > one.candidate.from_one else BETTER
+            said.append(f"{_compared(one, base)}; it must be better by more than {asked:.2g}.")
             base = one if _gain(one, base) > asked else base
     others = [one for one in judged
               if not (one.candidate.has_prior or _contained(one.candidate, priors))]
@@ -213,7 +215,19 @@ def best_of(candidates: Iterable[Judged], portfolio: Portfolio | None = None) ->
 
 def _asked(one: Judged, base: Judged) -> float:
     """Return by how many standard errors a candidate that no prior contains must be better."""
-    return EXPECTED if one.candidate.central and not base.candidate.from_one else CLEARLY
+    if base.candidate.from_one > one.candidate.from_one:
+        return _sure(base)
+    return EXPECTED if one.candidate.central else CLEARLY
+
+
+def _sure(base: Judged) -> float:
+    """Return by how many standard errors others must be better than one that knows more.
+
+    It is CLEARLY where features are many. Few of them hardly tell the standard error, so that more
+    of it is as sure (Student 1908).
+    """
+    freedom = len(base.squares) - 1
+    return t_quantile((1.0 + erf(CLEARLY / sqrt(2.0))) / 2.0, freedom) if freedom else np.inf
 
 
 def choose_features(control: Control, portfolio: Portfolio | None = None,
@@ -251,7 +265,7 @@ def _reason(chosen: Judged, base: Judged, said: Sequence[str], others: Sequence[
                    if nearest is not chosen and _gain(nearest, base) > _asked(nearest, base)
                    else "")
         said.append(f"{_compared(nearest, base)}; it must be better by more than "
-                    f"{_asked(nearest, base):g}{smaller}.")
+                    f"{_asked(nearest, base):.2g}{smaller}.")
     if any("standard error" in one for one in said):
         said.append("Standard errors are those of logarithms of squared leave-one-out errors.")
     least = min(judged, key=lambda one: one.predicted).candidate

@@ -9,7 +9,7 @@ import numpy as np
 
 from termsel.candidates.base import Judged, has_pole
 from termsel.candidates.compare import compare
-from termsel.candidates.portfolio import CLEARLY, Portfolio, best_of, choose_features, exact
+from termsel.candidates.portfolio import Portfolio, best_of, choose_features, exact
 from termsel.candidates.repetition import folds_of, repeated
 from termsel.errors import TermselError, counted
 from termsel.fits.accuracy import accuracy_of, predicted_by
@@ -249,8 +249,8 @@ def _on_rpc(control: Control, portfolio: Portfolio, chosen: Judged | None = None
     if chosen is not None and chosen.candidate.from_one:
         return [portfolio.ask(chosen.candidate, "describe", chosen.fit) or ""]
     if chosen is not None and portfolio.least(control) == 1:
-        reason = (f"{chosen.candidate.title} predicts the {control.features.word} better by more "
-                  f"than {CLEARLY:g} standard errors")
+        reason = (f"{chosen.candidate.title} predicts the {control.features.word} better, beyond "
+                  "chance")
     elif able:
         reason = next(filter(None, (portfolio.ask(one, "declines", control) for one in able)), "")
     else:
