@@ -19,6 +19,7 @@ import termsel
 from termsel.cli import plot
 from termsel.cli.main import cli
 from termsel.record.base import plain
+from termsel.report import library
 from termsel.report.plots import KINDS
 from termsel.results.repeat import command, not_by_command
 
@@ -383,3 +384,32 @@ def test_the_image_lies_below_the_residuals(searched: Path, call: Call, tmp_path
     assert not page.exists()
     assert call("report", searched, "-o", page, "--image", tmp_path / "right.tif").exit_code == 0
     assert "data:image/jpeg;base64," in page.read_text()
+
+
+def test_the_drawing_library_is_put_together_once(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = list[str]()
+    monkeypatch.setattr("vl_convert.javascript_bundle",
+                        lambda snippet: made.append(snippet) or "draw('</script>é\r\n')")
+    monkeypatch.setattr(library, "_KEPT", tmp_path / "kept")
+
+    def text() -> str:
+        library.library.cache_clear()
+        return library.library()
+
+    try:
+        for _ in range(2):
+            assert text() == "draw('<\\/script>é\r\n')"
+        assert len(made) == 1
+        (kept,) = (tmp_path / "kept").iterdir()
+        for damaged in (b"", b"alert(1)", kept.read_bytes()[:-1]):
+            kept.write_bytes(damaged)
+            assert text() == "draw('<\\/script>é\r\n')"
+        assert len(made) == 4
+        kept.unlink()
+        kept.parent.rmdir()
+        kept.parent.write_text("no folder")  # nothing can be kept
+        assert text() == text() == "draw('<\\/script>é\r\n')"
+        assert len(made) == 6
+    finally:
+        library.library.cache_clear()

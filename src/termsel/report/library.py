@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from functools import cache
+from hashlib import sha256
+from importlib.metadata import version
+from pathlib import Path
 
-from termsel.errors import requires
+from termsel.errors import TermselError, requires
+from termsel.files.atomic import write_bytes
 from termsel.report.theme import require_altair
 
 EMBED = "termselEmbed"
 """The function of the library, by a name that no other script on a page has."""
 
+_KEPT = Path(__file__).parent / "__pycache__"
+
 
 @cache
 def library() -> str:
     """Return Vega, Vega-Lite and Vega-Embed with the interpreter of expressions.
+
+    To put it together takes longer than all else of a page, so that it is kept next to the bytecode
+    of this module, where that can be written.
 
     Raises
     ------
@@ -23,4 +33,19 @@ def library() -> str:
     require_altair()
     with requires("pages require", "vl-convert-python", '"termsel[report]"'):
         from vl_convert import javascript_bundle
-    return javascript_bundle(f"window.{EMBED} = vegaEmbed;").replace("</script", "<\\/script")
+    kept = _KEPT / f"{EMBED}-{version('vl-convert-python')}.js"
+    with suppress(OSError):
+        checksum, _, data = kept.read_bytes().partition(b"\n")
+        if checksum == _checksum(data):
+            return data.decode()
+    text = javascript_bundle(f"window.{EMBED} = vegaEmbed;").replace(
+        "</script", "<\\/script")
+    with suppress(OSError, TermselError):
+        _KEPT.mkdir(exist_ok=True)
+        data = text.encode()
+        write_bytes(kept, _checksum(data) + b"\n" + data)
+    return text
+
+
+def _checksum(data: bytes) -> bytes:
+    return sha256(data).hexdigest().encode()
