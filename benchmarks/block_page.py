@@ -130,7 +130,7 @@ Targets are at most 0.95 for images without control, and for images with six poi
 - Writing the results of all images takes more than the adjustment, as each is compared with other
   models by itself: on a busy machine 0.3 s of CPU an image with an RPC. Of 100 images, with 505
   measurements of ties each, the adjustment takes 18 s there and all files 30 s, the page included.
-  So 1,000 images would take some nine minutes of CPU; that has not been measured. While each image
+  So 1,000 images would take some eight minutes of CPU; that has not been measured. While each image
   was tested again for blunders, which the block had named, writing took 3.5 times as long.
 - Shares in 90 % of blocks with RPCs and of scanners are of intervals for the area of the ties. "The
   plain way" is from before terms had scales of their own. Rows of blocks with a DEM, of strips and

@@ -174,7 +174,7 @@ def _why(found: Suspects, wrong: BoolArray) -> str:
     if (found.blunders & ~wrong).any():
         return "a right point is left out"
     if (kept & found.undecided).any():
-        return "a blunder is named as undecided, and stays"
+        return "a blunder is named as possible, and stays"
     if (kept & (found.errors <= found.limits)).any():
         return "the error of a blunder is below the limit at its place"
     return "a blunder is kept otherwise" if kept.any() else \
@@ -338,7 +338,7 @@ are wrong: what the best search could reach.
 Blunders smaller than the error that the points leave to the model cannot be named, and cost
 little: with 24 points on `s1_grd_iw` that is 5 px. With 24 points in a scene that calls for a
 cubic, a blunder far from the other points looks like a bend. It is left out as a probable blunder
-if that is likelier; else the report names it as undecided, or it is not seen.
+if that is likelier; else the report names it as possible, or it is not seen.
 
 ## Splits worse than {WORST}
 

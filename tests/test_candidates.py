@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ from termsel.fits.fittable import Fittable
 from termsel.fits.least_squares import LEAST_SQUARES
 from termsel.measurements import control as control_module
 from termsel.measurements.control import Control
-from termsel.measurements.features import BoolArray, FeatureSet, FloatArray
+from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, no_lines
 from termsel.measurements.scaling import Scaling
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Affine, Polynomial3D
@@ -180,6 +180,26 @@ def test_one_for_few_features_is_not_tried_in_folds_of_more(control: Control) ->
         repeated(some, portfolio, see)
         assert ("mine" in [one.name for one in portfolio.offered(some)]) == (seen["mine"] > 0)
     assert seen["affine"] > seen["mine"] > 0
+
+
+@pytest.mark.parametrize("most", [None, "12", 0, float("nan")])
+def test_one_for_no_number_of_features_is_left_out_and_named(control: Control, most: Any) -> None:
+    portfolio = portfolio_with(Known("mine", "a known model", Affine(), most=most))
+    assert choose(control, portfolio) is not None
+    assert repeated(control, portfolio) is not None
+    assert f"'mine' has most={most!r}, which is no number of features" in portfolio.notes[0]
+
+
+def test_lines_left_out_of_a_choice_do_not_count_in_its_folds() -> None:
+    """Displaced lines are left out whole: the folds must then try what few points alone call for.
+    """
+    scene = termsel.simulate_scene("spot-isfahan", seed=1, roles=(8, 0, 100), n_lines=12)
+    moved = np.random.default_rng(1).normal(size=(len(scene.lines.image), 1, 2)) * 40
+    features = scene.with_(lines=replace(scene.lines, image=scene.lines.image + moved))
+    for some in (features, features.with_(lines=no_lines())):
+        result = termsel.run(features=some, strategy="auto")
+        assert result.strategy.chosen == "physical-cubic"
+        assert result.strategy.predicted < 3
 
 
 def _judge_nothing(self: Candidate, control: Control) -> str:

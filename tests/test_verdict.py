@@ -12,6 +12,7 @@ import termsel
 from termsel.candidates.portfolio import Portfolio, choose
 from termsel.measurements.features import FeatureSet, no_lines
 from termsel.measurements.roles import by_roles
+from termsel.results.repeat import command
 from termsel.runs.task.verdict import judge_features, judge_independent
 
 ROLES = ("control", "check", "independent")
@@ -69,10 +70,16 @@ def test_a_blunder_of_each_role_is_named_next_to_the_others(tmp_path: Path) -> N
 @pytest.mark.parametrize("problem", ["rfm-terms", "owdis-points"])
 def test_what_was_tested_before_is_not_tested_again(problem: str) -> None:
     """But for independent points, which whoever tested control and check has not seen."""
+    how = {**PROBLEMS[problem]}
+    how["options"] = {**how.get("options", {}), "tested": True}
     features = scene({"control": 40.0, "independent": 30.0})
-    result = termsel.run(problem, features=features, tested=True, **PROBLEMS[problem])
+    result = termsel.run(problem, features=features, **how)
     assert {one.role for one in result.outliers} == {"independent"}
     assert features.points.ids[0] in {one.id for one in result.residuals}
+    assert "--set tested=true" in command(result.record)
+    clean = termsel.run(problem, features=scene({}), **how)
+    assert "Blunders: looked for before, not here." in clean.summary()
+    assert "Blunders were looked for before, not here." in clean.summary(verbose=True)
 
 
 def test_six_control_points_and_others_tell_an_independent_blunder() -> None:

@@ -139,7 +139,7 @@ WORDS = """## What agrees, what does not, and why
   30 % it uses hardly any blunder.
 - **Does not agree: the GA does not hold at 50 %.** The median error over all points is then that of
   a blunder as often as not. Ten times the chromosomes help at 40 %, but not at 50 %.
-- **Does not agree: RANSAC is as good as the GA or better at all shares**, and 25 times as fast.
+- **Does not agree: RANSAC is as good as the GA or better at all shares**, and 20 times as fast.
   Two points determine the three biases of attitude, so that many of the 200 samples are free
   of blunders; and blunders here agree with no one. Matches that are wrong in the same way, which
   repeated patterns produce, would agree with each other. The paper does not say which model RANSAC

@@ -20,7 +20,7 @@ from termsel.fits.fit import Fit, Undetermined
 from termsel.guard.arrays import of_shape, of_type
 from termsel.guard.faults import HINT, PluginFault, blamed, is_own, wrong
 from termsel.measurements.control import Control
-from termsel.measurements.features import no_lines
+from termsel.measurements.features import FeatureSet, no_lines
 from termsel.models.base import SensorModel
 from termsel.record.chances import t_quantile
 
@@ -53,13 +53,22 @@ class Portfolio:
 
     def __init__(self, candidates: Iterable[Candidate] = CANDIDATES) -> None:
         self.candidates = tuple(candidates)
-        self.faults: dict[str, TermselError] = {}
+        self.faults: dict[str, TermselError] = {
+            one.name: TermselError(f"candidate {one.name!r} has most={one.most!r:.40}, which is no "
+                                   "number of features", hint=HINT)
+            for one in self.candidates if not (isinstance(one.most, numbers.Real) and one.most > 0)}
+        self._whole: FeatureSet | None = None
 
     def for_parts_of(self, control: Control) -> Portfolio:
-        """Return the portfolio without candidates that are for fewer features than all of these."""
-        parts = Portfolio(one for one in self.candidates if len(control) <= one.most)
-        parts.faults = self.faults
+        """Return the portfolio for parts of features: of these all count for `Candidate.most`."""
+        parts = Portfolio(self.candidates)
+        parts.faults, parts._whole = self.faults, control.features
         return parts
+
+    def _count(self, control: Control) -> int:
+        """Return how many features there are, of all that these are a part of."""
+        whole = self._whole or control.features
+        return len(whole.points) + (len(whole.lines) if len(control.features.lines) else 0)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -70,7 +79,8 @@ class Portfolio:
     def offered(self, control: Control, *, for_few: bool = False) -> list[Candidate]:
         """Return the candidates to choose from for some features, the plainest first."""
         sizes = {one: self.ask(one, "size", control.heights) for one in self.candidates
-                 if not one.only_shown and one.for_few == for_few and len(control) <= one.most
+                 if not one.only_shown and one.for_few == for_few and one.name not in self.faults
+                 and self._count(control) <= one.most
                  and self.ask(one, "declines", control) is None}
         return sorted((one for one in sizes if one.name not in self.faults),
                       key=lambda one: sizes[one])
@@ -202,7 +212,8 @@ def best_of(candidates: Iterable[Judged], portfolio: Portfolio | None = None) ->
         elif one.name not in base.candidate.contains:
             # Leave-one-out says little of places beyond the points, where what is known holds, too.
             asked = _sure(base) if base.candidate.from_one > one.candidate.from_one else BETTER
-            said.append(f"{_compared(one, base)}; it must be better by more than {asked:.2g}.")
+            if asked < np.inf:
+                said.append(f"{_compared(one, base)}; it must be better by more than {asked:.2g}.")
             base = one if _gain(one, base) > asked else base
     others = [one for one in judged
               if not (one.candidate.has_prior or _contained(one.candidate, priors))]
@@ -224,10 +235,10 @@ def _sure(base: Judged) -> float:
     """Return by how many standard errors others must be better than one that knows more.
 
     It is CLEARLY where features are many. Few of them hardly tell the standard error, so that more
-    of it is as sure (Student 1908).
+    of it is as sure (Student 1908). Two say nothing of it.
     """
     freedom = len(base.squares) - 1
-    return t_quantile((1.0 + erf(CLEARLY / sqrt(2.0))) / 2.0, freedom) if freedom else np.inf
+    return t_quantile((1.0 + erf(CLEARLY / sqrt(2.0))) / 2.0, freedom) if freedom > 1 else np.inf
 
 
 def choose_features(control: Control, portfolio: Portfolio | None = None,

@@ -11,6 +11,7 @@ from pathlib import Path
 from termsel.errors import TermselError, requires
 from termsel.files.atomic import write_bytes
 from termsel.report.theme import require_altair
+from termsel.version import __version__
 
 EMBED = "termselEmbed"
 """The function of the library, by a name that no other script on a page has."""
@@ -33,7 +34,7 @@ def library() -> str:
     require_altair()
     with requires("pages require", "vl-convert-python", '"termsel[report]"'):
         from vl_convert import javascript_bundle
-    kept = _KEPT / f"{EMBED}-{version('vl-convert-python')}.js"
+    kept = _KEPT / f"{EMBED}-{version('vl-convert-python')}-{__version__}.js"
     with suppress(OSError):
         checksum, _, data = kept.read_bytes().partition(b"\n")
         if checksum == _checksum(data):

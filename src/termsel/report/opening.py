@@ -141,7 +141,8 @@ def blunders_of(record: Record, brief: bool) -> str:
     out, used, independent = groups = _grouped(record)
     off = off_option(record)
     if not any(groups):
-        return "none found."
+        return "looked for before, not here." if record.options.data.get("tested") \
+            else "none found."
     said = "; ".join([
         *[f"{_listed(out)} left out"] * bool(out), *[f"{_listed(used)} in use"] * bool(used),
         *[f"{_listed(independent)} contradict{'s' * (len(independent) == 1)} all others"]

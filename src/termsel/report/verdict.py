@@ -39,7 +39,8 @@ def verdict_table(record: Record) -> Iterator[Block]:
         if off := off_option(record):
             yield f"Leave out those in use by {off} and run again."
     else:
-        yield "No feature is a blunder, as far as the others tell."
+        yield "Blunders were looked for before, not here." if record.options.data.get("tested") \
+            else "No feature is a blunder, as far as the others tell."
     found = {one.certainty for one in outliers}
     if "probable" in found:
         yield ("A probable blunder is more likely wrong than right, but not for certain: look at "

@@ -69,7 +69,6 @@ def run(
     observers: Iterable[Observer] = (),
     out: Path | str | None = None,
     overwrite: bool = False,
-    tested: bool = False,
 ) -> Result:
     """Search a problem and assess the selection.
 
@@ -108,8 +107,6 @@ def run(
         Folder for result.json, residuals.csv, summary.txt and the features.
     overwrite : bool
         Whether a result that is there may be replaced.
-    tested : bool
-        Whether control and check have been tested for blunders already, as those of a block are.
 
     Returns
     -------
@@ -138,9 +135,10 @@ def run(
               "patience": patience}
     limited = any(limit is not None for limit in limits.values())
     task = problem if isinstance(problem, Task) else None
-    request = Request(problem=None if isinstance(problem, Task) else problem, features=features,
-                      dataset=dataset, source=source, model=model, solver=solver,
-                      criterion=criterion, options=options)
+    request = Request(
+        problem=None if isinstance(problem, Task) else problem, features=features,
+        dataset=dataset, source=source, model=model, solver=solver, criterion=criterion,
+        options=options)
     if problem is None:
         request = replace(request, problem=problem_for(features, dataset))
     shown = notebook_observer(task.recipe.name if task else str(problem or "auto"))
@@ -148,7 +146,7 @@ def run(
     if task is None:
         if wanted(strategy, registry().taken("problems", request.problem),
                   [*request.method(), *["a budget"] * limited], unnamed=problem is None):
-            return _chosen(request, seed, observers, out, overwrite, tested)
+            return _chosen(request, seed, observers, out, overwrite)
         task = prepared(request.setup())
         if task.features.rpc is not None and "rpc" not in task.model.options:
             log.warning("Warning: the model %s makes no use of the RPC. Leave model, solver and "
@@ -163,7 +161,7 @@ def run(
         from termsel.runs.judgement.assess import assessed
         from termsel.runs.search.blunders_out import search_without_blunders  # not for auto
 
-        verdict = judge_features(task.observations, Portfolio(), tested)
+        verdict = judge_features(task.observations, Portfolio(), task.options["data"]["tested"])
         last, found = search_without_blunders(task, verdict, seed=seed, **limits,
                                               observers=observers)
         # As plain numbers, for the record.
@@ -191,7 +189,7 @@ def problem_for(features: FeatureSet | None, dataset: str | DatasetSpec | None =
 
 
 def _chosen(request: Request, seed: int, observers: Iterable[Observer], out: Path | str | None,
-            overwrite: bool, tested: bool) -> Result:
+            overwrite: bool) -> Result:
     """Return the result of the strategy "auto", which builds no problem."""
     # It fits to check points as to control, and yet shows their figures; points go with lines.
     options = {"check_as": "judge", **(request.options or {})}
@@ -204,8 +202,8 @@ def _chosen(request: Request, seed: int, observers: Iterable[Observer], out: Pat
     observations = observe(setup, LEAST if setup.features.rpc is None else 1)
     # Whether a search of lines follows, which compiles more, is not known yet.
     compiles = held_out.needs_compilation(len(observations.together.points))
-    return _written(lambda: choose_for(setup, observations, seed, observers, tested), out,
-                    overwrite, AUTO_COMPILES if compiles else 0)
+    return _written(lambda: choose_for(setup, observations, seed, observers), out, overwrite,
+                    AUTO_COMPILES if compiles else 0)
 
 
 def _written(work: Callable[[], Result], out: Path | str | None, overwrite: bool, longer: int

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numbers
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -56,6 +57,8 @@ def declaration(subject: Subject) -> None:
     check_declaration("candidates", one)
     require(one.title.split(" ", 1)[0] in ("a", "an", "the"),
             f"its title is {one.title!r}; begin it with an article, as in \"a cubic polynomial\"")
+    require(isinstance(one.most, numbers.Real) and one.most > 0,
+            f"most is {one.most!r}; expected a number of features above 0")
     require(one.name not in (*one.contains, *one.needs), "it contains or needs itself")
 
 

@@ -51,14 +51,15 @@ def rmse(errors: FloatArray) -> float:
     return float(np.sqrt((errors**2).sum(axis=1).mean()))
 
 
-def predicted(result: BlockResult, i: int, seed: int = 0) -> Spread:
+def predicted(result: BlockResult, i: int, seed: int = 0, *, anywhere: bool = False) -> Spread:
     """Return what points of an image, measured as its control is, will miss the model by.
 
-    Over as many points as the image has independent ones, at their places; where it has none, over
-    its ties. By draws from the posterior of its parameters and of the precision of control: what
-    all its points have in common makes the interval wide.
+    Over as many points as the image has independent ones, at their places; where it has none, or
+    `anywhere`, over its ties, which compares images. By draws from the posterior of its parameters
+    and of the precision of control: what all its points have in common makes the interval wide.
     """
-    state, points = result.adjusted.state, independent_points(result, i)
+    state = result.adjusted.state
+    points = None if anywhere else independent_points(result, i)
     mine = result.block.ties.image == i
     places = state.ties[result.block.ties.tie[mine]]
     features = result.block.images[i].features

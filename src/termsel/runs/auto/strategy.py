@@ -109,7 +109,7 @@ class _Watch:
 
 
 def choose_for(setup: Setup, observations: Observations, seed: int,
-               observers: Iterable[Observer] = (), tested: bool = False) -> Result:
+               observers: Iterable[Observer] = ()) -> Result:
     """Return the choice from the portfolio as a result.
 
     The model and the solver of the setup take no part. The seed is that of the search by OWDIS,
@@ -123,7 +123,7 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
                    folds_of(observations.pool.features))
     watch.tell("blunders")
     known = portfolio.least(observations.pool) == 1
-    verdict = judge_features(observations, portfolio, tested)
+    verdict = judge_features(observations, portfolio, setup.options["data"]["tested"])
     out = verdict.blunders | verdict.high
     clean = leave_out(observations, out) if out else observations
     control, both = clean.pool, clean.pool.features
@@ -243,18 +243,20 @@ def _lines(fitted: Fit) -> list[str]:
 
 def _on_rpc(control: Control, portfolio: Portfolio, chosen: Judged | None = None) -> list[str]:
     """Return how an RPC that is given is corrected, or why it is not used."""
-    able = [one for one in portfolio.candidates if one.from_one]
     if control.features.rpc is None:
         return []
+    able = [one for one in portfolio.candidates if one.from_one and len(control) <= one.most]
     if chosen is not None and chosen.candidate.from_one:
         return [portfolio.ask(chosen.candidate, "describe", chosen.fit) or ""]
     if chosen is not None and portfolio.least(control) == 1:
         reason = (f"{chosen.candidate.title} predicts the {control.features.word} better, beyond "
                   "chance")
-    elif able:
-        reason = next(filter(None, (portfolio.ask(one, "declines", control) for one in able)), "")
+    elif missing := registry().missing("rpc-gcps"):
+        reason = f"no installed package corrects an RPC. {missing}"
+    elif reasons := list(filter(None, (portfolio.ask(one, "declines", control) for one in able))):
+        reason = reasons[0]
     else:
-        reason = f"no installed package corrects an RPC. {registry().missing('rpc-gcps')}"
+        return []  # a note says which candidate has failed
     return [f"The RPC is not used: {reason}."]
 
 

@@ -101,7 +101,8 @@ def assessed(task: Task, found: Search, verdict: Verdict | None = None) -> Resul
     feasible = is_feasible(task, found, chosen)
     # The objectives of least squares are not those of other coefficients.
     objectives = found.objectives.tolist() if judged else []
-    verdict = verdict or judge_features(observations, Portfolio())
+    verdict = verdict or judge_features(
+        observations, Portfolio(), task.options["data"]["tested"])
     everything = fit(task.model, observations.control, task.scaling)
     comparison = compare_robustly(observations, verdict.blunders | verdict.high)
     contradicting, agreeing = judge_independent(observations, comparison.choice)

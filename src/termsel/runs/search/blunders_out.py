@@ -38,7 +38,8 @@ def search_without_blunders(task: Task, verdict: Verdict | None = None,
     """
     less: Task | None = task
     if task.options["problem"].get("blunders") == "leave-out":
-        verdict = verdict or judge_features(task.observations, Portfolio())
+        verdict = verdict or judge_features(
+            task.observations, Portfolio(), task.options["data"]["tested"])
         less = _without(task, verdict.blunders)
     if less is not None:
         found = recommended(less, search_in_steps(less, **how))

@@ -47,6 +47,8 @@ DATA_OPTIONS = (
     Option("check_as", None, "What check points are: judges of each selection, or further control. "
            "By default judges; where points are the control and the criterion needs no check "
            "points, control.", choices=("judge", "control")),
+    Option("tested", None, "Whether blunders among control and check points were looked for "
+           "before, as in a block of images: then they are not here.", bool),
     FIT_CRS,
 )
 

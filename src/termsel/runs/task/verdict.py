@@ -45,9 +45,9 @@ class Verdict:
         return tuple(changed(one, excluded=one.id not in in_use) for one in self.outliers)
 
 
-def judge_features(observations: Observations, portfolio: Portfolio, tested: bool = False,
-                   ) -> Verdict:
-    """Return the verdict on control and check features; none on those `tested` before."""
+def judge_features(observations: Observations, portfolio: Portfolio,
+                   tested: bool | None = None) -> Verdict:
+    """Return the verdict on control and check features; an empty one if they were tested before."""
     if tested:
         return Verdict()
     roles: dict[str, Role] = dict.fromkeys(observations.together.ids, "control")

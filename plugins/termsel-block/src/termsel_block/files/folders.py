@@ -32,6 +32,9 @@ _MOST_PHYSICAL, _MOST_OTHERS = 40, 120
 model no better than a tenth of what the block predicts, and takes longer.
 """
 
+_TESTED = {"tested": True}
+"""Option of a run whose control and ties the block has looked at for blunders."""
+
 _INTERVALS, _PER_INTERVAL = 32, 5
 """Intervals of the splines that follow jitter as the block has it, and points that each takes."""
 
@@ -116,10 +119,10 @@ def image_result(result: BlockResult, i: int, record: BlockRecord) -> Result:
     features = _features(result, i, image)
     name = correction_of(result, i)
     if name == "polynomial":
-        found = run(features=features, tested=True)
+        found = run(features=features, options=_TESTED)
     elif image.rpc is None:
         found = run("rfm-terms", features=features, solver="all-terms", criterion="press",
-                    model=name, options=dict(image.options), tested=True)
+                    model=name, options={**image.options, **_TESTED})
     else:
         rpc = {"file": (image.rpc_file or Path(f"{image.name}.RPB")).name, **asdict(image.rpc)}
         model = f"rpc-{name}"
@@ -131,7 +134,7 @@ def image_result(result: BlockResult, i: int, record: BlockRecord) -> Result:
             intervals = max(2, min(_INTERVALS, len(features.points) // _PER_INTERVAL))
             options |= {"across": True, "intervals": intervals}
         found = run("rfm-terms", features=features, solver="all-terms", criterion="press",
-                    model=model, options=options, tested=True)
+                    model=model, options={**options, **_TESTED})
     mine = record.images[i]
     note = (f"The places of {int(state.in_use[i].sum())} ties come from a block of "
             f"{len(record.images)} images. By the block points in this image have an RMSE of "

@@ -34,7 +34,7 @@ def page_of(result: BlockResult, record: BlockRecord) -> str:
         ("Footprints and ties", "Each dot is a tie; the colour is the standard deviation of its "
          "height [m]. The outlines are the hulls of what each image sees.", _map(result)),
         ("Residuals by image", "RMSE of the ties in each image [px]; predicted is what points "
-         "measured as the control will have.", _bars(record)),
+         "measured as the control will have over the area of the ties.", _bars(record)),
         ("Residuals by tie", "Number of measurements by their distance from the model [px]; those "
          "left out are beyond four standard deviations.", _residuals(result))]
     figures = "".join(
@@ -99,9 +99,9 @@ def _bars(record: BlockRecord) -> str:
     """Return RMSE of ties and predicted RMSE of images, the least certain first."""
     import altair as alt
 
-    images = sorted(record.images, key=lambda image: -image.predicted)[:_IMAGES]
+    images = sorted(record.images, key=lambda image: -image.uncertainty)[:_IMAGES]
     rows = [{"image": image.name, "what": what, "px": value} for image in images
-            for what, value in (("ties", image.rmse_ties), ("predicted", image.predicted))]
+            for what, value in (("ties", image.rmse_ties), ("predicted", image.uncertainty))]
     return _svg(alt.Chart(alt.Data(values=rows)).mark_bar().encode(
         x=alt.X("px:Q", title="RMSE [px]", axis=alt.Axis(tickCount=8)), yOffset="what:N",
         y=alt.Y("image:N", title="image", sort=[image.name for image in images]),

@@ -65,7 +65,9 @@ class ImageRecord(msgspec.Struct, frozen=True):
     """RMSE that points measured as the control will have [px]."""
     low: float
     high: float
-    """The interval of that RMSE, of 90 %."""
+    """The interval of that RMSE, of 90 %, for the independent points where there are some."""
+    uncertainty: float
+    """RMSE that points over the area of the ties will have [px]."""
     independent: float | None = None
     """RMSE of independent points [px]: the accuracy."""
     n_independent: int = 0
@@ -180,7 +182,7 @@ def _image(result: BlockResult, i: int) -> ImageRecord:
     return ImageRecord(
         image.name, correction_of(result, i), dict(result.adjusted.evidence[i]), len(control),
         int(used.sum()), rmse(own) if len(own) else 0.0, expected.rmse, expected.low,
-        expected.high, None if points is None else rmse(
+        expected.high, predicted(result, i, anywhere=True).rmse, None if points is None else rmse(
             points.image - result.project(i, points.ground)), 0 if points is None else len(points),
         None if image.rpc_file is None else image.rpc_file.name, dict(image.options))
 

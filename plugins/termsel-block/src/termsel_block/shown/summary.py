@@ -18,7 +18,7 @@ def opening(record: BlockRecord) -> str:
     points = sum(image.control for image in record.images)
     measured = (f"{len(record.images)} images, {record.ties} ties measured {record.measurements} "
                 f"times, {points} measurements of control, CRS {record.crs}.")
-    worst = max(record.images, key=lambda image: image.predicted)
+    worst = max(record.images, key=lambda image: image.uncertainty)
     judged = [image for image in record.images if image.independent is not None]
     lines = ["Read: " + measured, "Datum: " + record.datum,
              f"Precision: a tie is measured to {record.sigma_ties:.2f} px, control to "
@@ -33,7 +33,7 @@ def opening(record: BlockRecord) -> str:
         lines.append(f"In space: east {space.east:.2f} m, north {space.north:.2f} m, up "
                      f"{space.up:.2f} m, RMSE of {space.n} independent points by intersection.")
     lines.append("Blunders: " + _blunders(record))
-    lines.append(f"Next: {worst.name} is the least certain image, {worst.predicted:.2f} px. "
+    lines.append(f"Next: {worst.name} is the least certain image, {worst.uncertainty:.2f} px. "
                  "Control or ties in it help most.")
     if not record.converged:
         lines.append("The adjustment did not settle: read the figures with care.")
@@ -62,7 +62,7 @@ def _table(record: BlockRecord, verbose: bool) -> list[str]:
     rows = [("image", "model", "control", "ties", "ties px", "predicted px", "90 %",
              "independent px")]
     shown = record.images if verbose else sorted(
-        record.images, key=lambda image: -image.predicted)[:_SHOWN]
+        record.images, key=lambda image: -image.uncertainty)[:_SHOWN]
     rows += [(image.name, image.model, str(image.control), str(image.ties),
               f"{image.rmse_ties:.2f}", f"{image.predicted:.2f}",
               f"{image.low:.2f}-{image.high:.2f}", "" if image.independent is None else
