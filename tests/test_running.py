@@ -312,6 +312,24 @@ with threadpool_limits(2, user_api="blas"):
     assert done.stdout == "{1}\n", done.stdout + done.stderr
 
 
+@pytest.mark.parametrize(("said", "threads"), [("", "1"), ("2", "2")])
+def test_a_command_keeps_to_one_thread_unless_told(said: str, threads: str) -> None:
+    code = """
+import os, sys
+from termsel.__main__ import main
+sys.argv = ["termsel", "--version"]
+try:
+    main()
+except SystemExit:
+    print(os.environ["OPENBLAS_NUM_THREADS"], "numpy" in sys.modules)
+"""
+    others = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60,
+        env={**others, **({"OPENBLAS_NUM_THREADS": said} if said else {})})
+    assert done.stdout.endswith(f"\n{threads} False\n"), done.stdout + done.stderr
+
+
 def test_linear_algebra_keeps_to_one_thread() -> None:
     def threads() -> set[int]:
         return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}

@@ -96,6 +96,8 @@ def main() -> None:
     sys.excepthook = report_fault
     try:
         watch()
+        # Of the BLAS that NumPy and SciPy bring along: see termsel.threads.
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         from termsel.cli.main import cli
 
         open_streams()

@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from termsel import TermselError, open_dem
+from termsel.toolkit import one_blas_thread
 from termsel_block.block import Block, BlockImage
 from termsel_block.contradictions import (
     against_dem,
@@ -83,6 +84,7 @@ class BlockResult:
         return camera.rows(self.adjusted.state.parameters[i], local, camera.first_order(local)[1])
 
 
+@one_blas_thread
 def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> BlockResult:
     """Adjust images, their control and their ties together.
 

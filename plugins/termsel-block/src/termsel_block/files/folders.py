@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from termsel import FeatureSet, Points, Result, TermselError, require_replaceable, run
-from termsel.toolkit import write_result, write_text
+from termsel.toolkit import one_blas_thread, write_result, write_text
 from termsel_block.block import BlockImage
 from termsel_block.files.placing import together
 from termsel_block.geometry.physical import PhysicalCamera
@@ -68,6 +68,7 @@ def claim(folder: Path, names: list[str], *, overwrite: bool, reads: Iterable[Pa
         raise TermselError("cannot make this folder", file=folder, hint="Choose another --out.")
 
 
+@one_blas_thread
 def write_block(result: BlockResult, folder: Path | str, *, overwrite: bool = False,
                 progress: Callable[[float], None] | None = None) -> BlockRecord:
     """Write the results of all images, then the block's own files.
