@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -138,12 +138,65 @@ def test_a_sensor_that_is_right_hides_no_other(
     monkeypatch.setattr(joint, "_adjusted", lambda block, *_: SimpleNamespace(
         block=block, adjusted=block))
     monkeypatch.setattr(joint, "_with_note_on_dem", lambda result: result)
+    monkeypatch.setattr(joint, "_with_level_ground", lambda result, _: result)
     monkeypatch.setattr(joint, "agrees_better", lambda *given: sensors[given[-1]] != "aster")
     monkeypatch.setattr(contradictions, "contradicted", contradicted)
     found = adjust(block).block
     assert [image.options.get("sensor") for image in found.images] == ["aster", None, "aster"]
     assert sum("'planetscope'" in note for note in found.notes) == 1
     assert not any("'aster'" in note for note in found.notes)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What `adjust` needs of a block as adjusted."""
+
+    block: Block
+    adjusted: SimpleNamespace
+    frame: None = None
+
+
+@pytest.mark.parametrize(("relief", "of_unknown", "adjusted"), [
+    (100.0, 100.0, 2), (100.0, 280.0, 2), (0.0, 100.0, 2), (300.0, 100.0, 1)])
+def test_a_sensor_that_bends_the_ground_is_not_taken(
+        simulated: Simulated, monkeypatch: pytest.MonkeyPatch, relief: float, of_unknown: float,
+        adjusted: int) -> None:
+    """By control of which too few state a height (0 m) nothing tells before it is tried."""
+    block = replace(simulated.block, images=tuple(
+        replace(image, model="scanner", options={"sensor": "aster", "track": "descending"})
+        for image in simulated.block.images))
+    tried = []
+
+    def rough(block: Block, *_: object) -> Outcome:
+        tried.append(block)
+        roughness = 300.0 if "sensor" in block.images[0].options else of_unknown
+        return Outcome(block, SimpleNamespace(
+            roughness=roughness, relief=relief, state=SimpleNamespace(cameras=())))
+
+    monkeypatch.setattr(joint, "_adjusted", rough)
+    monkeypatch.setattr(joint, "_with_note_on_dem", lambda result: result)
+    found = adjust(block).block
+    assert len(tried) == adjusted
+    if adjusted == 1 or of_unknown > 200.0:
+        assert found == block
+        return
+    assert [image.options for image in found.images] == [{"track": "descending"}] * 3
+    assert found.notes == ("With the sensor 'aster' of I1, I2, I3 the ground is 300 m rough, with "
+                           "an unknown one 100 m. The unknown one is taken.",)
+
+
+def test_a_view_straight_down_that_is_not_is_seen_in_the_ground(
+        simulated: Simulated, tmp_path: Path) -> None:
+    """Views are 20 degrees off; terms of the sensor agree with what is known of it."""
+    (tmp_path / "mine.json").write_text(json.dumps({
+        "altitude": 690.0, "inclination": 98.1, "pixel": 2.37, "pixel_sigma": 0.06, "side": 0.5,
+        "altitude_sigma": 15.0, "ahead": 0.5, "source": "simulated"}))
+    result = adjust(replace(simulated.block, images=tuple(
+        replace(image, model="scanner", options={"sensor": str(tmp_path / "mine.json")})
+        for image in simulated.block.images)))
+    (note,) = result.block.notes
+    assert note.startswith("With the sensor 'mine.json' of I1, I2, I3 the ground is ")
+    assert max(errors(result)) < 1.2
 
 
 def test_options_are_read(tmp_path: Path) -> None:

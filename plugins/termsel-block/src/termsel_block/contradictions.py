@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from termsel_block.block import Block
+from termsel_block.block import Block, BlockImage
 from termsel_block.estimation.unknowns import Adjusted
 from termsel_block.geometry.frame import FloatArray
 from termsel_block.geometry.heights import OFF, Surface
@@ -20,6 +20,10 @@ CHANCE = 1e-4
 _FAR, _UNSEEN = 3.0, 1e3
 """Standard deviations from which on the ground is not that of the DEM, and that of a tie whose
 height no rays tell [m]."""
+
+_OVER_CONTROL, _OVER_FREE = 1.2, 1.1
+"""Times that the ground is rougher than that of control, from which on its sensor is doubted, and
+than that by an unknown sensor, from which on it is wrong: with right ones that is 1.01 at most."""
 
 _SENSOR = "sensor"
 """Option that names what is known; without it the model knows least."""
@@ -42,12 +46,53 @@ def without_wrong_sensor(block: Block, adjusted: Adjusted,
     for i, one in found.items():
         if sensors[i] != sensors[worst]:
             continue
-        images[i] = replace(images[i], options={
-            name: value for name, value in images[i].options.items() if name != _SENSOR})
+        images[i] = _of_unknown_sensor(images[i])
         notes.append(f"Points and ties of {images[i].name} contradict the sensor "
                      f"{Path(sensors[i]).name!r}{_off(one)}. The image is adjusted as one of an "
                      "unknown sensor.")
     return replace(block, images=tuple(images), notes=tuple(notes)), worst
+
+
+def with_sensors_that_bend(block: Block, adjusted: Adjusted) -> list[str]:
+    """Return the sensors that may bend the ground: it is far rougher than that of control.
+
+    Control is in the ground wherever it is, so that no other adjustment is needed to doubt them.
+    """
+    if adjusted.roughness < _OVER_CONTROL * adjusted.relief:
+        return []
+    return list(dict.fromkeys(filter(None, (sensor_of(block, i) for i in range(
+        len(block.images))))))
+
+
+def without_sensor(block: Block, sensor: str) -> Block:
+    """Return the block with an unknown sensor where it states this one."""
+    return replace(block, images=tuple(
+        _of_unknown_sensor(image) if sensor_of(block, i) == sensor else image
+        for i, image in enumerate(block.images)))
+
+
+def note_of_ground(block: Block, sensor: str, before: Adjusted, after: Adjusted) -> str:
+    """Return that a sensor bends the ground, as a note; empty where it does not.
+
+    Parameters
+    ----------
+    block : Block
+        With the sensor.
+    before, after : Adjusted
+        The block with the sensor, and with an unknown one.
+    """
+    if before.roughness < _OVER_FREE * after.roughness:
+        return ""
+    names = [image.name for i, image in enumerate(block.images) if sensor_of(block, i) == sensor]
+    return (f"With the sensor {Path(sensor).name!r} of {', '.join(names)} the ground is "
+            f"{before.roughness:.0f} m rough, with an unknown one {after.roughness:.0f} m. The "
+            "unknown one is taken.")
+
+
+def _of_unknown_sensor(image: BlockImage) -> BlockImage:
+    """Return an image without what is known of its sensor."""
+    return replace(image, options={
+        name: value for name, value in image.options.items() if name != _SENSOR})
 
 
 def sensor_of(block: Block, i: int) -> str:

@@ -15,7 +15,10 @@ from termsel_block.block import Block, BlockImage
 from termsel_block.contradictions import (
     against_dem,
     agrees_better,
+    note_of_ground,
     sensor_of,
+    with_sensors_that_bend,
+    without_sensor,
     without_wrong_sensor,
 )
 from termsel_block.estimation.adjustment import adjust_block
@@ -121,7 +124,26 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
             result = freed
         else:
             right.add(sensor_of(result.block, worst))
-    return _with_note_on_dem(result)
+    return _with_note_on_dem(_with_level_ground(result, progress))
+
+
+def _with_level_ground(result: BlockResult, progress: Callable[[float], None] | None,
+                       ) -> BlockResult:
+    """Return the result, or that without the sensors that bend the ground.
+
+    Terms of a sensor that is nearly right agree with what is known of it, as the ground bends
+    instead.
+    """
+    for sensor in with_sensors_that_bend(result.block, result.adjusted):
+        other = without_sensor(result.block, sensor)
+        try:
+            freed = _adjusted(other, result.frame, progress)
+        except TermselError:  # without what is known of the sensor, too little holds the image
+            continue
+        note = note_of_ground(result.block, sensor, result.adjusted, freed.adjusted)
+        if note:
+            result = replace(freed, block=replace(other, notes=(*other.notes, note)))
+    return result
 
 
 def _with_note_on_dem(result: BlockResult) -> BlockResult:

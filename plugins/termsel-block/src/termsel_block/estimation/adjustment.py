@@ -94,7 +94,8 @@ def adjust_block(state: State, measured: Sequence[Measured], control: Sequence[O
     draws = run.integrate()
     residuals, of_control = run.residuals()
     return Adjusted(state, run.solved, residuals, of_control, evidence, steps, run.converged,
-                    heights.offset, heights.sigma, run.freedom, moved, by_priors, draws)
+                    heights.offset, heights.sigma, heights.relief, run.freedom, moved, by_priors,
+                    draws)
 
 
 class _Run(Steps):

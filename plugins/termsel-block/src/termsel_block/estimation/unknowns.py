@@ -52,6 +52,8 @@ class Adjusted:
     converged : bool
     offset, roughness : float
         How far heights are off the surface as a whole, and each by itself [m].
+    relief : float
+        Root mean square of the latter of control [m]; zero where few points state a height.
     freedom : float
         Redundancy: measurements less the unknowns that they determine.
     moved : ndarray, shape (images,)
@@ -72,6 +74,7 @@ class Adjusted:
     converged: bool
     offset: float
     roughness: float
+    relief: float
     freedom: float
     moved: FloatArray
     by_priors: list[tuple[FloatArray, FloatArray]]
