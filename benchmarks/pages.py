@@ -35,7 +35,7 @@ PAGES: dict[str, tuple[str, ...]] = {
     "lines": ("lines", "--processes", "2"),
     "old-maps": ("old_maps", "--processes", "2"),
     "rpc-few-points": ("rpc_few_points", "--workers", "2", "--cases", "40"),
-    "blocks": ("blocks", "--seeds", "3", "--counts", "30", "100", "--ties", "800"),
+    "blocks": ("blocks",),
     "scanners": ("scanners", "--processes", "2", "--images", "24", "--splits", "6"),
     "coverage": ("coverage", "--processes", "2", "--kept", KEPT),
     "blunders": ("blunders", "--processes", "2"),
