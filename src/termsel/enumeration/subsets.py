@@ -102,7 +102,7 @@ def search(
     """
     systems = stack(system, score, folds, max_terms)
     if systems.needs_compilation:
-        log.info("Compiling: the first proof on this machine takes some 20 s longer.")
+        log.info("Compiling: the first proof on this machine takes some 15 s longer.")
     total = systems.everything.count
     best, masks = _nothing(systems.k)
     settled = 0
