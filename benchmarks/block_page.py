@@ -137,11 +137,6 @@ Targets are at most 0.95 for images without control, and for images with six poi
   images take 28, 84 and 261 s of CPU to write, and 17, 65 and 303 s to adjust, with 51,000, 190,000
   and 681,000 measurements of ties. The whole of 1,000 images takes 9.4 minutes of CPU and 1.8 GiB,
   and 12.6 times as long as 100 images, with 13.5 times as many measurements. Their table is read in
-  another 6 s. The machine was busy, which makes large adjustments slower than in the table. Two
+  another 6 s. The machine was busy then. Two
   processes that write would end at most 1.3 times as soon, so that there is one.
-- Shares in 90 % of blocks with RPCs and of scanners are of intervals for the area of the ties. "The
-  plain way" is from before terms had scales of their own. Rows of blocks with a DEM, of strips and
-  of 100 images are from before variances were integrated over. What changed in others: where an
-  image without control is held by RPCs, it is up to 11 % worse (a triplet with control in one
-  image) and up to 24 % better (a pair with a point in each).
 """
