@@ -68,7 +68,7 @@ class Portfolio:
     def _count(self, control: Control) -> int:
         """Return how many features there are, of all that these are a part of."""
         whole = self._whole or control.features
-        return len(whole.points) + (len(whole.lines) if len(control.features.lines) else 0)
+        return len(whole) if len(control.features.lines) else len(whole.points)
 
     @property
     def notes(self) -> tuple[str, ...]:
