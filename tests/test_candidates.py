@@ -182,6 +182,46 @@ def test_one_for_few_features_is_not_tried_in_folds_of_more(control: Control) ->
     assert seen["affine"] > seen["mine"] > 0
 
 
+@dataclass(frozen=True, eq=False)
+class Uncalled(Known):
+    """A candidate that features do not call for, though parts of them may."""
+
+    near: bool = False
+
+    def fit_control(self, control: Control) -> Fit:
+        TRIED[self.name, len(control)] += 1
+        raise Undetermined("the features do not call for it", hint="Choose another model.")
+
+    def nearly(self, control: Control) -> bool:
+        return self.near
+
+
+TRIED = Counter[tuple[str, int]]()
+
+
+@pytest.mark.parametrize(("count", "folds"), [(19, 19), (20, 20), (39, 20), (40, 10)])
+def test_folds_of_many_points_do_not_try_what_all_points_are_far_from(count: int, folds: int
+                                                                      ) -> None:
+    control = Control.of(termsel.simulate_scene("spot-isfahan", roles=(count, 0, 0), n_lines=0))
+    portfolio = portfolio_with(
+        Known("good", "a known model", Polynomial3D(degree=2), factor=1e-6),
+        Known("bad", "a known model", Affine(), factor=1e6),
+        *(Uncalled(f"uncalled-{near}", "a model", Affine(), near=near) for near in (False, True)))
+    seen = Counter[str]()
+
+    def see(one: Judged | None) -> None:
+        seen.update([one.name] if one else [])
+
+    TRIED.clear()
+    repeated(control, portfolio, see)
+    of_few = folds if count < 20 else 0
+    assert seen["good"] == seen["shrunken-quadratic"] == folds
+    assert seen["bad"] == of_few
+    parts = Counter(name for name, n in TRIED.elements() if n < count)
+    assert parts["uncalled-True"] == folds
+    assert parts["uncalled-False"] == of_few
+
+
 @pytest.mark.parametrize("most", [None, "12", 0, float("nan")])
 def test_one_for_no_number_of_features_is_left_out_and_named(control: Control, most: Any) -> None:
     portfolio = portfolio_with(Known("mine", "a known model", Affine(), most=most))

@@ -207,6 +207,13 @@ class Candidate(ABC):
         """Return one sentence on why the features call for it; "" if leave-one-out tells all."""
         return ""
 
+    def nearly(self, control: Control) -> bool:
+        """Return whether parts of many features may call for it where all of them do not.
+
+        It is asked where all of them do not call for it, before the choice is repeated in folds.
+        """
+        return False
+
     def suspects(self, control: Control) -> Suspects | None:
         """Return which features contradict what the candidate knows of the image.
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from termsel.adjustment.interpolation import Interpolation
 from termsel.fits.fit import Estimator, Fit, HeldOut, Undetermined
 from termsel.fits.fittable import Fittable
 from termsel.fits.least_squares import LeastSquares
@@ -17,6 +18,9 @@ LIKELY = 0.75
 """Probability of a random field beyond which points call for it: odds of three to one, beyond
 which the evidence is positive (Kass and Raftery 1995, J. Am. Stat. Assoc. 90)."""
 
+EXCLUDED = 0.05
+"""Probability up to which parts of many points are not asked for a field either."""
+
 
 def asked_of(found: Collocation) -> float:
     """Return the probability of a random field beyond which points call for it.
@@ -24,6 +28,11 @@ def asked_of(found: Collocation) -> float:
     Of few points without heights, up to `field.SURE`, any: they tell too little to choose by.
     """
     return LIKELY * (1.0 - found.few)
+
+
+def interpolated(model: Fittable, control: FeatureSet, scaling: Scaling) -> Interpolation | None:
+    """Return what a model predicts from control points; None where they are too few."""
+    return model.prepared(scaling, control.crs).interpolation(scaling.features(control))
 
 
 class Interpolated(Estimator):
@@ -39,8 +48,7 @@ class Interpolated(Estimator):
             used: BoolArray) -> Fit:
         """Fit a model (see `Estimator.fit`)."""
         points_alone(control, used, "an interpolation")
-        found = model.prepared(scaling, control.crs).interpolation(
-            scaling.features(control.take(used)))
+        found = interpolated(model, control.take(used), scaling)
         if found is None:
             raise Undetermined(f"{used.sum()} control points are too few to interpolate by",
                                hint="Measure more control, spread over the area.")

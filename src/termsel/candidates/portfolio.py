@@ -58,11 +58,24 @@ class Portfolio:
                                    "number of features", hint=HINT)
             for one in self.candidates if not (isinstance(one.most, numbers.Real) and one.most > 0)}
         self._whole: FeatureSet | None = None
+        self._hopeless: frozenset[str] = frozenset()
 
-    def for_parts_of(self, control: Control) -> Portfolio:
-        """Return the portfolio for parts of features: of these all count for `Candidate.most`."""
+    def for_parts_of(self, control: Control, choice: Choice | None = None) -> Portfolio:
+        """Return the portfolio for parts of features: of these all count for `Candidate.most`.
+
+        With the choice from all of them, candidates that it came nowhere near are not fitted: those
+        that all features do not determine, or do not call for, and those without a prior that
+        predict no better than the one to be beaten.
+        """
         parts = Portfolio(self.candidates)
         parts.faults, parts._whole = self.faults, control.features
+        priors = [one for one in choice.judged if one.candidate.has_prior] if choice else []
+        if choice and priors:
+            base = _base_of(priors)[0]
+            near = {one.name for one in choice.judged
+                    if one.candidate.has_prior or _gain(one, base) > 0.0}
+            parts._hopeless = frozenset(one.name for one in self.offered(control) if not (
+                one.name in near or _contained(one, priors) or self.ask(one, "nearly", control)))
         return parts
 
     def _count(self, control: Control) -> int:
@@ -96,7 +109,8 @@ class Portfolio:
 
     def judged(self, candidate: Candidate, control: Control) -> Judged | None:
         """Return a candidate fitted and judged; None if it is not determined, or fails."""
-        found: Judged | None = self.ask(candidate, "judge", control)
+        found: Judged | None = None if candidate.name in self._hopeless else self.ask(
+            candidate, "judge", control)
         if found is None:
             return None
         fault = of_type(found.fit, Fit) or of_shape(found.squares, (len(control),)) or (
@@ -133,7 +147,8 @@ class Portfolio:
 
 
 _RETURNED = {"declines": str, "describe": str, "fit_control": Fit, "judge": Judged,
-             "model": SensorModel, "refit": Fit, "size": numbers.Real, "suspects": Suspects}
+             "model": SensorModel, "nearly": bool, "refit": Fit, "size": numbers.Real,
+             "suspects": Suspects}
 """Types of what methods return, if it is not None."""
 
 Watch = Callable[[Judged | None], None]
@@ -205,6 +220,18 @@ def best_of(candidates: Iterable[Judged], portfolio: Portfolio | None = None) ->
     priors = [one for one in judged if one.candidate.has_prior]
     if not priors:
         return Choice(min(judged, key=lambda one: one.predicted), judged, LEAST) if judged else None
+    base, said = _base_of(priors)
+    others = [one for one in judged
+              if not (one.candidate.has_prior or _contained(one.candidate, priors))]
+    rivals = [base, *(one for one in others if _gain(one, base) > _asked(one, base))]
+    chosen = min(rivals, key=lambda one: one.predicted)
+    said[:0] = [reason for one in dict.fromkeys((chosen, base))
+                if (reason := portfolio.ask(one.candidate, "describe", one.fit))]
+    return Choice(chosen, judged, _reason(chosen, base, said, others, judged))
+
+
+def _base_of(priors: Sequence[Judged]) -> tuple[Judged, list[str]]:
+    """Return which candidate with a prior is to be beaten, and what decided among them."""
     base, said = priors[0], list[str]()
     for one in priors[1:]:
         if base.name in one.candidate.contains:
@@ -215,13 +242,7 @@ def best_of(candidates: Iterable[Judged], portfolio: Portfolio | None = None) ->
             if asked < np.inf:
                 said.append(f"{_compared(one, base)}; it must be better by more than {asked:.2g}.")
             base = one if _gain(one, base) > asked else base
-    others = [one for one in judged
-              if not (one.candidate.has_prior or _contained(one.candidate, priors))]
-    rivals = [base, *(one for one in others if _gain(one, base) > _asked(one, base))]
-    chosen = min(rivals, key=lambda one: one.predicted)
-    said[:0] = [reason for one in dict.fromkeys((chosen, base))
-                if (reason := portfolio.ask(one.candidate, "describe", one.fit))]
-    return Choice(chosen, judged, _reason(chosen, base, said, others, judged))
+    return base, said
 
 
 def _asked(one: Judged, base: Judged) -> float:

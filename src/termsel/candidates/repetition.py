@@ -10,7 +10,7 @@ import numpy as np
 from termsel.adjustment.lines import row_weights
 from termsel.candidates.base import Judged
 from termsel.candidates.memory import remembered
-from termsel.candidates.portfolio import Portfolio, Watch, choose, choose_features
+from termsel.candidates.portfolio import Choice, Portfolio, Watch, choose, choose_features
 from termsel.measurements.control import Control, carriers
 from termsel.measurements.coordinates.places import ground_centres, spatial_order
 from termsel.measurements.features import FeatureSet, FloatArray
@@ -18,9 +18,12 @@ from termsel.measurements.features import FeatureSet, FloatArray
 FOLDS_WITH_LINES = 10
 """Folds in which the whole choice is repeated where there are lines, which take longer."""
 
-FOLDS = ((500, 20), (5000, 10), (50_000, 5), (np.inf, 2))
-"""Folds for fewer points than a number: of many, four fifths predict all but as well as all, and of
-very many a half."""
+FOLDS = ((40, 20), (5000, 10), (50_000, 5), (np.inf, 2))
+"""Folds for fewer points than a number: of many, nine tenths or four fifths predict all but as well
+as all, and of very many a half."""
+
+MANY = 20
+"""Points from which on folds do not try what all points together come nowhere near to choosing."""
 
 
 def folds_of(control: FeatureSet) -> int:
@@ -31,14 +34,15 @@ def folds_of(control: FeatureSet) -> int:
 
 
 def repeated(control: Control, portfolio: Portfolio | None = None,
-             watch: Watch | None = None) -> FloatArray | None:
+             watch: Watch | None = None, choice: Choice | None = None) -> FloatArray | None:
     """Return the errors of features under choices made without them, (n_points + n_lines, 2) [px].
 
     In each fold, spread over the scene, the choice is made again, so that its errors are not those
     that it was made by. They are measured minus predicted: of a point its line and sample; of a
     line the distances of its two vertices, weighted by how well the image line is known there, so
     that they compare with two coordinates of a point. None if some fold leaves too little to choose
-    by, or lines alone that are too few to shrink.
+    by, or lines alone that are too few to shrink. `choice` is that from all features, if it is
+    known.
     """
     portfolio, seen = portfolio or Portfolio(), list[None]()
     folds = folds_of(control.features)
@@ -49,29 +53,30 @@ def repeated(control: Control, portfolio: Portfolio | None = None,
             watch(one)
 
     errors, judged = remembered(("repeated", folds), control, portfolio, lambda: (
-        _errors(control, portfolio, see, folds), len(seen)))
+        _errors(control, portfolio, see, folds, choice), len(seen)))
     for _ in range(judged - len(seen)):  # what was found before is told, too
         see(None)
     return errors
 
 
-def _errors(control: Control, portfolio: Portfolio, watch: Watch, folds: int) -> FloatArray | None:
-    features, portfolio = control.features, portfolio.for_parts_of(control)
+def _errors(control: Control, portfolio: Portfolio, watch: Watch, folds: int,
+            choice: Choice | None) -> FloatArray | None:
+    features, whole = control.features, cache(lambda: choose(control, portfolio, whole=False))
+    many = len(features.points) >= MANY and not len(features.lines)
+    parts = portfolio.for_parts_of(control, (choice or whole()) if many else None)
     order = spatial_order(ground_centres(features))
     count, owner = len(features.points), features.feature
     errors = np.empty((len(owner), 2))
     least = portfolio.least(control)
-    whole = cache(lambda: choose(control, portfolio, whole=False))
     for fold in range(folds):
         out = np.zeros(len(control), dtype=bool)
         out[order[fold::folds]] = True
         rest, held = control.take(~out), features.take(out)
         # Relief that rests on one feature of the others tells nothing of those held out.
         flat = replace(rest, heights=rest.heights and not carriers(rest, most=1))
-        choice = None if len(rest) < least else choose_features(
-            flat, portfolio, watch, whole=False)
-        fitted = choice.chosen.fit if choice else None
-        if not choice or not any(one.candidate.has_prior for one in choice.judged):
+        found = None if len(rest) < least else choose_features(flat, parts, watch, whole=False)
+        fitted = found.chosen.fit if found else None
+        if not found or not any(one.candidate.has_prior for one in found.judged):
             if not count:
                 return None
             # Few features choose by luck: what all of them choose is fitted to these.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from termsel.candidates.base import Candidate
-from termsel.candidates.local import LIKELY, Interpolated, asked_of
+from termsel.candidates.local import EXCLUDED, LIKELY, Interpolated, asked_of, interpolated
 from termsel.candidates.physical import CHOSEN, FEWEST, Physical, averaged_of
 from termsel.candidates.ridge import RidgeByOrder
 from termsel.candidates.robust import Reweighted
@@ -78,6 +78,13 @@ class _Selected(Structure):
 
 class _WithField(Structure):
     """A structure with a random field, which declines where the field is not likely."""
+
+    def nearly(self, control: Control) -> bool:
+        """Return whether the field is not all but excluded, so that parts may call for it."""
+        model = self.model(control.heights)
+        assert model is not None
+        found = interpolated(model, control.features, control.scaling)
+        return isinstance(found, Collocation) and found.probability > EXCLUDED
 
     def describe(self, fitted: Fit) -> str:
         """Return the probability of the field."""

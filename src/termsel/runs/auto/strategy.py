@@ -141,7 +141,7 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
             watch.tell("OWDIS")
             choice, errors = with_selected_lines(control, choice, portfolio, seed)
         if choice and errors is None and enough and len(both) > 1:
-            errors = repeated(control, portfolio, watch.candidate)
+            errors = repeated(control, portfolio, watch.candidate, choice)
     except KeyboardInterrupt:
         choice, errors, interrupted = choice or best_of(watch.judged, portfolio), None, True
         if choice is None:
