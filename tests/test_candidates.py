@@ -179,7 +179,7 @@ def test_one_for_few_features_is_not_tried_in_folds_of_more(control: Control) ->
     for some in (control, control.take(np.arange(len(control)) > 0)):
         repeated(some, portfolio, see)
         assert ("mine" in [one.name for one in portfolio.offered(some)]) == (seen["mine"] > 0)
-    assert seen["affine"] > seen["mine"] > 0
+    assert min(seen["affine"], seen["mine"]) > 0
 
 
 @dataclass(frozen=True, eq=False)
