@@ -106,7 +106,7 @@ def test_the_result_of_a_scanner_is_its_model(scanners: BlockResult, tmp_path: P
 ])
 def test_a_wrong_model_is_named(model: str, options: str, said: str, tmp_path: Path) -> None:
     (tmp_path / "ties.csv").write_text("id,image,line,sample\n" + "".join(
-        f"{k},{name},{10 * k},{7 * k % 11}\n" for k in range(9) for name in "AB"))
+        f"{k},{name},{10 * k},{7 * k % 11 + (name == 'B')}\n" for k in range(9) for name in "AB"))
     (tmp_path / "a.csv").write_text("id,line,sample,lon,lat,height\n" + "".join(
         f"{k},{900 * (k % 3)},{700 * (k // 3)},{20 + k % 3 / 100},{40 + k // 3 / 100},{k * 37 % 90}"
         "\n" for k in range(9)))
@@ -138,7 +138,7 @@ def test_a_sensor_that_is_right_hides_no_other(
     monkeypatch.setattr(joint, "_adjusted", lambda block, *_: SimpleNamespace(
         block=block, adjusted=block))
     monkeypatch.setattr(joint, "_with_note_on_dem", lambda result: result)
-    monkeypatch.setattr(joint, "_with_level_ground", lambda result, _: result)
+    monkeypatch.setattr(joint, "_without_worse", lambda result, _: result)
     monkeypatch.setattr(joint, "agrees_better", lambda *given: sensors[given[-1]] != "aster")
     monkeypatch.setattr(contradictions, "contradicted", contradicted)
     found = adjust(block).block
@@ -156,12 +156,11 @@ class Outcome:
     frame: None = None
 
 
-@pytest.mark.parametrize(("relief", "of_unknown", "adjusted"), [
-    (100.0, 100.0, 2), (100.0, 280.0, 2), (0.0, 100.0, 2), (300.0, 100.0, 1)])
-def test_a_sensor_that_bends_the_ground_is_not_taken(
-        simulated: Simulated, monkeypatch: pytest.MonkeyPatch, relief: float, of_unknown: float,
-        adjusted: int) -> None:
-    """By control of which too few state a height (0 m) nothing tells before it is tried."""
+@pytest.mark.parametrize(("of_unknown", "score"), [
+    (100.0, 0.0), (280.0, 0.0), (300.0, 3.0), (300.0, 25.0)])
+def test_a_sensor_that_bends_the_ground_or_control_is_not_taken(
+        simulated: Simulated, monkeypatch: pytest.MonkeyPatch, of_unknown: float,
+        score: float) -> None:
     block = replace(simulated.block, images=tuple(
         replace(image, model="scanner", options={"sensor": "aster", "track": "descending"})
         for image in simulated.block.images))
@@ -169,20 +168,40 @@ def test_a_sensor_that_bends_the_ground_is_not_taken(
 
     def rough(block: Block, *_: object) -> Outcome:
         tried.append(block)
-        roughness = 300.0 if "sensor" in block.images[0].options else of_unknown
+        stated = "sensor" in block.images[0].options
         return Outcome(block, SimpleNamespace(
-            roughness=roughness, relief=relief, state=SimpleNamespace(cameras=())))
+            roughness=300.0 if stated else of_unknown, score=0.0 if stated else score,
+            state=SimpleNamespace(cameras=())))
 
     monkeypatch.setattr(joint, "_adjusted", rough)
     monkeypatch.setattr(joint, "_with_note_on_dem", lambda result: result)
     found = adjust(block).block
-    assert len(tried) == adjusted
-    if adjusted == 1 or of_unknown > 200.0:
+    assert len(tried) == 2
+    if of_unknown > 200.0 and score < 10.0:
         assert found == block
         return
     assert [image.options for image in found.images] == [{"track": "descending"}] * 3
-    assert found.notes == ("With the sensor 'aster' of I1, I2, I3 the ground is 300 m rough, with "
-                           "an unknown one 100 m. The unknown one is taken.",)
+    said = ("the block predicts its own control points far worse than with an unknown one"
+            if score else "the ground is 300 m rough, with an unknown one 100 m")
+    assert found.notes == (
+        f"With the sensor 'aster' of I1, I2, I3 {said}. The unknown one is taken.",)
+
+
+def test_a_sensor_is_one_claim_of_all_images_that_state_it(
+        simulated: Simulated, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where terms of one image contradict it, it is not held in the other."""
+    sensors = ("aster", "planetscope", "aster")
+    block = replace(simulated.block, images=tuple(
+        replace(image, model="scanner", options={"sensor": sensor})
+        for image, sensor in zip(simulated.block.images, sensors, strict=True)))
+    monkeypatch.setattr(contradictions, "contradicted", lambda _: {
+        2: Contradiction(1e-9, 9.0, ("look-2 by 5.0",))})
+    found = contradictions.without_wrong_sensor(block, SimpleNamespace(), ())  # type: ignore[arg-type]
+    assert found is not None
+    assert [image.options.get("sensor") for image in found[0].images] == [None, "planetscope", None]
+    assert found[0].notes == (
+        "Points and ties of I3 (look-2 by 5.0 standard deviations) contradict the sensor 'aster'. "
+        "The 2 images that state it are adjusted as those of an unknown sensor.",)
 
 
 def test_a_view_straight_down_that_is_not_is_seen_in_the_ground(
@@ -201,7 +220,7 @@ def test_a_view_straight_down_that_is_not_is_seen_in_the_ground(
 
 def test_options_are_read(tmp_path: Path) -> None:
     (tmp_path / "ties.csv").write_text("id,image,line,sample\n" + "".join(
-        f"{k},{name},{k},{k}\n" for k in range(5) for name in "AB"))
+        f"{k},{name},{k},{k + (name == 'B')}\n" for k in range(5) for name in "AB"))
     (tmp_path / "block.toml").write_text(
         'crs = "EPSG:4979"\nties = "ties.csv"\n[[image]]\nname = "A"\nmodel = "scanner"\n'
         'options = { track = "ascending" }\n[[image]]\nname = "B"\n')
@@ -244,7 +263,7 @@ def test_a_sensor_is_read_from_the_folder_of_the_block(tmp_path: Path) -> None:
     (tmp_path / "m").mkdir()
     (tmp_path / "m/mine.json").write_text("{")
     (tmp_path / "m/ties.csv").write_text("id,image,line,sample\n" + "".join(
-        f"{k},{name},{k},{k}\n" for k in range(5) for name in "AB"))
+        f"{k},{name},{k},{k + (name == 'B')}\n" for k in range(5) for name in "AB"))
     (tmp_path / "m/block.toml").write_text(
         'crs = "EPSG:4979"\nties = "ties.csv"\n[[image]]\nname = "A"\nmodel = "scanner"\n'
         'options = { sensor = "mine.json" }\n[[image]]\nname = "B"\n')
@@ -259,7 +278,7 @@ def test_a_sensor_that_is_nearly_right_is_said_and_not_used(simulated: Simulated
                         options={"sensor": "planetscope", "track": "descending"})
     result = adjust(replace(simulated.block, images=tuple(images)))
     (note,) = result.block.notes
-    assert note.startswith("Points and ties of I1 contradict the sensor 'planetscope' (period by 4")
+    assert note.startswith("Points and ties of I1 (period by 4")
     assert record_of(result).images[0].options == {"track": "descending"}
     assert errors(result)[0] < 2.0  # 13 px, and a predicted 4
 

@@ -21,9 +21,9 @@ _FAR, _UNSEEN = 3.0, 1e3
 """Standard deviations from which on the ground is not that of the DEM, and that of a tie whose
 height no rays tell [m]."""
 
-_OVER_CONTROL, _OVER_FREE = 1.2, 1.1
-"""Times that the ground is rougher than that of control, from which on its sensor is doubted, and
-than that by an unknown sensor, from which on it is wrong: with right ones that is 1.01 at most."""
+_OVER_FREE = 1.1
+"""Times that the ground is rougher than by an unknown sensor, from which on its sensor is wrong:
+with right ones that is 1.01 at most."""
 
 _SENSOR = "sensor"
 """Option that names what is known; without it the model knows least."""
@@ -33,8 +33,9 @@ def without_wrong_sensor(block: Block, adjusted: Adjusted,
                          right: Collection[str]) -> tuple[Block, int] | None:
     """Return the block without the sensor that its measurements contradict most; None if none.
 
-    One sensor at a time, in all images that it is wrong in: by their ties it bends others, too.
-    With it the number of the image that contradicts most. Sensors that are right stay.
+    One sensor at a time, in all images that state it: it is one claim, and where it is wrong in
+    some the ties bend others, too. With it the number of the image that contradicts most. Sensors
+    that are right stay.
     """
     every = contradicted(adjusted)
     sensors = {i: sensor_of(block, i) for i in every}
@@ -42,24 +43,19 @@ def without_wrong_sensor(block: Block, adjusted: Adjusted,
     worst = max(found, key=lambda i: found[i].severity, default=None)
     if worst is None:
         return None
-    images, notes = list(block.images), list(block.notes)
-    for i, one in found.items():
-        if sensors[i] != sensors[worst]:
-            continue
-        images[i] = _of_unknown_sensor(images[i])
-        notes.append(f"Points and ties of {images[i].name} contradict the sensor "
-                     f"{Path(sensors[i]).name!r}{_off(one)}. The image is adjusted as one of an "
-                     "unknown sensor.")
-    return replace(block, images=tuple(images), notes=tuple(notes)), worst
+    sensor, name = sensors[worst], Path(sensors[worst]).name
+    said = [f"{block.images[i].name}{_off(one)}" for i, one in found.items()
+            if sensors[i] == sensor]
+    many = sum(sensor_of(block, i) == sensor for i in range(len(block.images)))
+    note = (f"Points and ties of {', '.join(said)} contradict the sensor {name!r}. "
+            + ("The image is adjusted as one of an unknown sensor." if many == 1 else
+               f"The {many} images that state it are adjusted as those of an unknown sensor."))
+    other = without_sensor(block, sensor)
+    return replace(other, notes=(*other.notes, note)), worst
 
 
-def with_sensors_that_bend(block: Block, adjusted: Adjusted) -> list[str]:
-    """Return the sensors that may bend the ground: it is far rougher than that of control.
-
-    Control is in the ground wherever it is, so that no other adjustment is needed to doubt them.
-    """
-    if adjusted.roughness < _OVER_CONTROL * adjusted.relief:
-        return []
+def stated_sensors(block: Block) -> list[str]:
+    """Return the sensors that images state, each once."""
     return list(dict.fromkeys(filter(None, (sensor_of(block, i) for i in range(
         len(block.images))))))
 
@@ -71,8 +67,8 @@ def without_sensor(block: Block, sensor: str) -> Block:
         for i, image in enumerate(block.images)))
 
 
-def note_of_ground(block: Block, sensor: str, before: Adjusted, after: Adjusted) -> str:
-    """Return that a sensor bends the ground, as a note; empty where it does not.
+def note_without(block: Block, sensor: str, before: Adjusted, after: Adjusted) -> str:
+    """Return that a sensor bends the ground or contradicts control; empty where it does not.
 
     Parameters
     ----------
@@ -81,12 +77,20 @@ def note_of_ground(block: Block, sensor: str, before: Adjusted, after: Adjusted)
     before, after : Adjusted
         The block with the sensor, and with an unknown one.
     """
-    if before.roughness < _OVER_FREE * after.roughness:
-        return ""
-    names = [image.name for i, image in enumerate(block.images) if sensor_of(block, i) == sensor]
-    return (f"With the sensor {Path(sensor).name!r} of {', '.join(names)} the ground is "
-            f"{before.roughness:.0f} m rough, with an unknown one {after.roughness:.0f} m. The "
-            "unknown one is taken.")
+    images = [image.name for i, image in enumerate(block.images) if sensor_of(block, i) == sensor]
+    named = f"With the sensor {Path(sensor).name!r} of {', '.join(images)}"
+    if before.roughness >= _OVER_FREE * after.roughness:
+        return (f"{named} the ground is {before.roughness:.0f} m rough, with an unknown one "
+                f"{after.roughness:.0f} m. The unknown one is taken.")
+    if _predicts_better(before, after):
+        return (f"{named} the block predicts its own control points far worse than with an "
+                "unknown one. The unknown one is taken.")
+    return ""
+
+
+def _predicts_better(before: Adjusted, after: Adjusted) -> bool:
+    """Return whether control is far more probable by all other measurements than before."""
+    return bool(after.score - before.score > -np.log(CHANCE))
 
 
 def _of_unknown_sensor(image: BlockImage) -> BlockImage:
@@ -101,12 +105,13 @@ def sensor_of(block: Block, i: int) -> str:
 
 
 def agrees_better(before: Adjusted, after: Adjusted, i: int) -> bool:
-    """Return whether an image contradicts its model far less than before.
+    """Return whether an image contradicts its model far less, or control is predicted far better.
 
     If it does not, its sensor is right, and it turns faster than the model takes scanners to.
     """
     one, other = (_of(adjusted, i) for adjusted in (before, after))
-    return one is None or other is None or other.severity < one.severity / 2
+    return (_predicts_better(before, after) or one is None or other is None
+            or other.severity < one.severity / 2)
 
 
 def contradicted(adjusted: Adjusted) -> dict[int, Contradiction]:

@@ -15,9 +15,9 @@ from termsel_block.block import Block, BlockImage
 from termsel_block.contradictions import (
     against_dem,
     agrees_better,
-    note_of_ground,
+    note_without,
     sensor_of,
-    with_sensors_that_bend,
+    stated_sensors,
     without_sensor,
     without_wrong_sensor,
 )
@@ -124,26 +124,31 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
             result = freed
         else:
             right.add(sensor_of(result.block, worst))
-    return _with_note_on_dem(_with_level_ground(result, progress))
+    return _with_note_on_dem(_without_worse(result, progress))
 
 
-def _with_level_ground(result: BlockResult, progress: Callable[[float], None] | None,
-                       ) -> BlockResult:
-    """Return the result, or that without the sensors that bend the ground.
+def _without_worse(result: BlockResult, progress: Callable[[float], None] | None,
+                     ) -> BlockResult:
+    """Return the result, or that without sensors which bend the ground or contradict control.
 
     Terms of a sensor that is nearly right agree with what is known of it, as the ground bends
-    instead.
+    instead. So each sensor is compared with an unknown one. Of several the one goes first without
+    which control is predicted best.
     """
-    for sensor in with_sensors_that_bend(result.block, result.adjusted):
-        other = without_sensor(result.block, sensor)
-        try:
-            freed = _adjusted(other, result.frame, progress)
-        except TermselError:  # without what is known of the sensor, too little holds the image
-            continue
-        note = note_of_ground(result.block, sensor, result.adjusted, freed.adjusted)
-        if note:
-            result = replace(freed, block=replace(other, notes=(*other.notes, note)))
-    return result
+    while True:
+        best: BlockResult | None = None
+        for sensor in stated_sensors(result.block):
+            other = without_sensor(result.block, sensor)
+            try:
+                freed = _adjusted(other, result.frame, progress)
+            except TermselError:  # without what is known of the sensor, too little holds the image
+                continue
+            note = note_without(result.block, sensor, result.adjusted, freed.adjusted)
+            if note and (best is None or freed.adjusted.score > best.adjusted.score):
+                best = replace(freed, block=replace(other, notes=(*other.notes, note)))
+        if best is None:
+            return result
+        result = best
 
 
 def _with_note_on_dem(result: BlockResult) -> BlockResult:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from scipy.special import ndtr, stdtrit
 
 from termsel_block.estimation.equations import Shared, pairs
-from termsel_block.estimation.steps import CONVERGED, Steps, soft
+from termsel_block.estimation.steps import CONVERGED, Steps, shrunk, soft
 from termsel_block.estimation.unknowns import Adjusted, Measured, State
 from termsel_block.evidence.factors import log_bayes_factor
 from termsel_block.evidence.growing import CHANCE, chance_of
@@ -86,6 +87,7 @@ def adjust_block(state: State, measured: Sequence[Measured], control: Sequence[O
     steps += run.iterate(robust=False, limit=_STEPS, report=report)
     by_priors = [(one.copy(), own) for one, own in zip(
         state.parameters, run.solved.own[:-1], strict=True)]
+    score = run.score_of_control() if any(camera.stated for camera in state.cameras) else 0.0
     for _ in range(_LOOSENED):
         if not run.loosen():
             break
@@ -94,8 +96,8 @@ def adjust_block(state: State, measured: Sequence[Measured], control: Sequence[O
     draws = run.integrate()
     residuals, of_control = run.residuals()
     return Adjusted(state, run.solved, residuals, of_control, evidence, steps, run.converged,
-                    heights.offset, heights.sigma, heights.relief, run.freedom, moved, by_priors,
-                    draws)
+                    heights.offset, heights.sigma, run.freedom, moved, by_priors,
+                    score, draws)
 
 
 class _Run(Steps):
@@ -200,6 +202,9 @@ class _Run(Steps):
         freedom = float(
             weights - np.minimum(2 * each, 3).sum() - max(determined - spent, 0.0))
         self.freedom = freedom + rows - spent
+        if robust:  # weights fall for good measurements, too
+            total /= shrunk(max(freedom, 0.0) / max(weights, 1.0), 2)
+            squares /= shrunk(max(rows - spent, 0.0) / max(rows, 1.0), 1)
         if freedom > 1:
             state.sigma_ties = max(float(np.sqrt(total / freedom)), _LEAST_SIGMA)
         # Few points say little of their own precision: the ties' counts as four of them. This is
@@ -281,8 +286,10 @@ class _Run(Steps):
             np.add.at(count, mine.tie, used)
         for i, mine in enumerate(self.measured):  # one ray alone says nothing
             state.in_use[i] = state.in_use[i] & (count[mine.tie] > 1)
+        # As improbable as that, by a standard deviation that few measurements tell.
+        limit = -float(stdtrit(state.freedom_control, ndtr(-WRONG)))
         for i, (residual, known) in enumerate(zip(of_control, self.control, strict=True)):
-            wrong = np.abs(residual) > WRONG * state.sigma_control * known.sigma
+            wrong = np.abs(residual) > limit * self.expected(i)
             names = {name for name, bad in zip(known.feature, wrong, strict=True) if bad}
             good = np.array([name not in names for name in known.feature], bool)
             changed |= bool((good != state.control_in_use[i]).any())

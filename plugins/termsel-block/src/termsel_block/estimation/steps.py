@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.special import chdtri
 
 from termsel import TermselError
 from termsel_block.estimation import common
@@ -18,6 +19,9 @@ from termsel_block.geometry.heights import Heights
 CONVERGED = 1e-3  # px
 _HALVINGS = 6  # of a step at most, less one
 _ROBUST = 2.5  # standard deviations at which a weight is a half
+_BLUNDERS, _AWAY = 0.05, 100.0  # share of blunders, and px over which they are anywhere
+_LEAST_LEFT = 0.1  # share of an error that a residual of control shows, at least
+_QUANTILES = (np.arange(200) + 0.5) / 200
 _UNSEEN = 1e4  # m, the most that a step moves a tie which no image in use sees
 
 
@@ -36,6 +40,8 @@ class Steps:
         self.kept: dict[int, tuple[Camera, FloatArray, FloatArray, FloatArray]] = {}
         self.design: dict[int, FloatArray] = {}
         """Rows of each image's control in the last equations."""
+        self.weights: dict[int, FloatArray] = {}
+        """And their weights, 1 where they count in full."""
 
     def step(self, robust: bool, wide: float = 1.0) -> None:
         """Make a step of Gauss and Newton, by weights that fall `wide` times as slowly as told.
@@ -114,6 +120,46 @@ class Steps:
             total += float((square / (1 + far)) @ state.control_in_use[i])
         return total
 
+    def expected(self, i: int) -> FloatArray:
+        """Return the standard deviations of the residuals of an image's control (n,) [px].
+
+        A row that counts draws the image to itself, so that its residual is less than its error.
+        One that is left out has the image's error in its residual, too.
+        """
+        known = self.control[i]
+        if not len(known):
+            return np.empty(0)
+        square = (self.state.sigma_control * known.sigma)**2
+        rows, covariance = self.design[i], self.solved.own[i]
+        own = np.einsum("np,pq,nq->n", rows, covariance, rows) / square
+        held = np.maximum(1 - self.weights[i] * own, _LEAST_LEFT)
+        return np.asarray(np.sqrt(square * held * (held + own)))
+
+    def score_of_control(self) -> float:
+        """Return the logarithm of the density of control, each feature predicted by all others.
+
+        By the equations of the last step: leaving a feature out divides its residuals, and their
+        variances, by what of them the others do not explain. A feature is a blunder with a small
+        probability, so that those which an adjustment has to leave out speak against it.
+        """
+        total = 0.0
+        for known, residual, used, rows, covariance in zip(
+                self.control, self.residuals()[1], self.state.control_in_use,
+                (self.design.get(i, np.empty((0, 0))) for i in range(len(self.control))),
+                self.solved.own, strict=False):
+            names, sigma = np.array(known.feature), self.state.sigma_control * known.sigma
+            for name in dict.fromkeys(known.feature):
+                at = np.flatnonzero(names == name)
+                noise, own = np.diag(sigma[at]**2), rows[at] @ covariance @ rows[at].T
+                spread, away = noise + own, residual[at]
+                if used[at[0]]:
+                    gain = noise @ np.linalg.inv(noise - own)
+                    spread, away = gain @ noise, gain @ away
+                good = np.exp(-away @ np.linalg.solve(spread, away) / 2) / np.sqrt(
+                    np.linalg.det(2 * np.pi * spread))
+                total += float(np.log((1 - _BLUNDERS) * good + _BLUNDERS / _AWAY**len(at)))
+        return total
+
     def _computed(self, i: int) -> tuple[FloatArray, FloatArray]:
         """Return places and columns of an image's ties; known parts are computed once for a state.
         """
@@ -135,9 +181,10 @@ class Steps:
         rows, residual = self._rows(i, camera, known)
         self.design[i] = rows
         sigma = self.state.sigma_control * known.sigma
-        weight = np.where(self.state.control_in_use[i], sigma**-2, 0.0)
+        share = self.state.control_in_use[i].astype(float)
         if robust:
-            weight = weight * soft(residual / sigma)
+            share = share * soft(residual / sigma)
+        self.weights[i], weight = share, share / sigma**2
         return (rows * weight[:, None]).T @ rows, (rows * weight[:, None]).T @ residual
 
     def _rows(self, i: int, camera: Camera, known: OwnControl) -> tuple[FloatArray, FloatArray]:
@@ -174,3 +221,18 @@ class Steps:
 def soft(ratio: FloatArray) -> FloatArray:
     """Return weights that fall with the ratio of residual and standard deviation."""
     return np.asarray(1 / (1 + (ratio / _ROBUST) ** 2) ** 2)
+
+
+def shrunk(share: float, axes: int) -> float:
+    """Return what such weights make of the mean square of residuals that are no blunders.
+
+    Parameters
+    ----------
+    share : float
+        Variance of a residual over that of an error.
+    axes : int
+        Axes whose residuals have one weight.
+    """
+    square = chdtri(axes, _QUANTILES)
+    weight = soft(np.sqrt(share * square))
+    return float((weight @ square) / (axes * weight.sum()))

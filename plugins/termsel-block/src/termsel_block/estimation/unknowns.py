@@ -52,14 +52,15 @@ class Adjusted:
     converged : bool
     offset, roughness : float
         How far heights are off the surface as a whole, and each by itself [m].
-    relief : float
-        Root mean square of the latter of control [m]; zero where few points state a height.
     freedom : float
         Redundancy: measurements less the unknowns that they determine.
     moved : ndarray, shape (images,)
         How far the last step moved each image, at most [px].
     by_priors : list of (ndarray, ndarray)
         Parameters of each image and their covariance with priors as stated and estimated.
+    score : float
+        Logarithm of the density of control as predicted without it, by priors as stated; 0 where no
+        model states any.
     draws : list of ndarray, shape (d, 2m)
         Of the errors of each image's parameters, with variances unknown; empty where these are
         taken as estimated.
@@ -74,8 +75,8 @@ class Adjusted:
     converged: bool
     offset: float
     roughness: float
-    relief: float
     freedom: float
     moved: FloatArray
     by_priors: list[tuple[FloatArray, FloatArray]]
+    score: float = 0.0
     draws: list[FloatArray] = field(default_factory=list)

@@ -19,6 +19,7 @@ import numpy as np
 from termsel import FeatureSet, TermselError, get, open_raster, read, read_rpc
 from termsel.toolkit import LOCAL, normalise
 from termsel_block.block import CORRECTIONS, Block, BlockImage, Ties
+from termsel_block.estimation.equations import pairs
 from termsel_block.files.asp import asp_rows, is_asp
 from termsel_block.geometry.control import in_use
 from termsel_block.geometry.physical import MODELS, in_a_block
@@ -32,6 +33,9 @@ _KINDS = {"str": "text in quotes", "int": "a whole number", "float": "a number",
           "bool": "true or false", "array": "a list", "object": "a table"}
 _NAMED = 5  # in a note
 _LEAST = 3  # ties and control features of an image
+_LONGEST = 100  # letters of an image's name
+_LARGEST = 1e7  # lines or samples: no image has as many
+_SAME = 1e-3  # px; no measurement is repeated to that
 
 
 class _Image(msgspec.Struct, forbid_unknown_fields=True):
@@ -92,6 +96,7 @@ def read_block(path: Path | str) -> Block:
     files = [stated.ties] if isinstance(stated.ties, str) else stated.ties
     ties, notes = read_ties([folder / file for file in files], names)
     _refuse_alone(images, ties, path)
+    _refuse_copies(names, ties, path)
     used = [*files, *([stated.dem] if stated.dem else []), *(
         file for image in stated.image
         for file in (image.points, image.lines, image.rpc, image.image) if file)]
@@ -108,6 +113,23 @@ def _refuse_alone(images: Sequence[BlockImage], ties: Ties, path: Path) -> None:
             raise TermselError(f"image {image.name!r} has {n} ties and {own} control features, so "
                                "that nothing joins it to the block", file=path,
                                hint=f"Give it {_LEAST} ties or more, or remove it.")
+
+
+def _refuse_copies(names: Sequence[str], ties: Ties, path: Path) -> None:
+    """Refuse an image whose ties are all at one place, and an image that is another once more."""
+    own = [np.flatnonzero(ties.image == i) for i in range(len(names))]
+    for name, at in zip(names, own, strict=True):
+        if len(at) >= _LEAST and np.ptp(ties.place[at], axis=0).max() < _SAME:
+            raise TermselError(f"all {len(at)} ties of image {name!r} are at one place in it",
+                               file=path, hint="Check the columns line and sample of the ties.")
+    for i, j, first, second in pairs([ties.tie[at] for at in own], len(ties.names)):
+        if i == j or len(first) < _LEAST:
+            continue
+        away = ties.place[own[i][first]] - ties.place[own[j][second]]
+        if np.abs(away).max() < _SAME:
+            raise TermselError(f"images {names[i]!r} and {names[j]!r} have all {len(first)} common "
+                               "ties at the same places", file=path,
+                               hint="Remove the one that is a copy, or correct its ties.")
 
 
 def _said(error: str) -> str:
@@ -144,10 +166,17 @@ def _check_names(names: Sequence[str], path: Path) -> None:
             raise TermselError(f"{count} images are called {name!r}", file=path,
                                hint="Give each image a name of its own.")
         if not name.strip() or name != Path(name).name or name.startswith(".") \
-                or not name.isprintable():
-            raise TermselError(f"{name!r} cannot be the name of an image, whose result gets a "
+                or not name.isprintable() or len(name) > _LONGEST:
+            shown = name if len(name) <= _LONGEST else f"{name[:20]}..."
+            raise TermselError(f"{shown!r} cannot be the name of an image, whose result gets a "
                                "folder of that name", file=path,
-                               hint="Use letters, digits, - and _.")
+                               hint=f"Use letters, digits, - and _, and at most {_LONGEST}.")
+    for folder, count in Counter(name.casefold() for name in names).items():
+        if count > 1:
+            alike = [repr(name) for name in names if name.casefold() == folder]
+            raise TermselError(f"the images {' and '.join(alike)} would share one folder where "
+                               "file names have no case", file=path,
+                               hint="Give them names that differ in more than capitals.")
     if len(names) < 2:
         raise TermselError(f"a block of {len(names)} images has no ties", file=path,
                            hint="Give two images or more; for one image use termsel run.")
@@ -340,7 +369,10 @@ def _number(text: str, file: Path, line: int, column: str) -> float:
     """Return a number of a table."""
     with suppress(ValueError):
         value = float(text)
-        if math.isfinite(value):
+        if math.isfinite(value) and abs(value) <= _LARGEST:
             return value
+        if math.isfinite(value):
+            raise TermselError(f"{text} is no {column} of an image", file=file, line=line,
+                               column=column, hint="Write positions in px, such as 1234.5.")
     raise TermselError(f"{text!r} is not a number", file=file, line=line, column=column,
                        hint="Write positions in px, such as 1234.5.")

@@ -46,9 +46,14 @@ def claim(folder: Path, names: list[str], *, overwrite: bool, reads: Iterable[Pa
     Raises
     ------
     TermselError
-        If there is a block, a file that is not one's or one that is read in it, or it cannot be
-        made.
+        If there is a block, a file that is not one's or one that is read in it, it cannot be made,
+        or an image has the name of a file of the block.
     """
+    own = [name for name in names
+           if name.casefold() in (RECORD, SUMMARY, PAGE, TIES, SCHEMA_FILE)]
+    if own:
+        raise TermselError(f"{own[0]!r} cannot be the name of an image: the block has a file of "
+                           "that name", hint="Give the image another name.")
     require_replaceable([folder / name for name in (RECORD, SUMMARY, PAGE, TIES, SCHEMA_FILE)],
                         reads=reads, overwrite=True)
     if (folder / RECORD).exists() and not overwrite:

@@ -23,7 +23,6 @@ _LEAST_SIGMA = 0.5  # m
 _AS_MANY = 2.0
 _FAR = 4.0  # robust standard deviations beyond which a height tells nothing more of the roughness
 _MAD = 1.4826
-_TELLING = 4  # heights of control from which on they tell how rough the ground is
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,16 +128,6 @@ class Heights:
         variance = (len(with_prior) * scale**2 + _AS_MANY * self._usual**2) / (
             len(with_prior) + _AS_MANY)
         return np.asarray(over[np.abs(over - middle) <= _FAR * np.sqrt(variance)])
-
-    @property
-    def relief(self) -> float:
-        """Root mean square of heights of control over surface and offset [m].
-
-        Zero where there are too few.
-        """
-        if len(self.control) < _TELLING:
-            return 0.0
-        return float(np.sqrt(np.mean(np.square(self.control - self.offset)))) + _LEAST_SIGMA
 
     @property
     def _usual(self) -> float:

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from termsel.toolkit import picture
+from termsel_block.geometry.frame import FloatArray
 from termsel_block.joint import BlockResult
-from termsel_block.shown.record import BlockRecord, times_seen
-from termsel_block.shown.summary import opening
+from termsel_block.shown.record import BlockRecord, WrongControl, WrongTie, times_seen
+from termsel_block.shown.summary import opening, reason_of
 
 _STYLE = """
 :root { color-scheme: light dark; --text: #1c2024; --page: #fff; --rule: #c9ced4; }
@@ -20,23 +21,30 @@ body { font: 16px/1.5 system-ui, sans-serif; color: var(--text); background: var
 .wide { overflow-x: auto; } pre { white-space: pre-wrap; }
 table { border-collapse: collapse; } th, td { padding: .25rem .75rem; text-align: right;
         border-bottom: 1px solid var(--rule); } th:first-child, td:first-child { text-align: left; }
+        .remark { text-align: left; }
 figure { margin: 1.5rem 0; } figure div { background: #fff; overflow-x: auto; padding: .5rem; }
 svg { max-width: 100%; height: auto; }
 """
 
 _MOST = 3000  # ties in a picture
 _IMAGES = 40  # images in a picture
+_TOLD_APART = 20  # images whose outlines have colours of their own
+_SIDE, _NARROW = 560.0, 220.0  # px of a map: its longer side, and the least of the other
+_LISTED = 50  # measurements left out that the page names
 
 
 def page_of(result: BlockResult, record: BlockRecord) -> str:
     """Return the page: summary, images, footprints with ties, residuals, and uncertainty."""
     pictures = [
-        ("Footprints and ties", "Each dot is a tie; the colour is the standard deviation of its "
-         "height [m]. The outlines are the hulls of what each image sees.", _map(result)),
-        ("Residuals by image", "RMSE of the ties in each image [px]; predicted is what points "
-         "measured as the control will have over the area of the ties.", _bars(record)),
-        ("Residuals by tie", "Number of measurements by their distance from the model [px]; those "
-         "left out are beyond four standard deviations.", _residuals(result))]
+        ("Footprints, ties and control", "Each dot is a tie; its colour is the standard deviation "
+         "of its height. Triangles are control. Outlines are drawn around the ties of each image.",
+         _map(result)),
+        ("Residuals and uncertainty by image", "The RMSE of the ties in each image, and the RMSE "
+         "that is predicted for points measured as the control is, over the area of these ties. "
+         f"The least certain image comes first{_first(record)}.", _bars(record)),
+        ("Residuals by tie", "Number of measurements by their distance from the model. Those more "
+         "than four standard deviations off in line or in sample are left out.",
+         _residuals(result))]
     figures = "".join(
         f"<section><h2>{title}</h2><figure><div>{svg}</div><figcaption>{text}</figcaption>"
         "</figure></section>" for title, text, svg in pictures)
@@ -54,8 +62,34 @@ def page_of(result: BlockResult, record: BlockRecord) -> str:
             f"<style>{_STYLE}</style></head><body><main><h1>Block of {len(record.images)} images"
             f"</h1><pre>{html.escape(opening(record))}</pre><section><h2>Images</h2>"
             f"<div class=wide tabindex=0><table><thead><tr>{heads}</tr></thead><tbody>{rows}"
-            "</tbody></table></div>"
-            f"</section>{figures}</main></body></html>\n")
+            "</tbody></table></div><p>Predicted is the RMSE of points measured as the control is, "
+            "at the places of the independent points, or of the ties where there are none.</p>"
+            f"</section>{figures}{_left_out(record)}</main></body></html>\n")
+
+
+def _first(record: BlockRecord) -> str:
+    """Return how many images of all are shown, as part of a sentence; empty if all are."""
+    some = len(record.images) > _IMAGES
+    return f"; {_IMAGES} of {len(record.images)} are shown" if some else ""
+
+
+def _left_out(record: BlockRecord) -> str:
+    """Return a table of what was left out, the worst first; empty if nothing was."""
+    every: list[tuple[str, WrongTie | WrongControl]] = [
+        ("control", one) for one in record.wrong_control]
+    every += [("tie", one) for one in record.wrong_ties]
+    if not every:
+        return ""
+    rows = "".join(
+        f"<tr><th scope=row>{html.escape(one.id)}</th><td>{html.escape(one.image)}</td>"
+        f"<td>{kind}</td><td>{one.error:.1f}</td>"
+        f"<td class=remark>{reason_of(one, record)}</td></tr>"
+        for kind, one in every[:_LISTED])
+    more = f"<p>{len(every) - _LISTED} more are in block.json.</p>" if len(every) > _LISTED else ""
+    heads = "".join(f"<th scope=col>{name}</th>" for name in (
+        "id", "image", "kind", "distance [px]", ""))
+    return ("<section><h2>Left out as blunders</h2><div class=wide tabindex=0><table><thead>"
+            f"<tr>{heads}</tr></thead><tbody>{rows}</tbody></table></div>{more}</section>")
 
 
 def _svg(chart: Any) -> str:
@@ -65,7 +99,7 @@ def _svg(chart: Any) -> str:
 
 
 def _map(result: BlockResult) -> str:
-    """Return the ground with ties and the hulls of images."""
+    """Return the ground with ties, control and the hulls of images, at one scale."""
     import altair as alt
     from scipy.spatial import ConvexHull, QhullError
 
@@ -75,24 +109,50 @@ def _map(result: BlockResult) -> str:
     dots = [{"east": float(e), "north": float(n), "sigma": float(s)} for e, n, s in zip(
         state.ties[some, 0] / 1000, state.ties[some, 1] / 1000, result.sigma_ties[some, 2],
         strict=True)]
+    control = np.unique(np.concatenate([
+        known.local[used, :2] for known, used in zip(
+            result.control, state.control_in_use, strict=True)]) / 1000, axis=0)
+    marks = [{"east": float(e), "north": float(n)} for e, n in control]
     outlines = []
     for i, image in list(enumerate(result.block.images))[:_IMAGES]:
-        places = state.ties[ties.tie[ties.image == i], :2] / 1000
+        own = ties.tie[ties.image == i]
+        places = state.ties[own[np.isin(own, placed)], :2] / 1000
         try:
             hull = ConvexHull(places).vertices
         except (QhullError, ValueError):  # fewer than three, or on a line
             continue
         outlines += [{"east": float(places[k, 0]), "north": float(places[k, 1]), "order": order,
                       "image": image.name} for order, k in enumerate([*hull, hull[0]])]
-    x = alt.X("east:Q", title="east [km]", scale=alt.Scale(zero=False))
-    y = alt.Y("north:Q", title="north [km]", scale=alt.Scale(zero=False))
-    hulls = alt.Chart(alt.Data(values=outlines)).mark_line(strokeWidth=1).encode(
-        x=x, y=y, order="order:Q", color=alt.Color("image:N", title="image"))
-    points = alt.Chart(alt.Data(values=dots)).mark_circle(size=14).encode(
-        x=x, y=y, fill=alt.Fill("sigma:Q", title="sigma up [m]",
-                               scale=alt.Scale(scheme="viridis")))
-    return _svg(alt.layer(points, hulls).resolve_scale(color="independent").properties(
-        width=560, height=420))
+    seen = [state.ties[placed, :2] / 1000, control]
+    (x_of, width), (y_of, height) = _one_scale(np.concatenate(seen))
+    x = alt.X("east:Q", title="east [km]", scale=alt.Scale(domain=x_of, nice=False),
+              axis=alt.Axis(tickCount=width / 60))
+    y = alt.Y("north:Q", title="north [km]", scale=alt.Scale(domain=y_of, nice=False),
+              axis=alt.Axis(tickCount=height / 60))
+    names = list(dict.fromkeys(row["image"] for row in outlines))
+    # More colours than these nobody tells apart.
+    colour = alt.value("#888") if len(names) > _TOLD_APART else alt.Color(
+        "image:N", title="image", sort=names, legend=alt.Legend(columns=6),
+        scale=alt.Scale(scheme="tableau10" if len(names) <= 10 else "tableau20"))
+    hulls = alt.Chart(alt.Data(values=outlines)).mark_line(strokeWidth=1.5).encode(
+        x=x, y=y, order="order:Q", detail="image:N", color=colour)
+    points = alt.Chart(alt.Data(values=dots)).mark_circle(size=30, opacity=1.0).encode(
+        x=x, y=y, fill=alt.Fill("sigma:Q", title="sigma of height [m]",
+                                scale=alt.Scale(scheme="viridis")))
+    triangles = alt.Chart(alt.Data(values=marks)).mark_point(
+        shape="triangle-up", size=90, filled=False, color="black", strokeWidth=1.5).encode(x=x, y=y)
+    return _svg(alt.layer(hulls, points, triangles).resolve_scale(color="independent").properties(
+        width=width, height=height))
+
+
+def _one_scale(places: FloatArray) -> list[tuple[list[float], float]]:
+    """Return domain [km] and size [px] of either axis, with as many px a kilometre in both."""
+    low, high = places.min(axis=0), places.max(axis=0)
+    extent = np.maximum(1.04 * (high - low), 1e-3)
+    scale = _SIDE / extent.max()
+    extent = np.maximum(extent, _NARROW / scale)
+    return [([float(middle - half), float(middle + half)], float(2 * half * scale))
+            for middle, half in zip((low + high) / 2, extent / 2, strict=True)]
 
 
 def _bars(record: BlockRecord) -> str:

@@ -24,6 +24,8 @@ _NAMED, _MOVING = 3, 1e-3
 """Images that are named, and how far one moves that has not settled [px]."""
 _FEW = 0.5
 """Share of an image's ties or control in use below which they are hardly all blunders."""
+_BEYOND = 2.0
+"""Half ranges of an RPC's heights beyond which no ground is: vendors state them with a margin."""
 _OFF = 12.0
 """Metres that a DEM is off as a whole: geoid and ellipsoid are tens apart."""
 
@@ -139,7 +141,8 @@ def doubts(result: BlockResult) -> list[str]:
     adjusted, said = result.adjusted, []
     if adjusted.state.sigma_ties > _COARSE:
         said.append(f"Ties agree to {adjusted.state.sigma_ties:.1f} px only, which is coarse for "
-                    "measurements: check RPCs and ties.")
+                    "measurements: check RPCs and ties, and that line and sample are not "
+                    "exchanged.")
     if not adjusted.converged:
         worst = [result.block.images[i].name for i in np.argsort(-adjusted.moved)[:_NAMED]
                  if adjusted.moved[i] > _MOVING]
@@ -159,6 +162,14 @@ def doubts(result: BlockResult) -> list[str]:
                         "one.")
         ties = adjusted.state.ties[result.block.ties.tie[result.block.ties.image == i]]
         camera = result.camera(i)
+        if isinstance(camera, RpcCamera) and len(control):
+            heights = result.frame.geodetic(result.control[i].local)[:, 2]
+            over = heights - camera.rpc.ground_offset[2]
+            low = float(np.abs(over).min())
+            if low > _BEYOND * abs(camera.rpc.ground_scale[2]):
+                said.append(f"The control of {image.name} is {low:.0f} m or more "
+                            f"{'above' if over[0] > 0 else 'below'} the mean height of its RPC: "
+                            "check the unit of its heights and what they refer to.")
         if isinstance(camera, RpcCamera) and len(ties):
             bent = camera.first_order(ties)[1] @ adjusted.state.parameters[i]
             if np.ptp(bent, axis=0).max() > _BENT:

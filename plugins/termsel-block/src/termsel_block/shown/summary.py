@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from termsel_block.shown.record import BlockRecord
+from termsel_block.estimation.adjustment import WRONG
+from termsel_block.shown.record import BlockRecord, WrongControl, WrongTie
 
 _SHOWN = 10
 
@@ -33,8 +34,8 @@ def opening(record: BlockRecord) -> str:
         lines.append(f"In space: east {space.east:.2f} m, north {space.north:.2f} m, up "
                      f"{space.up:.2f} m, RMSE of {space.n} independent points by intersection.")
     lines.append("Blunders: " + _blunders(record))
-    lines.append(f"Next: {worst.name} is the least certain image, {worst.uncertainty:.2f} px. "
-                 "Control or ties in it help most.")
+    lines.append(f"Next: {worst.name} is the least certain image, {worst.uncertainty:.2f} px over "
+                 "its ties. More control or ties in it help most.")
     if not record.converged:
         lines.append("The adjustment did not settle: read the figures with care.")
     lines += [f"Note: {note}" for note in record.notes]
@@ -81,8 +82,18 @@ def _wrong(record: BlockRecord, verbose: bool) -> list[str]:
     wrong = record.wrong_ties if verbose else record.wrong_ties[:_SHOWN]
     if not wrong:
         return []
-    lines = ["", "Ties left out:", *(f"  {one.id} in {one.image}: {one.error:.1f} px"
-                                     for one in wrong)]
+    lines = ["", "Ties left out:"]
+    for one in wrong:
+        reason = reason_of(one, record)
+        lines.append(f"  {one.id} in {one.image}: {one.error:.1f} px"
+                     + (f" ({reason})" if reason else ""))
     if len(wrong) < len(record.wrong_ties):
         lines.append(f"  {len(record.wrong_ties) - len(wrong)} more: summary.txt has all.")
     return lines
+
+
+def reason_of(wrong: WrongTie | WrongControl, record: BlockRecord) -> str:
+    """Return why what is near the model was left out; empty where it is far off."""
+    if isinstance(wrong, WrongTie) and wrong.error <= WRONG * record.sigma_ties:
+        return "no other image is left that sees it"
+    return ""

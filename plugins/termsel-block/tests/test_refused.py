@@ -1,0 +1,112 @@
+"""What is wrong with the files of a block is said, and nothing is written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("termsel_block", reason="termsel-block is not installed: "
+                    "pip install -e plugins/termsel-block")
+
+from termsel import TermselError
+from termsel.testing import invoke
+from termsel_block.example import write_example
+from termsel_block.files.block_file import read_block
+from termsel_block.files.folders import claim
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("block") / "place"
+    write_example(made)
+    return made
+
+
+@pytest.mark.parametrize(("edit", "message"), [
+    (('"B"', '"A"'), "2 images are called 'A'"),
+    (('name = "B"', 'name = "Q"'), "the block has no image 'B'"),
+    (('"ties.csv"', '"none.csv"'), "cannot read the ties"),
+    (("rpc =", "rcp ="), "unknown field `rcp`"), (("rpc =", "rcp ="), "bad.toml, line "),
+    (('"B.RPB"', '"ties.csv"'), "this file has no RPC"),
+    (('name = "C"', 'name = "../C"'), "cannot be the name of an image"),
+    (('crs = "EPSG:4979"', 'crs = "EPSG:32639"'), "the block says EPSG:32639"),
+    (('crs = "EPSG:4979"', 'crs = "local"'), "'A' has an RPC, which needs the ground's place"),
+    (('points = "A_points.csv"', 'points = "A.RPB"'), "Name the RPC as rpc of the image"),
+    (('ties = "ties.csv"', "ties = []"), "names no file of ties"),
+    (('crs = "EPSG:4979"', "crs = "), "not the file of a block"),
+    (('crs = "EPSG:4979"', ""), "the key 'crs' is missing"),
+    (('crs = "EPSG:4979"', "crs = 4979"), "crs is a whole number, and must be text in quotes"),
+    (('name = "B"', "name = 2"), "name of image number 2 is a whole number, and must be text"),
+    (('rpc = "B.RPB"', 'options = "x"'), "options of image number 2 is text in quotes, and must"),
+    (('name = "B"', 'model = "auto"'), "the key 'name' of image number 2 is missing"),
+    (('name = "B"', 'name = " "'), "cannot be the name of an image"),
+    (('name = "B"', f'name = "{"B" * 101}"'), "and at most 100"),
+    (('name = "B"', 'name = "a"'), "images 'A' and 'a' would share one folder"),
+    (("[[image]]", "[image]"), "[image] stands where [[image]] should"),
+    (('rpc = "C.RPB"', 'rpc = "C.RPB"\nmodel = "cubic"'), "has the model 'cubic'"),
+])
+def test_what_is_wrong_is_said_and_nothing_written(
+        folder: Path, edit: tuple[str, str], message: str) -> None:
+    bad = folder / "bad.toml"
+    bad.write_text((folder / "block.toml").read_text().replace(*edit))
+    done = invoke("block", bad, "--out", folder / "new", "--quiet")
+    assert done.exit_code == 2
+    assert message in done.output
+    assert "Traceback" not in done.output
+    assert not (folder / "new").exists()
+
+
+@pytest.mark.parametrize(("row", "message"), [
+    ("X1,A,nan,3", "'nan' is not a number"), ("X1,A,5", "has 3 cells"),
+    ("X1,A,3,1e300", "1e300 is no sample of an image"),
+    ("T0,A,1,2", "measured twice in image 'A'")])
+def test_a_table_of_ties_names_line_and_column(folder: Path, row: str, message: str) -> None:
+    (folder / "bad.csv").write_text((folder / "ties.csv").read_text() + row + "\n")
+    (folder / "bad.toml").write_text(
+        (folder / "block.toml").read_text().replace("ties.csv", "bad.csv"))
+    with pytest.raises(TermselError, match=message) as raised:
+        read_block(folder / "bad.toml")
+    assert raised.value.line == len((folder / "ties.csv").read_text().splitlines()) + 1
+
+
+@pytest.mark.parametrize(("place", "message"), [
+    (",1.5,2.5", "all 3 ties of image 'A' are at one place in it"),
+    (",{k}1.5,2.5", "images 'A' and 'B' have all 3 common ties at the same places")])
+def test_a_copy_of_an_image_is_refused(folder: Path, place: str, message: str) -> None:
+    (folder / "copy.csv").write_text("id,image,line,sample\n" + "".join(
+        f"{k},{name}{place.format(k=k)}\n" for k in range(3) for name in "AB"))
+    stated = (folder / "block.toml").read_text().replace("ties.csv", "copy.csv")
+    (folder / "copy.toml").write_text(stated[:stated.index('[[image]]\nname = "C"')])
+    with pytest.raises(TermselError, match=message):
+        read_block(folder / "copy.toml")
+
+
+def test_an_image_with_the_name_of_a_file_of_the_block_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(TermselError, match=r"'Block\.json' cannot be the name of an image"):
+        claim(tmp_path / "new", ["A", "Block.json"], overwrite=False)
+
+
+def test_ties_in_one_image_are_left_out(folder: Path) -> None:
+    (folder / "more.csv").write_text("id,image,line,sample\nlone,A,1,2\n")
+    (folder / "more.toml").write_text((folder / "block.toml").read_text().replace(
+        '"ties.csv"', '["ties.csv", "more.csv"]'))
+    block = read_block(folder / "more.toml")
+    assert "lone" not in block.ties.names
+    assert "1 tie is in one image alone" in block.notes[0]
+
+
+def test_an_image_that_nothing_joins_is_named(folder: Path) -> None:
+    rows = (folder / "ties.csv").read_text().splitlines()
+    (folder / "two.csv").write_text("\n".join(row for row in rows if ",C," not in row) + "\n")
+    (folder / "alone.toml").write_text(
+        (folder / "block.toml").read_text().replace("ties.csv", "two.csv"))
+    with pytest.raises(TermselError, match="'C' has 0 ties and 0 control features"):
+        read_block(folder / "alone.toml")
+
+
+def test_the_package_that_rpcs_require_is_asked_for_at_once(
+        folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("termsel_block.files.block_file.find_spec", {}.get)
+    with pytest.raises(TermselError, match=r"pip install \./plugins/termsel-rpc"):
+        read_block(folder / "block.toml")
