@@ -8,8 +8,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import pytest
 
+from termsel.adjustment import dispatchers
 from termsel.adjustment.compiled import is_compiled
 
 NO_PLACE = """
@@ -144,6 +146,21 @@ def test_a_part_of_kernels_is_compiled_again_where_python_calls_it(
     assert not is_compiled(parts.more)
     assert parts.more(1, 2) == 3
     assert is_compiled(parts.more)
+
+
+def test_what_others_compile_is_optimised_as_they_ask(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "levels.py").write_text(COUNTS)
+    monkeypatch.syspath_prepend(tmp_path)
+    levels, asked, seen = importlib.import_module("levels"), numba.config.OPT, set[int]()
+    monkeypatch.setattr(dispatchers._Cache, "save_overload",
+                        lambda self, sig, data: seen.add(int(numba.config.OPT)))
+    assert levels.counts(3) == 6
+    assert seen == {min(int(asked), dispatchers.LEVEL)}
+    assert numba.config.OPT is asked
+    with pytest.raises(numba.TypingError):
+        levels.counts("three")
+    assert numba.config.OPT is asked
 
 
 def test_a_run_that_may_compile_nothing_says_so() -> None:

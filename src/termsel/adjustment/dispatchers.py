@@ -13,6 +13,7 @@ from typing import Any
 import numba
 from numba.core import types
 from numba.core.caching import FunctionCache
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import cpu_target
 from numba.core.runtime import rtsys
 
@@ -24,6 +25,10 @@ log = logging.getLogger(__name__)
 _UNREADABLE = (EOFError, UnpicklingError, OSError, AttributeError, ImportError)
 """What reading kept code raises that is damaged, or is of a version with other names."""
 
+
+LEVEL = 1
+"""Optimisation by LLVM, of 3, which numba asks for: kernels are as fast, and compiled in half the
+time."""
 
 PATIENCE = 60.0
 """Seconds for which a process waits for another one that compiles the same."""
@@ -50,6 +55,9 @@ class _Cache(FunctionCache):
             self._turn = turn(Path(self._cache_file._index_path).with_suffix(".lock"), PATIENCE)
             _Cache._waits = self._turn is not None
             found = self._read(sig, target_context)  # that of another process, meanwhile
+        if found is None:
+            asked = numba.config.OPT
+            numba.config.OPT = type(asked)(min(asked, LEVEL))
         return found
 
     def end(self) -> None:
@@ -121,10 +129,13 @@ def dispatcher_of(function: Callable[..., Any], flags: dict[str, Any]) -> Any:
     of_signature = dispatcher.compile
 
     def once(signature: Any) -> Any:
-        try:
-            return of_signature(signature)
-        finally:  # also of what cannot be compiled, or was interrupted
-            kept.end()
+        with global_compiler_lock:  # as numba does: settings are those of all threads
+            asked = numba.config.OPT
+            try:
+                return of_signature(signature)
+            finally:  # also of what cannot be compiled, or was interrupted
+                numba.config.OPT = asked
+                kept.end()
 
     dispatcher.compile = once
     return dispatcher
