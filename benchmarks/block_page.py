@@ -131,7 +131,8 @@ Targets are at most 0.95 for images without control, and for images with six poi
   noise 4.9 and 6.9, whose intervals end at 5.8 and 16.8. Five of the 51 images are beyond theirs,
   the farthest with 2.0 px for 1.2. In 31 triplets with the right sensor no note was made where
   rough ground or control left out led to the comparison. Of 16 that are always compared, as now,
-  none has one: control is 27 times as probable without it at most. A sensor that is stated costs a
+  none has one; of three whose figure was kept control is 27 times as probable without it at most. A
+  sensor that is stated costs a
   second adjustment, so that three images take 7 to 13 s of CPU. Where one of three images states
   the wrong sensor and two the right one, the wrong one alone is named; so it is with two images
   alone.
