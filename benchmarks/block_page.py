@@ -92,7 +92,7 @@ Targets are at most 0.95 for images without control, and for images with six poi
 
 - Images without control are above 0.95 where the bound is, whatever the method: it is 7.42 for a
   pair without a DEM (reached 5.75), 6.15 for a triplet with control in one image (4.73), 1.30 for a
-  triplet with control in two (1.10), and 1.16 for 100 images with control in ten (0.97). With a DEM
+  triplet with control in two (1.10), and 1.16 for 100 images with control in ten (0.96). With a DEM
   all kinds are below 0.95. Where the bound is below, blocks come near it and chance decides.
 - Images with six points have a median below 0.97, though the bound is 1.00 in pairs (reached 0.97)
   and 0.95 in triplets (0.92): auto does not reach its own bound. The largest ratio is above 1.02,
@@ -132,10 +132,9 @@ Targets are at most 0.95 for images without control, and for images with six poi
   the farthest with 2.0 px for 1.2. In 31 triplets with the right sensor no note was made where
   rough ground or control left out led to the comparison. Of 16 that are always compared, as now,
   none has one; of three whose figure was kept control is 27 times as probable without it at most. A
-  sensor that is stated costs a
-  second adjustment, so that three images take 7 to 13 s of CPU. Where one of three images states
-  the wrong sensor and two the right one, the wrong one alone is named; so it is with two images
-  alone.
+  sensor that is stated costs a second adjustment, so that three images take 7 to 13 s of CPU. Where
+  one of three images states the wrong sensor and two the right one, the wrong one alone is named;
+  so it is with two images alone.
 - Without control the DEM is taken at its word. Where it is 100 or 200 m off and vendors' RPCs are
   20 px off, images are 14 and 28 px off and intervals end at 11. The RPCs tell heights to 100 m, so
   that nothing contradicts. A note states how many px images are off for each 100 m.
@@ -146,10 +145,6 @@ Targets are at most 0.95 for images without control, and for images with six poi
   images take 28, 84 and 261 s of CPU to write, and 17, 65 and 303 s to adjust, with 51,000, 190,000
   and 681,000 measurements of ties. The whole of 1,000 images takes 9.4 minutes of CPU and 1.8 GiB,
   and 12.6 times as long as 100 images, with 13.5 times as many measurements. Their table is read in
-  another 6 s. The machine was busy then. Two
-  processes that write would end at most 1.3 times as soon, so that there is one.
-- Rows of blocks of up to 12 images are of the commit fcb02a84, made by `--kinds`. All else on this
-  page is of the commit that made-by.json names, before good control stayed: rows of 100 images,
-  times, and ties by hand. The machine was busy, so that seconds of these rows are
-  up to twice as many.
+  another 6 s. Two processes that write would end at most 1.3 times as soon, so that there is one.
+- The machine was busy, so that seconds on this page are up to twice as many as on a quiet one.
 """
