@@ -10,7 +10,6 @@ a scene of its own, as termsel remembers what it found of the last one.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import partial
 
 import numpy as np
 from sklearn.linear_model import RidgeCV
@@ -20,7 +19,7 @@ from sklearn.preprocessing import MinMaxScaler, PolynomialFeatures
 
 import termsel
 from benchmarks.bench_kernels import Row, best_of
-from termsel.measurements.features import FeatureSet, FloatArray
+from termsel.measurements.features import FloatArray
 
 FOLDS = 10
 POINTS = (50, 200, 1000)
@@ -48,17 +47,13 @@ def nested(ground: FloatArray, image: FloatArray) -> float:
     return float(np.sqrt(squares / len(ground)))
 
 
-def _next(scenes: Iterator[FeatureSet]) -> object:
-    return termsel.run(features=next(scenes))
-
-
 def rows() -> Iterator[Row]:
     """Yield the choice for some numbers of points."""
     for n in POINTS:
         scenes = [termsel.simulate_scene("ikonos-hamedan", seed=seed, roles=(n, 0, 0), n_lines=0)
                   for seed in (1, 2, 3)]
-        drawn, points = iter(scenes), scenes[0].points
-        ours, theirs = best_of([partial(_next, drawn),
-                                partial(nested, points.ground, points.image)], seconds=0.0)
+        drawn, again = iter(scenes), iter(scenes)
+        ours, theirs = best_of([lambda: termsel.run(features=next(drawn)),  # noqa: B023
+                                lambda: nested(next(again).points)], seconds=0.0)  # noqa: B023
         yield (f"{n} points", ours, "scikit-learn, RidgeCV of degrees 1 to 3", theirs,
                theirs / ours, None)

@@ -177,23 +177,25 @@ def test_one_for_few_features_is_not_tried_in_folds_of_more(control: Control) ->
         seen.update([one.name] if one else [])
 
     for some in (control, control.take(np.arange(len(control)) > 0)):
+        seen.clear()
         repeated(some, portfolio, see)
         assert ("mine" in [one.name for one in portfolio.offered(some)]) == (seen["mine"] > 0)
-    assert min(seen["affine"], seen["mine"]) > 0
+        assert (seen["affine"] > 0) == (some is control)
+    assert seen["mine"] > 0
 
 
 @dataclass(frozen=True, eq=False)
 class Uncalled(Known):
     """A candidate that features do not call for, though parts of them may."""
 
-    near: bool = False
+    near: Any = None
 
     def fit_control(self, control: Control) -> Fit:
         TRIED[self.name, len(control)] += 1
         raise Undetermined("the features do not call for it", hint="Choose another model.")
 
     def nearly(self, control: Control) -> bool:
-        return self.near
+        return super().nearly(control) if self.near is None else self.near
 
 
 TRIED = Counter[tuple[str, int]]()
@@ -206,7 +208,11 @@ def test_folds_of_many_points_do_not_try_what_all_points_are_far_from(count: int
     portfolio = portfolio_with(
         Known("good", "a known model", Polynomial3D(degree=2), factor=1e-6),
         Known("bad", "a known model", Affine(), factor=1e6),
-        *(Uncalled(f"uncalled-{near}", "a model", Affine(), near=near) for near in (False, True)))
+        Uncalled("unasked", "a model", Affine()),
+        Uncalled("in-parts", "a model", Affine(), near=np.bool_(True)),
+        Uncalled("never", "a model", Affine(), near=np.bool_(False)),
+        Known("needy", "a known model", Affine(), needs=("in-parts",)),
+        Known("vain", "a known model", Affine(), needs=("in-parts", "never")))
     seen = Counter[str]()
 
     def see(one: Judged | None) -> None:
@@ -218,8 +224,13 @@ def test_folds_of_many_points_do_not_try_what_all_points_are_far_from(count: int
     assert seen["good"] == seen["shrunken-quadratic"] == folds
     assert seen["bad"] == of_few
     parts = Counter(name for name, n in TRIED.elements() if n < count)
-    assert parts["uncalled-True"] == folds
-    assert parts["uncalled-False"] == of_few
+    assert parts["unasked"] == parts["in-parts"] == folds
+    assert parts["never"] == of_few
+    assert not portfolio.faults
+    choice = choose(control, portfolio)
+    hopeless = portfolio.for_parts_of(control, choice)._hopeless
+    assert {"never", "vain", "bad"} <= hopeless
+    assert not {"unasked", "in-parts", "needy", "good", "cubic"} & hopeless
 
 
 @pytest.mark.parametrize("most", [None, "12", 0, float("nan")])
@@ -370,7 +381,15 @@ class Mute(Structure):
         return ""
 
 
+class Vague(Structure):
+    """Says in words whether parts of features may call for it."""
+
+    def nearly(self, control: Control) -> bool:
+        return "perhaps"  # type: ignore[return-value]
+
+
 @pytest.mark.parametrize(("candidate", "name", "said"), [
+    (Vague("vague", "a vague one", Affine(), None), "nearly", "'perhaps'; expected a bool"),
     (Boasting("boast", "a cubic", Polynomial3D(degree=2), None), "judges", "too good to be true"),
     (Mute("mute", "a mute one", Affine(), None), "declines", "or a sentence"),
     (Structure("none", "one for nothing", None, None), "fits", "declines all features"),

@@ -55,9 +55,6 @@ class _Cache(FunctionCache):
             self._turn = turn(Path(self._cache_file._index_path).with_suffix(".lock"), PATIENCE)
             _Cache._waits = self._turn is not None
             found = self._read(sig, target_context)  # that of another process, meanwhile
-        if found is None:
-            asked = numba.config.OPT
-            numba.config.OPT = type(asked)(min(asked, LEVEL))
         return found
 
     def end(self) -> None:
@@ -121,21 +118,22 @@ def dispatcher_of(function: Callable[..., Any], flags: dict[str, Any]) -> Any:
                         {name: types.unliteral(one) for name, one in keywords.items()})
 
     dispatcher.get_call_template = of_plain_types
+    of_signature, kept = dispatcher.compile, None
     try:
         kept = dispatcher._cache = _Cache(function, flags)  # as numba does for cache=True
     except RuntimeError:  # numba finds no folder that it can write to
         _say_that_nothing_is_kept()
-        return dispatcher
-    of_signature = dispatcher.compile
 
     def once(signature: Any) -> Any:
         with global_compiler_lock:  # as numba does: settings are those of all threads
             asked = numba.config.OPT
+            numba.config.OPT = type(asked)(min(asked, LEVEL))
             try:
                 return of_signature(signature)
             finally:  # also of what cannot be compiled, or was interrupted
                 numba.config.OPT = asked
-                kept.end()
+                if kept:
+                    kept.end()
 
     dispatcher.compile = once
     return dispatcher

@@ -210,9 +210,10 @@ class Candidate(ABC):
     def nearly(self, control: Control) -> bool:
         """Return whether parts of many features may call for it where all of them do not.
 
-        It is asked where all of them do not call for it, before the choice is repeated in folds.
+        It is asked where it could not be fitted to all of them. Then it is fitted in the folds in
+        which the choice is repeated, unless it says no; that saves time.
         """
-        return False
+        return True
 
     def suspects(self, control: Control) -> Suspects | None:
         """Return which features contradict what the candidate knows of the image.

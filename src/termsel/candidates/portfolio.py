@@ -64,18 +64,29 @@ class Portfolio:
         """Return the portfolio for parts of features: of these all count for `Candidate.most`.
 
         With the choice from all of them, candidates that it came nowhere near are not fitted: those
-        that all features do not determine, or do not call for, and those without a prior that
-        predict no better than the one to be beaten.
+        without a prior that predict no better than the one to be beaten, and those that all
+        features do not determine, or do not call for, unless they say that parts may.
         """
         parts = Portfolio(self.candidates)
         parts.faults, parts._whole = self.faults, control.features
         priors = [one for one in choice.judged if one.candidate.has_prior] if choice else []
-        if choice and priors:
-            base = _base_of(priors)[0]
-            near = {one.name for one in choice.judged
-                    if one.candidate.has_prior or _gain(one, base) > 0.0}
-            parts._hopeless = frozenset(one.name for one in self.offered(control) if not (
-                one.name in near or _contained(one, priors) or self.ask(one, "nearly", control)))
+        if not (choice and priors):
+            return parts
+        base = _base_of(priors)[0]
+        judged = {one.name: one.candidate.has_prior or _gain(one, base) > 0.0
+                  for one in choice.judged}
+        offered = {one.name: one for one in self.offered(control)}
+
+        def hopeful(one: Candidate) -> bool:
+            if _contained(one, priors):  # not fitted in parts either, as long as that one is
+                return True
+            if one.name in judged:
+                return judged[one.name]
+            if not judged.keys() >= set(one.needs):  # not called, for want of another
+                return all(name in offered and hopeful(offered[name]) for name in one.needs)
+            return bool(self.ask(one, "nearly", control))
+
+        parts._hopeless = frozenset(name for name, one in offered.items() if not hopeful(one))
         return parts
 
     def _count(self, control: Control) -> int:
@@ -132,6 +143,7 @@ class Portfolio:
         try:
             with blamed(candidate, method):
                 found = getattr(candidate, method)(*args)
+            found = bool(found) if isinstance(found, np.bool_) else found
             fault = found is not None and of_type(found, _RETURNED[method])
             if fault:
                 raise wrong(candidate, method, fault)

@@ -60,6 +60,10 @@ class Structure(Candidate):
         """Return the model for features with heights, or without."""
         return self.with_heights if heights else self.without
 
+    def nearly(self, control: Control) -> bool:
+        """Return False: what all features do not determine, parts do not either."""
+        return False
+
     def size(self, heights: bool) -> float:
         """Return the number of terms, where no estimator selects or shrinks them by the points."""
         model = self.model(heights)

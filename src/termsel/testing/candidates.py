@@ -70,6 +70,13 @@ def declines(subject: Subject) -> None:
                 f"declines() returned {reason!r}; expected None, or a sentence")
 
 
+def nearly(subject: Subject) -> None:
+    """It says whether parts of features may call for it."""
+    for control in subject.controls():
+        said = subject.candidate.nearly(control)
+        require(isinstance(said, bool | np.bool_), f"nearly() returned {said!r}; expected a bool")
+
+
 def fits(subject: Subject) -> None:
     """It is fitted to the very features it is given, and predicts finite places there."""
     for control, fitted in subject.fits():
@@ -137,7 +144,7 @@ def cases(candidate: Candidate, features: Iterable[FeatureSet] | None = None) ->
     return [Case(candidate.name, lambda: Subject(candidate, some))]
 
 
-SUITE = Suite((declaration, declines, fits, judges, repeats, describes, refits), cases)
+SUITE = Suite((declaration, declines, nearly, fits, judges, repeats, describes, refits), cases)
 
 
 def _held_out(candidate: Candidate, control: Control) -> np.ndarray | None:
