@@ -44,7 +44,7 @@ NO_NOISE = 1e-11
 AT_ONCE = 1 << 13
 """Points that are left out in one go."""
 
-NEVER = 20.0
+NEVER = 30.0
 """Solutions less likely than the likeliest by this, in natural logarithms, are left out."""
 
 
