@@ -138,7 +138,7 @@ def test_a_sensor_that_is_right_hides_no_other(
     monkeypatch.setattr(joint, "_adjusted", lambda block, *_: SimpleNamespace(
         block=block, adjusted=block))
     monkeypatch.setattr(joint, "_with_note_on_dem", lambda result: result)
-    monkeypatch.setattr(joint, "_without_worse", lambda result, _: result)
+    monkeypatch.setattr(joint, "_without_worse", lambda result, *_: result)
     monkeypatch.setattr(joint, "agrees_better", lambda *given: sensors[given[-1]] != "aster")
     monkeypatch.setattr(contradictions, "contradicted", contradicted)
     found = adjust(block).block
@@ -156,11 +156,16 @@ class Outcome:
     frame: None = None
 
 
-@pytest.mark.parametrize(("of_unknown", "score"), [
-    (100.0, 0.0), (280.0, 0.0), (300.0, 3.0), (300.0, 25.0)])
+@pytest.mark.parametrize(("of_unknown", "score", "converged", "said"), [
+    (100.0, 0.0, True, "the ground is 300 m rough, with an unknown one 100 m"),
+    (300.0, 25.0, True,
+     "the block predicts its own control points far worse than with an unknown one"),
+    (280.0, 0.0, True, ""), (300.0, 3.0, True, ""),
+    (100.0, -25.0, True, ""),  # control says that the sensor is right
+    (100.0, 25.0, False, "")])
 def test_a_sensor_that_bends_the_ground_or_control_is_not_taken(
         simulated: Simulated, monkeypatch: pytest.MonkeyPatch, of_unknown: float,
-        score: float) -> None:
+        score: float, converged: bool, said: str) -> None:
     block = replace(simulated.block, images=tuple(
         replace(image, model="scanner", options={"sensor": "aster", "track": "descending"})
         for image in simulated.block.images))
@@ -170,27 +175,29 @@ def test_a_sensor_that_bends_the_ground_or_control_is_not_taken(
         tried.append(block)
         stated = "sensor" in block.images[0].options
         return Outcome(block, SimpleNamespace(
-            roughness=300.0 if stated else of_unknown, score=0.0 if stated else score,
+            roughness=300.0 if stated else of_unknown, converged=stated or converged,
+            # The other features are predicted in one of both alone.
+            score={(0, "G1"): 0.0, (0, "G2"): -90.0} if stated else {
+                (0, "G1"): score, (1, "G1"): -90.0},
             state=SimpleNamespace(cameras=())))
 
     monkeypatch.setattr(joint, "_adjusted", rough)
     monkeypatch.setattr(joint, "_with_note_on_dem", lambda result: result)
     found = adjust(block).block
     assert len(tried) == 2
-    if of_unknown > 200.0 and score < 10.0:
+    if not said:
         assert found == block
         return
     assert [image.options for image in found.images] == [{"track": "descending"}] * 3
-    said = ("the block predicts its own control points far worse than with an unknown one"
-            if score else "the ground is 300 m rough, with an unknown one 100 m")
     assert found.notes == (
         f"With the sensor 'aster' of I1, I2, I3 {said}. The unknown one is taken.",)
 
 
+@pytest.mark.parametrize("spelled", ["aster", "ASTER"])
 def test_a_sensor_is_one_claim_of_all_images_that_state_it(
-        simulated: Simulated, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where terms of one image contradict it, it is not held in the other."""
-    sensors = ("aster", "planetscope", "aster")
+        simulated: Simulated, monkeypatch: pytest.MonkeyPatch, spelled: str) -> None:
+    """Where terms of one image contradict it, it is not held in the other, however spelled."""
+    sensors = ("Aster", "planetscope", spelled)
     block = replace(simulated.block, images=tuple(
         replace(image, model="scanner", options={"sensor": sensor})
         for image, sensor in zip(simulated.block.images, sensors, strict=True)))
@@ -200,13 +207,13 @@ def test_a_sensor_is_one_claim_of_all_images_that_state_it(
     assert found is not None
     assert [image.options.get("sensor") for image in found[0].images] == [None, "planetscope", None]
     assert found[0].notes == (
-        "Points and ties of I3 (look-2 by 5.0 standard deviations) contradict the sensor 'aster'. "
+        "Points and ties of I3 (look-2 by 5.0 standard deviations) contradict the sensor 'Aster'. "
         "The 2 images that state it are adjusted as those of an unknown sensor.",)
 
 
-def test_a_view_straight_down_that_is_not_is_seen_in_the_ground(
+def test_a_view_straight_down_that_is_not_is_seen(
         simulated: Simulated, tmp_path: Path) -> None:
-    """Views are 20 degrees off; terms of the sensor agree with what is known of it."""
+    """Views are 20 degrees off: terms say so, or agree with what is known as the ground bends."""
     (tmp_path / "mine.json").write_text(json.dumps({
         "altitude": 690.0, "inclination": 98.1, "pixel": 2.37, "pixel_sigma": 0.06, "side": 0.5,
         "altitude_sigma": 15.0, "ahead": 0.5, "source": "simulated"}))
@@ -214,7 +221,8 @@ def test_a_view_straight_down_that_is_not_is_seen_in_the_ground(
         replace(image, model="scanner", options={"sensor": str(tmp_path / "mine.json")})
         for image in simulated.block.images)))
     (note,) = result.block.notes
-    assert note.startswith("With the sensor 'mine.json' of I1, I2, I3 the ground is ")
+    assert "the sensor 'mine.json'" in note
+    assert all("sensor" not in image.options for image in result.block.images)
     assert max(errors(result)) < 1.2
 
 

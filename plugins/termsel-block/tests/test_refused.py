@@ -41,7 +41,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (('rpc = "B.RPB"', 'options = "x"'), "options of image number 2 is text in quotes, and must"),
     (('name = "B"', 'model = "auto"'), "the key 'name' of image number 2 is missing"),
     (('name = "B"', 'name = " "'), "cannot be the name of an image"),
-    (('name = "B"', f'name = "{"B" * 101}"'), "and at most 100"),
+    (('name = "B"', f'name = "{"B" * 101}"'), "and at most 100 bytes"),
+    (('name = "B"', f'name = "{"é" * 51}"'), "and at most 100 bytes"),
     (('name = "B"', 'name = "a"'), "images 'A' and 'a' would share one folder"),
     (("[[image]]", "[image]"), "[image] stands where [[image]] should"),
     (('rpc = "C.RPB"', 'rpc = "C.RPB"\nmodel = "cubic"'), "has the model 'cubic'"),
@@ -59,7 +60,7 @@ def test_what_is_wrong_is_said_and_nothing_written(
 
 @pytest.mark.parametrize(("row", "message"), [
     ("X1,A,nan,3", "'nan' is not a number"), ("X1,A,5", "has 3 cells"),
-    ("X1,A,3,1e300", "1e300 is no sample of an image"),
+    ("X1,A,3,1e300", r"1e\+300 is no sample of an image"),
     ("T0,A,1,2", "measured twice in image 'A'")])
 def test_a_table_of_ties_names_line_and_column(folder: Path, row: str, message: str) -> None:
     (folder / "bad.csv").write_text((folder / "ties.csv").read_text() + row + "\n")

@@ -159,6 +159,10 @@ def test_match_files_of_asp_are_ties(tmp_path: Path, binary: bool) -> None:
         (0, 10.0, 20.0), (1, 11.0, 21.0), (2, 12.0, 22.0)}
     with pytest.raises(TermselError, match="states no two images"):
         read_ties(files, ["A", "C"])
+    far = written(f"run-A__C{end}", [(1.0, 2.0), (3.0, 2e7)], places["A"])
+    with pytest.raises(TermselError, match=r"2e\+07 is no sample of an image") as raised:
+        read_ties([far], ["A", "C"])
+    assert raised.value.file == far
     table = tmp_path / "ties.csv"  # with a name that the second file has given
     table.write_text("id,image,line,sample\nasp-A-30.0-40.0,A,1,2\n")
     with pytest.raises(TermselError, match=f"line 2 of .*run-A__B{end}"):

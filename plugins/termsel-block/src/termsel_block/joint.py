@@ -15,6 +15,7 @@ from termsel_block.block import Block, BlockImage
 from termsel_block.contradictions import (
     against_dem,
     agrees_better,
+    gain_of_control,
     note_without,
     sensor_of,
     stated_sensors,
@@ -114,6 +115,7 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
     frame = Frame.at(_places(block), block.crs)
     result = _adjusted(block, frame, progress)
     right: set[str] = set()
+    tried: dict[str, BlockResult] = {}
     while (without := without_wrong_sensor(result.block, result.adjusted, right)) is not None:
         other, worst = without
         try:
@@ -121,34 +123,39 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
         except TermselError:  # without what is known of the sensor, too little holds the image
             freed = result
         if agrees_better(result.adjusted, freed.adjusted, worst):
-            result = freed
+            result, tried = freed, {}
         else:
-            right.add(sensor_of(result.block, worst))
-    return _with_note_on_dem(_without_worse(result, progress))
+            sensor = sensor_of(result.block, worst)
+            right.add(sensor)
+            tried[sensor] = freed
+    return _with_note_on_dem(_without_worse(result, tried, progress))
 
 
-def _without_worse(result: BlockResult, progress: Callable[[float], None] | None,
-                     ) -> BlockResult:
+def _without_worse(result: BlockResult, tried: dict[str, BlockResult],
+                   progress: Callable[[float], None] | None) -> BlockResult:
     """Return the result, or that without sensors which bend the ground or contradict control.
 
     Terms of a sensor that is nearly right agree with what is known of it, as the ground bends
     instead. So each sensor is compared with an unknown one. Of several the one goes first without
-    which control is predicted best.
+    which control is predicted best. Blocks without one of them may have been tried before.
     """
     while True:
         best: BlockResult | None = None
+        most = -np.inf
         for sensor in stated_sensors(result.block):
             other = without_sensor(result.block, sensor)
             try:
-                freed = _adjusted(other, result.frame, progress)
+                freed = tried.get(sensor) or _adjusted(other, result.frame, progress)
             except TermselError:  # without what is known of the sensor, too little holds the image
                 continue
             note = note_without(result.block, sensor, result.adjusted, freed.adjusted)
-            if note and (best is None or freed.adjusted.score > best.adjusted.score):
+            gain = gain_of_control(result.adjusted, freed.adjusted)
+            if note and gain > most:
                 best = replace(freed, block=replace(other, notes=(*other.notes, note)))
+                most = gain
         if best is None:
             return result
-        result = best
+        result, tried = best, {}
 
 
 def _with_note_on_dem(result: BlockResult) -> BlockResult:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy.special import ndtr, stdtrit
+from scipy.special import stdtrit
 
 from termsel_block.estimation.equations import Shared, pairs
 from termsel_block.estimation.steps import CONVERGED, Steps, shrunk, soft
@@ -19,7 +19,13 @@ from termsel_block.geometry.frame import FloatArray
 from termsel_block.geometry.heights import Heights
 
 WRONG = 4.0
-"""A measurement is a blunder if it is so many standard deviations off, in line or in sample."""
+"""A tie is a blunder if it is so many standard deviations off, in line or in sample.
+
+Control is so by as many at least, and by more where few measurements tell its precision.
+"""
+
+_ANY = 0.05
+"""Probability that good control of a block has a row so far off, by which few points are judged."""
 
 AGAINST = -1.0
 """Logarithm of a Bayes factor below which a group is dropped; above, it stays and is shrunk."""
@@ -87,7 +93,7 @@ def adjust_block(state: State, measured: Sequence[Measured], control: Sequence[O
     steps += run.iterate(robust=False, limit=_STEPS, report=report)
     by_priors = [(one.copy(), own) for one, own in zip(
         state.parameters, run.solved.own[:-1], strict=True)]
-    score = run.score_of_control() if any(camera.stated for camera in state.cameras) else 0.0
+    score = run.score_of_control() if any(camera.stated for camera in state.cameras) else {}
     for _ in range(_LOOSENED):
         if not run.loosen():
             break
@@ -286,8 +292,9 @@ class _Run(Steps):
             np.add.at(count, mine.tie, used)
         for i, mine in enumerate(self.measured):  # one ray alone says nothing
             state.in_use[i] = state.in_use[i] & (count[mine.tie] > 1)
-        # As improbable as that, by a standard deviation that few measurements tell.
-        limit = -float(stdtrit(state.freedom_control, ndtr(-WRONG)))
+        # By a standard deviation that few measurements tell, four of them are no rare distance.
+        rows = sum(map(len, of_control))
+        limit = max(WRONG, -float(stdtrit(state.freedom_control, _ANY / (2 * max(rows, 1)))))
         for i, (residual, known) in enumerate(zip(of_control, self.control, strict=True)):
             wrong = np.abs(residual) > limit * self.expected(i)
             names = {name for name, bad in zip(known.feature, wrong, strict=True) if bad}

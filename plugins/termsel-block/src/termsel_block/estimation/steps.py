@@ -21,6 +21,9 @@ _HALVINGS = 6  # of a step at most, less one
 _ROBUST = 2.5  # standard deviations at which a weight is a half
 _BLUNDERS, _AWAY = 0.05, 100.0  # share of blunders, and px over which they are anywhere
 _LEAST_LEFT = 0.1  # share of an error that a residual of control shows, at least
+_MOST_OWN = 0.99
+"""Share of a feature's error that its own image follows, beyond which the others do not judge it.
+"""
 _QUANTILES = (np.arange(200) + 0.5) / 200
 _UNSEEN = 1e4  # m, the most that a step moves a tie which no image in use sees
 
@@ -42,6 +45,8 @@ class Steps:
         """Rows of each image's control in the last equations."""
         self.weights: dict[int, FloatArray] = {}
         """And their weights, 1 where they count in full."""
+        self.noise: dict[int, FloatArray] = {}
+        """And their standard deviations [px], which each step then estimates again."""
 
     def step(self, robust: bool, wide: float = 1.0) -> None:
         """Make a step of Gauss and Newton, by weights that fall `wide` times as slowly as told.
@@ -129,36 +134,38 @@ class Steps:
         known = self.control[i]
         if not len(known):
             return np.empty(0)
-        square = (self.state.sigma_control * known.sigma)**2
-        rows, covariance = self.design[i], self.solved.own[i]
+        rows, covariance, square = self.design[i], self.solved.own[i], self.noise[i]**2
         own = np.einsum("np,pq,nq->n", rows, covariance, rows) / square
         held = np.maximum(1 - self.weights[i] * own, _LEAST_LEFT)
         return np.asarray(np.sqrt(square * held * (held + own)))
 
-    def score_of_control(self) -> float:
-        """Return the logarithm of the density of control, each feature predicted by all others.
+    def score_of_control(self) -> dict[tuple[int, str], float]:
+        """Return the logarithm of the density of each feature of control, by all the others.
 
-        By the equations of the last step: leaving a feature out divides its residuals, and their
-        variances, by what of them the others do not explain. A feature is a blunder with a small
-        probability, so that those which an adjustment has to leave out speak against it.
+        By image and feature. By the equations of the last step: leaving a feature out divides its
+        residuals, and their variances, by what of them the others do not explain. Where that is
+        next to nothing, they say nothing of it, and there is no entry. A feature is a blunder with
+        a small probability, so that those which an adjustment has to leave out speak against it.
         """
-        total = 0.0
-        for known, residual, used, rows, covariance in zip(
-                self.control, self.residuals()[1], self.state.control_in_use,
-                (self.design.get(i, np.empty((0, 0))) for i in range(len(self.control))),
-                self.solved.own, strict=False):
-            names, sigma = np.array(known.feature), self.state.sigma_control * known.sigma
+        found: dict[tuple[int, str], float] = {}
+        of_control = self.residuals()[1]
+        for i, known in enumerate(self.control):
+            names = np.array(known.feature)
             for name in dict.fromkeys(known.feature):
                 at = np.flatnonzero(names == name)
-                noise, own = np.diag(sigma[at]**2), rows[at] @ covariance @ rows[at].T
-                spread, away = noise + own, residual[at]
-                if used[at[0]]:
+                rows, sigma, away = self.design[i][at], self.noise[i][at], of_control[i][at]
+                noise, own = np.diag(sigma**2), rows @ self.solved.own[i] @ rows.T
+                spread = noise + own
+                if self.state.control_in_use[i][at[0]]:
+                    if np.linalg.eigvalsh(own / np.outer(sigma, sigma))[-1] > _MOST_OWN:
+                        continue
                     gain = noise @ np.linalg.inv(noise - own)
                     spread, away = gain @ noise, gain @ away
                 good = np.exp(-away @ np.linalg.solve(spread, away) / 2) / np.sqrt(
                     np.linalg.det(2 * np.pi * spread))
-                total += float(np.log((1 - _BLUNDERS) * good + _BLUNDERS / _AWAY**len(at)))
-        return total
+                found[i, name] = float(np.log(
+                    (1 - _BLUNDERS) * good + _BLUNDERS / _AWAY**len(at)))
+        return found
 
     def _computed(self, i: int) -> tuple[FloatArray, FloatArray]:
         """Return places and columns of an image's ties; known parts are computed once for a state.
@@ -180,7 +187,7 @@ class Steps:
             return np.zeros((2 * m, 2 * m)), np.zeros(2 * m)
         rows, residual = self._rows(i, camera, known)
         self.design[i] = rows
-        sigma = self.state.sigma_control * known.sigma
+        self.noise[i] = sigma = self.state.sigma_control * known.sigma
         share = self.state.control_in_use[i].astype(float)
         if robust:
             share = share * soft(residual / sigma)

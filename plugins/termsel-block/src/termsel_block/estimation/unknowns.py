@@ -58,9 +58,9 @@ class Adjusted:
         How far the last step moved each image, at most [px].
     by_priors : list of (ndarray, ndarray)
         Parameters of each image and their covariance with priors as stated and estimated.
-    score : float
-        Logarithm of the density of control as predicted without it, by priors as stated; 0 where no
-        model states any.
+    score : dict
+        Logarithm of the density of each feature of control, by number of the image and name, as
+        predicted by all others and by priors as stated; empty where no model states any.
     draws : list of ndarray, shape (d, 2m)
         Of the errors of each image's parameters, with variances unknown; empty where these are
         taken as estimated.
@@ -78,5 +78,5 @@ class Adjusted:
     freedom: float
     moved: FloatArray
     by_priors: list[tuple[FloatArray, FloatArray]]
-    score: float = 0.0
+    score: dict[tuple[int, str], float] = field(default_factory=dict)
     draws: list[FloatArray] = field(default_factory=list)

@@ -33,7 +33,7 @@ _KINDS = {"str": "text in quotes", "int": "a whole number", "float": "a number",
           "bool": "true or false", "array": "a list", "object": "a table"}
 _NAMED = 5  # in a note
 _LEAST = 3  # ties and control features of an image
-_LONGEST = 100  # letters of an image's name
+_LONGEST = 100  # bytes of an image's name, in UTF-8
 _LARGEST = 1e7  # lines or samples: no image has as many
 _SAME = 1e-3  # px; no measurement is repeated to that
 
@@ -166,11 +166,11 @@ def _check_names(names: Sequence[str], path: Path) -> None:
             raise TermselError(f"{count} images are called {name!r}", file=path,
                                hint="Give each image a name of its own.")
         if not name.strip() or name != Path(name).name or name.startswith(".") \
-                or not name.isprintable() or len(name) > _LONGEST:
+                or not name.isprintable() or len(name.encode()) > _LONGEST:
             shown = name if len(name) <= _LONGEST else f"{name[:20]}..."
             raise TermselError(f"{shown!r} cannot be the name of an image, whose result gets a "
                                "folder of that name", file=path,
-                               hint=f"Use letters, digits, - and _, and at most {_LONGEST}.")
+                               hint=f"Use letters, digits, - and _, and at most {_LONGEST} bytes.")
     for folder, count in Counter(name.casefold() for name in names).items():
         if count > 1:
             alike = [repr(name) for name in names if name.casefold() == folder]
@@ -313,6 +313,12 @@ def read_ties(files: Sequence[Path], images: Sequence[str]) -> tuple[Ties, tuple
             seen[name, image] = file, line
             places.append((_number(row["line"], file, line, "line"),
                            _number(row["sample"], file, line, "sample")))
+    for k, axis in np.argwhere(np.abs(np.array(places).reshape(-1, 2)) > _LARGEST)[:1]:
+        file, line = list(seen.values())[k]
+        column = ("line", "sample")[axis]
+        raise TermselError(f"{places[k][axis]:g} is no {column} of an image", file=file,
+                           line=None if file in matches else line, column=column,
+                           hint="Write positions in px, such as 1234.5.")
     count = Counter(name for name, _ in seen)
     names = tuple(name for name in count if count[name] > 1)
     alone = [name for name in count if count[name] == 1]
@@ -369,10 +375,7 @@ def _number(text: str, file: Path, line: int, column: str) -> float:
     """Return a number of a table."""
     with suppress(ValueError):
         value = float(text)
-        if math.isfinite(value) and abs(value) <= _LARGEST:
-            return value
         if math.isfinite(value):
-            raise TermselError(f"{text} is no {column} of an image", file=file, line=line,
-                               column=column, hint="Write positions in px, such as 1234.5.")
+            return value
     raise TermselError(f"{text!r} is not a number", file=file, line=line, column=column,
                        hint="Write positions in px, such as 1234.5.")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from termsel.toolkit import picture
-from termsel_block.geometry.frame import FloatArray
+from termsel_block.geometry.frame import FloatArray, IntArray
 from termsel_block.joint import BlockResult
 from termsel_block.shown.record import BlockRecord, WrongControl, WrongTie, times_seen
 from termsel_block.shown.summary import opening, reason_of
@@ -27,7 +27,7 @@ svg { max-width: 100%; height: auto; }
 """
 
 _MOST = 3000  # ties in a picture
-_IMAGES = 40  # images in a picture
+_IMAGES = 40  # images in the picture of their RMSE
 _TOLD_APART = 20  # images whose outlines have colours of their own
 _SIDE, _NARROW = 560.0, 220.0  # px of a map: its longer side, and the least of the other
 _LISTED = 50  # measurements left out that the page names
@@ -37,8 +37,8 @@ def page_of(result: BlockResult, record: BlockRecord) -> str:
     """Return the page: summary, images, footprints with ties, residuals, and uncertainty."""
     pictures = [
         ("Footprints, ties and control", "Each dot is a tie; its colour is the standard deviation "
-         "of its height. Triangles are control. Outlines are drawn around the ties of each image.",
-         _map(result)),
+         f"of its height{_some(result)}. Triangles are control. Outlines are drawn around the ties "
+         "of each image.", _map(result)),
         ("Residuals and uncertainty by image", "The RMSE of the ties in each image, and the RMSE "
          "that is predicted for points measured as the control is, over the area of these ties. "
          f"The least certain image comes first{_first(record)}.", _bars(record)),
@@ -73,8 +73,19 @@ def _first(record: BlockRecord) -> str:
     return f"; {_IMAGES} of {len(record.images)} are shown" if some else ""
 
 
+def _some(result: BlockResult) -> str:
+    """Return how many ties of all are shown, as part of a sentence; empty if all are."""
+    count = len(_placed(result))
+    return f"; {_MOST:,} of {count:,} are shown" if count > _MOST else ""
+
+
+def _placed(result: BlockResult) -> IntArray:
+    """Return the ties that have a place, which two images or more see."""
+    return np.flatnonzero(times_seen(result) > 1)
+
+
 def _left_out(record: BlockRecord) -> str:
-    """Return a table of what was left out, the worst first; empty if nothing was."""
+    """Return a table of what was left out: control, then ties, of each the worst first."""
     every: list[tuple[str, WrongTie | WrongControl]] = [
         ("control", one) for one in record.wrong_control]
     every += [("tie", one) for one in record.wrong_ties]
@@ -87,7 +98,7 @@ def _left_out(record: BlockRecord) -> str:
         for kind, one in every[:_LISTED])
     more = f"<p>{len(every) - _LISTED} more are in block.json.</p>" if len(every) > _LISTED else ""
     heads = "".join(f"<th scope=col>{name}</th>" for name in (
-        "id", "image", "kind", "distance [px]", ""))
+        "id", "image", "kind", "distance [px]", "remark"))
     return ("<section><h2>Left out as blunders</h2><div class=wide tabindex=0><table><thead>"
             f"<tr>{heads}</tr></thead><tbody>{rows}</tbody></table></div>{more}</section>")
 
@@ -104,7 +115,7 @@ def _map(result: BlockResult) -> str:
     from scipy.spatial import ConvexHull, QhullError
 
     ties, state = result.block.ties, result.adjusted.state
-    placed = np.flatnonzero(times_seen(result) > 1)
+    placed = _placed(result)
     some = placed[np.linspace(0, len(placed) - 1, min(_MOST, len(placed))).astype(int)]
     dots = [{"east": float(e), "north": float(n), "sigma": float(s)} for e, n, s in zip(
         state.ties[some, 0] / 1000, state.ties[some, 1] / 1000, result.sigma_ties[some, 2],
@@ -114,7 +125,7 @@ def _map(result: BlockResult) -> str:
             result.control, state.control_in_use, strict=True)]) / 1000, axis=0)
     marks = [{"east": float(e), "north": float(n)} for e, n in control]
     outlines = []
-    for i, image in list(enumerate(result.block.images))[:_IMAGES]:
+    for i, image in enumerate(result.block.images):
         own = ties.tie[ties.image == i]
         places = state.ties[own[np.isin(own, placed)], :2] / 1000
         try:
