@@ -24,8 +24,8 @@ from termsel_block.evidence.factors import log_bayes_factor
 from termsel_block.files.block_file import read_block
 from termsel_block.geometry.frame import FloatArray, IntArray
 from termsel_block.joint import BlockResult, adjust
-from termsel_block.shown.page import _one_scale
-from termsel_block.shown.record import joined, record_of
+from termsel_block.shown import page
+from termsel_block.shown.record import joined, record_of, times_seen
 from termsel_block.shown.summary import text_of
 from termsel_block.simulated import Simulated, simulate_block
 
@@ -365,12 +365,26 @@ def test_good_control_stays_and_its_precision_is_true() -> None:
 
 def test_a_map_has_one_scale() -> None:
     """A strip is not drawn as a square, nor one of a single row of ties as a line."""
-    (x, width), (y, height) = _one_scale(np.array([[0.0, 0.0], [10.0, 100.0]]))
+    (x, width), (y, height) = page._one_scale(np.array([[0.0, 0.0], [10.0, 100.0]]))
     assert (x[1] - x[0]) / width == pytest.approx((y[1] - y[0]) / height)
     assert height == pytest.approx(560.0)
     assert width == pytest.approx(220.0)
     assert x[0] < 0.0
     assert x[1] > 10.0
+
+
+def test_a_page_says_how_much_of_a_large_block_it_shows(
+        adjusted: BlockResult, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Some of the ties, but the outlines of all images."""
+    monkeypatch.setattr(page, "_MOST", 20)
+    monkeypatch.setattr(page, "_IMAGES", 1)
+    shown = page.page_of(adjusted, record_of(adjusted))
+    count = int((times_seen(adjusted) > 1).sum())
+    assert f"height; 20 of {count} are shown. Triangles" in shown
+    assert "; 1 of 3 are shown." in shown
+    outlines = page._map(adjusted)
+    assert all(image.name in outlines for image in adjusted.block.images)
+    assert "<th scope=col></th>" not in shown
 
 
 def test_a_folder_that_is_taken_is_refused(example: Example) -> None:

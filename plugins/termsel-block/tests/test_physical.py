@@ -193,6 +193,30 @@ def test_a_sensor_that_bends_the_ground_or_control_is_not_taken(
         f"With the sensor 'aster' of I1, I2, I3 {said}. The unknown one is taken.",)
 
 
+def test_a_block_without_a_sensor_is_adjusted_once(
+        simulated: Simulated, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its terms contradict it, an unknown one agrees no better, and the ground is compared, too."""
+    block = replace(simulated.block, images=tuple(
+        replace(image, model="scanner", options={"sensor": "aster"})
+        for image in simulated.block.images))
+    tried = []
+
+    def flat(block: Block, *_: object) -> Outcome:
+        stated = "sensor" in block.images[0].options
+        tried.append(stated)
+        return Outcome(block, SimpleNamespace(
+            roughness=300.0 if stated else 100.0, converged=True, score={}, stated=stated))
+
+    monkeypatch.setattr(joint, "_adjusted", flat)
+    monkeypatch.setattr(joint, "_with_note_on_dem", lambda result: result)
+    monkeypatch.setattr(joint, "agrees_better", lambda *_: False)
+    monkeypatch.setattr(contradictions, "contradicted", lambda adjusted: {
+        0: Contradiction(1e-9, 9.0, ())} if adjusted.stated else {})
+    (note,) = adjust(block).block.notes
+    assert tried == [True, False]
+    assert "the ground is 300 m rough" in note
+
+
 @pytest.mark.parametrize("spelled", ["aster", "ASTER"])
 def test_a_sensor_is_one_claim_of_all_images_that_state_it(
         simulated: Simulated, monkeypatch: pytest.MonkeyPatch, spelled: str) -> None:
