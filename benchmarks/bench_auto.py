@@ -10,6 +10,7 @@ a scene of its own, as termsel remembers what it found of the last one.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 from sklearn.linear_model import RidgeCV
@@ -52,8 +53,9 @@ def rows() -> Iterator[Row]:
     for n in POINTS:
         scenes = [termsel.simulate_scene("ikonos-hamedan", seed=seed, roles=(n, 0, 0), n_lines=0)
                   for seed in (1, 2, 3)]
-        drawn, again = iter(scenes), iter(scenes)
-        ours, theirs = best_of([lambda: termsel.run(features=next(drawn)),  # noqa: B023
-                                lambda: nested(next(again).points)], seconds=0.0)  # noqa: B023
+        ours, theirs = best_of([
+            partial(next, (termsel.run(features=one) for one in scenes)),
+            partial(next, (nested(one.points.ground, one.points.image) for one in scenes))],
+            seconds=0.0)
         yield (f"{n} points", ours, "scikit-learn, RidgeCV of degrees 1 to 3", theirs,
                theirs / ours, None)

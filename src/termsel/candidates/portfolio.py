@@ -75,18 +75,17 @@ class Portfolio:
         base = _base_of(priors)[0]
         judged = {one.name: one.candidate.has_prior or _gain(one, base) > 0.0
                   for one in choice.judged}
-        offered = {one.name: one for one in self.offered(control)}
 
         def hopeful(one: Candidate) -> bool:
-            if _contained(one, priors):  # not fitted in parts either, as long as that one is
+            # What others contain, or what needs others, is fitted in parts only where these say so.
+            if _contained(one, priors) or not judged.keys() >= set(one.needs):
                 return True
             if one.name in judged:
                 return judged[one.name]
-            if not judged.keys() >= set(one.needs):  # not called, for want of another
-                return all(name in offered and hopeful(offered[name]) for name in one.needs)
             return bool(self.ask(one, "nearly", control))
 
-        parts._hopeless = frozenset(name for name, one in offered.items() if not hopeful(one))
+        parts._hopeless = frozenset(
+            one.name for one in self.offered(control) if not hopeful(one))
         return parts
 
     def _count(self, control: Control) -> int:
