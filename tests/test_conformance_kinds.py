@@ -89,6 +89,11 @@ class Ranking(Sound):
         return replace(found, objectives=found.objectives - found.objectives.mean())
 
 
+class Guessing(Sound):
+    def evaluate_near(self, genes: np.ndarray, near: np.ndarray) -> Evaluation:
+        return self.evaluate(np.repeat(near[None], len(genes), axis=0))
+
+
 class Scribbling(Sound):
     def evaluate(self, genes: np.ndarray) -> Evaluation:
         genes[:, 0] = ~genes[:, 0]
@@ -121,6 +126,7 @@ class Closed(Sound):
     (Negative, "evaluation_holds", "violations must be 0 or above"),
     (Counting, "deterministic", "differs from one call or process to the next"),
     (Ranking, "one_by_one", "otherwise alone than among others"),
+    (Guessing, "neighbours_alike", "evaluate_near.. differs from evaluate"),
     (Scribbling, "inputs_unchanged", "changes the genes; work on a copy"),
     (Unclear, "decodes", "must return a Selection, not list"),
     (Twice, "decodes", "names one of the terms twice"),

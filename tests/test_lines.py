@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 
 from termsel import TermselError, prepare, simulate_scene
 from termsel.adjustment.equations import line_normals
-from termsel.adjustment.lines import row_weights
+from termsel.adjustment.lines import approximate_image, row_weights
 from termsel.fits.least_squares import fit
 from termsel.measurements.features import FeatureSet, Lines, Points, no_points
 from termsel.measurements.scaling import scaling_of
@@ -110,3 +110,13 @@ def test_what_the_control_determines_stays_determined_when_iterated() -> None:
     assert first.adjustment.feasible
     assert last.adjustment.feasible
     assert last.control_rmse().total <= first.control_rmse().total
+
+
+def test_vertices_are_placed_with_heights_or_without() -> None:
+    features = lines_of_a_scene(40)
+    both = [approximate_image(features, heights=heights) for heights in (True, False, True, False)]
+    assert np.abs(both[0] - both[1]).max() > 1e-4
+    for one, again in zip(both[:2], both[2:], strict=True):
+        np.testing.assert_array_equal(one, again)
+    other = approximate_image(lines_of_a_scene(40), heights=False)
+    np.testing.assert_allclose(other, both[1], rtol=1e-12)

@@ -109,6 +109,8 @@ def dispatcher_of(function: Callable[..., Any], flags: dict[str, Any]) -> Any:
                            "code", hint="Unset NUMBA_DISABLE_JIT, then repeat the command.")
     dispatcher = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True,
                             **flags)(function)
+    # No kernel needs what other packages add to numba, which takes long to look for.
+    dispatcher._compilation_chain_init_hook = lambda: None
     of_types = dispatcher.get_call_template
 
     def of_plain_types(args: Iterable[Any], keywords: Mapping[str, Any]) -> Any:

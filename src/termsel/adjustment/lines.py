@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from weakref import WeakKeyDictionary
+
 import numpy as np
 
 from termsel.adjustment.equations import Equations, line_normals
 from termsel.measurements.features import FeatureSet, FloatArray
+
+# Each step of each fit to some features asks for the same; by whether heights are used.
+_APPROXIMATE: WeakKeyDictionary[FeatureSet, dict[bool, FloatArray]] = WeakKeyDictionary()
 
 
 def approximate_image(features: FeatureSet, *, heights: bool = True) -> FloatArray:
@@ -13,8 +18,15 @@ def approximate_image(features: FeatureSet, *, heights: bool = True) -> FloatArr
 
     A polynomial without denominators (quadratic if the features determine it twice over, else
     affine), of heights or not, is fitted to all control features and evaluated at the vertices. All
-    coordinates are scaled.
+    coordinates are scaled. They are kept as long as the features live, and not to be changed.
     """
+    known = _APPROXIMATE.setdefault(features, {})
+    if heights not in known:
+        known[heights] = _approximate_image(features, heights)
+    return known[heights]
+
+
+def _approximate_image(features: FeatureSet, heights: bool) -> FloatArray:
     def columns(ground: FloatArray, degree: int) -> FloatArray:
         x, y, z = ground.T if heights else (*ground.T[:2], np.zeros(len(ground)))
         linear = [np.ones_like(x), x, y, z]

@@ -8,6 +8,7 @@ import numpy as np
 
 from termsel.adjustment.equations import Equations, row_axes
 from termsel.adjustment.kernels import solve_many
+from termsel.adjustment.nearby import solve_near
 from termsel.measurements.features import BoolArray, FloatArray, IntArray
 
 
@@ -33,15 +34,19 @@ def independent_parts(equations: Equations, axis: IntArray) -> tuple[Independent
 
 
 def solve_parts(parts: tuple[IndependentPart, ...], terms: BoolArray, features: BoolArray | None,
-                ) -> tuple[FloatArray, FloatArray]:
+                near: BoolArray | None = None) -> tuple[FloatArray, FloatArray]:
     """Solve a population part by part, of selected terms (p, k) and features (p, n), None for all.
 
-    Return the coefficients (p, k), 0 where a term is not selected, and the number of selected terms
-    that are not determined (p,).
+    With a selection of features (n,) that all are `near`, all terms must be selected. Return the
+    coefficients (p, k), 0 where a term is not selected, and the number of selected terms that are
+    not determined (p,).
     """
     coefficients, violation = np.zeros(terms.shape), np.zeros(len(terms))
     for part in parts:
-        solution, lacking = solve_many(part.equations, terms[:, part.columns], features)
+        if near is None or features is None:
+            solution, lacking = solve_many(part.equations, terms[:, part.columns], features)
+        else:
+            solution, lacking = solve_near(part.equations, near, features)
         coefficients[:, part.columns] = solution
         violation += lacking
     return coefficients, violation

@@ -42,8 +42,8 @@ from termsel.fits.fittable import Fittable
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray
 from termsel.measurements.scaling import Scaling
 from termsel.models.polynomial import Polynomial
-from termsel.priors.of_lines import coupled
-from termsel.priors.posterior import DRAWS, polynomial_posterior
+from termsel.priors.of_lines import averaged
+from termsel.priors.posterior import polynomial_posterior
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,17 +128,16 @@ def average_with_lines(features: FeatureSet, model: Polynomial) -> Average | Non
     features but any one do not determine the affine terms.
     """
     equations = model.equations(features)
-    found = coupled(equations, model.exponents, DRAWS, len(equations.b))
+    found = averaged(equations, model.exponents)
     if found is None:
         return None
-    k = len(model.exponents)
-    shrunk, effective = found.mean()
+    k, (shrunk, effective, errors) = len(model.exponents), found
     free = np.tile(np.array(model.exponents).sum(axis=1) < 2, 2)
     coefficients = np.empty(2 * k)
     coefficients[~free] = shrunk
     coefficients[free] = np.linalg.lstsq(equations.A[:, free],
                                          equations.b - equations.A[:, ~free] @ shrunk)[0]
-    errors = found.predictions().errors / row_weights(features, heights=model.uses_height)
+    errors = errors / row_weights(features, heights=model.uses_height)
     count = 2 * len(features.points)
     normals = np.repeat(line_normals(features.lines)[0], 2, axis=0)
     return Average(coefficients.reshape(2, k).T,

@@ -9,7 +9,7 @@ is left out with all of them, in closed form (Cook and Weisberg 1982, ch. 2).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -45,7 +45,7 @@ class RowGroup:
 
     feature: IntArray  # (f,)
     rows: IntArray  # (f, r)
-    left: FloatArray  # (c, f, r, r): 1 minus the leverage of their rows
+    left: FloatArray  # (c, r, r, f): 1 minus the leverage of their rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,42 +75,59 @@ class Coupled:
         """Return the shrunken coefficients, averaged, and all effective parameters."""
         return self.share @ self.coefficients, float(self.share @ self.effective)
 
-    def predictions(self, weights: FloatArray | float = 1.0) -> Predictions:
+    def held_out_errors(self) -> FloatArray:
+        """Return measured minus predicted of all rows, each by the other features, shape (m,)."""
+        errors = np.empty(self.errors.shape[1])
+        for group in self.features:
+            held_out, share, _, _ = self._without(group.left, group.rows)
+            errors[group.rows] = np.einsum("cf,crf->fr", share, held_out)
+        return errors
+
+    def _without(self, left: FloatArray, rows: IntArray,
+                 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return errors of features (c, r, f), each held out with its rows (f, r); then, (c, f),
+        the probabilities of the solutions without it, sums of squares, and how much less they are.
+        """
+        fitted = self.errors[:, rows.T]
+        # (I - H)^-1 e: the errors without the feature, all of its rows held out.
+        held_out, determinant = _solved(left, fitted)
+        quadratic = (held_out * fitted).sum(axis=1)
+        rest = np.maximum(self.square[:, None] - quadratic, TINY * self.square[:, None])
+        share, _ = shares(self.evidence[:, None] - 0.5 * np.log(determinant)
+                          - (self.freedom - rows.shape[1]) / 2 * np.log(rest))
+        return held_out, share, rest, quadratic
+
+    def predictions(self, weights: FloatArray) -> Predictions:
         """Return each feature as the others predict it.
 
         The rows of features are multiplied by the weights (n,). Those with another weight than 1,
         too small to matter, do not count as others.
         """
         n = sum(len(group.feature) for group in self.features)
-        weights = np.broadcast_to(np.asarray(weights, dtype=np.float64), n)
         errors = np.empty(self.errors.shape[1])
         chance, strain, spread = np.empty((3, n))
         for group in self.features:
             for on in (True, False):
                 some = (weights[group.feature] == 1.0) == on
+                if not some.any():
+                    continue
                 feature, rows = group.feature[some], group.rows[some]
-                left, fitted = group.left[:, some], self.errors[:, rows]
-                # (I - H)^-1 e: the errors without the feature, all of its rows held out.
-                held_out = _times(_inverse(left), fitted)
+                left = group.left if some.all() else group.left[..., some]
+                held_out, share, rest, quadratic = self._without(left, rows)
                 if on:
-                    # Without the feature: sum of squares, degrees of freedom and evidence.
-                    quadratic = (held_out * fitted).sum(axis=2)
                     freedom = self.freedom - rows.shape[1]
-                    rest = np.maximum(self.square[:, None] - quadratic,
-                                      TINY * self.square[:, None])
-                    share, _ = shares(self.evidence[:, None] - 0.5 * np.log(_determinant(left))
-                                      - freedom / 2 * np.log(rest))
                     variance, widest = rest / freedom, 1.0 / _eigenvalue(left, least=True)
                 else:
-                    weight, identity = weights[feature][:, None, None], np.eye(rows.shape[1])
+                    weight, identity = weights[feature], np.eye(rows.shape[1])[:, :, None]
                     # Its rows are multiplied by a tiny weight: back to the unit of the others.
-                    held_out /= weight[:, :, 0]
+                    held_out /= weight
                     covariance = identity + (identity - left) / weight**2
-                    quadratic = (held_out * _times(_inverse(covariance), held_out)).sum(axis=2)
+                    quadratic = (held_out * _solved(covariance, held_out)[0]).sum(axis=1)
                     share, freedom = self.share[:, None], self.freedom
                     variance, widest = self.square[:, None] / freedom, _eigenvalue(covariance)
                 statistic = quadratic / rows.shape[1] / variance
-                errors[rows] = (share[:, :, None] * held_out).sum(axis=0)
+                errors[rows] = np.einsum("cf,crf->fr", np.broadcast_to(
+                    share, statistic.shape), held_out)
                 as_large = chance_of(statistic, freedom, rows.shape[1] // 2)
                 chance[feature] = (share * as_large).sum(axis=0)
                 strain[feature] = np.sqrt((share * statistic).sum(axis=0))
@@ -119,33 +136,46 @@ class Coupled:
 
 
 # Nearly all features have two rows, and of these there are hundreds of thousands.
-def _inverse(a: FloatArray) -> FloatArray:
-    if a.shape[-1] != 2:
-        return np.asarray(np.linalg.inv(a), dtype=np.float64)
-    turned = np.empty_like(a)
-    turned[..., 0, 0], turned[..., 1, 1] = a[..., 1, 1], a[..., 0, 0]
-    turned[..., 0, 1], turned[..., 1, 0] = -a[..., 0, 1], -a[..., 1, 0]
-    return np.asarray(turned / _determinant(a)[..., None, None])
-
-
-def _determinant(a: FloatArray) -> FloatArray:
-    if a.shape[-1] != 2:
-        return np.asarray(np.linalg.det(a))
-    return np.asarray(a[..., 0, 0] * a[..., 1, 1] - a[..., 0, 1] * a[..., 1, 0])
+def _solved(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return a^-1 b (c, r, f) and the determinants (c, f) of symmetric matrices (c, r, r, f)."""
+    if b.shape[1] != 2:
+        every = np.moveaxis(a, 3, 1)
+        x = np.asarray(np.linalg.solve(every, np.moveaxis(b, 2, 1)[..., None]), dtype=np.float64)
+        return np.moveaxis(x[..., 0], 1, 2), np.asarray(np.linalg.det(every), dtype=np.float64)
+    x, across = np.empty_like(b), a[:, 0, 1]
+    determinant = a[:, 0, 0] * a[:, 1, 1] - across**2
+    x[:, 0] = (a[:, 1, 1] * b[:, 0] - across * b[:, 1]) / determinant
+    x[:, 1] = (a[:, 0, 0] * b[:, 1] - across * b[:, 0]) / determinant
+    return x, determinant
 
 
 def _eigenvalue(a: FloatArray, *, least: bool = False) -> FloatArray:
-    """Return the largest or the least eigenvalue of symmetric matrices."""
-    if a.shape[-1] != 2:
-        return np.asarray(np.linalg.eigvalsh(a)[..., 0 if least else -1])
-    middle, half = (a[..., 0, 0] + a[..., 1, 1]) / 2, (a[..., 0, 0] - a[..., 1, 1]) / 2
-    return np.asarray(middle + (-1 if least else 1) * np.hypot(half, a[..., 0, 1]))
+    """Return the largest or the least eigenvalue of symmetric matrices (..., r, r, f)."""
+    if a.shape[-2] != 2:
+        return np.asarray(np.linalg.eigvalsh(np.moveaxis(a, -1, -3))[..., 0 if least else -1])
+    one, other = a[..., 0, 0, :], a[..., 1, 1, :]
+    middle, half = (one + other) / 2, (one - other) / 2
+    return np.asarray(middle + (-1 if least else 1) * np.sqrt(half**2 + a[..., 0, 1, :]**2))
 
 
-def _times(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
-    if vectors.shape[-1] == 2:
-        return np.asarray(matrices[..., 0] * vectors[..., :1] + matrices[..., 1] * vectors[..., 1:])
-    return np.asarray((matrices @ vectors[..., None])[..., 0])
+def averaged(equations: Equations, exponents: Exponents,
+             ) -> tuple[FloatArray, float, FloatArray] | None:
+    """Return `Coupled.mean`, then `held_out_errors`, of all solutions for features in use.
+
+    None as for `coupled`.
+    """
+    return _averaged(*(part.tobytes() for part in (equations.A, equations.b, equations.feature)),
+                     exponents)
+
+
+@lru_cache(maxsize=8)
+def _averaged(A: bytes, b: bytes, feature: bytes, exponents: Exponents,
+              ) -> tuple[FloatArray, float, FloatArray] | None:
+    """Return the same; one run asks for that of features without blunders more than once."""
+    found = coupled(Equations(
+        np.frombuffer(A).reshape(-1, 2 * len(exponents)), np.frombuffer(b),
+        np.frombuffer(feature, dtype=np.intp)), exponents, posterior.DRAWS, len(b) // 8)
+    return None if found is None else (*found.mean(), found.held_out_errors())
 
 
 def coupled(equations: Equations, exponents: Exponents, draws: int,
@@ -193,7 +223,7 @@ def coupled(equations: Equations, exponents: Exponents, draws: int,
     part = keep * along[group]
     basis = q[:, count:]
     errors = np.empty((len(group), len(b)))
-    left = [np.empty((len(group), *rows.shape, rows.shape[1])) for _, rows in alike]
+    left = [np.empty((len(group), rows.shape[1], *rows.T.shape)) for _, rows in alike]
     coefficients = np.empty((len(group), int((~free).sum())))
     # All sizes of a group have its singular vectors, and stand next to each other.
     groups, starts = np.unique(group, return_index=True)
@@ -203,8 +233,8 @@ def coupled(equations: Equations, exponents: Exponents, draws: int,
         np.add(outside, part[of] @ directions.T, out=errors[of])
         coefficients[of] = grid[one] * ((SIZES[size[of], None] * strength[of] * part[of]) @ vt[one])
         for (_, rows), some in zip(alike, left, strict=True):
-            held = directions[rows]
-            products = held[:, :, None] * held[:, None]                        # (f, r, r, q)
+            held = directions[rows.T]
+            products = held[:, None] * held                                    # (r, r, f, q)
             np.matmul(keep[of], products.reshape(-1, products.shape[3]).T,
                       out=some[of].reshape(end - start, -1))
     for (_, rows), some in zip(alike, left, strict=True):
@@ -224,5 +254,6 @@ def _of_equal_number(feature: IntArray) -> list[tuple[IntArray, IntArray]]:
 
 
 def _left(q: FloatArray, rows: IntArray) -> FloatArray:
-    """Return 1 minus the leverage that orthonormal columns give to rows, shape (f, r, r)."""
-    return np.asarray(np.eye(rows.shape[1]) - q[rows] @ q[rows].transpose(0, 2, 1))
+    """Return 1 minus the leverage that orthonormal columns give to rows, shape (r, r, f)."""
+    own = q[rows] @ q[rows].transpose(0, 2, 1)
+    return np.ascontiguousarray((np.eye(rows.shape[1]) - own).transpose(1, 2, 0))

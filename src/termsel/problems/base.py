@@ -102,7 +102,7 @@ class EnumerablePart:
     pixels: float = 1.0
 
 
-def evaluation_fault(problem: Problem, value: Any, genes: Genes) -> str | None:
+def evaluation_fault(problem: Problem, value: Any, genes: Genes, *_near: Any) -> str | None:
     """Return what is wrong with the evaluation of a population, if anything."""
     n, names = len(genes), problem.objectives
     return (of_type(value, Evaluation)
@@ -151,8 +151,9 @@ class Problem(Guarded, ABC):
 
     kind = "problem"
     guards: ClassVar[Mapping[str, Check | None]] = {
-        "evaluate": evaluation_fault, "decode": _selection_fault, "parts": _parts_fault,
-        "design": _design_fault, "moves": _moves_fault}
+        "evaluate": evaluation_fault, "evaluate_near": evaluation_fault,
+        "decode": _selection_fault, "parts": _parts_fault, "design": _design_fault,
+        "moves": _moves_fault}
 
     genome: Genome
     """The genes, which `Genome.random` draws and `Genome.repair` corrects."""
@@ -174,6 +175,24 @@ class Problem(Guarded, ABC):
         Evaluation
             Finite for whatever genes.
         """
+
+    def evaluate_near(self, genes: Genes, _near: Genes) -> Evaluation:
+        """Return objectives and violations of neighbours of one chromosome.
+
+        A problem that has a faster way for them overrides this.
+
+        Parameters
+        ----------
+        genes : ndarray, shape (p, genome.size)
+        near : ndarray, shape (genome.size,)
+            What most of them differ from by a gene or two.
+
+        Returns
+        -------
+        Evaluation
+            That of `evaluate`, but for rounding.
+        """
+        return self.evaluate(genes)
 
     @abstractmethod
     def decode(self, genes: Genes) -> Selection:

@@ -116,16 +116,19 @@ def excess(parts: tuple[IndependentPart, ...], terms: BoolArray, features: BoolA
            share: float, least: int = 1) -> FloatArray:
     """Return how many terms are in use in excess of what the equations in use support, shape (p,).
 
-    Each part supports its own terms (p, k); features (p, f) are all in use by default. Share and
+    Each part supports its own terms, (p, k), or (1, k) for the same; features (p, f) are all in use
+    by default. Share and
     least are those of `most_terms`.
     """
-    total = np.zeros(len(terms))
+    total: FloatArray = np.zeros(len(terms))
     for part in parts:
         each = np.bincount(part.equations.feature,
                            minlength=0 if features is None else features.shape[1])
-        rows = np.array(each.sum()) if features is None else features @ each
+        # As floats, which are exact here: BLAS has no whole numbers.
+        rows = np.asarray(each.sum() if features is None else features @ each.astype(np.float64),
+                          dtype=np.intp)
         chosen = terms[:, part.columns].sum(axis=1)
-        total += np.maximum(chosen - most_terms(rows, share, least), 0)
+        total = total + np.maximum(chosen - most_terms(rows, share, least), 0)
     return total
 
 

@@ -163,17 +163,30 @@ class SelectionProblem(Problem):
 
         It is 1 where all of these are 0 and the criterion has no figure.
         """
+        return self._evaluate(genes)
+
+    def evaluate_near(self, genes: Genes, near: Genes) -> Evaluation:
+        """Return the evaluation of neighbours (see `Problem.evaluate_near`)."""
+        if type(self).evaluate is not SelectionProblem.evaluate:  # a plugin's own
+            return self.evaluate(genes)
+        return self._evaluate(genes, self.masks(near[None])[1])
+
+    def _evaluate(self, genes: Genes, near: BoolArray | None = None) -> Evaluation:
         inputs = self.inputs
         terms, features = self.masks(genes)
-        coefficients, violation = solve_parts(self._parts, terms, features)
         model = _weighted(inputs)
+        coefficients, violation = solve_parts(
+            self._parts, terms, features,
+            near[0] if near is not None and model is None and self._gene_of_term is None
+            and self._terms_in_use.all() else None)
         if model is not None:
             known = violation == 0
             coefficients[known] = model.least_distances(
                 inputs.control.points, self._parts, terms[known],
                 None if features is None else features[known])
-        violation += excess(self._parts, terms, features, self._share, self._least_freedom)
-        violation += self._empty_axes(terms)
+        differing = terms[:1] if self._gene_of_term is None else terms
+        violation += excess(self._parts, differing, features, self._share, self._least_freedom)
+        violation += self._empty_axes(differing)
         violation += pole_violation(inputs.model, coefficients, self._guard)
         violation += self._lacking_spread(features)
         if self._pairs is not None:

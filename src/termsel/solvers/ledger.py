@@ -61,8 +61,8 @@ class Ledger(ProblemAround):
         self.best_objectives = np.full(len(problem.objectives), np.inf)
         self.least = np.full(len(problem.objectives), np.inf)
         self._row_of: dict[bytes, int] = {}
-        self._objectives: list[list[float]] = []
-        self._violation: list[float] = []
+        # Objectives and violation by row, and space for more.
+        self._values = np.empty((1024, len(problem.objectives) + 1))
 
     def __getstate__(self) -> None:
         """Refuse to go to another process, where nobody would count what is evaluated."""
@@ -76,7 +76,12 @@ class Ledger(ProblemAround):
         with own_code():
             return self._evaluate(genes)
 
-    def _evaluate(self, genes: Genes) -> Evaluation:
+    def evaluate_near(self, genes: Genes, near: Genes) -> Evaluation:
+        """Return the evaluation of neighbours likewise (see `Problem.evaluate_near`)."""
+        with own_code():
+            return self._evaluate(genes, near)
+
+    def _evaluate(self, genes: Genes, near: Genes | None = None) -> Evaluation:
         if self.deadline is not None and self.count and time.perf_counter() > self.deadline:
             raise BudgetSpent
         if fault := self.genome.fault(genes):
@@ -84,7 +89,7 @@ class Ledger(ProblemAround):
                         f"asks for an evaluation of {fault}")
         # A population that exceeds the budget is evaluated as far as it goes, then the search ends.
         allowed = len(genes) if self.limit is None else self.limit - self.count
-        evaluation = self._look_up(genes[:allowed])
+        evaluation = self._look_up(genes[:allowed], near)
         self.after_evaluation()
         if allowed < len(genes):
             raise BudgetSpent
@@ -105,10 +110,8 @@ class Ledger(ProblemAround):
 
     def front(self) -> list[Genes]:
         """Return the feasible non-dominated individuals, by first objective."""
-        if not self._objectives:
-            return []
-        objectives = np.array(self._objectives)
-        rows = np.flatnonzero(np.array(self._violation) == 0)
+        values = self._values[:len(self._row_of)]
+        objectives, rows = values[:, :-1], np.flatnonzero(values[:, -1] == 0)
         rows = rows[np.lexsort(objectives[rows].T[::-1])]
         kept: list[int] = []
         for row in rows:
@@ -118,31 +121,34 @@ class Ledger(ProblemAround):
         keys = list(self._row_of)
         return [_genes(keys[row], self.genome) for row in kept]
 
-    def _look_up(self, genes: Genes) -> Evaluation:
+    def _look_up(self, genes: Genes, near: Genes | None) -> Evaluation:
         # A front is made of all individuals; of one objective the best is remembered apart.
         if len(self.objectives) == 1 and len(self._row_of) > _KNOWN:
-            self._row_of, self._objectives, self._violation = {}, [], []
-        keys = _keys(genes)
-        new: dict[bytes, int] = {}  # twins within the population are evaluated once
-        for i, key in enumerate(keys):
-            if key not in self._row_of and key not in new:
-                new[key] = i
+            self._row_of = {}
+        keys, start = _keys(genes), len(self._row_of)
+        # Twins within the population are evaluated once.
+        new = dict.fromkeys(key for key in keys if key not in self._row_of)
+        end = start + len(new)
         if new:
-            rows = list(new.values())
-            evaluation = self.inner.evaluate(genes[rows])
-            if fault := evaluation_fault(self.inner, evaluation, genes[rows]):
+            some = genes
+            if len(new) < len(genes):
+                first = dict(zip(reversed(keys), range(len(keys) - 1, -1, -1), strict=True))
+                some = genes[[first[key] for key in new]]
+            evaluation = (self.inner.evaluate(some) if near is None
+                          else self.inner.evaluate_near(some, near))
+            if fault := evaluation_fault(self.inner, evaluation, some):
                 raise wrong(self.inner, "evaluate", fault)
-            for key in new:
-                self._row_of[key] = len(self._row_of)
-            self._objectives.extend(evaluation.objectives.tolist())  # quicker than arrays of one
-            self._violation.extend(evaluation.violation.tolist())
-            self._remember(genes[rows], evaluation)
+            if end > len(self._values):
+                more = np.empty((max(len(self._values), len(new)), self._values.shape[1]))
+                self._values = np.concatenate([self._values, more])
+            self._values[start:end, :-1] = evaluation.objectives
+            self._values[start:end, -1] = evaluation.violation
+            self._row_of.update(zip(new, range(start, end), strict=True))
+            self._remember(some, evaluation)
         self.count += len(genes)  # looked up or not, so that budgets mean the same for all solvers
         self.lookups += len(genes) - len(new)
-        where = [self._row_of[key] for key in keys]
-        return Evaluation(
-            np.array([self._objectives[i] for i in where]).reshape(-1, len(self.objectives)),
-            np.array([self._violation[i] for i in where]))
+        rows = np.fromiter(map(self._row_of.__getitem__, keys), np.intp, len(keys))
+        return Evaluation(self._values[rows, :-1], self._values[rows, -1])
 
     def _remember(self, genes: Genes, evaluation: Evaluation) -> None:
         feasible = evaluation.objectives[evaluation.violation == 0]
@@ -158,11 +164,12 @@ class Ledger(ProblemAround):
 
 def _keys(genes: Genes) -> list[bytes]:
     """Return a key for each individual; only equal ones have the same."""
-    if genes.dtype == np.bool_:
-        rows = np.ascontiguousarray(np.packbits(genes, axis=1))
-    else:
-        rows = np.ascontiguousarray(genes + genes.dtype.type(0))  # no negative zero
-    return [row.tobytes() for row in rows]
+    rows = np.ascontiguousarray(np.packbits(genes, axis=1) if genes.dtype == np.bool_
+                                else genes + genes.dtype.type(0))  # no negative zero
+    if not rows.size:
+        return [b""] * len(rows)
+    keys: list[bytes] = rows.view(f"V{rows.shape[1] * rows.itemsize}")[:, 0].tolist()
+    return keys
 
 
 def _genes(key: bytes, genome: Genome) -> Genes:

@@ -10,6 +10,7 @@ import numpy as np
 from termsel.problems.base import Evaluation, Problem, Selection, evaluation_fault
 from termsel.problems.recipes import Recipe
 from termsel.runs.task.task import prepare
+from termsel.solvers.heuristics.swap import neighbours
 from termsel.solvers.heuristics.yardsticks import RandomSearch
 from termsel.solvers.search import search
 from termsel.testing.cases import Case, Suite, check_declaration, pickled, require
@@ -61,6 +62,15 @@ def one_by_one(problem: Problem) -> None:
         "compares them later")
 
 
+def neighbours_alike(problem: Problem) -> None:
+    """Neighbours of an individual have their own evaluation, but for rounding."""
+    for start in _individuals(problem)[:3]:
+        for around in neighbours(start, problem.genome):
+            _require_equal(problem.evaluate(around), problem.evaluate_near(around, start),
+                           "evaluate_near() differs from evaluate()", 1e-6)
+            break
+
+
 def inputs_unchanged(problem: Problem) -> None:
     """It does not change the genes it is given."""
     genes = _individuals(problem)
@@ -103,8 +113,8 @@ def cases(problem: Recipe | Problem | Make) -> list[Case]:
     return [Case(getattr(problem, "__name__", "problem"), problem)]
 
 
-SUITE = Suite((declaration, evaluation_holds, deterministic, one_by_one, inputs_unchanged,
-               decodes, searched), cases)
+SUITE = Suite((declaration, evaluation_holds, deterministic, one_by_one, neighbours_alike,
+               inputs_unchanged, decodes, searched), cases)
 
 
 def _of_recipe(recipe: Recipe) -> Problem:
@@ -117,6 +127,6 @@ def _individuals(problem: Problem) -> np.ndarray:
     return problem.genome.random(np.random.default_rng(1), FEW)
 
 
-def _require_equal(one: Evaluation, other: Evaluation, message: str) -> None:
-    require(np.allclose(one.objectives, other.objectives, rtol=1e-9, atol=1e-12)
-            and np.allclose(one.violation, other.violation, rtol=1e-9, atol=1e-12), message)
+def _require_equal(one: Evaluation, other: Evaluation, message: str, near: float = 1e-9) -> None:
+    require(np.allclose(one.objectives, other.objectives, rtol=near, atol=1e-12)
+            and np.allclose(one.violation, other.violation, rtol=near, atol=1e-12), message)

@@ -108,7 +108,7 @@ def descend(problem: Problem, genes: Genes, evaluation: Evaluation, index: int =
         index += 1
         better = False
         for around in moves(genes[0], problem):
-            judged = problem.evaluate(around)
+            judged = problem.evaluate_near(around, genes[0])
             # The first batch with a better one is enough: further ones may be very many.
             if _rank(judged.take(judged.order()[:1])) < _rank(evaluation):
                 genes, evaluation = _combined(problem, genes, evaluation, around, judged)
