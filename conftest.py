@@ -8,6 +8,7 @@ test itself. It is set before anything imports numpy, and what tests start inher
 
 from __future__ import annotations
 
+import gc
 import logging
 import os
 import sys
@@ -25,6 +26,18 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 SLOW = Path(__file__).parent / "tests" / "slow.txt"
 """Tests of more than a second, where quicker ones see the same; without a parameter, with all."""
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """Let garbage collection wait for the tests, and leave what they are made of out of it.
+
+    Half a million objects stay until the end, which it would count again and again.
+    """
+    gc.disable()
+    yield
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest takes out what `-m` leaves out

@@ -5,6 +5,7 @@ The server is a process of its own, as GDAL holds Python's lock while it waits f
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -188,6 +189,19 @@ def test_vector_files(folder, server) -> None:
     assert server.count() == 0
 
 
+@pytest.fixture(scope="module")
+def result(tmp_path_factory) -> Path:
+    """Return the folder of a result."""
+    rng = np.random.default_rng(0)
+    image = rng.uniform(0, 59, (40, 2))
+    ground = np.column_stack([image[:, 1] / 100 - 56.3, -34.5 - image[:, 0] / 100, image[:, 0]])
+    points = termsel.Points([f"P{i}" for i in range(40)], image, ground)
+    made = tmp_path_factory.mktemp("result") / "result"
+    termsel.run("poly-terms", features=termsel.FeatureSet(points, crs="EPSG:4979"), out=made,
+                options={"degree": 1}, evaluations=20)
+    return made
+
+
 RUN = ("run", "--problem", "poly-terms", "--points")
 POINTS = "id,line,sample,x,y,z\nA,1,2,-56,-34.9,\nB,3,2,-56.1,-34.8,\nC,1,4,-56.2,-34.7,\n"
 
@@ -201,14 +215,9 @@ POINTS = "id,line,sample,x,y,z\nA,1,2,-56,-34.9,\nB,3,2,-56.1,-34.8,\nC,1,4,-56.
     ("rectify", "result", "vsicurl.vrt", "-o", "map.tif", "--height", "3"),
     ("rectify", "result", "plain.tif", "-o", "map.tif", "--dem", "wms.xml")],
     ids=lambda words: " ".join(words))
-def test_commands(words: tuple[str, ...], folder, server, call, monkeypatch) -> None:
+def test_commands(words: tuple[str, ...], folder, server, call, result, monkeypatch) -> None:
     monkeypatch.chdir(folder)
-    rng = np.random.default_rng(0)
-    image = rng.uniform(0, 59, (40, 2))
-    ground = np.column_stack([image[:, 1] / 100 - 56.3, -34.5 - image[:, 0] / 100, image[:, 0]])
-    points = termsel.Points([f"P{i}" for i in range(40)], image, ground)
-    termsel.run("poly-terms", features=termsel.FeatureSet(points, crs="EPSG:4979"), out="result",
-                options={"degree": 1}, evaluations=20)
+    shutil.copytree(result, "result")
     Path("p.csv").write_text(POINTS)
     Path("pixels.csv").write_text("id,line,sample\nA,1,2\n")
     Path("p.points").write_text("mapX,mapY,sourceX,sourceY,enable\n1,2,30,-40,1\n2,3,400,-3,1\n")

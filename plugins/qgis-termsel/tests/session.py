@@ -212,7 +212,8 @@ def results():
     told["export"] = run("export", RESULT=result, FORMAT=0, OUTPUT=str(folder / "scene_RPC.TXT"))
     told["report"] = run("report", RESULT=plain, OUTPUT=str(folder / "p ü.html"))
     told["sigma"] = run("sigma", RESULT=plain, DEM=str(folder / "dem.tif"),
-                        IMAGE=str(folder / "scene.tif"), OUTPUT=str(folder / "sigma ü.tif"))
+                        IMAGE=str(folder / "scene.tif"), RES=50,
+                        OUTPUT=str(folder / "sigma ü.tif"))
     shades = iface.addRasterLayer(told["sigma"].get("OUTPUT", ""), "sigma")
     if shades:
         shade(shades)

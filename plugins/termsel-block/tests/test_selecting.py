@@ -67,7 +67,7 @@ def test_solvers_find_a_selection_that_independent_points_confirm(solver: str) -
 
 def test_exact_proves_what_swaps_find() -> None:
     exact = select(BLOCK, solver="exact", most=2, tie_candidates=6)
-    swaps = select(BLOCK, solver="swap", evaluations=2000, most=2, tie_candidates=6)
+    swaps = select(BLOCK, solver="swap", evaluations=300, most=2, tie_candidates=6)
     assert exact.search.certificate is not None
     assert exact.search.certificate["optimal"]
     assert exact.check == pytest.approx(swaps.check, rel=1e-9)
@@ -81,7 +81,7 @@ def test_independent_points_take_no_part_in_the_selection() -> None:
         away = np.where(np.array(points.roles) == "independent", 500.0, 0.0)
         images.append(replace(image, features=replace(image.features, points=replace(
             points, image=points.image + away[:, None]))))
-    first, second = (select(block, solver="swap", evaluations=400, most=6, tie_candidates=12)
+    first, second = (select(block, solver="swap", evaluations=150, most=6, tie_candidates=12)
                      for block in (BLOCK, replace(BLOCK, images=tuple(images))))
     assert (first.control, first.ties) == (second.control, second.ties)
 
@@ -95,7 +95,7 @@ def test_the_command_writes_a_table(tmp_path: Path) -> None:
     place, table = tmp_path / "place", tmp_path / "enough.csv"
     assert invoke("block-example", place, "--check", 6).exit_code == 0
     asked = ["block-select", str(place / "block.toml"), "-o", str(table), "--most", "10",
-             "--candidates", "20", "--evaluations", "300"]
+             "--candidates", "20", "--evaluations", "100"]
     done = invoke(*asked, "--json")
     assert done.exit_code == 0, done.output
     record = json.loads(done.stdout)
