@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 from scipy.special import chdtri, stdtr, stdtrit
 
-from termsel.record.chances import chi_squared_quantile, t_beyond, t_quantile
+from termsel.record.chances import (
+    chi_squared_quantile,
+    median,
+    quantile,
+    t_beyond,
+    t_quantile,
+)
 
 FREEDOM = [1, 2, 3.5, 48.4, 999, 1000, 1001, 34319, 65328, 195718, 3e6]
 """Secants to the quantile of some of the last ones once met no end."""
@@ -19,6 +25,15 @@ def test_quantiles_are_those_of_scipy(freedom: float) -> None:
                                                                      rel=1e-8)
     for share in (0.6, 0.95, 0.975, 0.999):
         assert t_quantile(share, freedom) == pytest.approx(stdtrit(freedom, share), rel=1e-8)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 10, 101])
+def test_quantiles_of_values_are_those_of_numpy(count: int) -> None:
+    values = np.random.default_rng(count).normal(size=(4, 3, count))
+    values[0, 0, count // 2] = np.nan
+    for share in (0.0, 0.25, 0.7, 0.75, 0.9, 1.0):
+        np.testing.assert_array_equal(quantile(values, share), np.quantile(values, share, axis=-1))
+    np.testing.assert_array_equal(median(values), np.median(values, axis=-1))
 
 
 @pytest.mark.parametrize("freedom", FREEDOM)

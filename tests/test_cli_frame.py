@@ -11,6 +11,7 @@ from textwrap import dedent
 import pytest
 
 from termsel import __version__
+from termsel.__main__ import ALLOCATIONS
 from termsel.cli import tables
 from termsel.cli.main import cli
 from termsel.errors import unknown_name
@@ -100,6 +101,12 @@ def test_help_imports_nothing_heavy():
                          "importlib.metadata", "termsel.cli.run"}
 
 
+def test_imports_are_not_searched_for_cycles_all_the_time():
+    _, printed = imported("--version", then="import gc; print(gc.get_threshold()[0], "
+                                            "file=sys.stderr); ")
+    assert str(ALLOCATIONS) in printed
+
+
 def test_what_few_use_is_imported_by_those_who_use_it():
     _, loaded = imported("list", "models", then="import termsel.runs.run; ")
     assert {"termsel_rpc.jitter", "termsel.adjustment.kernels"} <= loaded
@@ -110,7 +117,7 @@ def test_what_few_use_is_imported_by_those_who_use_it():
 def test_a_choice_for_few_points_imports_neither_scipy_nor_numba_nor_proofs():
     text, loaded = imported("run", "--problem", "rfm-terms", "--quiet")
     assert "chosen by auto" in text
-    assert not loaded & {"numba", "scipy", "termsel.enumeration.subsets",
+    assert not loaded & {"numba", "scipy", "numpy.ma", "termsel.enumeration.subsets",
                          "termsel.runs.search.steps"}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import io
 import os
 import sys
@@ -18,6 +19,10 @@ if TYPE_CHECKING:
 
 PATIENCE = 2.0
 """Seconds that threads have to end after the command."""
+
+ALLOCATIONS = 200_000
+"""Objects made, and not freed, between searches for cycles: Python's 700 are a part of the imports
+of any command, which are searched again each time."""
 
 FAULT = """\
 Error: termsel has failed: {what}. This is a bug in termsel or in a plugin, not your mistake.
@@ -96,6 +101,7 @@ def main() -> None:
     sys.excepthook = report_fault
     try:
         watch()
+        gc.set_threshold(ALLOCATIONS)
         # Of the BLAS that NumPy and SciPy bring along: see termsel.threads.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         from termsel.cli.main import cli

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from termsel.measurements.features import BoolArray, FloatArray, IntArray, Lines, Points
+from termsel.record.chances import median
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,4 +89,4 @@ def row_axes(A: FloatArray, axis: IntArray) -> IntArray:
 def weights_of(points: Points) -> FloatArray:
     """Return by what the equations of points are multiplied, shape (n, 2)."""
     return (np.ones_like(points.image) if points.sigma is None
-            else np.asarray(np.median(points.sigma) / points.sigma))
+            else np.asarray(median(points.sigma.ravel()) / points.sigma))

@@ -25,6 +25,9 @@ others are termsel's own.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
+
 import numpy as np
 
 from termsel.candidates.base import Judged, Suspects
@@ -38,6 +41,10 @@ from termsel.measurements.control import Control
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.priors.field import Collocation
 from termsel.priors.held_out import chance_of
+from termsel.record.chances import median
+
+Whole = Callable[[], Test | None]
+"""The test by all features, which is made where one is asked for."""
 
 MOST = 1 / 3
 """Largest share of blunders."""
@@ -68,10 +75,11 @@ def find_blunders(control: Control, portfolio: Portfolio | None = None) -> Suspe
 
 def _found(control: Control, portfolio: Portfolio) -> Suspects | None:
     everything = np.ones(len(control), dtype=bool)
-    whole = Division(control, everything).shrunken_test()
-    if whole is None:
+    whole = cache(Division(control, everything).shrunken_test)
+    core = _core(control, whole)
+    if core is None:
         return None
-    used, test = _settled(control, *_forward(control, *_core(control, whole), whole))
+    used, test = _settled(control, *_forward(control, *core, whole))
     while not (used.all() or test.local) and (
             choice := choose(control.take(used), portfolio, whole=False)):
         more = used | _predicted_by(choice.chosen, control.features)
@@ -104,7 +112,7 @@ def _predicted_by(chosen: Judged, features: FeatureSet) -> BoolArray:
     if len(features.lines) and averaged:  # the test was by the same polynomial
         return np.zeros(len(features), dtype=bool)
     # The median of the sum of two squared normal variables is 2 ln 2.
-    bound = STRAIN * np.sqrt(np.median(chosen.squares) / (2 * np.log(2)))
+    bound = STRAIN * np.sqrt(median(chosen.squares) / (2 * np.log(2)))
     if not (averaged or isinstance(chosen.fit.interpolation, Collocation)):
         # The test was of another model than the chosen one.
         bound = max(bound, CLEAR * np.sqrt(chosen.squares.max()))
@@ -142,26 +150,32 @@ def judge_others(chosen: Judged, heights: bool, others: Points) -> Suspects | No
 
 def _contradicting(every: Control, there: BoolArray, used: BoolArray) -> Suspects | None:
     """Return which of the features `there` contradict all others, beginning with those `used`."""
-    whole = Division(every, ~np.zeros_like(there)).shrunken_test()
-    if whole is None:
-        return None
+    whole = cache(Division(every, ~np.zeros_like(there)).shrunken_test)
     test = Division(every, used).shrunken_test()
-    used, test = _core(every, whole) if test is None else (used, test)
-    used, test = _settled(every, *_forward(every, used, test, whole))
+    core = _core(every, whole) if test is None else (used, test)
+    if core is None:
+        return None
+    used, test = _settled(every, *_forward(every, *core, whole))
     blunders, decided = there & ~used, test.decided()
     return test.suspects(blunders & decided, np.zeros_like(there), blunders & ~decided, there)
 
 
-def _core(control: Control, whole: Test) -> tuple[BoolArray, Test]:
+def _core(control: Control, whole: Whole) -> tuple[BoolArray, Test] | None:
     """Return the features that remain where those that fit worst are set aside, and their test.
+
+    None where they are too few for a test.
 
     Of points step by step. With lines, which are many, those that have no weight under the biweight
     are; a whole third where these are more, or the features too few for a quadratic.
     """
+    used = np.ones(len(control), dtype=bool)
     if len(control.features.lines):
         used = _weighty(control, whole)
-        return used, Division(control, used).shrunken_test() or whole
-    used, test = np.ones(len(control), dtype=bool), whole
+        test = Division(control, used).shrunken_test() or whole()
+        return None if test is None else (used, test)
+    test = whole()
+    if test is None:
+        return None
     core = len(control) - int(MOST * len(control))
     while used.sum() > core:
         left = int(used.sum()) - core
@@ -176,13 +190,14 @@ def _core(control: Control, whole: Test) -> tuple[BoolArray, Test]:
     return used, test
 
 
-def _weighty(control: Control, whole: Test) -> BoolArray:
+def _weighty(control: Control, whole: Whole) -> BoolArray:
     """Return the features that have weight under a robust quadratic polynomial."""
     weightless, most = _weightless(control), int(MOST * len(control))
     if weightless is not None and weightless.sum() <= most:
         return ~weightless
-    used = np.ones(len(control), dtype=bool)
-    used[np.argsort(-whole.strain, kind="stable")[:most]] = False
+    used, test = np.ones(len(control), dtype=bool), whole()
+    if test is not None:
+        used[np.argsort(-test.strain, kind="stable")[:most]] = False
     return used
 
 
@@ -199,7 +214,7 @@ def _weightless(control: Control) -> BoolArray | None:
 
 
 def _forward(control: Control, used: BoolArray, test: Test,
-             whole: Test) -> tuple[BoolArray, Test]:
+             whole: Whole) -> tuple[BoolArray, Test]:
     """Admit features again that those in use predict; leave out those they no longer do."""
     n, seen = len(control), set[bytes]()
     # A set of features that comes back would come back for ever.
@@ -222,7 +237,7 @@ def _forward(control: Control, used: BoolArray, test: Test,
                 now[bad[np.argmax(test.strain[bad])]] = False
         if (now == used).all():
             break
-        nearer = whole if now.all() else Division(control, now).shrunken_test()
+        nearer = whole() if now.all() else Division(control, now).shrunken_test()
         if nearer is None:
             break
         used, test = now, nearer

@@ -19,6 +19,7 @@ from termsel.fits.fittable import Fittable
 from termsel.fits.least_squares import LeastSquares
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray
 from termsel.measurements.scaling import Scaling
+from termsel.record.chances import median
 
 HUBER, TUKEY = 1.345, 4.685
 """Standard deviations from which a row has less weight, or none: both estimators are 95 % efficient
@@ -62,7 +63,7 @@ def reweighted(equations: Equations, biweight: bool) -> tuple[FloatArray, FloatA
     for with_biweight in (False, True)[:1 + biweight]:
         for _ in range(ITERATIONS):
             left = np.abs(b - A @ x)
-            scale = float(np.median(left)) / NORMAL_MEDIAN
+            scale = float(median(left)) / NORMAL_MEDIAN
             if scale <= np.finfo(float).eps * np.abs(b).max():  # half of the rows fit exactly
                 break
             weights = _biweight(left / scale) if with_biweight else \

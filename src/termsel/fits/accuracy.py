@@ -22,7 +22,7 @@ from termsel.fits.uncertainty import shared_variance
 from termsel.measurements.control import Control, off_plane, with_usual_heights
 from termsel.measurements.coordinates.metres import in_metres
 from termsel.measurements.features import FeatureSet, FloatArray, Points
-from termsel.record.chances import t_quantile
+from termsel.record.chances import quantile, t_quantile
 from termsel.record.figures import (
     CONFIDENCE,
     Accuracy,
@@ -45,7 +45,7 @@ def ce90(errors: FloatArray) -> FloatArray:
     Of errors (..., n, 2) it has the shape (...). It is interpolated linearly between the distances;
     no distribution is assumed.
     """
-    return np.asarray(np.quantile(np.linalg.norm(errors, axis=-1), 0.9, axis=-1))
+    return quantile(np.linalg.norm(errors, axis=-1), 0.9)
 
 
 def predicted_rmse(errors: FloatArray, effective: float, points: int,

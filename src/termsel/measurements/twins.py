@@ -12,6 +12,7 @@ import numpy as np
 
 from termsel.measurements.features import FeatureSet, FloatArray, IntArray, Points
 from termsel.measurements.tables.attributes import rows_at
+from termsel.record.chances import quantile
 
 NEAR = 0.01
 """Distance of twins, by the side of the square that each point has for itself; of their heights,
@@ -34,7 +35,7 @@ def twins(ground: FloatArray, typical: FloatArray | None = None) -> IntArray:
         return np.arange(n, dtype=np.intp)
     places, typical = np.nan_to_num(ground), np.nan_to_num(typical)
     # Half of the points span half of an even spread, wherever a few wild ones are.
-    low, high = np.quantile(typical, [0.25, 0.75], axis=0)
+    low, high = (quantile(typical.T, share) for share in (0.25, 0.75))
     unit = NEAR * 2 * (high - low) * np.array([len(typical) ** -0.5] * 2 + [1.0])
     rounding = np.finfo(float).eps * np.abs(places).max(axis=0)
     pairs = _near(places / np.maximum(unit, np.maximum(rounding, np.finfo(float).tiny)))

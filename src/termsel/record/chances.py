@@ -10,6 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from math import exp, lgamma, log, sqrt
 
+import numpy as np
+from numpy.typing import NDArray
+
 FEW = 1000
 """Most degrees of freedom of what is computed here."""
 
@@ -18,6 +21,29 @@ EPS, NEAR = 1e-16, 1e-12
 
 STEPS = 60
 """Most secants to a quantile: rounding may keep the last ones from meeting NEAR."""
+
+
+def quantile(values: NDArray[np.float64], share: float) -> NDArray[np.float64]:
+    """Return what a share of values is below, along their last axis, as `numpy.quantile` does.
+
+    That imports numpy.ma, which takes 0.01 s, and so does `numpy.median`.
+    """
+    ordered = np.sort(values)  # any NaN is last
+    below = int(share * (values.shape[-1] - 1))
+    part = share * (values.shape[-1] - 1) - below
+    low, high = ordered[..., below], ordered[..., min(below + 1, values.shape[-1] - 1)]
+    # Exact at both ends.
+    between = low + part * (high - low) if part < 0.5 else high - (1 - part) * (high - low)
+    return np.asarray(np.where(np.isnan(ordered[..., -1]), np.nan, between))
+
+
+def median(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the median of values along their last axis, as `numpy.median` does; NaN of none."""
+    ordered, count = np.sort(values), values.shape[-1]
+    if not count:
+        return np.full(values.shape[:-1], np.nan)
+    middle = (ordered[..., (count - 1) // 2] + ordered[..., count // 2]) / 2
+    return np.asarray(np.where(np.isnan(ordered[..., -1]), np.nan, middle))
 
 
 def chi_squared_quantile(share: float, freedom: float) -> float:

@@ -248,7 +248,7 @@ def _points(scene: Scene, rng: Generator, numbers: tuple[int, int, int]) -> Poin
     at_extremes = np.flatnonzero(roles == 0)[:2]
     image[at_extremes] = extremes[:len(at_extremes)]
     placed, *of_role = (_Placed(np.empty((number, 2))) for number in (count, *numbers))
-    for i in np.concatenate([at_extremes, np.setdiff1d(np.arange(count), at_extremes)]):
+    for i in sorted(range(count), key=lambda i: (i not in at_extremes, i)):
         of_same = of_role[roles[i]]
         if i not in at_extremes:
             tried = extent * rng.uniform(_EDGE, 1 - _EDGE, (_CANDIDATES, 2))

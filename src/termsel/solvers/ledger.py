@@ -14,6 +14,7 @@ from termsel.guard.inside import own_code
 from termsel.problems.base import Evaluation, Problem, ProblemAround, evaluation_fault
 from termsel.problems.genome import Genome
 from termsel.problems.segments import Genes
+from termsel.record.chances import median
 from termsel.record.search import HistoryRow
 from termsel.solvers.base import Generation, Solver
 
@@ -105,7 +106,7 @@ class Ledger(ProblemAround):
         feasible = generation.evaluation.violation == 0
         scores = generation.evaluation.objectives[feasible, 0]
         return HistoryRow(self.count, None if self.best[0] else self.best[1],
-                          float(np.median(scores)) if len(scores) else None, float(feasible.mean()),
+                          float(median(scores)) if len(scores) else None, float(feasible.mean()),
                           tuple(map(int, generation.details.get("empires", ()))))
 
     def front(self) -> list[Genes]:

@@ -25,6 +25,7 @@ from termsel.measurements.coordinates.crs import (
 from termsel.measurements.coordinates.longitudes import continuous
 from termsel.measurements.coordinates.metres import in_metres
 from termsel.measurements.features import FeatureSet, FloatArray
+from termsel.record.chances import median
 
 log = logging.getLogger(__name__)
 
@@ -186,9 +187,9 @@ def _degrees_of(crs: str, ground: FloatArray) -> tuple[float, float] | None:
     """Return longitude and latitude [deg] of the middle of places, None where nothing tells."""
     try:
         if is_geographic(crs):
-            lon, lat = float(np.median(continuous(ground[:, 0]))), float(np.median(ground[:, 1]))
+            lon, lat = float(median(continuous(ground[:, 0]))), float(median(ground[:, 1]))
         else:
-            middle = np.nanmedian(np.nan_to_num(ground), axis=0)[None]
+            middle = median(np.nan_to_num(ground).T)[None]
             geodetic = geodetic_of(crs)
             turn = transformation(crs, geodetic) if is_geocentric(crs) else transformation(
                 horizontal(crs), horizontal(geodetic), strict=False)
