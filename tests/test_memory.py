@@ -1,7 +1,10 @@
-"""What features say is found once, for all runs on them in one process."""
+"""What features say is found once, for all runs on them in one process; freed memory is kept."""
 
 from __future__ import annotations
 
+import platform
+import subprocess
+import sys
 from dataclasses import replace
 from typing import Any
 
@@ -90,3 +93,24 @@ def test_another_run_on_the_same_features_tells_as_much(scene: FeatureSet) -> No
     same = [{key: one for key, one in run.to_dict().items() if key not in ("seconds", "checksum")}
             for run in runs]
     assert same[0] == same[1]
+
+
+FREED = """
+import resource
+import numpy as np
+import termsel
+
+points = termsel.simulate_scene("ikonos-hamedan", roles=(6, 0, 0), n_lines=0)
+termsel.run(features=points)
+before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+for _ in range(25):
+    [np.ones(1 << 17) for _ in range(4)]
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries differ")
+def test_memory_that_a_run_frees_is_used_again() -> None:
+    """Where the system takes it back, each of 256 pages is a fault for each of 100 arrays."""
+    done = subprocess.run([sys.executable, "-c", FREED], capture_output=True, text=True, check=True)
+    assert int(done.stdout) < 100 * 256 / 4

@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from msgspec import convert
 
 from termsel.adjustment import kernels
@@ -41,6 +42,10 @@ from termsel.solvers.search import Observer
 from termsel.threads import one_blas_thread
 
 log = logging.getLogger(__name__)
+
+FREED = 1 << 20
+"""Numbers of an array that is freed at once, and never filled. The C library of Linux gives back
+memory beyond twice what was freed in one piece, and asks the system for it at the next array."""
 
 SEARCH_COMPILES, AUTO_COMPILES = 4, 2
 """Seconds that the first run of a search, and of the strategy auto, spends on compilation."""
@@ -124,6 +129,7 @@ def run(
     >>> round(result.rmse["independent"].total, 1) > 0
     True
     """
+    np.empty(FREED)
     if features is not None:
         source = source or (str(features) if isinstance(features, str | Path) else None)
         features = features_of(features, crs, columns)
