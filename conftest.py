@@ -9,11 +9,13 @@ test itself. It is set before anything imports numpy, and what tests start inher
 from __future__ import annotations
 
 import gc
+import importlib.metadata
 import logging
 import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -22,6 +24,9 @@ import pytest
 
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
+
+# Each run states versions of seven packages, whose files were read some thousand times.
+importlib.metadata.version = cache(importlib.metadata.version)
 
 
 SLOW = Path(__file__).parent / "tests" / "slow.txt"
@@ -32,12 +37,15 @@ SLOW = Path(__file__).parent / "tests" / "slow.txt"
 def pytest_collection() -> Iterator[None]:
     """Let garbage collection wait for the tests, and leave what they are made of out of it.
 
-    Half a million objects stay until the end, which it would count again and again.
+    Half a million objects stay until the end, which it would count again and again. Then more is
+    remembered of features, as tests ask for the same few scenes.
     """
     gc.disable()
     yield
     gc.freeze()
     gc.enable()
+    if "termsel.candidates.memory" in sys.modules:
+        sys.modules["termsel.candidates.memory"].KEPT = 500  # else 16
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest takes out what `-m` leaves out
@@ -87,11 +95,8 @@ def example_files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def call(capsys: pytest.CaptureFixture[str],
-         monkeypatch: pytest.MonkeyPatch) -> Callable[..., SimpleNamespace]:
+def call(capsys: pytest.CaptureFixture[str]) -> Iterator[Callable[..., SimpleNamespace]]:
     """Return a function that runs a command line in this process, as a new one takes a second."""
-    # A handler left by another test would write to what that one captured.
-    monkeypatch.setattr(logging.getLogger("termsel"), "handlers", [])
     from termsel.cli.main import cli  # only now, as it imports numpy
 
     def run(*words: object) -> SimpleNamespace:
@@ -100,4 +105,8 @@ def call(capsys: pytest.CaptureFixture[str],
         out, err = capsys.readouterr()
         return SimpleNamespace(exit_code=stop.value.code, stdout=out, stderr=err)
 
-    return run
+    # A handler left by another test would write to what that one captured. This changes nothing of
+    # what is found of features, unlike the fixture monkeypatch.
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(logging.getLogger("termsel"), "handlers", [])
+        yield run

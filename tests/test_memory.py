@@ -67,7 +67,8 @@ def test_nobody_changes_what_is_remembered(scene: FeatureSet) -> None:
     assert not find_blunders(again(scene)).blunders.any()
 
 
-def test_the_last_used_are_kept(scene: FeatureSet) -> None:
+def test_the_last_used_are_kept(scene: FeatureSet, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory, "KEPT", 5)
     calls: list[int] = []
     for i in (0, *range(memory.KEPT), 0, memory.KEPT, 0, 1):
         remembered(i, again(scene), Portfolio(), lambda i=i: calls.append(i))

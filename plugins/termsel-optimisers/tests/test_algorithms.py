@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from pymoo.algorithms.moo import age
 from scipy.stats import ks_2samp
 
 import termsel
@@ -16,6 +17,11 @@ from termsel_optimisers.deap_algorithms import Deap
 from termsel_optimisers.survivals import AgeMoea2, SmsEmoa, Spea2
 
 SEEDS = range(30)
+
+# Kept on disk: else each process of tests would compile them for four seconds.
+for compiled in (age.find_corner_solutions, age.point_2_line_distance,
+                 age.AGEMOEASurvival.minkowski_distances):
+    compiled.enable_caching()
 
 
 @pytest.mark.parametrize(("problem", "options"), [
