@@ -222,16 +222,15 @@ def coupled(equations: Equations, exponents: Exponents, draws: int,
     keep, strength = keep[group, size], strength[group, size]
     part = keep * along[group]
     basis = q[:, count:]
-    errors = np.empty((len(group), len(b)))
+    errors = outside + np.matmul(part[:, None], u[group].transpose(0, 2, 1))[:, 0] @ basis.T
+    coefficients = grid[group] * SIZES[size, None] * np.matmul((strength * part)[:, None],
+                                                               vt[group])[:, 0]
     left = [np.empty((len(group), rows.shape[1], *rows.T.shape)) for _, rows in alike]
-    coefficients = np.empty((len(group), int((~free).sum())))
     # All sizes of a group have its singular vectors, and stand next to each other.
     groups, starts = np.unique(group, return_index=True)
     for one, start, end in zip(groups, starts, [*starts[1:], len(group)], strict=True):
         of = slice(start, end)
         directions = basis @ u[one]
-        np.add(outside, part[of] @ directions.T, out=errors[of])
-        coefficients[of] = grid[one] * ((SIZES[size[of], None] * strength[of] * part[of]) @ vt[one])
         for (_, rows), some in zip(alike, left, strict=True):
             held = directions[rows.T]
             products = held[:, None] * held                                    # (r, r, f, q)
