@@ -16,6 +16,7 @@ from termsel.enumeration.bounds.closed import first_closed
 from termsel.enumeration.bounds.held_out import least_held_out
 from termsel.enumeration.bounds.poles import node_bound
 from termsel.enumeration.bounds.residuals import branch_residuals
+from termsel.enumeration.bounds.shares import largest_shares
 from termsel.enumeration.bounds.trees import ROUNDING, Tree, tree_of
 from termsel.enumeration.columns.arrays import (
     CheckSpace,
@@ -27,7 +28,7 @@ from termsel.enumeration.columns.arrays import (
     vectors_of,
 )
 from termsel.enumeration.columns.kernels import LINEAR, PRESS, RATIONAL, RSS, walk
-from termsel.enumeration.columns.reduction import by_gain, fewer_rows, triangle_of
+from termsel.enumeration.columns.reduction import by_gain, by_halves, fewer_rows, triangle_of
 from termsel.enumeration.columns.system import BITS, SCORES, Masks, Piece, SubsetSystem, Walked
 from termsel.errors import TermselError, unknown_name
 from termsel.measurements.features import FloatArray, IntArray
@@ -35,7 +36,11 @@ from termsel.measurements.features import FloatArray, IntArray
 WALKED = 1 << 18
 """Subsets that are enumerated in some hundredths of a second: bounds take longer to compile."""
 
+PROGRAMMED = 1 << 24
+"""Subsets for which linear programs pay, which take some milliseconds a check point."""
+
 _ENUMERATED = 300  # subsets that cost less than bounds of their residuals
+_PROGRAMS = 100  # check points; more of them close subsets early without
 _HALVINGS = 7  # of the interval in which a bound lies: less than a per cent of the RMSE is left
 
 
@@ -217,9 +222,18 @@ class Stack:
 
     def _space(self, vectors: Vectors) -> CheckSpace:
         depths, _, height, _ = vectors.top.shape
-        rational = self.kind == RATIONAL
-        return check_space(depths, height - 1, vectors.extra.shape[3] // (2 if rational else 1),
-                           self.margin if rational else None)
+        largest = self._largest if self.kind == RATIONAL else np.ones(vectors.extra.shape[3] + 1)
+        return check_space(depths, height - 1, largest)
+
+    @cached_property
+    def _largest(self) -> FloatArray:
+        """U and tau of `bounds.closed` for all subsets."""
+        rows, open_ = self.systems[0], np.concatenate([self.everything.used, self.everything.rest])
+        c = len(rows.extra) // 2
+        if self.everything.count > PROGRAMMED and c <= _PROGRAMS:
+            return largest_shares(rows.extra[c:, open_], rows.guard[:, open_], self.margin)
+        # No positive denominator is above its sum with the others, and that not below the least.
+        return np.append(np.ones(c), 1.0 / (self.margin * c))
 
     def _prepared(self, piece: Piece) -> tuple[Vectors, Limits, FloatArray] | None:
         """Return the vectors of a piece, or None if the columns in use are dependent.
@@ -334,6 +348,8 @@ def stack(system: SubsetSystem, score: str, folds: Sequence[IntArray],
             guard if kept is everyone else guard[:0]))
     if score != "check":
         free = by_gain(control, used, free, k)
+    elif rational:
+        free = by_halves(free, below[:, :k].any(axis=0))
     room = len(free) if max_terms is None else min(len(free), max_terms - len(used))
     parents = np.zeros((0, k), dtype=bool) if system.parents is None else system.parents
     return Stack(kind, k, systems, float(system.margin), BITS[:k][some_of].sum(),

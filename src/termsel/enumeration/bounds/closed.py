@@ -19,6 +19,7 @@ quadratic form without linear part. Its minimum where t D + d x add up to 1 has 
 that is above 1, no subset of F scores B or less. Otherwise all points (t, x) with q <= 1 on that
 plane lie in an ellipsoid, on which t and each t D + d x have largest values: new tau and U, to be
 used in turn. If one is negative, no subset scores B or less. They hold for the subsets below, too.
+The first tau and U of long proofs are those of `bounds.shares`, which know the guard points.
 
 That all is divided by the sum of the denominators keeps it finite where columns are more than
 rows: b itself may grow without limit there. Without denominators t = tau = U = 1, and q is least

@@ -143,12 +143,10 @@ def place_of(depths: int, used: np.uint64, counts: Any) -> Place:
     return Place(cursor, ends, mask, counts)
 
 
-def check_space(depths: int, n: int, e: int, least: float | None) -> CheckSpace:
-    """Return space for bounds of n columns and e rows of the score.
+def check_space(depths: int, n: int, largest: FloatArray) -> CheckSpace:
+    """Return space for bounds of n columns and e rows of the score; `largest` (e + 1,) of all."""
+    e = len(largest) - 1
 
-    `least` is the least denominator, None if there are none. No positive denominator is above its
-    sum with the others, U = 1, and no such sum below e times the least, tau = 1 / (e least).
-    """
     def products() -> Products:
         own, f = np.empty((2, depths, n))
         return Products(np.empty((depths, n, n)), own, f, np.empty(depths))
@@ -159,7 +157,6 @@ def check_space(depths: int, n: int, e: int, least: float | None) -> CheckSpace:
                         np.empty(e), np.empty(depths), np.empty(depths, dtype=np.intp))
     gram, triangle = np.empty((2, n + 1, n + 1))
     upper = np.ones((depths, e + 1))
-    if least is not None:
-        upper[0, e] /= least * e
+    upper[0] = largest
     bound = BoundSpace(gram, triangle, np.empty((n + 1, e + 1)), np.empty((3, max(n, e) + 1)))
     return CheckSpace(upper, bound, block)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from termsel.adjustment.solve import TOLERANCE
-from termsel.measurements.features import FloatArray, IntArray
+from termsel.measurements.features import BoolArray, FloatArray, IntArray
 
 
 def triangle_of(rows: FloatArray, n: int) -> tuple[FloatArray, float]:
@@ -43,6 +43,18 @@ def by_gain(control: FloatArray, forced: IntArray, free: IntArray, k: int) -> In
         order.append(waiting.pop(int(gains.argmax())))
         rest = _without(rest, order[-1])
     return np.array(order, dtype=np.intp)
+
+
+def by_halves(free: IntArray, below: BoolArray) -> IntArray:
+    """Return columns of a quotient, the second half of the denominator's last.
+
+    Models list terms of low degree first. Those of high degree in the denominator alone change
+    little, so that whatever is in use a bound soon closes them. `below` (k,) tells columns of the
+    denominator.
+    """
+    above, below_ = free[~below[free]], free[below[free]]
+    a, b = len(above) // 2, len(below_) // 2
+    return np.concatenate([above[:a], below_[:b], above[a:], below_[b:]])
 
 
 def _without(rows: FloatArray, j: int) -> FloatArray:
