@@ -125,13 +125,13 @@ def search(
     largest = branch if systems.branches else _PIECE
     if score != "rss" or total <= _DESCEND_FROM:
         cost = None
-    limits = _limits(cost, best, systems.largest)
     todo = [systems.everything]
     climbs = score == "check" and total > _DESCEND_FROM
     for rung in rungs(systems, best, masks, largest, workers) if climbs else ():
         best, masks, least = rung
         todo = [replace(systems.everything, least=least)]
         yield SubsetResult(best, masks, 0, total, 0, _floor(best, todo, settled))
+    limits = _limits(cost, best, systems.largest, settled)
     waiting: deque[tuple[Piece, Future[Walked]]] = deque()
     pool = ThreadPoolExecutor(workers)
     try:
@@ -143,7 +143,8 @@ def search(
                 piece = systems.trimmed(whole, limits)
                 pruned += whole.count - piece.count
                 if piece.count > largest:
-                    todo += [systems.bounded(half, limits) for half in piece.halves()]
+                    open_sizes = np.where(limits > 0.0, limits, np.inf)
+                    todo += [systems.bounded(half, open_sizes) for half in piece.halves()]
                 elif piece.count:
                     known = np.where(limits < best, np.uint64(0), masks)
                     waiting.append((piece, pool.submit(systems.walk, piece, limits, known)))
@@ -155,10 +156,11 @@ def search(
                 # A limit that no subset reached is none's score.
                 scores = np.where(walked.masks > 0, walked.best, np.inf)
                 scores[0] = walked.best[0]
+                scores[:settled] = np.inf
                 improves = bool((scores < best).any())
                 best, masks = better(best, masks, scores, walked.masks)
                 if improves:
-                    limits = _limits(cost, best, systems.largest)
+                    limits = _limits(cost, best, systems.largest, settled)
                 scored += piece.count - walked.pruned
                 pruned += walked.pruned
             open_ = (*todo, *(piece for piece, _ in waiting))
@@ -223,14 +225,21 @@ def _floor(best: FloatArray, pieces: Sequence[Piece], settled: int,
 
 
 def _limits(cost: Callable[[FloatArray], FloatArray] | None, best: FloatArray,
-            largest: float) -> FloatArray:
+            largest: float, settled: int) -> FloatArray:
     """Return the score of each size above which no subset is of interest.
 
     Below, it may have a lower figure than all smaller sizes, or be the best of its size. No score
-    is above `largest`.
+    is above `largest`. Of less than `settled` columns none is, whose best are many times worse:
+    bounds that need not rule them out as well close more.
     """
-    if cost is None:
-        return best
+    limits = best.copy() if cost is None else _of_interest(cost, best, largest)
+    limits[:settled] = 0.0
+    return limits
+
+
+def _of_interest(cost: Callable[[FloatArray], FloatArray], best: FloatArray,
+                 largest: float) -> FloatArray:
+    """Return the score that each size needs for the lowest figure, or its best if it has that."""
     known = cost(best)
     # The lowest figure up to each size; NaN where no subset is feasible.
     least = np.minimum.accumulate(np.where(np.isnan(known), np.inf, known))
