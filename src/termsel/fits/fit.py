@@ -177,7 +177,7 @@ class Fit(Glance):
         """The control features on offer in scaled coordinates."""
         return self.scaling.features(self.control)
 
-    @property
+    @cached_property
     def _scaled_used(self) -> FeatureSet:
         """The features that the fit was made with, scaled."""
         made = self.made or self
