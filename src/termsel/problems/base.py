@@ -176,7 +176,7 @@ class Problem(Guarded, ABC):
             Finite for whatever genes.
         """
 
-    def evaluate_near(self, genes: Genes, _near: Genes) -> Evaluation:
+    def evaluate_near(self, genes: Genes, near: Genes) -> Evaluation:
         """Return objectives and violations of neighbours of one chromosome.
 
         A problem that has a faster way for them overrides this.
