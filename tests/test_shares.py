@@ -22,7 +22,7 @@ def test_no_coefficients_without_poles_exceed_the_largest_shares() -> None:
         rows[:, rng.random(k) < 0.2] = 0.0  # terms that are not of the denominator
         largest = largest_shares(rows[:c], rows[c:], margin)
         b = rng.normal(size=(400, k))
-        slope = -(rows @ b.T).min(axis=0)  # the least denominator is the margin at b (1 - m) / slope
+        slope = -(rows @ b.T).min(axis=0)  # scaled by it, the least denominator is the margin
         b *= np.where(slope > 0, (1.0 - margin) / np.maximum(slope, 1e-9), 1.0)[:, None]
         below = 1.0 + rows @ b.T
         assert below.min() > margin - 1e-9
