@@ -105,10 +105,8 @@ def main() -> None:
         # Of the BLAS that NumPy and SciPy bring along: see termsel.threads.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         from termsel.cli.main import cli
-        from termsel.heap import keep_freed_memory
 
         open_streams()
-        keep_freed_memory()
         cli.main(prog_name="termsel", gives_back=False)
     except KeyboardInterrupt:  # where the command line does not answer
         leave()

@@ -37,7 +37,6 @@ ROOMS = {
     "guard": "calls into plugins: faults, checks of what they return, limits of time",
     "display": "values at one glance, in a terminal and in notebooks",
     "threads": "threads of linear algebra",
-    "heap": "freed memory that the process keeps",
     "interrupts": "Ctrl-C that is not lost",
     "errors": "what the user can correct",
     "version": "the version of termsel",
