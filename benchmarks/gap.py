@@ -390,7 +390,9 @@ selections by branch and bound. The bound uses three facts on all selections of 
 their fits lie on one sphere through the observations; their denominators are positive; their
 squared check errors are a weighted sum that the best known selection limits. A convex quadratic
 form holds all three. If its minimum is above the limit, none of these selections can be better. The
-module `termsel.enumeration.bounds.closed` has the proof; tests hold it against enumeration.
+module `termsel.enumeration.bounds.closed` has the proof; tests hold it against enumeration. Linear
+programs first tell how much a denominator may exceed the others, as none is below the margin at
+the check points and the guard points.
 
 The proof took {minutes:.0f} minutes on two cores. The optimum: {listed}.
 """
