@@ -413,9 +413,7 @@ def test_bounds_lose_no_best_subset(kind: str, problems: int,
             folds = [fold for _ in range(rng.integers(1, 3)) for fold in np.array_split(
                 rng.permutation(len(system.design)), rng.integers(2, 6))] * (kind == "kfold")
         most = None if rng.random() < 0.5 else int(rng.integers(1, 8))
-        # Linear programs for the largest denominators: of long proofs, and slow for a test.
-        monkeypatch.setattr("termsel.enumeration.stack.PROGRAMMED",
-                            0 if seed % 8 == 0 else 1 << 62)
+        monkeypatch.setattr("termsel.enumeration.stack.PROGRAMMED", 1 << 62 if seed % 8 else 0)
         plain = decided_without_bounds(system, score, most, monkeypatch, folds)
         bounded = last(system, score, max_terms=most, folds=folds)
         # A score of rounding error alone is anyone's; held-out errors of nearly dependent columns
