@@ -401,7 +401,7 @@ def left_out(system: SubsetSystem, rng: np.random.Generator, dependent: bool) ->
     (kind, n) for kind in ("check", "rational", "rss", "press", "kfold") for n in (150, 4000)])
 def test_bounds_lose_no_best_subset(kind: str, problems: int,
                                     monkeypatch: pytest.MonkeyPatch) -> None:
-    """Scores, masks and poles of random problems, with and without caps, against every subset."""
+    """Scores, masks and poles of random problems, some with caps or programs, against every one."""
     pruned = 0
     for seed in range(problems):
         rng = np.random.default_rng([seed, problems])

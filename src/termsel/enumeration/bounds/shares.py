@@ -7,7 +7,7 @@ import numpy as np
 from termsel.measurements.features import FloatArray
 
 _TOLERANCE = 1e-9  # of the linear programs
-_ROUNDING = 1e-6  # of their maxima, relative
+_ROUNDING = 1e-4  # of their maxima, relative: some 1e-6 where columns are nearly dependent
 
 
 def largest_shares(denominators: FloatArray, guard: FloatArray, margin: float) -> FloatArray:
@@ -36,6 +36,7 @@ def largest_shares(denominators: FloatArray, guard: FloatArray, margin: float) -
     columns = (denominators != 0.0).any(axis=0) | (guard != 0.0).any(axis=0)
     rows = np.column_stack([np.ones(c + len(guard)),
                             np.vstack([denominators, guard])[:, columns]])
+    rows /= np.abs(rows).max(axis=0)  # the tolerances are absolute
     sums, least = rows[:c].sum(axis=0), rows.copy()
     least[:, 0] -= margin * (1.0 - _ROUNDING)
     largest = np.append(np.ones(c), 1.0 / (margin * c))
