@@ -118,5 +118,6 @@ def test_vertices_are_placed_with_heights_or_without() -> None:
     assert np.abs(both[0] - both[1]).max() > 1e-4
     for one, again in zip(both[:2], both[2:], strict=True):
         np.testing.assert_array_equal(one, again)
+        assert not one.flags.writeable  # all who ask share it
     other = approximate_image(lines_of_a_scene(40), heights=False)
     np.testing.assert_allclose(other, both[1], rtol=1e-12)

@@ -18,11 +18,12 @@ def approximate_image(features: FeatureSet, *, heights: bool = True) -> FloatArr
 
     A polynomial without denominators (quadratic if the features determine it twice over, else
     affine), of heights or not, is fitted to all control features and evaluated at the vertices. All
-    coordinates are scaled. They are kept as long as the features live, and not to be changed.
+    coordinates are scaled. They are kept as long as the features live, read-only.
     """
     known = _APPROXIMATE.setdefault(features, {})
     if heights not in known:
         known[heights] = _approximate_image(features, heights)
+        known[heights].setflags(write=False)
     return known[heights]
 
 

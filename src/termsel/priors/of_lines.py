@@ -168,7 +168,7 @@ def averaged(equations: Equations, exponents: Exponents,
                      exponents)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=4)  # what is asked for again is among the last four
 def _averaged(A: bytes, b: bytes, feature: bytes, exponents: Exponents,
               ) -> tuple[FloatArray, float, FloatArray] | None:
     """Return the same; one run asks for that of features without blunders more than once."""
