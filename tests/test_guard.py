@@ -109,6 +109,23 @@ def test_what_is_wrong_with_a_value_comes_with_what_was_expected() -> None:
     assert caught.value.line is not None
 
 
+def test_neighbours_are_guarded_however_they_are_called() -> None:
+    class Long(Ones):
+        def evaluate_near(self, genes: np.ndarray, near: np.ndarray) -> Evaluation:
+            return self.evaluate(np.concatenate([genes, near[None]]))
+
+    class Near(Ones):
+        def evaluate_near(self, genes: np.ndarray, near: np.ndarray) -> Evaluation:
+            return self.evaluate(genes)
+
+    genes = np.eye(6, dtype=bool)
+    for problem in (Near(), Ones()):
+        found = problem.evaluate_near(genes, near=genes[0])
+        np.testing.assert_array_equal(found.objectives, problem.evaluate(genes=genes).objectives)
+    with pytest.raises(PluginFault, match=r"evaluate_near\(\) returned as objectives an array of"):
+        Long().evaluate_near(genes=genes, near=genes[0])
+
+
 def test_errors_of_the_user_and_ctrl_c_pass() -> None:
     def refuse() -> None:
         raise TermselError("too few points", file="a.csv", line=3)

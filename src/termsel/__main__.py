@@ -21,8 +21,8 @@ PATIENCE = 2.0
 """Seconds that threads have to end after the command."""
 
 ALLOCATIONS = 200_000
-"""Objects made, and not freed, between searches for cycles: Python's 700 are a part of the imports
-of any command, which are searched again each time."""
+"""Objects made, and not freed, between searches for cycles. Python searches after 700, so that a
+command searches its imports again and again."""
 
 FAULT = """\
 Error: termsel has failed: {what}. This is a bug in termsel or in a plugin, not your mistake.

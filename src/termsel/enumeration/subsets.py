@@ -143,6 +143,7 @@ def search(
                 piece = systems.trimmed(whole, limits)
                 pruned += whole.count - piece.count
                 if piece.count > largest:
+                    # No bound is asked for of sizes that are decided.
                     open_sizes = np.where(limits > 0.0, limits, np.inf)
                     todo += [systems.bounded(half, open_sizes) for half in piece.halves()]
                 elif piece.count:
@@ -229,8 +230,8 @@ def _limits(cost: Callable[[FloatArray], FloatArray] | None, best: FloatArray,
     """Return the score of each size above which no subset is of interest.
 
     Below, it may have a lower figure than all smaller sizes, or be the best of its size. No score
-    is above `largest`. Of less than `settled` columns none is, whose best are many times worse:
-    bounds that need not rule them out as well close more.
+    is above `largest`. Sizes below `settled` are decided, and theirs is 0: their best are many
+    times worse, and bounds that need not rule those out close more.
     """
     limits = best.copy() if cost is None else _of_interest(cost, best, largest)
     limits[:settled] = 0.0

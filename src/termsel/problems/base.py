@@ -102,7 +102,8 @@ class EnumerablePart:
     pixels: float = 1.0
 
 
-def evaluation_fault(problem: Problem, value: Any, genes: Genes, *_near: Any) -> str | None:
+def evaluation_fault(problem: Problem, value: Any, genes: Genes, *_near: Any,
+                     **_named: Any) -> str | None:
     """Return what is wrong with the evaluation of a population, if anything."""
     n, names = len(genes), problem.objectives
     return (of_type(value, Evaluation)

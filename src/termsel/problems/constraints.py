@@ -116,9 +116,8 @@ def excess(parts: tuple[IndependentPart, ...], terms: BoolArray, features: BoolA
            share: float, least: int = 1) -> FloatArray:
     """Return how many terms are in use in excess of what the equations in use support, shape (p,).
 
-    Each part supports its own terms, (p, k), or (1, k) for the same; features (p, f) are all in use
-    by default. Share and
-    least are those of `most_terms`.
+    Each part supports its own terms, (p, k), or (1, k) if all have the same. Features (p, f) are
+    all in use by default. Share and least are those of `most_terms`.
     """
     total: FloatArray = np.zeros(len(terms))
     for part in parts:

@@ -46,10 +46,10 @@ def by_gain(control: FloatArray, forced: IntArray, free: IntArray, k: int) -> In
 
 
 def by_halves(free: IntArray, below: BoolArray) -> IntArray:
-    """Return columns of a quotient, the second half of the denominator's last.
+    """Return columns of a quotient: half of each side, then the rest, the denominator's last.
 
-    Models list terms of low degree first. Those of high degree in the denominator alone change
-    little, so that whatever is in use a bound soon closes them. `below` (k,) tells columns of the
+    Models list terms of low degree first. Those of high degree in the denominator change little,
+    so that a bound soon closes them, whatever is in use. `below` (k,) tells columns of the
     denominator.
     """
     above, below_ = free[~below[free]], free[below[free]]
