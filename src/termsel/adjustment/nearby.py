@@ -26,7 +26,7 @@ FEW = 4
 LEAST_WORK = 3_000
 """Rows of a selection, times the square of its terms, from which a correction is faster."""
 
-_DETERMINED = 1e-6  # least part of a column that those before it leave; more than that for a kernel
+_DETERMINED = 1e-5  # least part of a column that those before it leave; else kernels decide
 
 
 def solve_near(equations: Equations, start: BoolArray, features: BoolArray,

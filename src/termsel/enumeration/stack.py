@@ -349,7 +349,7 @@ def stack(system: SubsetSystem, score: str, folds: Sequence[IntArray],
     if score != "check":
         free = by_gain(control, used, free, k)
     elif rational:
-        free = by_halves(free, below[:, :k].any(axis=0))
+        free = by_halves(free, np.asarray(below[:, :k].any(axis=0)))
     room = len(free) if max_terms is None else min(len(free), max_terms - len(used))
     parents = np.zeros((0, k), dtype=bool) if system.parents is None else system.parents
     return Stack(kind, k, systems, float(system.margin), BITS[:k][some_of].sum(),

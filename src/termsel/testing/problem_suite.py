@@ -65,10 +65,10 @@ def one_by_one(problem: Problem) -> None:
 def neighbours_alike(problem: Problem) -> None:
     """Neighbours of an individual have their own evaluation, but for rounding."""
     for start in _individuals(problem)[:3]:
-        for around in neighbours(start, problem.genome):
+        around = next(iter(neighbours(start, problem.genome)), None)
+        if around is not None:
             _require_equal(problem.evaluate(around), problem.evaluate_near(around, start),
                            "evaluate_near() differs from evaluate()", 1e-6)
-            break
 
 
 def inputs_unchanged(problem: Problem) -> None:
