@@ -9,13 +9,11 @@ test itself. It is set before anything imports numpy, and what tests start inher
 from __future__ import annotations
 
 import gc
-import importlib.metadata
 import logging
 import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -24,10 +22,6 @@ import pytest
 
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
-
-# Each run states versions of seven packages, whose files were read some thousand times.
-importlib.metadata.version = cache(importlib.metadata.version)
-
 
 SLOW = Path(__file__).parent / "tests" / "slow.txt"
 """Tests of more than a second, where quicker ones see the same; without a parameter, with all."""

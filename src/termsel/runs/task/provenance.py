@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Iterator, Mapping
+from functools import cache
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
@@ -55,8 +56,13 @@ def _read(setup: Setup, observations: Observations) -> WhatWasRead:
 
 def versions() -> dict[str, str]:
     """Return the versions of termsel and what it computes with."""
-    packages = ("termsel", "numpy", "scipy", "numba", "deap", "pymoo")
-    return {"python": platform.python_version(), **{name: version(name) for name in packages}}
+    return {"python": platform.python_version(), **_packages()}
+
+
+@cache
+def _packages() -> dict[str, str]:
+    # Each is read from a file: a fiftieth of a run of few points.
+    return {name: version(name) for name in ("termsel", "numpy", "scipy", "numba", "deap", "pymoo")}
 
 
 def plugins_of(setup: Setup, **chosen: Any) -> dict[str, dict[str, str]]:
