@@ -35,9 +35,11 @@ def pytest_collection() -> Iterator[None]:
     remembered of features, as tests ask for the same few scenes.
     """
     gc.disable()
-    yield
-    gc.freeze()
-    gc.enable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        gc.enable()
     if "termsel.candidates.memory" in sys.modules:
         sys.modules["termsel.candidates.memory"].KEPT = 500  # else 16
 

@@ -40,7 +40,7 @@ PROGRAMMED = 1 << 24
 """Subsets for which linear programs pay, which take some milliseconds a check point."""
 
 _ENUMERATED = 300  # subsets that cost less than bounds of their residuals
-_PROGRAMS = 100  # check points; more of them close subsets early without
+_PROGRAMS = 100  # most check points with linear programs: each takes one, of all points
 _HALVINGS = 7  # of the interval in which a bound lies: less than a per cent of the RMSE is left
 
 
