@@ -1,8 +1,8 @@
 """Print each place that breaks a rule of the project: ``python -m tests.lint``.
 
-It ends with code 1 if there is any. The rules: words and sentences (`words`), rooms and sizes
-(`house`), what packages import (`public`), the lists of mutants (`mutants`) and of slow tests
-(`slow`). What ruff can hold is in pyproject.toml instead.
+It ends with code 1 if there is any. The rules: words (`words`), the order of the rooms (`house`),
+what packages import (`public`), the lists of mutants (`mutants`) and of slow tests (`slow`). What
+ruff can hold is in pyproject.toml instead.
 """
 
 from __future__ import annotations

@@ -1,23 +1,16 @@
-"""The structure of the code: the order of the rooms, no circles, small files."""
+"""The structure of the code: the order of the rooms, no circles, nothing loose at the top."""
 
 from __future__ import annotations
 
 import ast
 import re
 import runpy
-from collections import Counter
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import NamedTuple
 
 from tests.lint.violations import Violation, line_at
-
-LINES, TEST_LINES = 400, 450
-"""Most lines of a module, and of a module of tests."""
-
-FOLDER = 20
-"""Most modules of a folder, of termsel and of its packages."""
 
 TOP = 7
 """Most modules that stand next to the rooms that are folders."""
@@ -61,7 +54,7 @@ def _room(module: str) -> str:
 
 
 def violations(root: Path) -> Iterator[Violation]:
-    """Yield what breaks the order of the rooms below a root, and what has grown too large."""
+    """Yield what breaks the order of the rooms below a root, and what is no room."""
     package = root / "src/termsel"
     listed = package / "rooms.py"
     # Of this checkout, whichever termsel is installed.
@@ -80,7 +73,7 @@ def violations(root: Path) -> Iterator[Violation]:
                 order.index(_room(imported)) < order.index(_room(module)):
             yield Violation(modules[module], line, f"imports from a room above it: {imported}")
     yield from _circle(modules, imports)
-    yield from _sizes(package, modules)
+    yield from _top(package)
     page = root / "CONTRIBUTING.md"
     text = page.read_text(encoding="utf-8")
     shown = re.findall(r"^\| `(\w+)` \| (.+) \|$", text, re.MULTILINE)
@@ -104,17 +97,8 @@ def _circle(modules: dict[str, Path], imports: list[Import]) -> Iterator[Violati
         yield Violation(modules[circle[1]], line, f"a circle: {' <- '.join(circle)}")
 
 
-def _sizes(package: Path, modules: dict[str, Path]) -> Iterator[Violation]:
-    root = package.parents[1]
-    every = [*modules.values(), *sorted(root.glob("plugins/*/src/**/*.py"))]
-    for folder, count in Counter(path.parent for path in every).items():
-        if count > FOLDER:
-            yield Violation(folder, 1, f"{count} modules in a folder, more than {FOLDER}")
-    tests = [*sorted((root / "tests").rglob("*.py")), *sorted(root.glob("plugins/*/tests/*.py"))]
-    for path in (*modules.values(), *tests):
-        most = TEST_LINES if path in tests else LINES
-        if (count := len(path.read_text(encoding="utf-8").splitlines())) > most:
-            yield Violation(path, most + 1, f"{count} lines, more than {most}")
+def _top(package: Path) -> Iterator[Violation]:
+    """Yield what stands next to the rooms and is none."""
     top = [path for path in package.glob("*.py") if not path.stem.startswith("__")]
     if len(top) > TOP:
         yield Violation(package, 1, f"{len(top)} modules at the top, more than {TOP}")

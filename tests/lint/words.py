@@ -1,8 +1,7 @@
-"""The words of the project: left-out words stay out, and sentences for users stay short."""
+"""The words of the project: left-out words stay out."""
 
 from __future__ import annotations
 
-import ast
 import io
 import re
 import tokenize
@@ -10,9 +9,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from tests.lint.violations import Violation, code_files, line_at, pages
-
-LONGEST = 25
-"""Words of a sentence for users."""
 
 _START, _END = r"(?<![a-z])", r"(?![a-z])"
 # Underscores do not end a word in identifiers, so the ends are letters, not \b.
@@ -80,52 +76,9 @@ def _expected(path: Path, text: str) -> str:
     return text[:known.end()] if known and path.stem.lower() == "changelog" else text
 
 
-def _shown(node: ast.expr) -> str:
-    """Return the text of a string expression, each embedded value as one word."""
-    if isinstance(node, ast.Constant):
-        return node.value if isinstance(node.value, str) else "value"
-    if isinstance(node, ast.JoinedStr):
-        return "".join(_shown(part) if isinstance(part, ast.Constant) else "value"
-                       for part in node.values)
-    if isinstance(node, ast.BinOp):
-        return _shown(node.left) + _shown(node.right)
-    if isinstance(node, ast.IfExp):
-        return max(_shown(node.body), _shown(node.orelse), key=len)
-    return "value"
-
-
-def _for_users(tree: ast.Module) -> Iterator[ast.expr]:
-    """Yield messages, hints, docs of options and help texts of a module."""
-    for node in ast.walk(tree):
-        if not isinstance(node, ast.Call):
-            continue
-        name = ast.unparse(node.func).rpartition(".")[2]
-        keywords = {keyword.arg: keyword.value for keyword in node.keywords}
-        yield from (keywords[key] for key in ("hint", "help", "epilog", "what", "doc")
-                    if key in keywords)
-        if name in ("TermselError", "CornerError", "echo"):
-            yield from node.args[:1]
-        if name == "CornerError":
-            yield from node.args[3:4]
-        if name == "Option":
-            yield from node.args[2:3]
-
-
-def sentences_for_users(text: str) -> Iterator[tuple[int, str]]:
-    """Yield the sentences that a module shows to users, and the line where each text begins."""
-    for node in _for_users(ast.parse(text)):
-        for sentence in re.split(r"(?<=[.:;?!])\s+|\n\s*\n|\n\s*[-|]", _shown(node)):
-            yield node.lineno, sentence
-
-
 def violations(root: Path) -> Iterator[Violation]:
-    """Yield every left-out word and every long sentence below a root."""
+    """Yield every left-out word below a root."""
     for path in (*code_files(root), *pages(root)):
         text = path.read_text(encoding="utf-8")
         for line, message in left_out_words(path, _expected(path, text)):
             yield Violation(path, line, message)
-        if path.suffix == ".py":
-            for line, sentence in sentences_for_users(text):
-                if (count := len(sentence.split())) > LONGEST:
-                    yield Violation(path, line, f"a sentence of {count} words for users, more "
-                                    f"than {LONGEST}: {sentence!r}")
