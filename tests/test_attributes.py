@@ -280,14 +280,14 @@ def test_a_problem_takes_a_column(scene: FeatureSet) -> None:
         termsel.run(PRECISE, features=FeatureSet(points(36), crs="local"), generations=3)
 
 
-def test_results_keep_them_and_earlier_versions_read_on(scene: FeatureSet, tmp_path: Path) -> None:
+def test_results_keep_them(scene: FeatureSet, tmp_path: Path) -> None:
     folder = tmp_path / "r"
     result = termsel.run("owdis-points", features=scene, model="affine", solver="all-terms",
                          out=folder)
     again = termsel.read_result(folder)
     assert aligned(again.features.points)
     assert again.features.texts("source").tolist() == result.features.texts("source").tolist()
-    # What version 0.1 compares knows nothing of further columns.
+    # The checksum of features is of their measurements, not of further columns.
     sums = json.loads((folder / "result.json").read_text())["checksums"]
     bare = replace(again.features, points=replace(again.features.points, attributes={}))
     assert sums["features"] == of_features(bare) == of_features(again.features)

@@ -252,22 +252,6 @@ def test_what_checks_cannot_take() -> None:
         checks(PointsCsv)
 
 
-def test_names_of_0_2_still_work() -> None:
-    with pytest.warns(DeprecationWarning, match=r"check_criterion .* check now.*0\.4") as seen:
-        from termsel.testing import check_criterion
-    assert seen[0].filename == __file__
-    check_criterion(CheckRmse)
-    with pytest.warns(DeprecationWarning, match="command_checks is called checks now"):
-        from termsel.testing import command_checks
-    assert len(command_checks(list_, ["models"])) == 4
-    with pytest.warns(DeprecationWarning, match="check_reader is called check now"):
-        from termsel.testing import check_reader
-    with pytest.raises(AssertionError, match="reads_example"):
-        check_reader(PointsCsv, b"id", FeatureSet())
-    with pytest.raises(ImportError, match="check_nothing"):
-        from termsel.testing import check_nothing  # noqa: F401
-
-
 def test_a_check_has_a_limit_of_time(monkeypatch: pytest.MonkeyPatch) -> None:
     went_on = []
 
@@ -330,4 +314,3 @@ def test_sound_plugin_and_one_that_is_not_there(package: Callable[[str], None]) 
     check("checked")
     _require_found(checks("no-such"), "installed", "no-such is not installed")
     _require_found(checks("numpy"), "installed", "no entry point in the group 'termsel'")
-

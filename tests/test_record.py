@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,6 @@ from termsel.results.same_fit import adjustment_figures, fit_of_record, fit_reco
 from termsel.simulate import simulate_scene
 from termsel_photos import simulate_map
 
-OLD = Path(__file__).parent / "results"
 QUICK = {"population": 20, "polish": False}
 
 
@@ -196,63 +194,7 @@ def test_every_candidate_is_the_same_again(name: str, features: FeatureSet) -> N
     _require_same(_recorded(fitted), fitted)
 
 
-@pytest.mark.parametrize("name", sorted(one.name for one in OLD.iterdir()))
-def test_results_of_released_versions_are_read(name: str, tmp_path: Path) -> None:
-    shutil.copytree(OLD / name, tmp_path / name)
-    result = read_result(tmp_path / name)
-    content = json.loads((OLD / name / "result.json").read_text())
-    assert result.versions["termsel"] == name.split("-")[0]
-    assert result.fit.coefficients == content["coefficients"]
-    now = plain(result.record)
-    for one in content.get("outliers", ()):
-        one["certainty"] = "probable"  # what earlier versions did not tell
-    # What later versions hold in another form; the verdict on blunders replaced the doubts.
-    changed = {"checksums", "final", "strategy", "options", "scaling", "baselines", "selection",
-               "doubts"}
-    assert {key: now[key] for key in content.keys() - changed} \
-        == {key: content[key] for key in content.keys() - changed}
-    assert result.summary()
-    _again(result, tmp_path)
-    if result.strategy is not None:
-        chosen = next(one for one in result.strategy.candidates
-                      if one.name == result.strategy.chosen)
-        made = result.fit.made
-        assert made is not None
-        left_out = made.leave_one_out_rmse()
-        assert left_out is not None
-        assert made.effective == result.fit.effective == pytest.approx(chosen.effective, rel=1e-9)
-        assert left_out.total == pytest.approx(chosen.predicted, rel=1e-9)
-    if result.final is not None:
-        assert result.final.coefficients == content["final"]["coefficients"]
-        assert result.final.effective > 10
-        assert result.final.leave_one_out_rmse() is not None
-    for member in result.front:
-        rmse = result.fit_of(member).control_rmse()
-        assert rmse is not None
-        assert rmse.total == pytest.approx(member.rmse.control.total, rel=1e-9)
-
-
 def test_text_that_is_not_utf_8_and_numbers_that_are_none_are_json() -> None:
     part = StandardFigure(float("nan"), "p\udcff.csv")
     assert json.loads(json.dumps(plain(part), allow_nan=False)) == {
         "value": None, "reason": "p\udcff.csv"}
-
-
-def test_a_record_without_checksums_is_of_an_earlier_version(tmp_path: Path) -> None:
-    shutil.copytree(OLD / "0.1.0-auto", tmp_path / "r")
-    file = tmp_path / "r" / "result.json"
-    content = json.loads(file.read_text())
-    del content["checksums"]
-    file.write_text(json.dumps(content))
-    with pytest.raises(TermselError, match="of an earlier version of termsel, without checksums"):
-        read_result(tmp_path / "r")
-
-
-def test_parts_by_key_warn_and_say_what_to_use() -> None:
-    result = termsel.run("poly-terms", solver="random", evaluations=20, options={"degree": 2})
-    with pytest.warns(DeprecationWarning, match=r'\["counts"\], goes away in 0\.4: use \.counts'
-                      ) as seen:
-        assert result.data["counts"] is result.data.counts
-    assert seen[0].filename == __file__
-    with pytest.raises(KeyError):
-        result.data["count"]

@@ -6,13 +6,8 @@ import re
 from typing import Any
 
 import pytest
-from msgspec import convert
 
 import termsel
-from termsel.io.earlier import completed
-from termsel.record.record import Record
-from termsel.report.answers import document
-from termsel.report.text import text_of
 from tests.records import (
     added,
     baseline,
@@ -174,13 +169,6 @@ def test_the_opening_calls_the_control_what_it_is(changed: dict[str, Any], word:
 def test_what_is_selected_is_listed_where_it_is_not_all(n_features: int, n_terms: int,
                                                         lines: list[str]) -> None:
     assert added(offered={"n_terms": n_terms, "n_features": n_features}) == lines
-
-
-def test_a_record_of_version_01_tells_what_was_offered_by_its_counts() -> None:
-    old = record()
-    del old["offered"], old["fit"]
-    assert "Selected: 2 of 24 control features, 2 of 20 terms; redundancy 46" in text_of(
-        document(convert(completed(old), Record)))
 
 
 PROVEN = {"subsets": 12345, "of": 99999, "space": "all sizes", "optimal": False}

@@ -12,7 +12,6 @@ ROOMS = {
     "testing": "conformance suites for every kind of thing that plugins provide",
     "cli": "commands, one module each",
     "check": "certificates of proofs, by integers alone; it imports no other room",
-    "sklearn": "the deprecated name of the package termsel-sklearn",
     "studies": "many runs: cells, journal, executors, tables",
     "runs": "one run: task, search, choice, assessment, judgement",
     "io": "verbs on files: read, export, project, rectify, the folder of a result",

@@ -9,7 +9,6 @@ from pymoo.algorithms.moo import age
 from scipy.stats import ks_2samp
 
 import termsel
-import termsel_optimisers
 from termsel import GeneticAlgorithm, search
 from termsel.testing import Check, checks
 from termsel.toolkit import Ledger
@@ -49,10 +48,3 @@ def test_ga_is_the_batched_twin_of_deap(problem: str, options: dict[str, Any]) -
     for solver in (AgeMoea2, SmsEmoa, Spea2) for check in checks(solver(population=20))])
 def test_the_other_algorithms_conform(check: Check) -> None:
     check.run()
-
-
-@pytest.mark.parametrize("name", ["from_deap", "from_pymoo", "to_deap"])
-def test_the_old_names_work_and_say_so(name: str) -> None:
-    with pytest.warns(DeprecationWarning, match=rf"termsel_optimisers\.{name}"):
-        old = getattr(termsel, name)
-    assert old is getattr(termsel_optimisers, name)

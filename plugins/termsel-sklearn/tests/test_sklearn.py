@@ -3,9 +3,7 @@
 # mypy: disable-error-code="arg-type,no-any-return"
 from __future__ import annotations
 
-import importlib
 import pickle
-import sys
 from itertools import combinations
 from unittest import SkipTest
 
@@ -214,11 +212,3 @@ def test_classes_and_instances_are_taken_as_names_are() -> None:
     np.testing.assert_array_equal(found[0], found[2])
     with pytest.raises(ValueError, match="every column of X is constant"):
         TermSelector().fit(np.ones((20, 3)), np.arange(20.0))
-
-
-def test_the_old_name_works_and_says_so() -> None:
-    sys.modules.pop("termsel.sklearn", None)
-    with pytest.warns(DeprecationWarning, match="termsel_sklearn"):
-        old = importlib.import_module("termsel.sklearn")
-    assert old.TermSelector is TermSelector
-    assert old.SensorModelRegressor is SensorModelRegressor

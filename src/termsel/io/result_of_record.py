@@ -13,7 +13,6 @@ from termsel.errors import TermselError, printable
 from termsel.fits.diagnosis import Diagnosis
 from termsel.fits.figures import Baseline, figures, in_role, residuals_of, rmse_from
 from termsel.fits.fit import Estimator, Fit
-from termsel.io.earlier import completed, final_of_0_2, iteration_known
 from termsel.measurements.features import FeatureSet
 from termsel.measurements.roles import ASSIGNABLE, Observations, by_roles
 from termsel.measurements.scaling import Scaling
@@ -32,15 +31,12 @@ AGAIN = "Run the search again."
 
 
 def record_from(content: Any) -> Record:
-    """Return the record that result.json holds, completed if earlier; refuse what is damaged."""
+    """Return the record that result.json holds; refuse what is damaged."""
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
         raise TermselError(f"this is not a result with the schema {SCHEMA}",
                            hint="Run the search again with this version of termsel.")
-    if "checksums" not in content:
-        raise TermselError("this result is of an earlier version of termsel, without checksums",
-                           hint="Run the search again with this version of termsel.")
     try:
-        return convert(plain(completed(content)), Record)  # 1e999 is a number to JSON, not to us
+        return convert(plain(content), Record)  # 1e999 is a number to JSON, not to us
     except RecursionError:
         raise TermselError("this result is damaged: it is nested too deeply", hint=AGAIN) from None
     except (ValidationError, UnicodeEncodeError) as error:  # keys may be no text at all
@@ -104,8 +100,6 @@ def _fit(record: Record, model: SensorModel, observations: Observations) -> Fit:
         control = _made_of(both, set(both.ids), how.features)
         used = np.ones(len(control), dtype=bool)
     scaling = Scaling.from_numbers(record.scaling)
-    terms = np.array([name in record.coefficients for name in model.terms], dtype=bool)
-    how = iteration_known(how, model, control, scaling, terms, used, observations.check)
     made = fit_of_record(model, control, scaling, used, record.coefficients,
                          record.standard_deviations, record.adjustment, how, _estimator(record))
     return in_role(made, observations)
@@ -137,8 +131,6 @@ def _final(record: Record, model: SensorModel, observations: Observations) -> Fi
     every = _made_of(observations.features.with_(points=replace(points, roles=roles)), taken,
                      final.features)
     scaling, used = Scaling.from_numbers(final.scaling), np.ones(len(every), dtype=bool)
-    if final.fit is None or final.adjustment is None or final.standard_deviations is None:
-        return final_of_0_2(record, model, every, scaling, used)
     return fit_of_record(model, every, scaling, used, final.coefficients,
                          final.standard_deviations, final.adjustment, final.fit,
                          _estimator(record))

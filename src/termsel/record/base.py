@@ -10,7 +10,6 @@ dependencies.
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
@@ -35,13 +34,6 @@ Objectives = Mapping[str, int | float | None]
 
 class RecordPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """A part of the record. Keys with a default are left out where they have it."""
-
-    def __getitem__(self, key: str) -> Any:
-        """Return the value of a key of the JSON: parts of results were mappings before 0.3."""
-        names = dict(zip(self.__struct_encode_fields__, self.__struct_fields__, strict=True))
-        warnings.warn(f'access by key, ["{key}"], goes away in 0.4: use .{names[key]}',
-                      DeprecationWarning, stacklevel=2)
-        return getattr(self, names[key])
 
 
 def plain(part: Any) -> dict[str, Any]:

@@ -40,7 +40,7 @@ class RoleRmse(RecordPart, frozen=True):
     n: Count
     """Number of features."""
     freedom: Size | None = None
-    """Degrees of freedom of the squared errors; absent before 0.3, then two of a feature."""
+    """Degrees of freedom of the squared errors; absent where they are two of a feature."""
 
     @property
     def interval(self) -> tuple[float, float] | None:
@@ -132,12 +132,12 @@ class Errors(RecordPart, frozen=True, kw_only=True):
     ce90: Size
     """Distance that nine in ten points do not exceed."""
     mean: tuple[float, float] | None = None
-    """Mean errors, of line and of sample, or of x and of y; absent before 0.3."""
+    """Mean errors, of line and of sample, or of x and of y."""
     normal: tuple[float, float] | None = None
     """Of each axis the chance that normal errors look so little normal (Shapiro and Wilk 1965);
     absent for fewer than 8 points, more than 5000, or equal errors."""
     freedom: Size | None = None
-    """Degrees of freedom of the squared errors; absent before 0.3, then two of a point."""
+    """Degrees of freedom of the squared errors; absent where they are two of a point."""
 
     @property
     def interval(self) -> tuple[float, float]:

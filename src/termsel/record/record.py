@@ -164,7 +164,7 @@ class DataRecord(RecordPart, frozen=True):
     roles: IdsByRole
     """Ids of features by role."""
     read: WhatWasRead | None = None
-    """What was read; absent before 0.3."""
+    """What was read."""
     rpc: RpcNumbers | None = None
     """The vendor's RPC of the image, if one is given."""
 
@@ -235,12 +235,12 @@ class FinalFit(RecordPart, frozen=True):
     """As the key `scaling`."""
     coefficients: Mapping[str, float]
     """Coefficients by term, in scaled coordinates."""
-    standard_deviations: Mapping[str, float | None] | None = None
-    """As the key `standard_deviations`; absent before 0.3."""
-    adjustment: AdjustmentFigures | None = None
-    """As the key `adjustment`; absent before 0.3."""
-    fit: FitRecord | None = None
-    """As the key `fit`; absent before 0.3."""
+    standard_deviations: Mapping[str, float | None]
+    """As the key `standard_deviations`."""
+    adjustment: AdjustmentFigures
+    """As the key `adjustment`."""
+    fit: FitRecord
+    """As the key `fit`."""
 
 
 class PluginRecord(RecordPart, frozen=True):

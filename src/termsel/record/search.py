@@ -48,7 +48,7 @@ class Member(RecordPart, frozen=True):
     """RMSE by role [px]."""
     iterated: bool | UnsetType = UNSET
     """Whether its fit goes on from equations of lines that hold to first order to the least squares
-    of distances. Absent from results before 0.3."""
+    of distances."""
 
 
 class SizeRow(Member, frozen=True, kw_only=True):

@@ -1,9 +1,5 @@
 """Simulated scenes: a rigorous pushbroom scanner over analytic terrain."""
 
-import warnings
-from typing import Any
-
-from termsel.errors import requires
 from termsel.simulate.catalogue import SCENES
 from termsel.simulate.geometry_files import (
     geometry_from,
@@ -31,14 +27,3 @@ __all__ = [
     "simulate_scene",
     "write_geometry",
 ]
-
-
-def __getattr__(name: str) -> Any:
-    """Return `simulate_map`, which has moved to a package, with a warning until 0.4."""
-    if name != "simulate_map":
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    with requires("simulate_map requires", "termsel_photos", "./plugins/termsel-photos"):
-        import termsel_photos
-    warnings.warn("termsel.simulate.simulate_map is called termsel_photos.simulate_map; the old "
-                  "name goes away in 0.4", DeprecationWarning, stacklevel=2)
-    return termsel_photos.simulate_map
