@@ -42,6 +42,7 @@ PROGRAMS = "termsel", "python", "head", "ls", "cat", "sort", "sed", "for"
 OTHERS = "gdalwarp",
 """Programs that a page may use, and those that need not be installed."""
 _COMPILING = re.compile(r"^Compiling: .*\n", re.MULTILINE)
+_CHECKSUM = re.compile(r"\b[0-9a-f]{64}\b")
 _NUMBER = re.compile(r"-?\d+(\.\d+)?(e[+-]?\d+)?")
 
 
@@ -181,7 +182,7 @@ def _environment(folder: Path) -> dict[str, str]:
 
 def skeleton(line: str) -> str:
     """Return a line without its numbers and without regard to the width of columns."""
-    return " ".join(_NUMBER.sub("#", line).split())
+    return " ".join(_NUMBER.sub("#", _CHECKSUM.sub("#", line)).split())
 
 
 def first_word(line: str) -> str:

@@ -4,6 +4,15 @@ The public names stand in ``__init__.pyi``. They are imported when first used, s
 termsel, and answering ``termsel --help``, costs next to nothing.
 """
 
+import sys
+
+# `python -m termsel`, `python -m termsel.check`: Python puts the current folder first on the path,
+# and a file there that is called json.py would run in place of Python's own.
+if sys.argv[:1] == ["-m"] and not sys.flags.safe_path and sys.path and any(
+        flag.endswith("m") and module.partition(".")[0] == "termsel"
+        for flag, module in zip(sys.orig_argv, sys.orig_argv[1:], strict=False)):
+    del sys.path[0]
+
 import lazy_loader
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

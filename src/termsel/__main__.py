@@ -102,6 +102,7 @@ def main() -> None:
     try:
         watch()
         gc.set_threshold(ALLOCATIONS)
+        os.environ["PYTHONSAFEPATH"] = "1"  # for all that is started: see termsel.guard.helper
         # Of the BLAS that NumPy and SciPy bring along: see termsel.threads.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         from termsel.cli.main import cli

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from operator import index
 from typing import Any, ClassVar
@@ -19,6 +21,24 @@ MOST_RUNS = 100_000
 
 SEED = 2**63 - 1
 """Greatest seed."""
+
+_file: ContextVar[str] = ContextVar("file", default="")  # whose options are being resolved
+
+
+@contextmanager
+def options_of_file(file: object) -> Iterator[None]:
+    """Resolve options of a file: within, those that no file may set are refused.
+
+    A study, a block, a result or results of the benchmark may come from a stranger. Every value of
+    an option goes through `Option.parse`, which looks here. None is no file: what a user typed or
+    gave in Python.
+    """
+    token = _file.set("" if file is None else str(file))
+    try:
+        yield
+    finally:
+        _file.reset(token)
+
 
 _WORDS = {int: "whole number", float: "number", bool: "true | false", str: "text"}
 _TRUE = {"true", "yes", "on", "1"}
@@ -43,6 +63,10 @@ class Option:
         Closed range of a number.
     choices : tuple of str
         The accepted values, if they are few.
+    from_files : bool or tuple of str
+        Whether studies, blocks, results and other files may set it; or the only values that they
+        may give it. False for what names code: that do the command line and Python alone.
+        No option names an output: outputs have names of their own within ``--out``.
     """
 
     name: str
@@ -52,6 +76,7 @@ class Option:
     minimum: float | None = None
     maximum: float | None = None
     choices: tuple[str, ...] = ()
+    from_files: bool | tuple[str, ...] = True
 
     def __post_init__(self) -> None:
         if self.type not in _WORDS:
@@ -72,6 +97,27 @@ class Option:
             return f"{kind} of at most {_plain(self.maximum)}"
         return kind
 
+    @property
+    def limits_files(self) -> str:
+        """What a file may not set, in words; "" where it may give every value."""
+        if self.from_files is True:
+            return ""
+        if self.from_files is False:
+            return "not from files"
+        return f"from files only {' | '.join(self.from_files)}"
+
+    def _require_from_file(self, value: Any) -> None:
+        """Refuse a value that the file whose options are being resolved may not give."""
+        allowed = self.from_files
+        if not _file.get() or allowed is True or value == self.default or (
+                allowed and str(value) in allowed):
+            return
+        values = f" but to {', '.join(allowed)}" if allowed else ""
+        raise TermselError(
+            f"a file may not set the option {self.name!r}{values}", file=_file.get(),
+            hint="It is set on the command line (--set) or in Python alone.",
+            name=self.name)
+
     def parse(self, value: Any) -> Any:
         """Return `value` in the option's type.
 
@@ -83,10 +129,12 @@ class Option:
         Raises
         ------
         TermselError
-            If the value is not of the type, out of range or not one of the choices.
+            If the value is not of the type, out of range or not one of the choices; or is one that
+            the file that gives it may not set.
         """
         if value is None and self.default is None:
             return None
+        self._require_from_file(value)
         wrong = TermselError(f"option {self.name!r} does not accept {value!r}",
                              hint=f"Accepted: {self.accepts}.", name=self.name)
         parsed: Any

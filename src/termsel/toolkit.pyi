@@ -77,6 +77,8 @@ from .formats.writers.selections import wkt as wkt
 from .guard.arrays import of_shape as of_shape
 from .guard.faults import blamed as blamed
 from .guard.faults import wrong as wrong
+from .guard.helper import modules_here as modules_here
+from .guard.helper import safe_start as safe_start
 from .guard.parts import Part as Part
 from .interrupts import INTERRUPTED as INTERRUPTED
 from .interrupts import answered as answered
@@ -111,6 +113,7 @@ from .measurements.tables.attributes import distinct as distinct
 from .measurements.twins import twins as twins
 from .models.poles import guard_points as guard_points
 from .models.poles import pole_violation as pole_violation
+from .options import options_of_file as options_of_file
 from .plugins.kinds import KINDS as KINDS
 from .plugins.registry import registry as registry
 from .priors.cameras import turned as turned

@@ -227,12 +227,16 @@ def test_out_is_checked_by_recomputation(package: str, tmp_path: Path) -> None:
     checked.mkdir()
     file = checked / "mine.json"
     file.write_bytes((out / "package-stranger.json").read_bytes())
-    assert "confirmed" in run("--check", checked)
+    refused = run("--check", checked, code=2)
+    assert "names code to run: 'stranger'" in refused
+    assert "--package" in refused
+    trusted = ("--check", checked, "--package", "stranger")
+    assert "confirmed" in run(*trusted)
     said = json.loads(file.read_text())
     said["sets"]["frame-3"]["rmse"] *= 0.9
     file.write_text(json.dumps(said))
-    assert "refuted: frame-3" in run("--check", checked, code=2)
-    assert "confirmed" in run("--check", checked, "--sets", "frame-1")
+    assert "refuted: frame-3" in run(*trusted, code=2)
+    assert "confirmed" in run(*trusted, "--sets", "frame-1")
 
 
 @pytest.mark.parametrize(("change", "message"), [

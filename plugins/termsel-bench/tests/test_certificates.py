@@ -89,7 +89,7 @@ def test_the_best_of_all_selections_is_proven_and_no_other(
     lines, open_ = _checked(certificate.content_of([_axis(system, ranked[0], 5)]), tmp_path)
     assert open_ == 0
     assert f"{(scores[ranked[0]] / 7)**0.5:.6f} px" in lines[-1]
-    assert f"{sum(1 for n in range(6) for _ in itertools.combinations(range(6), n))} " in lines[0]
+    assert f"{sum(1 for n in range(6) for _ in itertools.combinations(range(6), n))} " in lines[-3]
     second = certificate.content_of([_axis(system, ranked[1], 5)])
     with pytest.raises(check.Refused, match=r"line, step \d+: a selection"):
         _checked(second, tmp_path)
@@ -106,9 +106,9 @@ def test_a_tree_of_few_steps_says_what_is_open(proof: tuple[dict[str, Any], Path
 def test_a_certificate_with_open_selections_is_written_and_says_so(
         tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
     monkeypatch.setattr(certificate, "MOST_NODES", 4)
-    file = tmp_path / "proof.json"
-    termsel.run("poly-terms", solver="exact",
-                options={"certificate": str(file), "degree": 2})
+    file = tmp_path / "certificate.json"
+    termsel.run("poly-terms", solver="exact", options={"certificate": True, "degree": 2},
+                out=tmp_path)
     open_ = check.check(file)[1]
     assert open_ > 0
     assert f"{open_:,} selections are left open" in caplog.text
@@ -318,9 +318,9 @@ def test_a_certificate_of_the_first_form_is_to_be_written_again(
 
 def test_exact_writes_a_certificate_that_a_process_without_the_solver_checks(
         tmp_path: Path) -> None:
-    file = tmp_path / "proof.json"
-    options = {"certificate": str(file), "degree": 3, "force_off": "line.num:X3"}
-    result = termsel.run("poly-terms", solver="exact", options=options)
+    file = tmp_path / "certificate.json"
+    options = {"certificate": "yes", "degree": 3, "force_off": "line.num:X3"}
+    result = termsel.run("poly-terms", solver="exact", options=options, out=tmp_path)
     assert result.rmse["check"] is not None
     code = ("import sys; from termsel.check import main; status = main(sys.argv[1:]); "
             "assert 'numpy' not in sys.modules and 'termsel.solvers' not in sys.modules; "
@@ -342,15 +342,69 @@ def test_exact_writes_a_certificate_that_a_process_without_the_solver_checks(
 
 
 @pytest.mark.parametrize(("options", "criterion", "said"), [
-    ({"certificate": "/nowhere/proof.json"}, "check-rmse", "no such folder"),
-    ({"certificate": "proof.json"}, "press", "no certificate of this problem"),
-    ({"certificate": "proof.json", "mask": "shared"}, "check-rmse", "mask=per-axis"),
+    ({"certificate": "proof.json"}, "check-rmse", "Accepted: true | false"),
+    ({"certificate": True}, "press", "no certificate of this problem"),
+    ({"certificate": True, "mask": "shared"}, "check-rmse", "mask=per-axis"),
 ])
 def test_what_cannot_be_certified_is_refused_at_once(
-        options: dict[str, Any], criterion: str, said: str) -> None:
+        tmp_path: Path, options: dict[str, Any], criterion: str, said: str) -> None:
     with pytest.raises(termsel.TermselError) as caught:
-        termsel.run("poly-terms", solver="exact", criterion=criterion, options=options)
+        termsel.run("poly-terms", solver="exact", criterion=criterion, options=options,
+                    out=tmp_path)
     assert said in f"{caught.value} {caught.value.hint}"
+    assert not (tmp_path / "certificate.json").exists()
+
+
+def test_a_certificate_needs_the_folder_of_a_result() -> None:
+    with pytest.raises(termsel.TermselError, match="file of the folder of a result") as caught:
+        termsel.run("poly-terms", solver="exact", options={"certificate": True})
+    assert "--out" in str(caught.value.hint)
+    with pytest.raises(termsel.TermselError, match="keep no certificates"):
+        termsel.compare(problems=["poly-terms"], solvers=["exact"], options={"certificate": True})
+
+
+def test_a_result_without_a_certificate_leaves_none_of_an_earlier_one(tmp_path: Path) -> None:
+    options = {"certificate": True, "degree": 2}
+    termsel.run("poly-terms", solver="exact", options=options, out=tmp_path)
+    assert (tmp_path / "certificate.json").exists()
+    termsel.run("poly-terms", solver="exact", options={"degree": 2}, out=tmp_path, overwrite=True)
+    assert not (tmp_path / "certificate.json").exists()
+
+
+def test_the_whole_theorem_is_printed_before_what_is_proved(
+        proof: tuple[dict[str, Any], Path]) -> None:
+    """A forged `forced` makes a theorem that is true, but smaller: it is printed."""
+    content = copy.deepcopy(proof[0])
+    axis = content["axes"][0]
+    smaller = {**axis, "forced": sorted(axis["selection"])[:2], "room": 4}
+    smaller = {key: value for key, value in smaller.items() if key != "nodes"}
+    best = min((chosen for chosen in itertools.combinations(range(6), 4)
+                if set(smaller["forced"]) <= set(chosen)), key=lambda chosen: _scores(
+                    _system(3), 4).get(chosen, math.inf))
+    made = _axis(_system(3), best, 4) | {"forced": smaller["forced"]}
+    lines, _ = _checked({**certificate.content_of([made]), "data": "a" * 64}, proof[1])
+    text = "\n".join(lines)
+    start = lines.index("What is proved of it:")
+    forced = ", ".join(f"t{j}" for j in smaller["forced"])
+    for said in ("SHA-256 " + "a" * 64, "10 equations", "7 check points",
+                 f"forced into every selection, 2: {forced}", "room: at most 4 terms",
+                 "margin: denominators at the check points are at least 0.1",
+                 f"limit of the sum of squared errors: {made['limit']:.12g}"):
+        assert said in text
+        assert said not in "\n".join(lines[start:])
+    assert any("decided by" in line for line in lines[start:])
+
+
+@pytest.mark.parametrize(("change", "said"), [
+    ({"data": "the data of\x1b[31m another"}, "checksum of data"),
+    ({"axes": [{"terms": ["t0\nforced: none", *"abcde"]}]}, "printable")])
+def test_no_text_of_a_certificate_reaches_the_terminal(
+        proof: tuple[dict[str, Any], Path], change: dict[str, Any], said: str) -> None:
+    content = copy.deepcopy(proof[0])
+    for axis in change.pop("axes", []):
+        content["axes"][0].update(axis)
+    with pytest.raises(check.Refused, match=said):
+        _checked({**content, **change}, proof[1])
 
 
 def test_values_that_no_certificate_can_hold_are_refused_before_the_search(
@@ -365,15 +419,15 @@ def test_values_that_no_certificate_can_hold_are_refused_before_the_search(
     file.write_text("\n".join(["id,role,line,sample,x,y,z", *rows]))
     monkeypatch.setattr("termsel.solvers.proofs.exact.prove", lambda *_: pytest.fail("searched"))
     with pytest.raises(termsel.TermselError, match="too many binary places") as caught:
-        termsel.run("poly-terms", features=file, crs="local", solver="exact", options={
-            "degree": 5, "certificate": str(tmp_path / "proof.json")})
+        termsel.run("poly-terms", features=file, crs="local", solver="exact",
+                    options={"degree": 5, "certificate": True}, out=tmp_path / "out")
     assert "lower degree" in str(caught.value.hint)
 
 
 @pytest.mark.parametrize(("name", "error"), [
     ("check", check.Refused("axis line, step 3: it does not hold")),
     ("tree_of", ValueError("a number is not finite")),
-    ("write_text", termsel.TermselError("the disk is full"))])
+    ("TemporaryDirectory", OSError("the disk is full"))])
 def test_a_search_is_not_lost_where_its_certificate_is(
         name: str, error: Exception, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
         caplog: pytest.LogCaptureFixture) -> None:
@@ -381,19 +435,18 @@ def test_a_search_is_not_lost_where_its_certificate_is(
         raise error
 
     monkeypatch.setattr(certificate, name, failing)
-    file = tmp_path / "proof.json"
     result = termsel.run("poly-terms", solver="exact",
-                         options={"certificate": str(file), "degree": 2})
+                         options={"certificate": True, "degree": 2}, out=tmp_path)
     assert result.certificate is not None
     assert result.certificate.optimal
-    assert not file.exists()
-    assert f"{file} is not written: {error}" in caplog.text
+    assert not (tmp_path / "certificate.json").exists()
+    assert (tmp_path / "result.json").exists()
+    assert f"no certificate is written: {error}" in caplog.text
 
 
 def test_an_rfm_of_second_order_is_certified(tmp_path: Path) -> None:
-    file = tmp_path / "proof.json"
     termsel.run("rfm-terms", solver="exact",
-                options={"order": 2, "max_terms": 6, "certificate": str(file)})
-    lines, open_ = check.check(file)
+                options={"order": 2, "max_terms": 6, "certificate": True}, out=tmp_path)
+    lines, open_ = check.check(tmp_path / "certificate.json")
     assert open_ == 0
     assert lines[-1].startswith("no selection")

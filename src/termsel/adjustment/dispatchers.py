@@ -10,15 +10,18 @@ from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
 
-import numba
-from numba.core import types
-from numba.core.caching import FunctionCache
-from numba.core.compiler_lock import global_compiler_lock
-from numba.core.registry import cpu_target
-from numba.core.runtime import rtsys
-
+from termsel.adjustment.numba_settings import import_numba
 from termsel.errors import TermselError
 from termsel.files.lock import end_turn, turn
+
+import_numba()
+
+import numba  # noqa: E402
+from numba.core import types  # noqa: E402
+from numba.core.caching import FunctionCache  # noqa: E402
+from numba.core.compiler_lock import global_compiler_lock  # noqa: E402
+from numba.core.registry import cpu_target  # noqa: E402
+from numba.core.runtime import rtsys  # noqa: E402
 
 log = logging.getLogger(__name__)
 

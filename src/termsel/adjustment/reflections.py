@@ -14,6 +14,7 @@ from functools import partial, reduce
 from typing import Any
 
 from termsel.adjustment.compiled import Later
+from termsel.adjustment.numba_settings import import_numba
 
 LANES = 8
 """Columns of a panel."""
@@ -30,6 +31,7 @@ def _reflector(count: int) -> Any:
     With reflections I - beta v v' it subtracts v1 a1 + v2 a2 from the rows of panel P, where
     a1 = beta1 v1' P and a2 = beta2 (v2' P - (v2' v1) a1).
     """
+    import_numba()
     import numba
     from llvmlite import ir
     from numba.extending import intrinsic

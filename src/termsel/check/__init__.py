@@ -1,4 +1,8 @@
-"""Check a certificate of `exact` by integers alone: ``python -m termsel.check FILE``.
+"""Check a certificate of `exact` by integers alone: ``termsel check certificate.json``.
+
+Also ``python -P -m termsel.check FILE``, or this file by itself. It prints the whole theorem, and
+only then what of it is proved: a certificate of few columns, or with some forced, is as true as one
+of all, but says less.
 
 Nothing of the solver is used. All numbers of the file are binary fractions, so that they are exact
 here; only an elimination is rounded, and its result allows for that. The theorem and its proof are
@@ -19,7 +23,8 @@ from operator import mul
 from pathlib import Path
 from typing import Any
 
-__all__ = ["SCHEMA", "UPPER", "Axis", "Node", "Refused", "check", "checksum", "require_together"]
+__all__ = ["SCHEMA", "UPPER", "Axis", "Node", "Refused", "check", "checksum", "is_certificate",
+           "main", "require_together"]
 
 SCHEMA = "termsel-certificate-2"
 _ONE = 1 << 256  # the quadratic form is in units of its inverse
@@ -28,6 +33,9 @@ UPPER = 1 << 64  # limits are in units of its inverse
 _KAPPA = 1 << 100  # weight of the squared normal equations; any is valid, a large one proves most
 _SHARE = 16  # the fact on t has the weight 1 / 16
 _MOST = 64  # columns of an axis
+_LARGEST = 1 << 28  # bytes of a file; trees of 50,000 steps have a tenth
+_LONGEST = 60  # characters of a name
+_HEAD = 200  # bytes that tell a certificate from other files
 
 
 class Refused(Exception):
@@ -58,12 +66,32 @@ def check(path: str | Path) -> tuple[list[str], int]:
     Raises Refused for a file that is no certificate, was changed, or has a step that does not hold.
     """
     try:
-        return _checked(json.loads(Path(path).read_bytes()))
+        return _checked(json.loads(_content(Path(path))))
     except OSError as error:
         raise Refused(f"cannot be read ({error.strerror})") from error
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, ZeroDivisionError,
             OverflowError, RecursionError) as error:
         raise Refused(f"is not a certificate of the form {SCHEMA} ({error!r:.80})") from error
+
+
+def _content(path: Path) -> bytes:
+    """Return the bytes of a regular file that is not too large for a certificate."""
+    if not path.is_file():
+        raise Refused("is no file, or no regular one" if path.exists() else "there is no such file")
+    if path.stat().st_size > _LARGEST:
+        raise Refused(f"is larger than {_LARGEST:,} bytes, and no certificate is")
+    return path.read_bytes()
+
+
+def is_certificate(path: str | Path) -> bool:
+    """Return whether a file says that it is a certificate, of this or another form."""
+    try:
+        if not Path(path).is_file():
+            return False
+        with Path(path).open("rb") as file:
+            return b'"termsel-certificate-' in file.read(_HEAD)
+    except OSError:
+        return False
 
 
 def _checked(content: Any) -> tuple[list[str], int]:
@@ -75,7 +103,10 @@ def _checked(content: Any) -> tuple[list[str], int]:
     axes = [Axis(one) for one in content["axes"]]
     require_together(axes)
     share = axes[0].pixels**2 / axes[0].checks  # of a sum of scores in a squared RMSE
-    lines, open_, total = [], 0, Fraction(0)
+    lines = _theorem(content, axes)
+    lines.append("What is proved of it:")
+    open_ = 0
+    total = Fraction(0)
     for axis in axes:
         value = axis.score(axis.selection)
         if value is None or not axis.limit <= value:
@@ -95,6 +126,33 @@ def _checked(content: Any) -> tuple[list[str], int]:
     return lines, open_
 
 
+def _theorem(content: dict[str, Any], axes: Sequence[Axis]) -> list[str]:
+    """Return what is claimed: of which data, columns and selections, and with which limits."""
+    stated = content.get("data")
+    if stated is not None and not (type(stated) is str and stated.isalnum() and len(stated) == 64):
+        raise ValueError("a checksum of data")
+    lines = ["What is claimed, of the data with the SHA-256 "
+             f"{stated or 'that the certificate does not state'}:"]
+    for axis, given in zip(axes, content["axes"], strict=True):
+        system = checksum({key: given[key] for key in ("control", "errors", "denominators")})
+        lines += [
+            f"axis {axis.name}: {len(axis.a)} equations of the control and {axis.checks} check "
+            f"points, whose numbers have the SHA-256 {system}",
+            f"  terms, {axis.k}: {', '.join(axis.terms)}",
+            f"  columns forced into every selection, {len(axis.forced)}: "
+            f"{', '.join(axis.terms[j] for j in sorted(axis.forced)) or 'none'}",
+            f"  room: at most {axis.room} terms in a selection",
+            f"  margin: denominators at the check points are at least {float(axis.margin):.6g}"
+            if axis.rational else "  margin: none, as there are no denominators",
+            f"  limit of the sum of squared errors: {float(axis.limit):.12g}, of pixels of "
+            f"{float(axis.pixels):.6g}",
+            f"  the selection, {len(axis.selection)}: "
+            f"{', '.join(axis.terms[j] for j in axis.selection) or 'none'}"]
+    lines.append("No feasible selection of these terms has a sum of squared errors below the "
+                 "limit.")
+    return lines
+
+
 def require_together(axes: Sequence[Axis]) -> None:
     """Raise Refused unless axes are of one image: only then may their scores be added."""
     if not axes or len({axis.name for axis in axes}) < len(axes):
@@ -106,6 +164,13 @@ def require_together(axes: Sequence[Axis]) -> None:
 def checksum(content: Any) -> str:
     """Return the checksum of a certificate without its own."""
     return sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def _name(term: Any) -> str:
+    """Return the name of a term, which is printed."""
+    if type(term) is not str or not 0 < len(term) <= _LONGEST or not term.isprintable():
+        raise ValueError("a term without a name of printable characters")
+    return term
 
 
 def _exact(values: Sequence[float]) -> list[Fraction]:
@@ -135,7 +200,8 @@ class Axis:
         self.name, self.nodes = given["axis"], iter(given["nodes"])
         if self.name not in ("line", "sample"):  # it is printed
             raise ValueError("an axis that is neither line nor sample")
-        self.k, self.room = len(given["terms"]), int(given["room"])
+        self.terms = [_name(term) for term in given["terms"]]
+        self.k, self.room = len(self.terms), int(given["room"])
         if not 0 < self.k <= _MOST or not 0 <= self.room <= self.k:
             raise ValueError(f"terms: not 1 to {_MOST}, or no such room")
         self.limit, self.margin, self.pixels = _exact(

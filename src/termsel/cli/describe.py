@@ -189,7 +189,12 @@ def _options(options: Iterable[Option]) -> None:
 def _option_table(options: Iterable[Option]) -> None:
     print_table(("key", "default", "accepts", "meaning"), [
         (option.name, "not set" if option.default in (None, "") else _text(option.default),
-         option.accepts, option.doc) for option in options])
+         _accepted(option), option.doc) for option in options])
+
+
+def _accepted(option: Option) -> str:
+    """Return what an option accepts, and what of it no study, block or result may give."""
+    return f"{option.accepts} ({option.limits_files})" if option.limits_files else option.accepts
 
 
 def _text(value: Any) -> str:

@@ -15,6 +15,9 @@ from termsel.files.atomic import private_folder
 JOURNAL = "journal.jsonl"
 """Of a study: in the folder that has it, no result may be written."""
 
+CERTIFICATE = "certificate.json"
+"""Of the proof of `exact`, in the folder of a result."""
+
 
 def is_there(path: Path) -> bool:
     """Return whether there is such a file or folder; TermselError if it cannot be told."""

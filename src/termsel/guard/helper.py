@@ -6,8 +6,62 @@ import os
 import pickle
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from threading import Lock
 from typing import Any
+
+SAFE_PATH = "PYTHONSAFEPATH"
+"""Variable that keeps Python from putting the current folder first on the path of modules."""
+
+
+def safe_path() -> list[str]:
+    """Return where another process looks for the modules of this one.
+
+    The current folder, if this process looks there at all, comes last: it may have come with data,
+    and a file there that is called json.py must not be taken for Python's own.
+    """
+    try:
+        here = os.path.realpath(os.getcwd())
+    except FileNotFoundError:  # somebody has removed it
+        here = ""
+    others = [place for place in sys.path if place and os.path.realpath(place) != here]
+    return [*others, here] if here and len(others) < len(sys.path) else others
+
+
+@contextmanager
+def modules_here() -> Iterator[None]:
+    """Import what the command line names: modules of the current folder, too, after all others.
+
+    Only a module that the user has named is imported so, and none of that folder takes the place
+    of Python's own or of an installed one.
+    """
+    here = os.getcwd()
+    added = here not in sys.path
+    if added:
+        sys.path.append(here)
+    try:
+        yield
+    finally:
+        if added and here in sys.path:
+            sys.path.remove(here)
+
+
+@contextmanager
+def safe_start() -> Iterator[None]:
+    """Start processes by `multiprocessing` that look for modules as `safe_path` says."""
+    path_before = sys.path[:]
+    variable_before = os.environ.get(SAFE_PATH)
+    sys.path[:] = safe_path()  # what a process that is spawned gets to know
+    os.environ[SAFE_PATH] = "1"
+    try:
+        yield
+    finally:
+        sys.path[:] = path_before
+        if variable_before is None:
+            del os.environ[SAFE_PATH]
+        else:
+            os.environ[SAFE_PATH] = variable_before
 
 
 class ProcessEndedError(Exception):
@@ -57,6 +111,8 @@ class Helper:
             child.communicate()
 
     def _begun(self) -> subprocess.Popen[bytes]:
-        path = os.pathsep.join(place or os.getcwd() for place in sys.path)
-        return subprocess.Popen([sys.executable, "-c", self._code], stdin=subprocess.PIPE,
-                                stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": path})
+        # Not by PYTHONPATH: Python itself would look for a sitecustomize.py there as it starts.
+        first = f"import sys; sys.path[:] = {safe_path()!r}\n"
+        return subprocess.Popen([sys.executable, "-P", "-c", first + self._code],
+                                stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                                env={**os.environ, SAFE_PATH: "1"})

@@ -13,7 +13,7 @@ from pathlib import Path
 from termsel.errors import TermselError
 from termsel.files.atomic import encoded, private_folder, put_in_place, sync, write_bytes
 from termsel.files.lock import locked
-from termsel.files.names import JOURNAL, is_there
+from termsel.files.names import CERTIFICATE, JOURNAL, is_there
 from termsel.formats.base import located, parse_json, read_text
 from termsel.formats.readers.csv_tables import LinesCsv, PointsCsv, lines_text, points_text
 from termsel.formats.readers.table import guarded
@@ -22,6 +22,7 @@ from termsel.measurements.coordinates.crs import normalise
 from termsel.measurements.features import FeatureSet, no_lines, no_points
 from termsel.measurements.roles import by_roles
 from termsel.models.rpc import Rpc
+from termsel.options import options_of_file
 from termsel.record.record import Record
 from termsel.results.checksums import of_attributes, of_features, of_record
 from termsel.results.result import Result
@@ -38,7 +39,7 @@ RESIDUAL_COLUMNS = ("id", "kind", "role", "used", "residual_line", "residual_sam
 def files_of_result(folder: Path) -> list[Path]:
     """Return all files that a result in this folder may have."""
     return [place / name for place in (folder, folder / _PENDING)
-            for name in (RECORD, POINTS, LINES, RESIDUALS, SUMMARY)]
+            for name in (RECORD, POINTS, LINES, RESIDUALS, SUMMARY, CERTIFICATE)]
 
 
 def names_of(features: FeatureSet) -> tuple[str, ...]:
@@ -72,7 +73,7 @@ def _refuse_taken(folder: Path, overwrite: bool) -> None:
     if is_there(folder / JOURNAL):
         raise TermselError("this is the folder of a study, which takes no further result",
                            file=folder, hint="Choose another --out.")
-    for name in (POINTS, LINES, RESIDUALS, SUMMARY):
+    for name in (POINTS, LINES, RESIDUALS, SUMMARY, CERTIFICATE):
         if is_there(folder / name) and not is_there(_place(folder, RECORD)):
             raise TermselError("the result would replace this file, which is not part of a result",
                                file=folder / name, hint="Choose another --out.")
@@ -110,7 +111,7 @@ def _files(result: Result) -> dict[str, str]:
     return {**({POINTS: points_text(points, crs)} if len(points) else {}),
             **({LINES: lines_text(lines, crs)} if len(lines) else {}),
             RESIDUALS: residuals_csv(result), SUMMARY: result.summary(verbose=True),
-            RECORD: result.to_json()}
+            **result.files, RECORD: result.to_json()}
 
 
 def _put_in_place(folder: Path) -> None:
@@ -178,7 +179,8 @@ def read_result(folder: Path | str) -> Result:
         _refuse_changed(seals is None or seals.features != of_features(features)
                         or seals.attributes != of_attributes(features),
                         path.with_name(" or ".join(files)))
-        return result_from(record, features)
+        with options_of_file(folder / RECORD):
+            return result_from(record, features)
     except TermselError as error:
         raise (error if error.file is not None else located(error, path)) from error
 

@@ -33,6 +33,11 @@ def of_features(features: FeatureSet) -> str:
     return digest.hexdigest()
 
 
+def of_certificate(content: Mapping[str, Any]) -> str:
+    """Return the checksum that a certificate without its own has (`termsel.check.checksum`)."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
 def of_attributes(features: FeatureSet) -> str | None:
     """Return a checksum of the columns of attributes, None where there are none.
 

@@ -143,6 +143,9 @@ class Result(Glance):
         Limits of each search.
     stability : TermFrequencies, optional
         Of a fit of the stable terms: how often each term was selected.
+    files : mapping of str to str
+        Further files that the folder of the result gets, by name: certificate.json of a proof.
+        Empty for a result that was read.
     """
 
     problem: str
@@ -183,6 +186,7 @@ class Result(Glance):
     budget: SearchLimits = field(default_factory=SearchLimits)
     stability: TermFrequencies | None = None
     by_size: tuple[SizeRow, ...] = ()
+    files: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def hit_rate(self) -> float:

@@ -17,6 +17,7 @@ from termsel.adjustment import kernels
 from termsel.candidates.portfolio import Portfolio
 from termsel.criteria import Criterion
 from termsel.errors import TermselError
+from termsel.files.names import CERTIFICATE
 from termsel.formats.rpc_files import with_rpc
 from termsel.io.read import features_of
 from termsel.io.result_folder import claimed, write_result
@@ -163,6 +164,10 @@ def run(
     if not limited:
         limits |= {"generations": task.recipe.generations, "patience": task.recipe.patience}
 
+    if task.solver.options.get("certificate") and out is None:
+        raise TermselError("a certificate is a file of the folder of a result, and there is none",
+                           hint="Add --out DIR, in Python out=.", name="certificate")
+
     def searched() -> Result:
         from termsel.runs.judgement.assess import assessed
         from termsel.runs.search.blunders_out import search_without_blunders  # not for auto
@@ -225,5 +230,7 @@ def _written(work: Callable[[], Result], out: Path | str | None, overwrite: bool
         if out is not None:
             result = with_spent(result, Path(out))
             write_result(result, Path(out))
+            if CERTIFICATE not in result.files:  # that of the result it has replaced
+                (Path(out) / CERTIFICATE).unlink(missing_ok=True)
     registry().notify_run_finished(result)
     return result

@@ -61,6 +61,8 @@ class Search:
         None if no local refinement was asked for.
     certificate : mapping, optional
         What the solver proved, if anything.
+    certificate_content : mapping, optional
+        Of the file certificate.json, where the solver made one.
     proof : Proof or FeatureProof, optional
         From `exact`: what it proved of the selections of each size.
     coefficients : ndarray, shape (k,), optional
@@ -91,6 +93,7 @@ class Search:
     notes: tuple[str, ...] = ()
     history: tuple[HistoryRow, ...] = ()
     proof: Proof | FeatureProof | None = None
+    certificate_content: Mapping[str, Any] | None = None
 
     def after(self, earlier: Search, *notes: str) -> Search:
         """Return the search with evaluations and history of an earlier one, and notes on both."""
@@ -216,7 +219,8 @@ def search(
                   time.perf_counter() - start, interrupted, refined, details.get("certificate"),
                   tuple(ledger.front() if len(problem.objectives) > 1
                         else details.get("front", ())),
-                  details.get("coefficients"), notes, tuple(history), details.get("proof"))
+                  details.get("coefficients"), notes, tuple(history), details.get("proof"),
+                  details.get("certificate_content"))
 
 
 def _unevaluated(solver: Solver, generation: Generation | None) -> TermselError:

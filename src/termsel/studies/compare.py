@@ -17,6 +17,7 @@ from termsel.files.names import JOURNAL
 from termsel.guard.parts import part
 from termsel.io.export import writer_of
 from termsel.measurements.features import FeatureSet
+from termsel.options import options_of_file
 from termsel.plugins.registry import registry
 from termsel.runs.notebook import line_of_many
 from termsel.runs.task.provenance import versions
@@ -160,7 +161,8 @@ def plan_cells(spec: Spec, folder: Path) -> list[Cell]:
             writer_of(name)
         except TermselError as error:
             raise spec.places.error(("exports", i), error.what, error.hint) from error
-    return cells_of(spec, data_of(spec, folder))
+    with options_of_file(spec.places.file):
+        return cells_of(spec, data_of(spec, folder))
 
 
 def works_of(cells: list[Cell]) -> tuple[list[Cell], dict[str, FeatureSet]]:

@@ -76,7 +76,7 @@ def provides(plugin: Installed) -> None:
 def modest_import(plugin: Installed) -> None:
     """Its import is quick, prints nothing and changes nothing of the process."""
     for module in plugin.modules():
-        done = subprocess.run([sys.executable, "-c", _IMPORT, module], text=True,
+        done = subprocess.run([sys.executable, "-P", "-c", _IMPORT, module], text=True,
                               capture_output=True, check=False)
         require(done.returncode == 0, f"{module} cannot be imported: {done.stderr[-500:]}")
         *printed, changed, seconds = done.stdout.strip().splitlines()

@@ -29,7 +29,6 @@ from termsel.check import (
     checksum,
     require_together,
 )
-from termsel.toolkit import write_text
 from termsel_bench.multipliers import Columns, FloatArray, bounded
 
 Step: TypeAlias = list[Any]
@@ -47,14 +46,13 @@ _GAIN = 0.9  # limits that fall to less than this share are worth a step
 _DEEP = 20.0  # decades, by a factor, of all limits together at which a node mostly closes
 
 
-def certifier(path: Path, problem: Problem,
-              rooms: Sequence[int]) -> Callable[[NDArray[np.bool_]], None]:
-    """Return what writes the certificate of an optimum, given its genes.
+def certifier(problem: Problem, rooms: Sequence[int],
+              ) -> Callable[[NDArray[np.bool_]], dict[str, Any] | None]:
+    """Return what makes the certificate of an optimum, given its genes: its content.
 
     `rooms` are the most terms of each part of the problem. Raises TermselError at once for a
-    problem that has no certificate, numbers that none can hold, or a folder that is not there. What
-    is written, the checker has verified. A warning says where it refuses, or why nothing can be
-    written: the search is made by then.
+    problem that has no certificate, or numbers that none can hold. What is made, the checker has
+    verified. Where it refuses, there is a warning, and None: the search is made by then.
     """
     parts = problem.parts()
     if not parts or any(part.score != "check" or part.system.target.shape[1] != 1
@@ -62,9 +60,6 @@ def certifier(path: Path, problem: Problem,
         raise TermselError(
             "there is no certificate of this problem: it is one of check errors, by axis and "
             "without parents", hint="Choose --criterion check-rmse and --set mask=per-axis.")
-    if not path.absolute().parent.is_dir() or path.is_dir():
-        raise TermselError(f"certificate {path}: there is no such folder, or it is one",
-                           hint="Name a file in a folder that exists.")
     names = list(problem.decode(np.ones(problem.genome.size, dtype=bool)).terms)
 
     def axes_of(genes: NDArray[np.bool_]) -> list[dict[str, Any]]:
@@ -83,24 +78,26 @@ def certifier(path: Path, problem: Problem,
             hint="Choose a lower degree or order, which has fewer terms and less small values, or "
                  "search without the option certificate.") from error
 
-    def write(genes: NDArray[np.bool_]) -> None:
+    def certificate_of(genes: NDArray[np.bool_]) -> dict[str, Any] | None:
         # What the checker refuses is no certificate. Whatever the reason, the search is not lost.
         try:
-            text = json.dumps(content_of(axes_of(genes), MOST_NODES)) + "\n"
+            text = json.dumps(content_of(axes_of(genes), MOST_NODES))
             with TemporaryDirectory() as folder:
                 made = Path(folder) / "certificate.json"
                 made.write_text(text, encoding="utf-8")
                 _, open_ = check(made)
-            write_text(path, text)
         except (Refused, ValueError, OSError, TermselError) as error:
-            log.warning("certificate %s is not written: %s. The search has its proof in "
-                        "floating-point numbers", path, str(error).rstrip("."))
-            return
+            log.warning("no certificate is written: %s. The search has its proof in floating-point "
+                        "numbers", str(error).rstrip("."))
+            return None
         if open_:
-            log.warning("certificate %s: its tree is full, and %s selections are left open; it "
-                        "does not prove the optimum", path, f"{open_:,}")
+            log.warning("the tree of the certificate is full, and %s selections are left open; it "
+                        "does not prove the optimum", f"{open_:,}")
+        content: dict[str, Any] = json.loads(text)
+        del content["sha256"]  # the result adds of which data it is, and the checksum
+        return content
 
-    return write
+    return certificate_of
 
 
 def content_of(axes: Sequence[dict[str, Any]], most: int = MOST_NODES) -> dict[str, Any]:

@@ -26,7 +26,8 @@ REFUTED = 2
 @click.option("--model", "models", multiple=True, metavar="NAME",
               help="A model, fitted to control and check points.")
 @click.option("--package", "packages", multiple=True, metavar="MODULE[:FUNCTION]",
-              help="A function of your own; georeference, if none is named.")
+              help="A function of your own; georeference, if none is named. With --check: one "
+                   "that results may be of.")
 @click.option("--set", "settings", multiple=True, metavar="KEY=VALUE",
               help="Option of the solvers and models.")
 @click.option("--alone", is_flag=True, help="Without auto and other packages.")
@@ -40,7 +41,8 @@ REFUTED = 2
 @click.option("--scheduler", default="", metavar="ADDRESS", help="A dask scheduler.")
 @click.option("--out", metavar="DIR", type=click.Path(file_okay=False, path_type=Path),
               help="Folder for table.csv, index.html and a file of results of each method.")
-@click.option("--check", "checked", metavar="DIR", help="Repeat the results in a folder.",
+@click.option("--check", "checked", metavar="DIR", help="Repeat the results in a folder; those of "
+              "packages where --package names them.",
               type=click.Path(exists=True, file_okay=False, path_type=Path))
 @click.option("--files", metavar="DIR", type=click.Path(file_okay=False, path_type=Path),
               help="Write the sets as files, with their description, and run nothing.")
@@ -66,14 +68,17 @@ def bench(solvers: tuple[str, ...], problem: str | None, models: tuple[str, ...]
     chosen = {"--check": checked, "--files": files}
     methods = _methods(solvers, problem, models, packages, parse_settings(settings), alone=alone)
     given = [name for name, value in chosen.items() if value is not None]
-    if len(given) == 2 or (given and (solvers or models or packages or alone or out or real)):
+    trusted = packages if checked is not None else ()
+    others = solvers or models or (packages and not trusted) or alone or out or real
+    if len(given) == 2 or (given and others):
         raise TermselError(f"{given[0]} goes with no method and no other task",
-                           hint="Give it with --sets or --quick alone.")
+                           hint="Give it with --sets or --quick alone; --check also with "
+                                "--package, which says what code of the results may run.")
     names = _sets(pattern, quick=quick)
     if files is not None:
         _write_files(files, names, overwrite=overwrite)
     elif checked is not None:
-        sys.exit(_check(checked, pattern, processes))
+        sys.exit(_check(checked, pattern, processes, trusted))
     else:
         _run(methods, names, real, processes, scheduler, out, overwrite=overwrite)
 
@@ -167,10 +172,10 @@ def _write_files(folder: Path, names: Sequence[str], *, overwrite: bool) -> None
     echo(f"{len(sets)} sets are in {folder}.")
 
 
-def _check(folder: Path, pattern: str, processes: int) -> int:
+def _check(folder: Path, pattern: str, processes: int, packages: Sequence[str]) -> int:
     from termsel_bench.submitted import check, read_submitted
 
-    found = [check(one, pattern, processes=processes) for one in read_submitted(folder)]
+    found = [check(one, pattern, processes=processes) for one in read_submitted(folder, packages)]
     print_table(("file", "method", "sets", "largest difference", "verdict"), [
         (one.submitted.path.name, one.submitted.method.title, str(one.repeated),
          f"{one.worst:.2%}", "refuted: " + ", ".join(one.refuted) if one.refuted else "confirmed")

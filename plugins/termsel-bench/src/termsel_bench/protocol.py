@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from termsel import TermselError
-from termsel.toolkit import one_blas_thread, quieted, requires
+from termsel.toolkit import one_blas_thread, quieted, requires, safe_start
 from termsel_bench.methods.base import Method
 from termsel_bench.scenes.base import BenchSet
 from termsel_bench.scenes.catalogue import simulated
@@ -135,8 +135,12 @@ def scores(methods: Sequence[Method], sets: Iterable[str], real: Sequence[Path] 
         yield from map(score, work)
     else:
         # No fork: threads of numba and BLAS do not survive it.
-        with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
-            yield from pool.map(score, work, chunksize=len(methods))
+        with safe_start():  # its locks have a process of their own
+            executor = ProcessPoolExecutor(processes, get_context("spawn"))
+        with executor as pool:
+            with safe_start():  # map submits all, and so starts the processes
+                scored = pool.map(score, work, chunksize=len(methods))
+            yield from scored
 
 
 def _on_cluster(work: Sequence[Work], scheduler: str) -> Iterator[Score]:

@@ -62,22 +62,28 @@ def texts_of(found: Sequence[Score]) -> dict[str, str]:
     return files
 
 
-def read_submitted(folder: Path) -> list[Submitted]:
+def read_submitted(folder: Path, packages: Sequence[str] = ()) -> list[Submitted]:
     """Return the results in a folder.
+
+    Parameters
+    ----------
+    folder : Path
+    packages : sequence of str
+        Functions that may be imported, as module:function: a file of results alone names no code.
 
     Raises
     ------
     TermselError
-        If there is none, or one is not of the form.
+        If there is none, one is not of the form, or is of a package that is not among `packages`.
     """
     paths = sorted(folder.glob("*.json"))
     if not paths:
         raise TermselError(f"{folder} has no results",
                            hint="Put the .json files there that `termsel bench --out DIR` writes.")
-    return [_read(path) for path in paths]
+    return [_read(path, packages) for path in paths]
 
 
-def _read(path: Path) -> Submitted:
+def _read(path: Path, packages: Sequence[str]) -> Submitted:
     def refused(what: str) -> TermselError:
         return TermselError(f"{path} {what}", hint="Write it again with `termsel bench --out DIR`.")
 
@@ -88,7 +94,7 @@ def _read(path: Path) -> Submitted:
         asked, sets = said["method"], said["sets"]
         method = Method(str(asked["kind"]), str(asked["name"]),
                         {str(key): str(value) for key, value in asked["options"].items()},
-                        str(asked["problem"]))
+                        str(asked["problem"]), file=str(path))
         rmse = {str(name): None if one["rmse"] is None else float(one["rmse"])
                 for name, one in sets.items()}
         sums = {str(name): one["sha256"] for name, one in sets.items()}
@@ -96,6 +102,10 @@ def _read(path: Path) -> Submitted:
         raise refused(f"is no file of results: {raised(error)}") from error
     if method.kind not in KINDS:
         raise refused(f"names a method of the kind {method.kind!r}")
+    if method.kind == "package" and method.name not in packages:
+        raise TermselError(f"{path} names code to run: {method.name!r:.100}",
+                           hint="If you trust it, name it yourself: --package MODULE:FUNCTION.")
+    method.require()
     known = checksums()
     for name in rmse:
         if name not in SETS:

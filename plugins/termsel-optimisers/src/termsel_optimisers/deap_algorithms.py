@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import inspect
 import itertools
-import os
-import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib import import_module
 from typing import Any
@@ -15,8 +13,11 @@ from deap import algorithms, base, tools
 from numpy.typing import NDArray
 
 from termsel import Evaluation, Generation, Option, Problem, Solver, TermselError
-from termsel.toolkit import SEGMENTS, OwnChance, blamed
+from termsel.toolkit import SEGMENTS, OwnChance, blamed, modules_here
 from termsel_optimisers.deap_toolbox import Individual, register, to_deap
+
+ALGORITHMS = ("eaSimple", "eaMuPlusLambda", "eaMuCommaLambda")
+"""Of deap.algorithms, by name."""
 
 CHECK = "Check your loop, and the operators with their arguments: select, mate, mutate."
 
@@ -41,7 +42,8 @@ class Deap(Solver):
     segments = SEGMENTS
     declared_options = (
         Option("algorithm", "eaSimple", "eaSimple, eaMuPlusLambda or eaMuCommaLambda of "
-               "deap.algorithms, or a loop of your own as module:function."),
+               "deap.algorithms, or a loop of your own as module:function.",
+               from_files=ALGORITHMS),
         POPULATION,
         Option("children", None, "Children of a generation, lambda, of eaMuPlusLambda and "
                "eaMuCommaLambda; by default twice the population.", int, 2, 200_000),
@@ -84,23 +86,20 @@ class Deap(Solver):
 def _loop(said: str) -> Callable[..., Any]:
     """Return the algorithm of a name, or the function that module:function says."""
     module, _, name = said.rpartition(":")
-    known = ("eaSimple", "eaMuPlusLambda", "eaMuCommaLambda")
     if not module:
-        if name in known:
+        if name in ALGORITHMS:
             loop: Callable[..., Any] = getattr(algorithms, name)
             return loop
         raise TermselError(f"there is no algorithm {said!r}",
-                           hint=f"Known are {', '.join(known)}; a loop of yours is "
+                           hint=f"Known are {', '.join(ALGORITHMS)}; a loop of yours is "
                                 "module:function.")
-    sys.path.insert(0, os.getcwd())  # as with `python -m`; the command's own folder is there
     try:
-        loop = getattr(import_module(module), name)
+        with modules_here():
+            loop = getattr(import_module(module), name)
         inspect.signature(loop)
     except (ImportError, AttributeError, NameError, SyntaxError, TypeError, ValueError) as error:
         raise TermselError(f"the loop {said!r} cannot be imported: {error}",
                            hint="Give module:function, importable from where you run.") from None
-    finally:
-        sys.path.pop(0)
     return loop
 
 

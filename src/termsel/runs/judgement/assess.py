@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -14,6 +15,7 @@ from termsel.candidates.compare import compare_robustly
 from termsel.candidates.portfolio import Portfolio
 from termsel.candidates.ridge import RidgeByOrder
 from termsel.errors import TermselError, unknown_name
+from termsel.files.names import CERTIFICATE
 from termsel.fits.accuracy import accuracy_of
 from termsel.fits.diagnosis import diagnose
 from termsel.fits.figures import Baseline, Rmses, baseline, figures, residuals_of, rmse_record
@@ -27,6 +29,7 @@ from termsel.problems.base import Selection
 from termsel.problems.segments import Genes
 from termsel.record.base import plain
 from termsel.record.search import Certificate, Member, SizeRow
+from termsel.results.checksums import of_certificate
 from termsel.results.result import Result
 from termsel.results.same_fit import has_pole, least_squares_of
 from termsel.runs.judgement.judge import judge, name_conventional, notes_on
@@ -152,7 +155,18 @@ def assessed(task: Task, found: Search, verdict: Verdict | None = None) -> Resul
         by_size=tuple(SizeRow(**asdict(members[one.genes.tobytes()]), better=one.better,
                               optimal=one.optimal, bound=one.bound, gap=one.gap)
                       for one in sizes),
-        certificate=_certificate(task, found, chosen))
+        certificate=_certificate(task, found, chosen),
+        files=_files(task, found, observations))
+
+
+def _files(task: Task, found: Search, observations: Observations) -> dict[str, str]:
+    """Return further files of the result: the certificate of a proof, with the data it is of."""
+    if found.certificate_content is None:
+        return {}
+    data = data_of(task, observations).sha256
+    content = {**found.certificate_content, "data": data}
+    content["sha256"] = of_certificate(content)
+    return {CERTIFICATE: json.dumps(content) + "\n"}
 
 
 def _on_replaced(model: SensorModel, selection: Selection) -> Iterable[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Callable, Iterator
-from pathlib import Path
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -109,8 +109,9 @@ class Exact(Solver):
                1, COUNT),
         Option("workers", None, "Threads; by default all cores. The result does not depend on "
                "it.", int, 1, 256),
-        Option("certificate", None, "File for the tree of the proof, which `python -m "
-               "termsel.check FILE` verifies; a package writes it."),
+        Option("certificate", False, "Whether the folder of the result (--out) gets the file "
+               "certificate.json, the tree of the proof, which `termsel check` verifies; a package "
+               "makes it.", bool, from_files=False),
     )
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
@@ -118,7 +119,7 @@ class Exact(Solver):
         most = self.options["max_terms"]
         workers = self.options["workers"] or os.cpu_count() or 1
         systems = problem.row_systems()
-        certify = _certifier(self.options["certificate"], problem, most)
+        certify = _certifier(problem, most) if self.options["certificate"] else None
         if systems is not None:
             yield from proof_generations(problem, systems, workers, most)
             return
@@ -141,19 +142,18 @@ class Exact(Solver):
                 if proof.complete and proof.front():
                     _require_unbeaten(problem, proof, generation, most)
                     if certify is not None:
-                        certify(generation.genes[-1])
+                        certificate = certify(generation.genes[-1])
+                        generation = replace(generation, details={
+                            **generation.details, "certificate_content": certificate})
                 yield generation
                 index += 1
 
 
-def _certifier(path: str | None, problem: Problem,
-               most: int | None) -> Callable[[Genes], None] | None:
-    """Return what writes the certificate of an optimum, if asked for."""
-    if path is None:
-        return None
+def _certifier(problem: Problem, most: int | None) -> Callable[[Genes], dict[str, Any] | None]:
+    """Return what makes the certificate of an optimum: its content, None where it cannot."""
     certifier = part_of("certificate", "a certificate requires")
     rooms = [limits_of(problem, part, most)[1] for part in problem.parts()]
-    certify: Callable[[Genes], None] = certifier(Path(path), problem, rooms)
+    certify: Callable[[Genes], dict[str, Any] | None] = certifier(problem, rooms)
     return certify
 
 

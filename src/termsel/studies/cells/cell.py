@@ -228,8 +228,9 @@ class _Kinds:
                 recipe = registry().taken("problems", problem.thing or problem.name)
                 wanted("auto", recipe, [f"the option {key}" for key in problem.options])
                 method = {"criterion": "press", "solver": "all-terms"}
-            return Request(**{**names, **method}, features=data.features, source=data.source,
-                           options=options).setup()
+            return _without_certificate(Request(
+                **{**names, **method}, features=data.features, source=data.source,
+                options=options).setup())
         except TermselError as error:
             raise self._at_fault(parts, error) from error
 
@@ -278,6 +279,15 @@ class _Kinds:
         if any(option.name == "workers" for option in declared.get("solver", ())):
             chosen.setdefault("solver.workers", 1)
         return chosen
+
+
+def _without_certificate(setup: Setup) -> Setup:
+    """Refuse a certificate: it is a file of the folder of a result, which cells have not."""
+    if setup.solver.options.get("certificate"):
+        raise TermselError("cells of a study keep no certificates",
+                           hint="Run the cell alone: termsel run ... --out DIR.",
+                           name="certificate")
+    return setup
 
 
 def _cell(spec: Spec, strategy: str, parts: Mapping[str, Asked | None], kind: _Kind, data: Data,

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from multiprocessing import get_context, parent_process
 from types import FrameType
 
+from termsel.guard.helper import safe_start
 from termsel.measurements.features import FeatureSet
 from termsel.studies.cells.cell import Cell
 from termsel.studies.execution.work import Outcome, do, failed
@@ -83,13 +84,16 @@ def _in_pool(waiting: deque[Cell], features: Mapping[str, FeatureSet], stop: Sto
     """Yield outcomes until all are done or a process dies; say which cells were under way then."""
     running: dict[Future[Outcome], Cell] = {}
     # No fork: threads of numba and BLAS do not survive it.
-    with ProcessPoolExecutor(workers, get_context("spawn"), initializer=begin_worker,
-                             initargs=(dict(features),)) as pool:
+    with safe_start():  # its locks have a process of their own
+        executor = ProcessPoolExecutor(workers, get_context("spawn"), initializer=begin_worker,
+                                       initargs=(dict(features),))
+    with executor as pool:
         try:
             while running or (waiting and not stop()):
-                while waiting and len(running) < workers * AHEAD and not stop():
-                    cell = waiting.popleft()
-                    running[pool.submit(_in_worker, cell)] = cell
+                with safe_start():  # the first submission starts the processes
+                    while waiting and len(running) < workers * AHEAD and not stop():
+                        cell = waiting.popleft()
+                        running[pool.submit(_in_worker, cell)] = cell
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
                     outcome = future.result()
                     del running[future]

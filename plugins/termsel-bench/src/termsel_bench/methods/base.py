@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import termsel
 from termsel import FeatureSet, Points, TermselError
-from termsel.toolkit import FloatArray, blamed, unknown_name
+from termsel.toolkit import FloatArray, blamed, modules_here, options_of_file, unknown_name
 from termsel_bench.methods import peers, scripts
 
 Projection = Callable[[FloatArray], FloatArray]
@@ -44,12 +42,15 @@ class Method:
         Options of a solver or a model by name.
     problem : str
         Problem of a solver; "" for that of the features.
+    file : str, optional
+        The file that names the method, if one does: its options are those that files may set.
     """
 
     kind: str
     name: str
     options: Mapping[str, str] = field(default_factory=dict)
     problem: str = ""
+    file: str | None = None
 
     @property
     def title(self) -> str:
@@ -61,11 +62,16 @@ class Method:
         return " ".join([called, *more])
 
     def require(self) -> None:
-        """Raise TermselError for an unknown solver, model, package or peer."""
+        """Raise TermselError for an unknown solver, model, package or peer, or refused options."""
         if self.kind not in KINDS:
             raise unknown_name("kind of method", self.kind, KINDS)
         if self.kind in ("solver", "model"):
-            termsel.get(f"{self.kind}s", self.name)
+            thing = termsel.get(f"{self.kind}s", self.name)
+            with options_of_file(self.file):
+                for option in thing.declared_options:
+                    for key in (option.name, f"{self.kind}.{option.name}"):
+                        if key in self.options:
+                            option.parse(self.options[key])
         elif self.kind == "peer" and self.name not in PEERS:
             raise unknown_name("peer", self.name, PEERS)
         elif self.kind == "package":
@@ -79,6 +85,10 @@ class Method:
         TermselError
             If the method cannot, or code of a package fails.
         """
+        with options_of_file(self.file):
+            return self._applied(features, seed)
+
+    def _applied(self, features: FeatureSet, seed: int) -> Projection:
         if self.kind == "auto":
             return termsel.run(features=features, seed=seed).project
         if self.kind == "solver":
@@ -131,10 +141,9 @@ def function_of(name: str) -> Callable[[FeatureSet], Any]:
         If there is no such module or function.
     """
     module, _, function = name.partition(":")
-    if (here := str(Path.cwd())) not in sys.path:  # the command `termsel` does not look there
-        sys.path.append(here)
     try:
-        found = getattr(import_module(module), function or FUNCTION)
+        with modules_here():
+            found = getattr(import_module(module), function or FUNCTION)
     except ImportError as error:
         raise TermselError(f"the package {module!r} cannot be imported: {error}",
                            hint="Install it, or run the command in its folder.") from error

@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 
 from termsel import FeatureSet, TermselError, get, open_raster, read, read_rpc
-from termsel.toolkit import LOCAL, normalise
+from termsel.toolkit import LOCAL, normalise, options_of_file
 from termsel_block.block import CORRECTIONS, Block, BlockImage, Ties
 from termsel_block.estimation.equations import pairs
 from termsel_block.files.asp import asp_rows, is_asp
@@ -232,7 +232,8 @@ def _check_model(stated: _Image, options: Mapping[str, Any], has_rpc: bool, path
         raise TermselError(f"image {stated.name!r} has the model {stated.model!r}", file=path,
                            hint=f"Known with an RPC: {', '.join(CORRECTIONS)}.")
     try:
-        get("models", stated.model)(**options)
+        with options_of_file(path):
+            get("models", stated.model)(**options)
     except TermselError as error:
         hint = in_a_block(error.hint)
         if error.what.startswith("unknown model"):  # most of the known ones have no priors

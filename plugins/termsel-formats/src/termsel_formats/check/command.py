@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from termsel import TermselError
 from termsel.toolkit import echo, final_option, print_json, print_table, show_messages
 
 if TYPE_CHECKING:
@@ -27,18 +29,27 @@ def check(file: Path, folder: Path | None, as_json: bool, final: bool | None) ->
     """Say which transformation other programs take from a file, and how far it is off.
 
     FILE is a raster, or a file next to one, such as a world file, an RPC or an .aux.xml. GDAL,
-    rasterio, QGIS and the Orfeo ToolBox are asked, as far as they are installed.
+    rasterio, QGIS and the Orfeo ToolBox are asked, as far as they are installed. Or it is the
+    certificate of a proof, as termsel run --set certificate=yes writes it: what is claimed, and
+    what of it is proved.
 
     \b
     Examples:
       termsel check map.vrt --result result
       termsel check scene_RPC.TXT --result result
       termsel check scene.tif
+      termsel check result/certificate.json
     """
     from termsel import read_result
+    from termsel.check import is_certificate, main
     from termsel_formats.check.comparison import compared
 
     show_messages()
+    if is_certificate(file):
+        if folder is not None or as_json or final is not None:
+            raise TermselError("a certificate is checked by itself", file=file,
+                               hint="Leave the options out.")
+        sys.exit(main([str(file)]))
     result = None if folder is None else read_result(folder)
     found, answers = compared(file, result, final=final)
     if as_json:
