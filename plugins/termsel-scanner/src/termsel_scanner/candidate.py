@@ -1,13 +1,16 @@
-"""The physical scanner as a candidate of auto, where the points name their sensor."""
+"""Scanners and radars as candidates of auto, where the points name their sensor or its metadata."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from termsel import Candidate, Control, Fit, SensorModel, Undetermined
+from termsel_scanner.annotation import is_annotation
 from termsel_scanner.physical import RobustFit
+from termsel_scanner.radar import Radar
 from termsel_scanner.scanner import Scanner
 from termsel_scanner.tracked import SUFFIXES, TrackedScanner
 
@@ -36,6 +39,8 @@ class NamedScanner(Candidate):
             return f"the points have no column {COLUMN!r} that names one sensor"
         if named in CAMERAS:
             return "the points are said to be of a photo"
+        if names_annotation(named):
+            return "the points are said to be of a radar"
         if len(features.lines) or len(features.points) < FEWEST:
             return f"it is for {FEWEST} to {MOST} control points, without lines"
         if features.without_height() or features.crs in ("", "local"):
@@ -80,6 +85,56 @@ class NamedScanner(Candidate):
                 f"{fitted.model.source}.")
 
 
+@dataclass(frozen=True, eq=False)
+class NamedRadar(Candidate):
+    """The radar whose annotation a column of the points names."""
+
+    def declines(self, control: Control) -> str | None:
+        """Return why no annotation is named, or the points are not for one.
+
+        An annotation that cannot be read is an error, which the run tells.
+        """
+        features, named = control.features, sensor_of(control)
+        if not names_annotation(named):
+            return f"the points have no column {COLUMN!r} that names the annotation of a radar"
+        if len(features.lines) or not len(features.points):
+            return "it is for control points, without lines"
+        if features.without_height() or features.crs in ("", "local"):
+            return "it needs heights and a CRS"
+        Radar(metadata=named)
+        return None
+
+    def fit_control(self, control: Control) -> Fit:
+        """Fit the shifts of the radar whose annotation is named."""
+        named = sensor_of(control)
+        if not names_annotation(named):
+            raise Undetermined("no annotation is named",
+                               hint=f"Name its file in a column {COLUMN!r}.")
+        model = Radar(metadata=named)
+        return self.estimator.fit(model, control.features, control.scaling,
+                                  np.ones(len(model.terms), dtype=bool),
+                                  np.ones(len(control), dtype=bool))
+
+    def model(self, heights: bool) -> SensorModel | None:
+        """Return None: the model depends on the annotation."""
+        return None
+
+    def size(self, heights: bool) -> float:
+        """Return 0: what is known comes before what is fitted."""
+        return 0.0
+
+    def describe(self, fitted: Fit) -> str:
+        """Return whose annotation was used."""
+        assert isinstance(fitted.model, Radar)
+        return (f"The points name the annotation {fitted.model.source}, with orbit, timing and "
+                "ranges.")
+
+
+def names_annotation(named: str) -> bool:
+    """Return whether the name of a sensor is a file, and that an annotation of Sentinel-1."""
+    return named.lower().endswith(".xml") and is_annotation(Path(named))
+
+
 def _scanner(named: str) -> Scanner | TrackedScanner:
     """Return the scanner of a sensor's name, of a file of constants, or of one of metadata."""
     if named.lower().endswith(SUFFIXES):
@@ -96,3 +151,6 @@ def sensor_of(control: Control) -> str:
 SCANNER = NamedScanner("named-scanner", "the physical scanner that the points name",
                        short="physical scanner", estimator=RobustFit(), has_prior=True,
                        from_one=True, most=MOST)
+
+RADAR = NamedRadar("named-radar", "the radar whose annotation the points name", short="radar",
+                   estimator=RobustFit(), has_prior=True, from_one=True)

@@ -1,0 +1,273 @@
+"""The annotation of a Sentinel-1 product: orbit, timing, ranges, bursts and lattice of points.
+
+Each image of a product has one XML file in the folder ``annotation``. It states where the satellite
+was, when the first line was seen and how lines and samples follow in time, and for products in
+ground range the polynomials that lead there from slant range.
+
+References
+----------
+Sentinel-1 Product Specification, S1-RS-MDA-52-7441, issue 3 (2020), section 6.3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from termsel import TermselError
+
+FloatArray = NDArray[np.float64]
+
+EPOCH = datetime(2000, 1, 1)
+
+ORBIT_MARGIN = 60.0
+"""Time before and after the image of which state vectors are kept [s]."""
+
+HEAD = 4096
+"""Bytes in which an annotation shows what it is."""
+
+_HINT = "Give an annotation of a Sentinel-1 product: annotation/s1...xml in its .SAFE folder."
+
+
+@dataclass(frozen=True)
+class GroundRange:
+    """The polynomial from slant range to ground range at one time."""
+
+    time: float  # from the first line [s]
+    origin: float  # slant range of the polynomial's origin [m]
+    coefficients: tuple[float, ...]  # ground range [m] by powers of slant range minus origin [m]
+
+
+@dataclass(frozen=True)
+class Burst:
+    """One burst of a TOPS image: its lines follow each other in time, those of two overlap."""
+
+    time: float  # of its first line, from the first line of the image [s]
+    line: int  # its first line in the image
+
+
+@dataclass(frozen=True)
+class LatticePoint:
+    """A point of the lattice that the processor computed, not measured."""
+
+    line: float  # from the centre of the first pixel
+    sample: float
+    longitude: float  # [deg]
+    latitude: float
+    height: float  # above the ellipsoid [m]
+
+
+@dataclass(frozen=True)
+class Annotation:
+    """What the geometry of a Sentinel-1 image needs; times are from its first line [s]."""
+
+    source: str
+    product: str  # such as "S1B IW GRD VH"
+    start: str  # time of the first line, UTC
+    size: tuple[int, int]  # lines and samples
+    line_interval: float  # [s]
+    line_spacing: float  # on the ground [m]
+    sample_spacing: float  # in slant or ground range [m]
+    first_range_time: float  # two-way time to the first sample [s]
+    sampling_rate: float  # of slant range [Hz]
+    times: tuple[float, ...]  # of the state vectors
+    positions: tuple[tuple[float, ...], ...]  # Earth-fixed [m]
+    velocities: tuple[tuple[float, ...], ...]  # Earth-fixed [m/s]
+    ground_ranges: tuple[GroundRange, ...]  # empty for images in slant range
+    bursts: tuple[Burst, ...]  # empty but for TOPS images in slant range
+    lines_per_burst: int
+
+    def text(self) -> str:
+        """Return all as JSON, from which `annotation_of` reads it again."""
+        return msgspec.json.encode(self).decode()
+
+
+def annotation_of(given: str) -> Annotation:
+    """Return the annotation of a file, or of a text by `Annotation.text`.
+
+    Raises
+    ------
+    TermselError
+        If the file cannot be read, is no annotation of Sentinel-1, or lacks something.
+    """
+    if given.startswith("{"):
+        try:
+            return msgspec.json.decode(given, type=Annotation)
+        except (msgspec.MsgspecError, RecursionError) as error:
+            raise TermselError(f"the annotation in the result cannot be read: {error}",
+                               hint="Run the fit again.") from error
+    path = Path(given)
+    try:
+        if not path.is_file():
+            raise TermselError(f"{path} is no file", hint=_HINT)
+        return _read(path, path.stat().st_mtime_ns)
+    except OSError as error:
+        raise TermselError(f"{path} cannot be read: {error.strerror}", hint=_HINT) from error
+
+
+@lru_cache(maxsize=4)
+def _read(path: Path, _changed: int) -> Annotation:
+    """Return the annotation of a file that was changed at that time."""
+    root = _root(path)
+    try:
+        return _from_xml(root, path.name)
+    except TermselError as error:
+        raise TermselError(f"{path}: {error.what}", hint=_HINT) from error
+
+
+def _root(path: Path) -> ElementTree.Element:
+    try:
+        return ElementTree.fromstring(path.read_bytes())
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise TermselError(f"{path} cannot be read as XML: {error}", hint=_HINT) from error
+
+
+def is_annotation(path: Path, head: bytes | None = None) -> bool:
+    """Return whether a file is an annotation of Sentinel-1, by its first elements."""
+    try:
+        if head is None:
+            if not path.is_file():
+                return False
+            with path.open("rb") as file:
+                head = file.read(HEAD)
+    except OSError:
+        return False
+    return all(mark in head for mark in (b"<product>", b"<adsHeader>", b"<missionId>S1"))
+
+
+def lattice_of(path: Path) -> tuple[LatticePoint, ...]:
+    """Return the lattice of points of an annotation.
+
+    Raises
+    ------
+    TermselError
+        If the file cannot be read, or has no lattice.
+    """
+    root = _root(path)
+    points = root.findall("geolocationGrid/geolocationGridPointList/geolocationGridPoint")
+    if not points:
+        raise TermselError(f"{path}: geolocationGridPointList has no points", hint=_HINT)
+    try:
+        return tuple(LatticePoint(*(_number(point, name) for name in (
+            "line", "pixel", "longitude", "latitude", "height"))) for point in points)
+    except TermselError as error:
+        raise TermselError(f"{path}: {error.what}", hint=_HINT) from error
+
+
+def _from_xml(root: ElementTree.Element, name: str) -> Annotation:
+    mission = (root.findtext("adsHeader/missionId") or "").strip()
+    if root.tag != "product" or not mission.startswith("S1"):
+        raise TermselError("it is no annotation of a Sentinel-1 product")
+    image = "imageAnnotation/imageInformation"
+    start = _time(_text(root, f"{image}/productFirstLineUtcTime"))
+    lines = int(_number(root, f"{image}/numberOfLines"))
+    samples = int(_number(root, f"{image}/numberOfSamples"))
+    interval = _number(root, f"{image}/azimuthTimeInterval")
+    if not interval > 0 or min(lines, samples) < 1:
+        raise TermselError("the interval of lines or the size of the image is not positive")
+    times, states = _orbit(root, start, lines * interval)
+    in_ground_range = "ground" in _text(
+        root, "generalAnnotation/productInformation/projection").lower()
+    ground_ranges = _ground_ranges(root, start) if in_ground_range else ()
+    lines_per_burst = int(float(root.findtext("swathTiming/linesPerBurst") or 0))
+    parts = [mission, *((root.findtext(f"adsHeader/{key}") or "").strip()
+                        for key in ("swath", "productType", "polarisation"))]
+    return Annotation(
+        source=name, product=" ".join(filter(None, parts)),
+        start=_text(root, f"{image}/productFirstLineUtcTime"), size=(lines, samples),
+        line_interval=interval, line_spacing=_number(root, f"{image}/azimuthPixelSpacing"),
+        sample_spacing=_number(root, f"{image}/rangePixelSpacing"),
+        first_range_time=_number(root, f"{image}/slantRangeTime"),
+        sampling_rate=_number(root, "generalAnnotation/productInformation/rangeSamplingRate"),
+        times=_nested(times), positions=_nested(states[:, :3]),
+        velocities=_nested(states[:, 3:]), ground_ranges=ground_ranges,
+        bursts=() if in_ground_range else _bursts(root, start, lines_per_burst),
+        lines_per_burst=lines_per_burst)
+
+
+def _orbit(root: ElementTree.Element, start: float, duration: float,
+           ) -> tuple[FloatArray, FloatArray]:
+    """Return times (m,) [s] and states (m, 6) [m, m/s] of the satellite about the image."""
+    vectors = root.findall("generalAnnotation/orbitList/orbit")
+    frames = {(vector.findtext("frame") or "Earth Fixed").strip() for vector in vectors}
+    if frames - {"Earth Fixed"}:
+        raise TermselError(f"its orbit is in the frame {sorted(frames)[0]!r}, not Earth Fixed")
+    times = np.array([_time(_text(vector, "time")) - start for vector in vectors])
+    states = np.array([[_number(vector, f"{part}/{axis}")
+                        for part in ("position", "velocity") for axis in "xyz"]
+                       for vector in vectors]).reshape(-1, 6)
+    near = (times > -ORBIT_MARGIN) & (times < duration + ORBIT_MARGIN)
+    times, states = times[near], states[near]
+    if len(times) < 2 or (np.diff(times) <= 0).any() or times[0] > 0 or times[-1] < duration:
+        raise TermselError("orbitList has no state vectors from before the first line to after "
+                           "the last one")
+    return times, states
+
+
+def _ground_ranges(root: ElementTree.Element, start: float) -> tuple[GroundRange, ...]:
+    """Return the polynomials from slant to ground range, in the order of time."""
+    records = root.findall("coordinateConversion/coordinateConversionList/coordinateConversion")
+    found = []
+    for record in records:
+        words = _text(record, "srgrCoefficients").split()
+        found.append(GroundRange(
+            time=_time(_text(record, "azimuthTime")) - start, origin=_number(record, "sr0"),
+            coefficients=tuple(_as_number("srgrCoefficients", word) for word in words)))
+    times = np.array([polynomial.time for polynomial in found])
+    if not found or (np.diff(times) <= 0).any() or any(
+            not polynomial.coefficients for polynomial in found):
+        raise TermselError("coordinateConversionList has no polynomials in the order of time")
+    return tuple(found)
+
+
+def _bursts(root: ElementTree.Element, start: float, lines: int) -> tuple[Burst, ...]:
+    """Return the bursts of a TOPS image."""
+    return tuple(Burst(time=_time(_text(burst, "azimuthTime")) - start, line=number * lines)
+                 for number, burst in enumerate(root.findall("swathTiming/burstList/burst")))
+
+
+def _text(element: ElementTree.Element, name: str) -> str:
+    text = element.findtext(name)
+    if text is None:
+        raise TermselError(f"the element {name} is missing")
+    return text.strip()
+
+
+def _number(element: ElementTree.Element, name: str) -> float:
+    return _as_number(name, _text(element, name))
+
+
+def _as_number(name: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise TermselError(f"the element {name} has {text[:40]!r}, which is no number")
+    return value
+
+
+def _time(text: str) -> float:
+    """Return a time such as 2021-04-01T05:26:23.794457 as seconds from the epoch."""
+    try:
+        return (datetime.fromisoformat(text.removesuffix("Z")) - EPOCH).total_seconds()
+    except (ValueError, TypeError) as error:
+        raise TermselError(f"{text[:40]!r} is no time") from error
+
+
+def _nested(values: FloatArray) -> Any:
+    """Return an array as tuples of numbers."""
+
+    def frozen(value: float | Sequence[Any]) -> Any:
+        return tuple(frozen(part) for part in value) if isinstance(value, list) else value
+
+    return frozen(np.asarray(values).tolist())
