@@ -389,7 +389,7 @@ def test_the_image_lies_below_the_residuals(searched: Path, call: Call, tmp_path
 def test_the_drawing_library_is_put_together_once(
         tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made = list[str]()
-    monkeypatch.setattr("vl_convert.javascript_bundle",
+    monkeypatch.setattr(library, "bundle",
                         lambda snippet: made.append(snippet) or "draw('</script>é\r\n')")
     monkeypatch.setattr(library, "_KEPT", tmp_path / "kept")
 

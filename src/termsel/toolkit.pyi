@@ -167,6 +167,7 @@ from .runs.task.request import DATA_OPTIONS as DATA_OPTIONS
 from .runs.task.request import Request as Request
 from .runs.task.request import Setup as Setup
 from .runs.task.task import prepared as prepared
+from .simulate.kept import kept_features as kept_features
 from .solvers.bridges.chance import OwnChance as OwnChance
 from .solvers.bridges.pareto import OPTIONS as OPTIONS
 from .solvers.bridges.pareto import Nsga2 as Nsga2

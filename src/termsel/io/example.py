@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from termsel.files.atomic import new_folder
+from termsel.files.atomic import new_folder, write_text
 from termsel.files.rasters import require_rasterio, tiff_bytes
 from termsel.formats.readers.csv_tables import table_text, write_lines_csv, write_points_csv
-from termsel.formats.rpc_files import write_rpc
 from termsel.measurements.coordinates.crs import transformation
 from termsel.measurements.features import FloatArray, Lines, Points
 from termsel.simulate.example import (
@@ -27,9 +26,9 @@ from termsel.simulate.example import (
     corners,
     picture_and_points,
     terrain,
-    vendor_rpc,
 )
-from termsel.simulate.scenes import scene_truth, simulate_scene
+from termsel.simulate.kept import kept_features, kept_text
+from termsel.simulate.scenes import scene_truth
 
 README = "README.txt"
 
@@ -96,7 +95,7 @@ def _scene(folder: Path) -> Points:
     heights = terrain()(place).reshape(n, n).astype(np.float32)
     _write_map(folder / "dem.tif", heights, west, north, step, "EPSG:4326")
     write_points_csv(points, folder / "gcps.csv", CRS)
-    write_rpc(vendor_rpc(), folder / "vendor.RPB")
+    write_text(folder / "vendor.RPB", kept_text("vendor.RPB"))
     return points
 
 
@@ -160,7 +159,8 @@ def _places(folder: Path) -> None:
 
 def _control_features(folder: Path) -> None:
     """Write points, lines and areas of the scene ikonos-hamedan."""
-    scene, truth = simulate_scene("ikonos-hamedan"), scene_truth("ikonos-hamedan")
+    scene = kept_features("termsel.simulate", "ikonos-hamedan")
+    truth = scene_truth("ikonos-hamedan")
     write_points_csv(scene.points, folder / "points.csv", CRS)
     write_lines_csv(scene.lines, folder / "lines.csv", CRS)
     _roads(folder, scene.lines)
@@ -189,7 +189,7 @@ def _roads(folder: Path, lines: Lines) -> None:
 def _batch(folder: Path) -> None:
     folder.mkdir()
     for i in range(1, 6):
-        points = simulate_scene("spot-isfahan", seed=i, n_points=30, n_lines=0).points
+        points = kept_features("termsel.simulate", f"image-{i}").points
         image = points.image.round(2)
         if i == 3:
             image[4] += (-40.0, 25.0)

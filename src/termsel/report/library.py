@@ -10,6 +10,7 @@ from pathlib import Path
 
 from termsel.errors import TermselError, requires
 from termsel.files.atomic import write_bytes
+from termsel.report.pictures import bundle
 from termsel.report.theme import require_altair
 from termsel.version import __version__
 
@@ -33,13 +34,13 @@ def library() -> str:
     """
     require_altair()
     with requires("pages require", "vl-convert-python", '"termsel[report]"'):
-        from vl_convert import javascript_bundle
+        import vl_convert  # noqa: F401 (what another process imports)
     kept = _KEPT / f"{EMBED}-{version('vl-convert-python')}-{__version__}.js"
     with suppress(OSError):
         checksum, _, data = kept.read_bytes().partition(b"\n")
         if checksum == _checksum(data):
             return data.decode()
-    text = javascript_bundle(f"window.{EMBED} = vegaEmbed;").replace(
+    text = bundle(f"window.{EMBED} = vegaEmbed;").replace(
         "</script", "<\\/script")
     with suppress(OSError, TermselError):
         _KEPT.mkdir(exist_ok=True)

@@ -17,6 +17,7 @@ _DRAWING = """
 import os, pickle, signal, sys
 signal.signal(signal.SIGINT, signal.SIG_IGN)
 questions, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
+os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # a trace of compiled code tells a user nothing
 os.dup2(2, 1)
 import vl_convert
 while True:
@@ -25,7 +26,8 @@ while True:
     except EOFError:
         break
     try:
-        drawn = getattr(vl_convert, f"vegalite_to_{suffix}")(spec, **more)
+        name = "javascript_bundle" if suffix == "js" else f"vegalite_to_{suffix}"
+        drawn = getattr(vl_convert, name)(spec, **more)
         answer = drawn.encode() if isinstance(drawn, str) else drawn
     except ValueError as error:
         answer = str(error)
@@ -71,6 +73,24 @@ def picture(chart: Any, suffix: str) -> bytes:
     if isinstance(drawn, str):
         raise _undrawn(next((line for line in map(str.strip, drawn.splitlines()) if line), drawn))
     return bytes(drawn)
+
+
+def bundle(snippet: str) -> str:
+    """Return the library that draws charts in a browser, with a line of its own at the end.
+
+    Raises
+    ------
+    TermselError
+        If the library vl-convert fails or ends, as for lack of memory.
+    """
+    try:
+        made = _helper().ask(("js", snippet, {}))
+    except ProcessEndedError:
+        made = "a fault of compiled code, or out of memory"
+    if isinstance(made, str):
+        raise TermselError(f"the library vl-convert cannot make what draws charts: {made[:200]}",
+                           hint="Tables and records are complete without it.")
+    return bytes(made).decode()
 
 
 def _undrawn(why: str) -> TermselError:

@@ -28,6 +28,7 @@ from termsel.measurements.features import (
 )
 from termsel.measurements.roles import ASSIGNABLE
 from termsel.simulate.catalogue import OTHERS, SCENES, Scene
+from termsel.simulate.kept import kept_features
 from termsel.simulate.orbit import pushbroom_at
 from termsel.simulate.pushbroom import Angle, Pushbroom
 from termsel.simulate.terrain import Terrain, hilly
@@ -336,5 +337,6 @@ def _displaced(image: FloatArray, rng: Generator, wrong: int) -> FloatArray:
 
 
 DATASETS, FURTHER = (tuple(
-    DatasetSpec(scene.name, scene.summary, partial(simulate_scene, scene.name), simulated=True)
+    DatasetSpec(scene.name, scene.summary, partial(kept_features, "termsel.simulate", scene.name),
+                simulated=True)
     for scene in scenes.values()) for scenes in (SCENES, OTHERS))

@@ -40,12 +40,13 @@ def block(file: Path, folder: Path, overwrite: bool, as_json: bool, verbose: boo
     """
     import msgspec
 
-    from termsel.toolkit import share_bar
+    from termsel.toolkit import share_bar, show_messages
     from termsel_block.files.block_file import read_block
     from termsel_block.files.folders import SUMMARY, claim, write_block
     from termsel_block.joint import adjust
     from termsel_block.shown.summary import text_of
 
+    show_messages()
     read = read_block(file)
     claim(folder, [image.name for image in read.images], overwrite=overwrite, reads=[
         file, *read.files])

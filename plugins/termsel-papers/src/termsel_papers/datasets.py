@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from termsel import DatasetSpec, simulate_scene
+from termsel.toolkit import kept_features
 
 _INDEPENDENT = 100
 """Points in addition to those of the papers, which tell the accuracy."""
@@ -20,10 +21,16 @@ _COUNTS = (
 )
 """Scene, control points, check points, and where these numbers are from."""
 
+SIMULATED = {
+    f"{scene}-{control}-{check}":
+        partial(simulate_scene, scene, roles=(control, check, _INDEPENDENT), n_lines=0)
+    for scene, control, check, _ in _COUNTS}
+"""What simulates each scene, by its name; the package keeps what came of it."""
+
 DATASETS = [
     DatasetSpec(f"{scene}-{control}-{check}",
                 f"simulated scene {scene}: {control} control and {check} check points as in "
                 f"{source}; {_INDEPENDENT} independent ones",
-                partial(simulate_scene, scene, roles=(control, check, _INDEPENDENT), n_lines=0),
+                partial(kept_features, "termsel_papers", f"{scene}-{control}-{check}"),
                 simulated=True)
     for scene, control, check, source in _COUNTS]

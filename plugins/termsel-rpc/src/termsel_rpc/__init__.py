@@ -9,9 +9,11 @@ imagery using SIFT and genetic algorithm. PE&RS 82(5), 377-388.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 from typing import TYPE_CHECKING
 
 from termsel import DatasetSpec, hookimpl
+from termsel.toolkit import kept_features
 from termsel_rpc.correction import CANDIDATES as CORRECTIONS
 from termsel_rpc.image_space import RpcAffine, RpcDrift, RpcShift
 from termsel_rpc.jitter import CANDIDATE as JITTERED
@@ -61,8 +63,9 @@ def termsel_datasets() -> Iterable[DatasetSpec]:
     return [DatasetSpec(
         CANDIDATES, "simulated IKONOS scene of Hamedan, 1 m: 240 points; of 160 for control and "
                     "check 40 are inexact and 24 blunders (after Konugurthi et al. "
-                    "2016)", candidates,
+                    "2016)", partial(kept_features, "termsel_rpc", CANDIDATES),
         simulated=True), DatasetSpec(
         MATCHES, "simulated Cartosat-1 scene, 2.5 m: 100 points of image matching, 30 of them "
-                 "wrong (after Konugurthi et al. 2016); 100 independent ones", matches,
+                 "wrong (after Konugurthi et al. 2016); 100 independent ones",
+        partial(kept_features, "termsel_rpc", MATCHES),
         simulated=True)]

@@ -90,16 +90,22 @@ def write(study: Study, out: Path) -> list[Path]:
     """Write the tables and charts of a study into its folder, and return which files were written.
 
     summary.md and summary.tex are tables for people; report.html is a page of tables and charts,
-    and figures/ has the charts, where altair is installed.
+    and figures/ has the charts, where altair is installed. Tables come first: what cannot be drawn
+    is told by a warning, and takes nothing else along.
     """
-    pages = {"summary.md": markdown(study), "summary.tex": latex(study)}
+    written = []
+    for name, text in {"summary.md": markdown(study), "summary.tex": latex(study)}.items():
+        write_text(out / name, text)
+        written.append(out / name)
     drawn = find_spec("altair") and find_spec("vl_convert")
     charts = figures_of(study) if drawn else []
     if drawn:
-        pages[REPORT] = report(study, charts)
-    for name, text in pages.items():
-        write_text(out / name, text)
-    written = [out / name for name in pages]
+        try:
+            write_text(out / REPORT, report(study, charts))
+            written.append(out / REPORT)
+        except (TermselError, MemoryError) as error:
+            why = error.what if isinstance(error, TermselError) else "out of memory"
+            log.warning("Warning: %s is missing: %s.", out / REPORT, why.rstrip("."))
     for one in charts:
         path = out / "figures" / f"{one.name}.svg"
         path.parent.mkdir(exist_ok=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import logging
 import os
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, replace
@@ -22,6 +23,8 @@ from termsel_block.joint import BlockResult
 from termsel_block.shown.page import page_of
 from termsel_block.shown.record import BlockRecord, correction_of, record_of, schema, times_seen
 from termsel_block.shown.summary import text_of
+
+log = logging.getLogger("termsel.block")
 
 RECORD, SUMMARY, PAGE, TIES, SCHEMA_FILE = (
     "block.json", "summary.txt", "report.html", "ties.csv", "block.schema.json")
@@ -93,6 +96,11 @@ def write_block(result: BlockResult, folder: Path | str, *, overwrite: bool = Fa
     ------
     TermselError
         As `claim`, or if a file cannot be written. Then nothing has changed.
+
+    Notes
+    -----
+    Numbers come first: report.html is drawn once they are in the folder. Pictures that cannot be
+    drawn, and a page that cannot be written, are told by warnings.
     """
     folder = Path(folder)
     names = [image.name for image in result.block.images]
@@ -105,12 +113,24 @@ def write_block(result: BlockResult, folder: Path | str, *, overwrite: bool = Fa
             if progress is not None:
                 progress((i + 1) / len(names))
         for file, text in {
-                TIES: ties_csv(result), SUMMARY: text_of(record), PAGE: page_of(result, record),
+                TIES: ties_csv(result), SUMMARY: text_of(record),
                 SCHEMA_FILE: json.dumps(schema(), indent=1) + "\n",
                 RECORD: msgspec.json.format(msgspec.json.encode(record), indent=1).decode() + "\n",
                 }.items():
             write_text(made / file, text)
+    _write_page(result, record, folder / PAGE)
     return record
+
+
+def _write_page(result: BlockResult, record: BlockRecord, path: Path) -> None:
+    """Write the page of a block whose numbers are there; a page that cannot be is left out."""
+    try:
+        write_text(path, page_of(result, record))
+    except (TermselError, MemoryError) as error:
+        why = error.what if isinstance(error, TermselError) else "out of memory"
+        log.warning("Warning: %s is missing: %s. All else is there.", path, why.rstrip("."))
+        if not path.is_symlink():  # that of the block before
+            path.unlink(missing_ok=True)
 
 
 def image_result(result: BlockResult, i: int, record: BlockRecord) -> Result:

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import html
+import logging
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from termsel.toolkit import picture
+from termsel import TermselError
+from termsel.toolkit import picture, require_altair
 from termsel_block.geometry.frame import FloatArray, IntArray
 from termsel_block.joint import BlockResult
 from termsel_block.shown.record import BlockRecord, WrongControl, WrongTie, times_seen
 from termsel_block.shown.summary import opening, reason_of
+
+log = logging.getLogger("termsel.block")
 
 _STYLE = """
 :root { color-scheme: light dark; --text: #1c2024; --page: #fff; --rule: #c9ced4; }
@@ -34,20 +40,21 @@ _LISTED = 50  # measurements left out that the page names
 
 
 def page_of(result: BlockResult, record: BlockRecord) -> str:
-    """Return the page: summary, images, footprints with ties, residuals, and uncertainty."""
-    pictures = [
+    """Return the page: summary, images, footprints with ties, residuals, and uncertainty.
+
+    A picture that cannot be drawn is left out, which the page and a warning say.
+    """
+    pictures: list[tuple[str, str, Callable[[], str]]] = [
         ("Footprints, ties and control", "Each dot is a tie; its colour is the standard deviation "
          f"of its height{_some(result)}. Triangles are control. Outlines are drawn around the ties "
-         "of each image.", _map(result)),
+         "of each image.", partial(_map, result)),
         ("Residuals and uncertainty by image", "The RMSE of the ties in each image, and the RMSE "
          "that is predicted for points measured as the control is, over the area of these ties. "
-         f"The least certain image comes first{_first(record)}.", _bars(record)),
+         f"The least certain image comes first{_first(record)}.", partial(_bars, record)),
         ("Residuals by tie", "Number of measurements by their distance from the model. Those more "
          "than four standard deviations off in line or in sample are left out.",
-         _residuals(result))]
-    figures = "".join(
-        f"<section><h2>{title}</h2><figure><div>{svg}</div><figcaption>{text}</figcaption>"
-        "</figure></section>" for title, text, svg in pictures)
+         partial(_residuals, result))]
+    figures = "".join(_figure(*one) for one in pictures)
     rows = "".join(
         f"<tr><th scope=row>{html.escape(image.name)}</th><td>{image.model}</td>"
         f"<td>{image.control}</td><td>{image.ties}</td><td>{image.rmse_ties:.2f}</td>"
@@ -65,6 +72,17 @@ def page_of(result: BlockResult, record: BlockRecord) -> str:
             "</tbody></table></div><p>Predicted is the RMSE of points measured as the control is, "
             "at the places of the independent points, or of the ties where there are none.</p>"
             f"</section>{figures}{_left_out(record)}</main></body></html>\n")
+
+
+def _figure(title: str, text: str, draw: Callable[[], str]) -> str:
+    """Return a picture with its title and what it shows, or why it could not be drawn."""
+    try:
+        require_altair()
+        shown = f"<div>{draw()}</div><figcaption>{text}</figcaption>"
+    except TermselError as error:
+        log.warning("Warning: the page lacks the picture %r: %s.", title, error.what.rstrip("."))
+        shown = f"<figcaption>This picture is missing: {html.escape(error.what)}.</figcaption>"
+    return f"<section><h2>{title}</h2><figure>{shown}</figure></section>"
 
 
 def _first(record: BlockRecord) -> str:

@@ -1,0 +1,49 @@
+"""Compute the simulated data sets that are kept as files.
+
+``python -m benchmarks.embedded`` in a clone writes them anew, as after a change of a scene: all figures
+of the documentation that are made of these scenes change with them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from termsel import FeatureSet, simulate_scene
+from termsel.formats.rpc_files import write_rpc
+from termsel.simulate.catalogue import OTHERS, SCENES
+from termsel.simulate.example import vendor_rpc
+from termsel.simulate.kept import FOLDER, to_keep
+from termsel_papers.datasets import SIMULATED
+from termsel_rpc.simulated import CANDIDATES, MATCHES, candidates, matches
+
+ROOT = Path(__file__).parents[1]
+CORE = ROOT / "src" / "termsel" / "simulate" / FOLDER
+PLUGINS = ROOT / "plugins"
+
+
+def computed() -> Iterator[tuple[Path, FeatureSet]]:
+    """Yield every data set, as this processor computes it, and the file that keeps it."""
+    for name in (*SCENES, *OTHERS):
+        yield CORE / f"{name}.json", simulate_scene(name)
+    for i in range(1, 6):
+        yield CORE / f"image-{i}.json", simulate_scene(
+            "spot-isfahan", seed=i, n_points=30, n_lines=0)
+    papers = PLUGINS / "termsel-papers" / "src" / "termsel_papers" / FOLDER
+    for name, simulated in SIMULATED.items():
+        yield papers / f"{name}.json", simulated()
+    rpc = PLUGINS / "termsel-rpc" / "src" / "termsel_rpc" / FOLDER
+    yield rpc / f"{CANDIDATES}.json", candidates()
+    yield rpc / f"{MATCHES}.json", matches()
+
+
+def main() -> None:
+    """Write all."""
+    for path, features in computed():
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(to_keep(features))
+    write_rpc(vendor_rpc(), CORE / "vendor.RPB")
+
+
+if __name__ == "__main__":
+    main()

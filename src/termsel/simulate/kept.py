@@ -1,0 +1,72 @@
+"""Simulated features that are kept as files, with all their digits.
+
+A scene that is computed anew differs in its last bits from one kind of processor to the next, and
+so would the cells of a study, the files of ``termsel example`` and the optimum of a search. The
+embedded data sets are therefore read; ``python -m benchmarks.embedded`` computes and writes them.
+"""
+
+from __future__ import annotations
+
+from importlib.resources import files
+
+import msgspec
+import numpy as np
+
+from termsel.measurements.features import FeatureSet, Lines, Points
+
+FOLDER = "kept"
+"""Folder of the files in the package that has them."""
+
+
+class _Points(msgspec.Struct, frozen=True):
+    ids: list[str]
+    roles: list[str]
+    image: list[tuple[float, float]]
+    ground: list[tuple[float, float, float]]
+
+
+class _Lines(msgspec.Struct, frozen=True):
+    ids: list[str]
+    image: list[tuple[tuple[float, float], tuple[float, float]]]
+    ground: list[tuple[tuple[float, float, float], tuple[float, float, float]]]
+
+
+class _Features(msgspec.Struct, frozen=True):
+    crs: str
+    image_size: tuple[int, int]
+    noise: float
+    points: _Points
+    lines: _Lines
+
+
+def kept_features(package: str, name: str) -> FeatureSet:
+    """Return the features that a package keeps by a name."""
+    content = (files(package) / FOLDER / f"{name}.json").read_bytes()
+    kept = msgspec.json.decode(content, type=_Features)
+    points, lines = kept.points, kept.lines
+    return FeatureSet(
+        Points(tuple(points.ids), np.array(points.image).reshape(-1, 2),
+               np.array(points.ground).reshape(-1, 3), None, tuple(points.roles)),
+        Lines(tuple(lines.ids), np.array(lines.image).reshape(-1, 2, 2),
+              np.array(lines.ground).reshape(-1, 2, 3)),
+        kept.crs, kept.image_size, kept.noise)
+
+
+def kept_text(name: str) -> str:
+    """Return a text that this package keeps, such as an RPC."""
+    return (files("termsel.simulate") / FOLDER / name).read_text("utf-8")
+
+
+def to_keep(features: FeatureSet) -> bytes:
+    """Return what `kept_features` reads: every number with all its digits, a feature a line."""
+    points, lines = features.points, features.lines
+    assert features.image_size is not None
+    assert features.noise is not None
+    assert features.rpc is None
+    assert points.sigma is None
+    ground = np.where(np.isnan(points.ground), 0.0, points.ground)
+    kept = _Features(
+        features.crs, features.image_size, features.noise,
+        _Points(list(points.ids), list(points.roles), points.image.tolist(), ground.tolist()),
+        _Lines(list(lines.ids), lines.image.tolist(), lines.ground.tolist()))
+    return msgspec.json.encode(kept) + b"\n"
