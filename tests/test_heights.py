@@ -139,7 +139,7 @@ def test_points_without_a_height_are_all_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("raster", "ground", "datum"), [
     ("EPSG:32631", "EPSG:4979", "not declared by the raster"),
-    ("EPSG:32631+3855", "EPSG:32631", "EGM2008 height"),
+    ("EPSG:32631+3855", "EPSG:32631+3855", "EGM2008 height"),
     ("EPSG:4979", "EPSG:4979", "ellipsoidal (WGS 84)"),
     ("EPSG:4979", "EPSG:4326", "ellipsoidal (WGS 84)")])
 def test_vertical_datum_is_stated(tmp_path: Path, raster: str, ground: str, datum: str) -> None:
@@ -153,7 +153,7 @@ def test_vertical_datum_is_stated(tmp_path: Path, raster: str, ground: str, datu
 def test_datums_that_differ_are_refused(tmp_path: Path) -> None:
     path = dem(tmp_path / "dem.tif", planar(30, 20), "EPSG:32631+3855")
     with pytest.raises(TermselError, match=r"are EGM2008 height, those of the ground coordinates "
-                                           r"ellipsoidal \(WGS 84\)"), \
+                                           r"are ellipsoidal \(WGS 84\)"), \
             open_dem(path, "EPSG:4979"):
         pass
 
@@ -161,11 +161,11 @@ def test_datums_that_differ_are_refused(tmp_path: Path) -> None:
 def test_rasters_that_are_no_dem(tmp_path: Path) -> None:
     good = dem(tmp_path / "dem.tif", planar(5, 5))
     no_crs = dem(tmp_path / "nocrs.tif", planar(5, 5), None)
-    feet = dem(tmp_path / "feet.tif", planar(5, 5), units=("ft",))
+    fathoms = dem(tmp_path / "fathoms.tif", planar(5, 5), units=("fathom",))
     broken = tmp_path / "broken.tif"
     broken.write_bytes(good.read_bytes()[:60])
     for path, crs, words in [(no_crs, "EPSG:32631", "not georeferenced"),
-                             (feet, "EPSG:32631", "is in ft"),
+                             (fathoms, "EPSG:32631", "is in fathom"),
                              (good, "local", "only to ground coordinates with a CRS"),
                              (broken, "EPSG:32631", "GDAL cannot read"),
                              (tmp_path / "none.tif", "EPSG:32631", "none.tif")]:

@@ -62,6 +62,7 @@ from .formats.deviation import places_of as places_of
 from .formats.deviation import say_deviation as say_deviation
 from .formats.deviation import say_measured as say_measured
 from .formats.deviation import say_nearest as say_nearest
+from .formats.heights import say_difference as say_difference
 from .formats.heights import surface_of as surface_of
 from .formats.readers.table import Table as Table
 from .formats.readers.table import is_number as is_number

@@ -260,7 +260,9 @@ def test_an_rpc_of_another_place_is_named_and_not_used(data_folder: Path) -> Non
 
 def test_an_rpc_of_another_image_of_the_place_is_named() -> None:
     rpc = read_rpc(RPC_FILE)
-    far = replace(rpc, image_offset=(rpc.image_offset[0] + 9000.0, rpc.image_offset[1]))
+    line, sample = rpc.image_offset
+    lines, samples = rpc.image_scale
+    far = replace(rpc, image_offset=(line + 9000.0, sample), image_scale=(-lines, -samples))
     result = termsel.run(features=replace(scene(5), rpc=far))
     assert any("more than half of its image" in note for note in result.notes)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,23 +13,40 @@ import numpy as np
 
 from termsel.errors import GIS, TermselError, first_of, printable, requires
 from termsel.files.rasters import open_raster, positions
-from termsel.measurements.coordinates.crs import LOCAL, vertical_datum
+from termsel.formats.vertical import (
+    Heights,
+    metres_of_band,
+    said,
+    to_datum_of,
+    with_declared_datum,
+)
+from termsel.measurements.coordinates.crs import LOCAL, to_wgs84
 from termsel.measurements.coordinates.longitudes import nearest
+from termsel.measurements.coordinates.metres import height_unit
+from termsel.measurements.dem_difference import DemDifference, dem_difference
 from termsel.measurements.features import FeatureSet, FloatArray
 
 log = logging.getLogger(__name__)
 
+Projection = Callable[[FloatArray], FloatArray]
+"""Line and sample (n, 2) of ground places (n, 3)."""
+
 _TILE = 1024  # pixels read at once along either side
-_METRES = frozenset({"", "m", "metre", "metres", "meter", "meters"})
+_AROUND = 2  # further pixels on each side of a part
+_NODATA = -1e10
 _PLACED = "Give a raster in a geographic or projected CRS of the Earth."
 
 
 @dataclass(frozen=True, eq=False)
 class Dem:
-    """Heights of the ground, in metres, by bilinear interpolation in an open raster.
+    """Heights of the ground by bilinear interpolation in an open raster.
+
+    They are in the unit and refer to what the CRS of the ground coordinates says.
 
     `to_raster` is a pyproj.Transformer from ground coordinates to the raster's; `datum` says what
-    the heights refer to; `turns` whether the raster's x is a longitude, the same after a full turn.
+    the heights refer to; `turns` whether the raster's x is a longitude, the same after a full turn;
+    `crs` is that of the ground coordinates; `unit` is the raster's [m]; `to_datum` converts its
+    heights in metres to those of the ground coordinates, where they differ.
     """
 
     path: Path
@@ -37,13 +54,33 @@ class Dem:
     to_raster: Any
     datum: str
     turns: bool
+    crs: str
+    unit: float = 1.0
+    to_datum: Heights | None = None
+
+    @property
+    def is_as_stored(self) -> bool:
+        """Whether the raster's own numbers are the heights [m]."""
+        return self.unit == 1.0 and self.to_datum is None
 
     def __call__(self, xy: FloatArray) -> FloatArray:
         """Return heights, shape (n,), of x and y, shape (n, 2); NaN where there are none."""
         x, y = self.to_raster.transform(*np.asarray(xy, dtype=np.float64).T)
         if self.turns:
             x = nearest(np.asarray(x), (self.raster.bounds.left + self.raster.bounds.right) / 2)
-        place = positions(self.raster, np.asarray(x), np.asarray(y))
+        x, y = np.asarray(x), np.asarray(y)
+        return self.converted(x, y, self._interpolated(x, y))
+
+    def converted(self, x: FloatArray, y: FloatArray, heights: FloatArray) -> FloatArray:
+        """Return the raster's own heights at its x and y as those of the ground coordinates."""
+        metres = heights * self.unit
+        if self.to_datum is not None:
+            metres = self.to_datum(np.column_stack([x, y, metres]))
+        return np.asarray(metres / height_unit(self.crs))
+
+    def _interpolated(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Return the raster's own heights at its x and y."""
+        place = positions(self.raster, x, y)
         size = np.array(self.raster.shape)
         heights = np.full(len(place), np.nan)
         inside = np.flatnonzero(((place >= -0.5) & (place <= size - 0.5)).all(axis=1))
@@ -57,13 +94,28 @@ class Dem:
                                               - tile * _TILE, place[some] - first[some])
         return heights
 
+    def ellipsoidal(self, window: Any) -> FloatArray:
+        """Return ellipsoidal heights [m] of the pixels of a window."""
+        rows, columns = np.mgrid[:window.height, :window.width] + 0.5
+        x, y = self.raster.transform @ (columns.ravel() + window.col_off,
+                                        rows.ravel() + window.row_off)
+        heights = self.converted(x, y, self._read(window).ravel())
+        ground = np.column_stack([*self.to_raster.transform(x, y, direction="INVERSE"), heights])
+        known = np.isfinite(ground).all(axis=1)
+        heights[known] = to_wgs84(self.crs)(ground[known])[:, 2]
+        heights[~known] = np.nan
+        return heights.reshape(window.height, window.width)
+
     def _pixels(self, start: Any) -> FloatArray:
         """Return the heights of a tile, the next row and column; NaN for none and infinite."""
         from rasterio.windows import Window
 
         row, column = (int(i) for i in start)
-        window = Window(column, row, min(_TILE + 1, self.raster.width - column),
-                        min(_TILE + 1, self.raster.height - row))
+        return self._read(Window(column, row, min(_TILE + 1, self.raster.width - column),
+                                 min(_TILE + 1, self.raster.height - row)))
+
+    def _read(self, window: Any) -> FloatArray:
+        """Return the raster's own heights in a window; NaN for none and infinite."""
         with np.errstate(all="ignore"):  # of bytes that are no numbers, and numbers near the limit
             values = self.raster.read(1, window=window, masked=True).astype(np.float64)
             heights = values.filled(np.nan) * self.raster.scales[0] + self.raster.offsets[0]
@@ -90,14 +142,16 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
     ----------
     path : pathlib.Path
     crs : str
-        Of the ground coordinates. Only x and y are transformed; heights stay as they are.
+        Of the ground coordinates. Heights are converted to its unit, and to its vertical datum
+        where the raster declares another one; without a vertical axis it has ellipsoidal heights
+        in metres.
 
     Raises
     ------
     TermselError
         If rasterio or pyproj is not installed; if the raster cannot be read, has no
-        CRS, no geotransform, several bands or another unit than metres; if its vertical datum
-        and that of `crs` are known and differ; if `crs` is "local".
+        CRS, no geotransform, several bands or another unit than metres and feet; if PROJ lacks the
+        grid that converts its heights; if `crs` is "local".
     """
     if crs == LOCAL:
         raise TermselError("a raster gives heights only to ground coordinates with a "
@@ -110,11 +164,9 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
         if raster.crs is None or raster.transform.is_identity:
             raise TermselError("this raster is not georeferenced", file=path,
                                hint="Give a raster with a geotransform and a CRS.")
-        unit = (raster.units[0] or "").lower()
-        if raster.count != 1 or unit not in _METRES:
-            what = f"has {raster.count} bands" if raster.count != 1 else f"is in {unit}"
-            raise TermselError(f"this raster {what}, expected one band of heights in metres",
-                               file=path, hint="Convert it, for example with gdal_translate.")
+        if raster.count != 1:
+            raise TermselError(f"this raster has {raster.count} bands, expected one of heights",
+                               file=path, hint="Choose one, for example with gdal_translate -b.")
         try:
             own = CRS.from_user_input(raster.crs.to_wkt())
             to_raster = Transformer.from_crs(CRS.from_user_input(crs).to_2d(), own.to_2d(),
@@ -125,15 +177,44 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
         if not (own.is_geographic or own.is_projected):
             raise TermselError(f"the CRS of this raster, {own.name}, has no horizontal coordinates",
                                file=path, hint=_PLACED)
-        datum, stated = vertical_datum(own), vertical_datum(CRS.from_user_input(crs))
-        if datum and stated and datum != stated:
-            raise TermselError(
-                f"the heights of this raster are {datum}, those of the ground coordinates {stated}",
-                file=path, hint="termsel does not convert heights. Give a raster with the same "
-                                "heights, or run the selection with a CRS of the control without "
-                                "a vertical datum, such as EPSG:4326.")
-        yield Dem(path, raster, to_raster, datum or "not declared by the raster",
-                  own.is_geographic)
+        own = with_declared_datum(raster, own, path)
+        unit = metres_of_band(raster, own, path)
+        to_datum = to_datum_of(crs, own, path)
+        yield Dem(path, raster, to_raster, said(own, to_datum is not None, crs), own.is_geographic,
+                  crs, unit, to_datum)
+
+
+def write_ellipsoidal(surface: Dem, path: Path, bounds: tuple[float, float, float, float],
+                      crs: str) -> None:
+    """Write the part of a raster within bounds in a CRS, as ellipsoidal heights in metres.
+
+    They are those that the ground coordinates have there, on the pixels of the raster.
+    """
+    import rasterio
+    from rasterio.errors import WindowError
+    from rasterio.warp import transform_bounds
+    from rasterio.windows import Window, from_bounds
+
+    raster = surface.raster
+    whole = Window(0, 0, raster.width, raster.height)
+    inside = from_bounds(*transform_bounds(crs, raster.crs, *bounds, densify_pts=21),
+                         transform=raster.transform)
+    first = np.floor([inside.row_off, inside.col_off]).astype(int) - _AROUND
+    last = np.ceil([inside.row_off + inside.height, inside.col_off + inside.width]).astype(int)
+    try:
+        part = Window.from_slices(*(slice(max(low, 0), max(high + _AROUND, 1)) for low, high in
+                                    zip(first, last, strict=True))).intersection(whole)
+    except WindowError:  # none of the map has heights
+        part = Window(0, 0, 1, 1)
+    profile = {"driver": "GTiff", "count": 1, "dtype": "float32", "nodata": _NODATA,
+               "tiled": True, "crs": raster.crs, "width": part.width, "height": part.height,
+               "transform": raster.window_transform(part)}
+    with rasterio.open(path, "w", **profile) as written:
+        for _, block in written.block_windows():
+            heights = surface.ellipsoidal(Window(block.col_off + part.col_off,
+                                                 block.row_off + part.row_off, block.width,
+                                                 block.height))
+            written.write(np.nan_to_num(heights, nan=_NODATA).astype(np.float32), 1, window=block)
 
 
 def surface_of(dem: Path | str | None, crs: str, height: float,
@@ -142,11 +223,41 @@ def surface_of(dem: Path | str | None, crs: str, height: float,
     return nullcontext(height) if dem is None else open_dem(Path(dem), crs)
 
 
+def difference_of(features: FeatureSet, surface: Dem) -> DemDifference | None:
+    """Return how far a raster is above the known heights of features that take part."""
+    ground = features.ground_vertices()
+    off = {name for name, role in zip(features.points.ids, features.points.roles, strict=True)
+           if role == "off"}
+    owners = np.array(features.ids, dtype=object)[features.vertex_feature]
+    known = np.isfinite(ground[:, 2]) & ~np.isin(owners, list(off))
+    unit = height_unit(features.crs)
+    return dem_difference(ground[known, 2] * unit, surface(ground[known, :2]) * unit,
+                          printable(surface.path.name))
+
+
+def pixels_of(difference: DemDifference, features: FeatureSet, project: Projection) -> float:
+    """Return by how much places of control move in the image where all heights change so [px]."""
+    ground = features.ground_vertices()
+    ground = ground[np.isfinite(ground).all(axis=1)]
+    with np.errstate(all="ignore"):
+        rise = np.array([0.0, 0.0, difference.above / height_unit(features.crs)])
+        moved = np.linalg.norm(project(ground + rise) - project(ground), axis=1)
+    return float(np.nanmedian(moved)) if np.isfinite(moved).any() else 0.0
+
+
+def say_difference(features: FeatureSet, project: Projection, surface: Dem | float) -> None:
+    """Warn where a raster contradicts the heights of control, with what it does to a map."""
+    difference = difference_of(features, surface) if isinstance(surface, Dem) else None
+    if difference is not None and difference.contradicts:
+        log.warning("Warning: %s", difference.sentence(pixels_of(difference, features, project)))
+
+
 def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
-    """Return the features with unknown heights [m] from a raster; `heights` says which datum."""
+    """Return the features with unknown heights from a raster; `heights` says which datum."""
     ground = features.ground_vertices()
     unknown = np.isnan(ground[:, 2])
     with open_dem(dem, features.crs) as surface:
+        difference = difference_of(features, surface)
         ground[unknown, 2] = surface(ground[unknown, :2])
         datum = surface.datum
     gone = np.isnan(ground[:, 2])
@@ -162,6 +273,6 @@ def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
                  f"vertical datum: {datum}")
     log.info("Heights: %s.", statement)
     return replace(
-        features, heights=statement,
+        features, heights=statement, dem_difference=difference,
         points=replace(features.points, ground=ground[:n]),
         lines=replace(features.lines, ground=ground[n:].reshape(-1, 2, 3)))

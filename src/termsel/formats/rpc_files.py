@@ -13,6 +13,7 @@ from termsel.files.atomic import write_text
 from termsel.files.rasters import open_raster
 from termsel.formats.base import is_utf16, located, read_head, read_text
 from termsel.measurements.features import FeatureSet
+from termsel.models.image_part import ImagePart
 from termsel.models.rpc import N_COEFFICIENTS, Rpc
 
 RPB_NAMES = {
@@ -57,12 +58,18 @@ def read_rpc(path: Path | str) -> Rpc:
         raise (error if error.file is not None else located(error, path)) from error
 
 
-def with_rpc(features: FeatureSet, rpc: Rpc | Path | str) -> FeatureSet:
-    """Return features with the RPC of their image, and with the size of an image that has it."""
+def with_rpc(features: FeatureSet, rpc: Rpc | Path | str,
+             part: ImagePart | None = None) -> FeatureSet:
+    """Return features with the RPC of their image, and with the size of an image that has it.
+
+    The RPC may be of a larger image, of which theirs is a part.
+    """
     if isinstance(rpc, Rpc):
-        return replace(features, rpc=rpc)
+        return replace(features, rpc=rpc if part is None else part.rpc(rpc))
     path, size = Path(rpc), features.image_size
     found = read_rpc(path)
+    if part is not None:
+        return replace(features, rpc=part.rpc(found))
     head = read_head(path, "")
     if size is None and b"\0" in head and not is_utf16(head):
         with open_raster(path) as raster:

@@ -46,6 +46,12 @@ class MapGrid:
     transform: Any
 
     @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """Least x and y, and largest x and y."""
+        corner = self.transform @ (self.samples, self.lines)
+        return self.transform.c, corner[1], corner[0], self.transform.f
+
+    @property
     def unit(self) -> str:
         """Unit of x and y."""
         return _unit(self.crs)

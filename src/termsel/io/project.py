@@ -12,7 +12,7 @@ import numpy as np
 from termsel.errors import TermselError, counted, first_of
 from termsel.fits.extrapolation import FAR, outside
 from termsel.formats.base import read_once
-from termsel.formats.heights import surface_of
+from termsel.formats.heights import say_difference, surface_of
 from termsel.formats.readers.csv_tables import table_text
 from termsel.formats.readers.table import Table
 from termsel.formats.readers.tables import read_table
@@ -61,6 +61,7 @@ def project_table(
             raise TermselError("the ground position depends on the height",
                                hint="Give --dem FILE or --height H.")
         with surface_of(dem, crs, 0.0 if height is None else height) as surface:
+            say_difference(result.features, result.project, surface)
             ground = result.locate(image, surface)
         if dem is None and height is None:
             ground[:, 2] = np.nan

@@ -15,18 +15,24 @@ from termsel.errors import TermselError, counted, unknown_name
 from termsel.files.atomic import private_folder
 from termsel.files.names import is_there
 from termsel.formats.base import Reader, is_utf16, located, read_head, read_once, utf16_error
+from termsel.formats.heights import with_heights
 from termsel.formats.readers.advice import unknown_table
 from termsel.formats.rpc_files import with_rpc
+from termsel.formats.z_unit import Z_UNIT, with_z_unit
 from termsel.guard.faults import PluginFault, is_own, name_of
 from termsel.measurements.coordinates.crs import normalise
 from termsel.measurements.coordinates.earth import say_turned, unknown_crs
 from termsel.measurements.coordinates.plausible import check_ground
 from termsel.measurements.features import FeatureSet, no_lines, no_points
 from termsel.measurements.tables.columns import LINES, OPTIONAL, POINTS, columns_text
+from termsel.models.image_part import RPC_OFFSET, RPC_SCALE, ImagePart, part_of
 from termsel.models.rpc import Rpc
 from termsel.plugins.registry import built_in, registry
 
 log = logging.getLogger(__name__)
+
+READ_OPTIONS = (Z_UNIT, RPC_OFFSET, RPC_SCALE)
+"""Options of reading, whatever the format."""
 
 _NEAR = 0.76
 """Likeness, by difflib: sgima_line and roles are near a name, rule is not."""
@@ -48,6 +54,9 @@ def read(
     dem: Path | str | None = None,
     columns: str | Mapping[str, Any] | None = None,
     rpc: Rpc | Path | str | None = None,
+    z_unit: str | None = None,
+    rpc_offset: str | None = None,
+    rpc_scale: float | str | None = None,
     **options: Any,
 ) -> FeatureSet:
     """Return the control features in files of points, lines and areas.
@@ -70,6 +79,12 @@ def read(
         Which column of a table is which, by name or number: "line=Zeile,sample=4".
     rpc : Rpc or path-like, optional
         The vendor's RPC of the image: a file that `read_rpc` reads, or the image itself.
+    z_unit : {"metre", "us-ft", "ft", "crs"}, optional
+        Unit of z, where the CRS does not say it; "crs" is that of x and y.
+    rpc_offset : str, optional
+        Line and sample of the image that the RPC is of at which this image begins, "700,900" [px].
+    rpc_scale : float, optional
+        Pixels of the image that the RPC is of in one pixel of this image, along either axis.
     **options
         Options of the readers, such as `raster` of "qgis-points".
 
@@ -86,11 +101,15 @@ def read(
     if columns:
         of_readers["columns"] = columns_text(columns)
     formats = [format] if isinstance(format, str) else format
+    part = part_of(rpc_offset, rpc_scale)
+    if part is not None and rpc is None:
+        raise TermselError("rpc_offset and rpc_scale are of an RPC, and none is given",
+                           hint="Give it with --rpc FILE, or leave them out.")
     if points is not None and not isinstance(points, str | Path):
         if lines is not None or areas is not None or format:
             raise TermselError("a table in Python is read alone",
                                hint="Read files by themselves and join them with FeatureSet.with_.")
-        return _with_known(_read_frame(points, crs, of_readers), dem, rpc)
+        return _with_known(_read_frame(points, crs, of_readers), dem, rpc, z_unit, part)
     with ExitStack() as stack:
         image_lines = of_readers.get("image_lines")
         once = {Path(path): stack.enter_context(read_once(Path(path)))
@@ -102,7 +121,7 @@ def read(
             *paths[:2], areas=paths[2], crs=crs,
             readers=readers_of([path for path in paths if path is not None], formats),
             formats=formats, options=of_readers)
-    return _with_known(features, dem, rpc)
+    return _with_known(features, dem, rpc, z_unit, part)
 
 
 def parts_of(path: Path, format: str | None = None, **options: Any) -> dict[str, dict[str, Any]]:
@@ -122,22 +141,21 @@ def features_of(given: Any, crs: str | None = None,
     if not isinstance(given, str | Path):
         return read(given, crs=crs, columns=columns)
     with read_once(Path(given)) as path:
-        return read_features(
+        features = read_features(
             path, path, crs=crs, either=True,
             options={"columns": columns_text(columns)} if columns else {},
             readers=readers_of([path], ()))
+    return with_z_unit(features, None)
 
 
-def _with_known(features: FeatureSet, dem: Path | str | None,
-                rpc: Rpc | Path | str | None) -> FeatureSet:
-    """Return features with the heights of a DEM, and with an RPC."""
+def _with_known(features: FeatureSet, dem: Path | str | None, rpc: Rpc | Path | str | None,
+                z_unit: str | None, part: ImagePart | None) -> FeatureSet:
+    """Return features with an RPC, with the unit of z, and with the heights of a DEM."""
     if rpc is not None:
-        features = with_rpc(features, rpc)
-    if dem is None:
-        return features
-    from termsel.formats.heights import with_heights
-
-    return with_heights(features, Path(dem))
+        features = with_rpc(features, rpc, part)
+    path = None if dem is None else Path(dem)
+    features = with_z_unit(features, z_unit, path)
+    return features if path is None else with_heights(features, path)
 
 
 def readers_of(paths: Sequence[Path], formats: Sequence[str]) -> list[type[Reader]]:

@@ -15,6 +15,7 @@ from termsel.files.atomic import private_folder, write_text
 from termsel.files.cog import TILE, require_tiff_name, write_cog
 from termsel.files.names import utf8_name
 from termsel.files.rasters import open_raster, require_rasterio
+from termsel.formats.heights import Dem, say_difference, surface_of, write_ellipsoidal
 from termsel.formats.rpc_files import rpc_items
 from termsel.formats.vrt import Picture, picture_for, vrt_text
 from termsel.formats.writers.grids import GeolocationVrt
@@ -22,7 +23,13 @@ from termsel.io.accuracy_tags import accuracy_tags
 from termsel.io.export import as_exported
 from termsel.io.map_grid import MapGrid, grid_of_image, map_crs, within
 from termsel.io.replacing import require_replaceable
-from termsel.measurements.coordinates.crs import UTM, horizontal, short
+from termsel.measurements.coordinates.crs import (
+    UTM,
+    has_ellipsoidal_metres,
+    horizontal,
+    short,
+    to_wgs84,
+)
 from termsel.models.rpc_fit import GOOD, RpcFit, rpc_of
 
 if TYPE_CHECKING:
@@ -65,7 +72,8 @@ def rectify(
     output : path-like
         Cloud-optimised GeoTIFF.
     dem : path-like, optional
-        Raster of heights, with the vertical datum of the control.
+        Raster of heights. Its vertical datum is that of the control where it declares none, else
+        it is converted to that.
     height : float, optional
         Of the ground, where no raster is given; that of the middle of the control by default.
     crs : str, optional
@@ -113,12 +121,13 @@ def rectify(
     level = float(result.fit.ground_box()[0][2]) if height is None else height
     with ExitStack() as stack:
         folder = stack.enter_context(private_folder())
-        source, options = _source(result, picture, folder / "scene.vrt", dem, level)
-        if "RPC_DEM" in options:
-            options["RPC_DEM"] = str(stack.enter_context(utf8_name(options["RPC_DEM"])))
         grid, share = grid_of_image(result, target, resolution, dem=dem, height=level)
         if bounds is not None:
             grid = within(grid, bounds, result.features.crs)
+        surface = stack.enter_context(surface_of(dem, result.features.crs, level))
+        source, options = _source(result, picture, folder / "scene.vrt", surface, grid)
+        if "RPC_DEM" in options:
+            options["RPC_DEM"] = str(stack.enter_context(utf8_name(options["RPC_DEM"])))
         with open_raster(source) as raster:
             empty = _nodata(raster) if nodata is None else _held(nodata, raster.dtypes[0])
             zone = "the zone of UTM, " if UTM.fullmatch(target) else ""
@@ -129,21 +138,29 @@ def rectify(
                   resampling=resampling, **options)
 
 
-def _source(result: Result, picture: Picture, vrt: Path, dem: Path | str | None, height: float,
+def _source(result: Result, picture: Picture, vrt: Path, surface: Dem | float, grid: MapGrid,
             ) -> tuple[Path, dict[str, Any]]:
     """Write the virtual raster that is warped; return it and the options of the warper."""
     found = _rpc(result)
     if found is None:
         log.info("Warping by a geolocation array.")
-        writer = GeolocationVrt(image=str(picture.path), dem=None if dem is None else str(dem),
-                                height=height)
+        writer = GeolocationVrt(image=str(picture.path), **(
+            {"dem": str(surface.path)} if isinstance(surface, Dem) else {"height": surface}))
         writer.write(result, vrt)
         return vrt, {}
+    say_difference(result.features, result.project, surface)
     write_text(vrt, vrt_text(picture, vrt.parent, domains={"RPC": rpc_items(found.rpc)}))
-    if dem is None:
-        return vrt, {"RPC_HEIGHT": height}
-    # Heights are those of the control: the datum must not change after the fit.
-    return vrt, {"RPC_DEM": str(Path(dem).absolute()), "RPC_DEM_APPLY_VDATUM_SHIFT": "FALSE"}
+    # An RPC takes ellipsoidal heights in metres, whatever those of the control are.
+    to_ellipsoidal = to_wgs84(result.features.crs)
+    if not isinstance(surface, Dem):
+        middle = np.append(result.fit.ground_box()[0][:2], surface)
+        return vrt, {"RPC_HEIGHT": float(to_ellipsoidal(middle[None])[0, 2])}
+    dem = surface.path.absolute()
+    if not (surface.is_as_stored and has_ellipsoidal_metres(result.features.crs)):
+        dem = vrt.with_name("ellipsoidal.tif")
+        write_ellipsoidal(surface, dem, grid.bounds, grid.crs)
+    # GDAL's PROJ must not convert heights once more.
+    return vrt, {"RPC_DEM": str(dem), "RPC_DEM_APPLY_VDATUM_SHIFT": "FALSE"}
 
 
 def _rpc(result: Result) -> RpcFit | None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from termsel.display import Glance
 from termsel.errors import TermselError, counted
+from termsel.measurements.dem_difference import DemDifference
 from termsel.measurements.tables.attributes import (
     Attributes,
     TextArray,
@@ -246,6 +247,10 @@ class FeatureSet(Glance):
         CRS of the fit, if it differs from `crs`.
     rpc : Rpc, optional
         The vendor's RPC of the image.
+    dem_difference : DemDifference, optional
+        How far a raster of heights is above those of control, where both are there.
+    z_unit : str
+        Unit of z and what tells it, where that was open.
 
     Raises
     ------
@@ -261,6 +266,8 @@ class FeatureSet(Glance):
     heights: str = ""
     fit_crs: str = ""
     rpc: KnownGeometry | None = None
+    dem_difference: DemDifference | None = None
+    z_unit: str = ""
 
     def __post_init__(self) -> None:
         both = set(self.points.ids) & set(self.lines.ids)

@@ -113,6 +113,10 @@ class WhatWasRead(RecordPart, frozen=True):
     """Which axes look swapped, and why; empty if none do."""
     left_out: Mapping[str, Names]
     """Ids of what takes no part, by the reason; without blunders, which are `outliers`."""
+    z_unit: str = ""
+    """Unit of z and what tells it, where that was open or is not metres."""
+    height_doubt: str = ""
+    """How far a DEM is from the heights of control, where it contradicts them."""
 
 
 class RpcNumbers(RecordPart, frozen=True):

@@ -124,6 +124,8 @@ class Strategy(RecordPart, frozen=True):
     """Roles of the points it was fitted to."""
     candidates: Annotated[tuple[CandidateRow, ...], Meta(min_length=1)]
     """All candidates."""
+    rpc: str = ""
+    """Why the RPC that is given is not used, or that it is of a larger or a finer image."""
 
 
 class HistoryRow(RecordPart, frozen=True):

@@ -57,7 +57,8 @@ def _data(record: Record, brief: bool) -> Iterator[Note]:
         f" ({read.without_height} without a height)")
     crs = "coordinates without a CRS" if data.crs == LOCAL else short(data.crs)
     near = f" near {read.place}" if read.place else ""
-    yield Note(f"{source}: {kinds}{heights}; {crs}{near}.", "Read")
+    unit = f"; z in {read.z_unit}" if read.z_unit else ""
+    yield Note(f"{source}: {kinds}{heights}; {crs}{near}{unit}.", "Read")
     control = [counted(n, word) for n, word in ((counts.control, "point"), (counts.lines, "line"))
                if n]
     blunders = sum(one.excluded for one in record.outliers)
@@ -94,7 +95,8 @@ def _model(record: Record) -> str:
     if record.strategy:
         meaning = next((f" ({text})" for word, text in reversed(_PLAIN.items())
                         if word in title), "")
-        return f"{title}{meaning}, chosen by auto."
+        rpc = f" {record.strategy.rpc}" if record.strategy.rpc else ""
+        return f"{title}{meaning}, chosen by auto.{rpc}"
     by = f"; stable over {record.stability.repeats} selections" if record.stability else \
         f"; selected by {record.solver} (criterion {record.criterion})"
     whole = (selection.n_terms, selection.n_features) == (offered.n_terms, offered.n_features)
@@ -182,6 +184,9 @@ def _next(record: Record) -> str:
     read = record.data.read
     if read and read.doubt:
         return f"{read.doubt.partition(':')[0]}: check them before anything else."
+    if read and read.height_doubt:
+        doubt = f"{read.height_doubt[:1].lower()}{read.height_doubt[1:]}"
+        return f"check what heights refer to: {doubt}"
     if record.interrupted:
         return "the run was interrupted; run it again to its end."
     if not record.feasible:

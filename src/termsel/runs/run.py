@@ -35,6 +35,7 @@ from termsel.runs.auto.strategy import LEAST, choose_for, wanted
 from termsel.runs.notebook import notebook_observer
 from termsel.runs.task.blank_heights import to_leave_out
 from termsel.runs.task.request import Request, loaded
+from termsel.runs.task.rpc_given import part_of_rpc, with_part
 from termsel.runs.task.task import Task, observe, prepared
 from termsel.runs.task.verdict import judge_features
 from termsel.solvers.base import Solver
@@ -210,7 +211,12 @@ def _chosen(request: Request, seed: int, observers: Iterable[Observer], out: Pat
     if setup.recipe.search_first and setup.features.without_height():
         # The model of the search is not asked for, so that it asks for no heights.
         setup = replace(setup, model=registry().get("models", "poly2d")())
-    observations = observe(setup, LEAST if setup.features.rpc is None else 1)
+    least = LEAST if setup.features.rpc is None else 1
+    observations = observe(setup, least)
+    part = part_of_rpc(observations.together)
+    if part is not None:
+        setup = with_part(setup, part)
+        observations = observe(setup, least)
     # Whether a search of lines follows, which compiles more, is not known yet.
     compiles = held_out.needs_compilation(len(observations.together.points))
     return _written(lambda: choose_for(setup, observations, seed, observers), out, overwrite,

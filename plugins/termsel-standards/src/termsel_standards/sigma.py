@@ -25,6 +25,7 @@ from termsel.toolkit import (
     outside,
     picture_for,
     require_tiff_name,
+    say_difference,
     surface_of,
     write_cog,
 )
@@ -82,7 +83,8 @@ def write_sigma(
     crs : str, optional
         As for `termsel.rectify`.
     dem : path-like, optional
-        Raster of heights, with the vertical datum of the control.
+        Raster of heights. Its vertical datum is that of the control where it declares none, else
+        it is converted to that.
     height : float, optional
         Of the ground, where no raster is given; that of the middle of the control by default.
     final : bool, optional
@@ -115,6 +117,7 @@ def write_sigma(
     level = float(result.fit.ground_box()[0][2]) if height is None else height
     grid = _grid(result, like_map, bounds, resolution, crs, dem, level)
     with surface_of(dem, result.features.crs, level) as surface:
+        say_difference(result.features, result.project, surface)
         nodes = _Nodes.of(result, grid, surface)
         told = f"interpolated, within {100 * nodes.error:.2g} % of the model at {_TESTED} places"
         log.info("Uncertainty: %d lines and %d samples of %g %s in %s, %s.", grid.lines,
@@ -155,8 +158,7 @@ def _grid(result: Result, like_map: Path | str | None, bounds: Sequence[float] |
         target = map_crs(result, crs)
     if bounds is None:
         seen = grid_of_image(result, target, dem=dem, height=height)[0]
-        corner = seen.transform @ (seen.samples, seen.lines)
-        bounds = seen.transform.c, corner[1], corner[0], seen.transform.f
+        bounds = seen.bounds
     west, south, east, north = bounds
     if not (all(map(isfinite, bounds)) and west < east and south < north):
         raise TermselError(f"the bounds {' '.join(f'{one:g}' for one in bounds)} enclose no area",

@@ -240,7 +240,7 @@ class Asked:
 
     def read(self) -> tuple[FeatureSet | None, dict[str, str]]:
         """Return the features of the files, if any are given, and the options that remain."""
-        from termsel.io.read import read, readers_of
+        from termsel.io.read import READ_OPTIONS, read, readers_of
         from termsel.plugins.registry import registry
 
         options = dict(self.options)
@@ -249,6 +249,8 @@ class Asked:
             options.setdefault("areas_as", "centroid")
         if not self.files:
             return None, options
+        of_reading = {one.name: options.pop(one.name) for one in READ_OPTIONS
+                      if one.name in options}
         given = {"raster": self.raster, "image_lines": self.image_lines,
                  "columns": self.columns}
         known = {option.name for reader in readers_of(self.files, self.formats)
@@ -259,7 +261,7 @@ class Asked:
             if given.get(key) is not None:
                 raise TermselError(f"{key} is given twice", hint="Give it once.")
         return read(self.points, self.lines, areas=self.areas, crs=self.crs, format=self.formats,
-                    dem=self.dem, rpc=self.rpc, **{**given, **of_readers}), options
+                    dem=self.dem, rpc=self.rpc, **of_reading, **{**given, **of_readers}), options
 
     def command(self, problem: str, solver: str, criterion: str,
                 settings: Mapping[str, str]) -> str:

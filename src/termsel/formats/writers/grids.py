@@ -18,7 +18,7 @@ from termsel.files.rasters import require_rasterio, tiff_bytes
 from termsel.fits.fit import Fit
 from termsel.formats.base import Writer
 from termsel.formats.deviation import by_splines, places_of, say_deviation
-from termsel.formats.heights import Dem, surface_of
+from termsel.formats.heights import Dem, say_difference, surface_of
 from termsel.formats.vrt import IMAGE, picture_for, vrt_text
 from termsel.measurements.coordinates.utm import for_warping
 from termsel.measurements.features import FloatArray, Points
@@ -56,6 +56,7 @@ class GridWriter(Writer):
                               ", at the heights of the control")
         image = np.stack(np.meshgrid(lines, samples, indexing="ij"), axis=-1)
         with surface_of(self.options["dem"], fitted.control.crs, height) as surface:
+            say_difference(result.features, result.project, surface)
             ground = fitted.locate(image.reshape(-1, 2), surface).reshape(*image.shape[:2], 3)
             self.say_loss(fitted, image, ground, surface)
         unseen = int(np.isnan(ground).any(axis=-1).sum())

@@ -34,6 +34,7 @@ WGS84 = frozenset({"EPSG:4326", "EPSG:4979"})
 Transformation = Callable[[FloatArray], FloatArray]
 """From ground coordinates to others, shapes (n, 3)."""
 
+_GRIDS = 3  # that an error names
 _OF_EARTH = 0.01  # share by which ellipsoids of the Earth differ at most
 _NAMED = re.compile(r'\w+\s*\[\s*"([^"]{1,80})"')
 _BODY = re.compile(r"(?:GCS_|D_)?([A-Za-z]+)")
@@ -121,10 +122,25 @@ def metres_per_unit(crs: str) -> float | None:
 
 def metres_per_height(crs: str) -> float:
     """Return the unit of heights [m]: that of a vertical axis, 1 where the CRS has none."""
+    unit = height_axis_unit(crs)
+    return 1.0 if unit is None else unit
+
+
+def height_axis_unit(crs: str) -> float | None:
+    """Return the unit of the vertical axis of a CRS [m]; None if it has none."""
     crs = normalise(crs)
-    known = None if crs in (LOCAL, "", *WGS84) or UTM.fullmatch(crs) else _with_pyproj(crs)
-    return float(known.axis_info[2].unit_conversion_factor) \
-        if known is not None and len(known.axis_info) > 2 else 1.0
+    known = None if crs in (LOCAL, "", "EPSG:4326") or UTM.fullmatch(crs) else \
+        1.0 if crs == "EPSG:4979" else _with_pyproj(crs)
+    if known is None or isinstance(known, float):
+        return known
+    return float(known.axis_info[2].unit_conversion_factor) if len(known.axis_info) > 2 else None
+
+
+def has_ellipsoidal_metres(crs: str) -> bool:
+    """Return whether heights are ellipsoidal and in metres, or taken as such."""
+    known = None if crs in WGS84 or UTM.fullmatch(crs) else _with_pyproj(crs)
+    return metres_per_height(crs) == 1.0 and (
+        known is None or not any(part.is_vertical for part in known.sub_crs_list))
 
 
 def to_wgs84(crs: str) -> Transformation:
@@ -166,8 +182,9 @@ def transformation(source: str, target: str, *, strict: bool = True) -> Transfor
         grids = _missing_grids(*ends)
         if not grids:
             raise TermselError(f"{failure}: {error}") from error
+        more = f" or one of {len(grids) - _GRIDS} others" if len(grids) > _GRIDS else ""
         raise TermselError(
-            f"{failure}: PROJ does not have the grid {' or '.join(grids)}",
+            f"{failure}: PROJ does not have the grid {' or '.join(grids[:_GRIDS])}{more}",
             hint=f"Get it with pyproj sync --file {grids[0]}, or set PROJ_NETWORK=ON. Or give "
                  "ellipsoidal heights, as in EPSG:4979.") from error
 

@@ -29,7 +29,7 @@ from termsel.problems.recipes import Recipe
 from termsel.record.search import CandidateRow, Strategy
 from termsel.results.result import Result
 from termsel.runs.judgement.judge import judge_choice
-from termsel.runs.task.data_notes import notes_on_data
+from termsel.runs.task.data_notes import notes_on_data, notes_on_dem
 from termsel.runs.task.given import all_candidates
 from termsel.runs.task.provenance import data_of, plugins_of, versions
 from termsel.runs.task.request import Setup
@@ -131,9 +131,9 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
     enough = len(both) >= portfolio.least(control)
     try:
         if len(both) < LEAST and not enough:
-            raise TermselError(" ".join(["one point is not enough for a model.",
-                                         *_on_rpc(control, portfolio)]),
-                               hint="Measure more.")
+            raise TermselError(
+                f"one point is not enough for a model. {_unused_rpc(control, portfolio)}".strip(),
+                hint="Measure more.")
         choice = choose_features(control, portfolio, watch.candidate) if enough else exact(control)
         if choice and len(both.lines):
             from termsel.runs.auto.owdis import with_selected_lines  # it searches
@@ -173,6 +173,7 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
         return tuple(b for b in comparison.baselines(seen)
                      if b.name != chosen.name or chosen.candidate.is_plain)
 
+    rpc, correction = _on_rpc(setup, control, portfolio, chosen)
     said = INTERRUPTED.format(min(watch.count, watch.candidates), watch.candidates) \
         if interrupted else ""
     return Result(
@@ -185,7 +186,8 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
         feasible=True, rmse=figures(fitted, observations), baselines=others(clean),
         judgement=judge_choice(chosen.candidate, None if expected is None else expected.rmse,
                                figures(fitted, agreeing), others(agreeing), setup.features.noise),
-        notes=(*_on_rpc(control, portfolio, chosen), *_few(setup), *of_data,
+        notes=(*notes_on_dem(setup.features, fitted), *filter(None, (rpc, correction)),
+               *_few(setup), *of_data,
                *_notes(setup.model, clean, errors, said, plane=not model.uses_height,
                        determined=not enough, known=chosen.candidate.from_one),
                *_high(verdict), *verdict.notes, *_lines(fitted), *contradicting.notes,
@@ -205,7 +207,7 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
                           ("control", "check"), tuple(CandidateRow(
                               one.name, one.fit.model.name, int(one.fit.terms.sum()),
                               one.fit.effective, finite_or_none(one.predicted))
-                              for one in choice.judged)))
+                              for one in choice.judged), rpc))
 
 
 def _final_fit(chosen: Judged, points: Points, heights: bool, portfolio: Portfolio,
@@ -241,23 +243,33 @@ def _lines(fitted: Fit) -> list[str]:
     return [f"None of the {counted(lines, 'line')} is used: the points alone predict better."]
 
 
-def _on_rpc(control: Control, portfolio: Portfolio, chosen: Judged | None = None) -> list[str]:
-    """Return how an RPC that is given is corrected, or why it is not used."""
+def _on_rpc(setup: Setup, control: Control, portfolio: Portfolio, chosen: Judged,
+            ) -> tuple[str, str]:
+    """Return what is to be said first of an RPC that is given, and how it is corrected."""
     if control.features.rpc is None:
-        return []
+        return "", ""
+    if chosen.candidate.from_one:
+        return ("" if setup.rpc_part is None else setup.rpc_part.sentence(),
+                portfolio.ask(chosen.candidate, "describe", chosen.fit) or "")
+    return _unused_rpc(control, portfolio, chosen), ""
+
+
+def _unused_rpc(control: Control, portfolio: Portfolio, chosen: Judged | None = None) -> str:
+    """Return why an RPC that is given is not used; "" where a note says which candidate failed."""
+    if control.features.rpc is None:
+        return ""
     able = [one for one in portfolio.candidates if one.from_one and len(control) <= one.most]
-    if chosen is not None and chosen.candidate.from_one:
-        return [portfolio.ask(chosen.candidate, "describe", chosen.fit) or ""]
+    reasons = list(filter(None, (portfolio.ask(one, "declines", control) for one in able)))
     if chosen is not None and portfolio.least(control) == 1:
         reason = (f"{chosen.candidate.title} predicts the {control.features.word} better, beyond "
                   "chance")
     elif missing := registry().missing("rpc-gcps"):
         reason = f"no installed package corrects an RPC. {missing}"
-    elif reasons := list(filter(None, (portfolio.ask(one, "declines", control) for one in able))):
+    elif reasons:
         reason = reasons[0]
     else:
-        return []  # a note says which candidate has failed
-    return [f"The RPC is not used: {reason}."]
+        return ""
+    return f"The RPC is not used: {reason}."
 
 
 def _few(setup: Setup) -> list[str]:

@@ -7,6 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from termsel.errors import counted
+from termsel.fits.fit import Fit
+from termsel.formats.heights import pixels_of
 from termsel.measurements.control import MEASURED, Control, carriers, off_plane
 from termsel.measurements.coordinates.longitudes import jumps
 from termsel.measurements.coordinates.metres import height_unit, plan_of
@@ -48,6 +50,13 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
         yield from _on_carriers(both, observations.carriers)
         yield from (_on_flat(observations.joint, independent) if fitted is None else _on_flat(
             Control.of(fitted, False), observations.check.rejoin(independent)))
+
+
+def notes_on_dem(features: FeatureSet, fitted: Fit) -> Iterator[str]:
+    """Yield that a DEM contradicts the heights of control, with what a fit makes of that."""
+    difference = features.dem_difference
+    if difference is not None and difference.contradicts:
+        yield difference.sentence(pixels_of(difference, fitted.control, fitted.project))
 
 
 def _on_one_line(both: FeatureSet) -> Iterator[str]:

@@ -39,6 +39,7 @@ def data_of(setup: Setup, observations: Observations) -> DataRecord:
 def _read(setup: Setup, observations: Observations) -> WhatWasRead:
     """Return what was read, and what of it takes no part for another reason than as a blunder."""
     read, points = setup.read, setup.features.points
+    difference = read.dem_difference
     stay = set(setup.features.lines.ids)
     off = [name for name in (*select(points.ids, [role == "off" for role in points.roles]),
                              *read.lines.features) if name not in stay]
@@ -51,7 +52,8 @@ def _read(setup: Setup, observations: Observations) -> WhatWasRead:
            setup.features.lines.features}
     return WhatWasRead(
         len(read.points), len(read.lines.features), len(read.without_height()), place_of(read),
-        swapped(read), {reason: tuple(ids) for reason, ids in why.items() if ids})
+        swapped(read), {reason: tuple(ids) for reason, ids in why.items() if ids}, read.z_unit,
+        difference.sentence() if difference is not None and difference.contradicts else "")
 
 
 def versions() -> dict[str, str]:

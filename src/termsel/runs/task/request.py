@@ -17,6 +17,7 @@ from termsel.measurements.features import FeatureSet
 from termsel.measurements.roles import asked_roles, with_roles
 from termsel.measurements.splits import Split
 from termsel.models.base import SensorModel
+from termsel.models.image_part import ImagePart
 from termsel.models.interpolating import Interpolating
 from termsel.options import SEED, Option, by_part, resolve
 from termsel.plugins.registry import registry
@@ -67,6 +68,7 @@ class Setup:
     then: Solver | None = None  # of the second of two steps, if it is another one
     set_options: tuple[str, ...] = ()  # names of the options of the model that are given
     blank: tuple[str, ...] = ()  # features that are left out as they have no height
+    rpc_part: ImagePart | None = None  # what the image is of that of the RPC, as control tells
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

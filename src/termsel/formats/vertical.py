@@ -1,0 +1,227 @@
+"""What the heights of a raster refer to, by its CRS, its tags and the unit of its band."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.measurements.coordinates.crs import (
+    height_reference,
+    short,
+    transformation,
+    vertical_datum,
+)
+from termsel.measurements.coordinates.height_units import (
+    METRE,
+    UNITS,
+    WORDS,
+    unit_of_size,
+    unit_of_word,
+    with_height_unit,
+)
+from termsel.measurements.features import FloatArray
+
+if TYPE_CHECKING:
+    from pyproj import CRS
+
+Heights = Callable[[FloatArray], FloatArray]
+"""Heights [m], shape (n,), of places (n, 3) whose heights are in metres of a raster."""
+
+_OF_HEIGHTS = re.compile(r"vert|alt|geoid|height|elev|(?:^|[\W_])z(?:$|[\W_])", re.IGNORECASE)
+"""Names of tags that may say what heights refer to."""
+_OF_DATUM = re.compile(r"datum|crs|srs|ref|geoid|system", re.IGNORECASE)
+_NOTHING = frozenset({"", "unknown", "unspecified", "undefined", "none", "n a", "not declared"})
+_ELLIPSOIDAL = frozenset({"ellipsoid", "ellipsoidal", "hae", "wgs84"})
+_OTHER_NAMES = {"e96": "egm96", "northamericanverticaldatumof1988": "navd88",
+                "nationalgeodeticverticaldatumof1929": "ngvd29",
+                "earthgravitationalmodel1996": "egm96", "earthgravitationalmodel2008": "egm2008",
+                "meansealevel": "msl"}
+"""Names in tags of DTED and of FGDC's metadata, and those that EPSG has for them."""
+_LONGEST_NAME = 7  # words
+
+
+def metres_of_band(raster: Any, crs: CRS, path: Path) -> float:
+    """Return the unit of a raster's heights [m]: that of its band, else of its vertical axis.
+
+    Raises TermselError for a unit that is no length, units that differ, and where x and y are in
+    feet and nothing says whether heights are.
+    """
+    stated = (raster.units[0] or "").strip()
+    of_band = unit_of_word(stated) if stated else None
+    if stated and of_band is None:
+        raise TermselError(f"this raster is in {stated}, expected one band of heights in metres "
+                           "or feet", file=path,
+                           hint="Convert it, for example with gdal_translate.")
+    axes = crs.axis_info
+    size = float(axes[2].unit_conversion_factor) if len(axes) > 2 else None
+    if size is not None:
+        of_axis = unit_of_size(size)
+        if of_band is not None and of_band != of_axis:
+            raise TermselError(
+                f"the band of this raster is in {WORDS[of_band]}, and the heights of its CRS are "
+                f"in {axes[2].unit_name}", file=path,
+                hint="Correct one of them: gdal_edit.py -units states the unit of the band.")
+        return size
+    in_feet = unit_of_size(float(axes[0].unit_conversion_factor)) if crs.is_projected else METRE
+    if of_band is None and in_feet in WORDS and in_feet != METRE:
+        raise TermselError(
+            f"nothing says whether the heights of this raster are in metres or, as x and y are, in "
+            f"{WORDS[in_feet]}", file=path,
+            hint="State the unit of its band: gdal_edit.py -units m, or -units us-ft.")
+    return UNITS[of_band or METRE]
+
+
+def with_declared_datum(raster: Any, crs: CRS, path: Path) -> CRS:
+    """Return the CRS of a raster with the vertical datum that its tags state, if it has none.
+
+    Raises TermselError if PROJ does not know that.
+    """
+    if len(crs.axis_info) > 2:
+        return crs
+    vertical = _by_tags(raster, path)
+    if vertical is None:
+        return crs
+    if vertical == "ellipsoidal":
+        return crs.to_3d()
+    from pyproj import CRS
+    from pyproj.crs import CompoundCRS
+
+    part = CRS.from_user_input(vertical)
+    return CompoundCRS(f"{crs.name} + {part.name}", [crs, part])
+
+
+def to_datum_of(crs: str, own: CRS, path: Path) -> Heights | None:
+    """Return what converts heights [m] of a raster's CRS to those of a CRS; None if nothing must.
+
+    A CRS that states no vertical datum has ellipsoidal heights. Raises TermselError where PROJ
+    lacks the grid of a geoid.
+    """
+    from pyproj import CRS
+
+    control = CRS.from_user_input(crs)
+    datum = vertical_datum(own)
+    if not datum or _frame(own) == _frame(control):
+        return None
+    try:
+        convert = transformation(with_height_unit(own.to_wkt(), METRE),
+                                 with_height_unit(crs, METRE), strict=False)
+    except TermselError as error:
+        reason = error.what.partition(": ")[2] or error.what
+        raise TermselError(
+            f"the heights of this raster are {datum}, those of the ground coordinates are "
+            f"{_described(crs)}, and {reason}", file=path,
+            hint=f"{error.hint or 'Give a raster of the same heights.'}{_same(crs, own)}"
+        ) from error
+
+    def heights(places: FloatArray) -> FloatArray:
+        converted = convert(places)[:, 2]
+        return np.where(np.isfinite(places).all(axis=1) & np.isfinite(converted), converted,
+                        np.nan)
+
+    return heights
+
+
+def _described(crs: str) -> str:
+    """Return what heights of ground coordinates refer to, in words."""
+    reference = height_reference(crs)
+    return "taken as ellipsoidal" if reference.startswith("not stated") else reference
+
+
+def _same(crs: str, own: CRS) -> str:
+    """Return what to do where ground coordinates have the heights of a raster, if that is open."""
+    part = _vertical(own)
+    number = None if part is None else part.to_epsg()
+    if not height_reference(crs).startswith("not stated") or number is None:
+        return ""
+    plane = re.fullmatch(r"EPSG:(\d+)", crs)
+    return (" If the control has the same heights as the raster, state it when you run termsel: "
+            f"--crs {crs if plane else 'EPSG:n'}+{number}.")
+
+
+def _vertical(crs: CRS) -> CRS | None:
+    """Return the vertical part of a compound CRS."""
+    return next((part for part in crs.sub_crs_list if part.is_vertical), None)
+
+
+def _frame(crs: CRS) -> tuple[str, str]:
+    """Return what heights are above: a kind of surface and its name."""
+    vertical = _vertical(crs)
+    if vertical is not None:
+        return "geoid", str(vertical.datum.name if vertical.datum else vertical.name)
+    geodetic = crs.geodetic_crs
+    return "ellipsoid", "" if geodetic is None else str(geodetic.datum.name if geodetic.datum
+                                                        else geodetic.name)
+
+
+def _by_tags(raster: Any, path: Path) -> str | None:
+    """Return the vertical datum that tags state: a code of EPSG, or "ellipsoidal"."""
+    for name, value in {**raster.tags(), **raster.tags(1)}.items():
+        if not _OF_HEIGHTS.search(name) or not _OF_DATUM.search(name):
+            continue
+        words = tuple(re.findall(r"[a-z]+|\d+", value.lower()))
+        if " ".join(words) in _NOTHING or _is_number(value):
+            continue
+        datum = _datum_of(words)
+        if datum is None:
+            raise TermselError(f"this raster states {name}={value}, which is no vertical datum "
+                               "that PROJ knows", file=path,
+                               hint="State it by the CRS, such as gdal_edit.py -a_srs "
+                                    "EPSG:4326+5773 for heights above EGM96.")
+        return datum
+    return None
+
+
+def _is_number(value: str) -> bool:
+    """Return whether the value of a tag is a height itself."""
+    try:
+        float(value)
+    except ValueError:
+        return False
+    return True
+
+
+def _datum_of(words: tuple[str, ...]) -> str | None:
+    """Return the datum that some consecutive words name, the longest name first."""
+    known = _vertical_names()
+    for count in range(min(len(words), _LONGEST_NAME), 0, -1):
+        for name in _joined(words, count):
+            code = known.get(_OTHER_NAMES.get(name, name))
+            if code is not None:
+                return code
+    joined = {name for count in (1, 2) for name in _joined(words, count)}
+    return "ellipsoidal" if joined & _ELLIPSOIDAL else None
+
+
+def _joined(words: tuple[str, ...], count: int) -> Iterator[str]:
+    for first in range(len(words) - count + 1):
+        yield "".join(words[first:first + count])
+
+
+@lru_cache
+def _vertical_names() -> dict[str, str]:
+    """Return the codes of EPSG's vertical CRSs in metres, by names as tags have them."""
+    from pyproj.database import query_crs_info
+    from pyproj.enums import PJType
+
+    found: dict[str, str] = {}
+    for one in query_crs_info(auth_name="EPSG", pj_types=PJType.VERTICAL_CRS):
+        code = f"EPSG:{one.code}"
+        found[f"epsg{one.code}"] = code
+        name = one.name.removesuffix(" height")
+        if name != one.name and not one.deprecated:
+            found.setdefault("".join(re.findall(r"[a-z]+|\d+", name.lower())), code)
+    return found
+
+
+def said(own: CRS, converted: bool, crs: str) -> str:
+    """Return the vertical datum of a raster in words, and what it was converted to."""
+    datum = vertical_datum(own)
+    if not datum:
+        return "not declared by the raster"
+    return f"{datum}, converted to that of {short(crs)}" if converted else datum

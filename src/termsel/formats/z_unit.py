@@ -1,0 +1,142 @@
+"""The unit of z, where x and y are in feet and z may be in feet or in metres."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.formats.heights import open_dem
+from termsel.measurements.coordinates.crs import LOCAL, height_axis_unit, short, to_wgs84
+from termsel.measurements.coordinates.height_units import (
+    METRE,
+    UNITS,
+    WORDS,
+    is_unit_open,
+    unit_of_plane,
+    unit_of_size,
+    with_height_unit,
+)
+from termsel.measurements.features import FeatureSet, FloatArray
+from termsel.models.rpc import Rpc
+from termsel.options import Option
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+OF_PLANE = "crs"
+Z_UNIT = Option(
+    "z_unit", None, "Unit of z: metre, us-ft (US survey feet), ft, or crs, that of x and y. "
+    "Without it z is as the CRS says; where that says it of x and y alone, and they are in feet, a "
+    "DEM or an RPC may tell.", choices=(*UNITS, OF_PLANE))
+
+_TELLING = 4  # heights from which on their scatter tells the unit
+_CLEAR = 1 / 3  # of the scatter, or of the distance, in another unit
+_BEYOND = 150.0  # metres by which no geoid is from an ellipsoid
+_WITHIN, _MOST, _FEW = 1.2, 0.9, 0.1  # half-ranges of an RPC's heights; shares of heights in them
+
+
+def with_z_unit(features: FeatureSet, asked: str | None, dem: Path | None = None) -> FeatureSet:
+    """Return features whose CRS states the unit of z, as it is asked, declared or told.
+
+    A DEM or an RPC tells it where one unit alone agrees with it. Independent points say nothing
+    here. Raises TermselError where z may be in feet or in metres and nothing tells; for a unit that
+    plane coordinates without a CRS cannot have.
+    """
+    if asked is not None:
+        return _asked(features, asked)
+    heights = features.ground_vertices()[:, 2]
+    if features.crs == LOCAL or not np.isfinite(heights).any():
+        return features
+    declared = height_axis_unit(features.crs)
+    if declared is not None:
+        unit = unit_of_size(declared)
+        return features if unit in (None, METRE) else replace(features, z_unit=WORDS[str(unit)])
+    if not is_unit_open(features.crs) or not np.nan_to_num(heights).any():
+        return features
+    in_feet = str(unit_of_plane(features.crs))
+    units = (in_feet, METRE)
+    if dem is not None and (unit := _by_dem(features, units, dem)):
+        return _in(features, unit, "as the DEM tells")
+    if isinstance(features.rpc, Rpc) and (unit := _by_rpc(features, units, features.rpc)):
+        return _in(features, unit, "as the RPC tells")
+    raise TermselError(
+        f"z may be in {WORDS[in_feet]}, as x and y in {short(features.crs)} are, or in metres",
+        hint=f"State it: --set z_unit={in_feet} or --set z_unit={METRE}.")
+
+
+def _asked(features: FeatureSet, asked: str) -> FeatureSet:
+    """Return features in the unit that is asked for."""
+    if asked not in Z_UNIT.choices:
+        raise TermselError(f"option 'z_unit' does not take {asked!r}",
+                           hint=f"It takes: {' | '.join(Z_UNIT.choices)}.")
+    if features.crs == LOCAL:
+        raise TermselError("plane coordinates without a CRS have z in their own unit",
+                           hint="Leave z_unit out, or state the CRS of the ground coordinates.")
+    unit = unit_of_plane(features.crs) or METRE if asked == OF_PLANE else asked
+    return _in(features, unit, "as stated")
+
+
+def _in(features: FeatureSet, unit: str, why: str) -> FeatureSet:
+    return replace(features, crs=with_height_unit(features.crs, unit),
+                   z_unit=f"{WORDS[unit]}, {why}")
+
+
+def _telling(features: FeatureSet) -> FeatureSet:
+    """Return the points with a height, but those that are off or independent."""
+    points = features.points
+    judged = [role not in ("off", "independent") for role in points.roles] or [True] * len(points)
+    return features.with_(points=points.take(np.isfinite(points.ground).all(axis=1)
+                                             & np.array(judged, dtype=bool)))
+
+
+def _by_dem(features: FeatureSet, units: tuple[str, ...], dem: Path) -> str | None:
+    """Return the unit in which heights differ from a DEM by a shift, or agree with it."""
+    ground = _telling(features).ground_vertices()
+    ground = ground[np.isfinite(ground[:, 2])]
+    with open_dem(dem, with_height_unit(features.crs, METRE)) as surface:
+        surface_heights = surface(ground[:, :2])
+    known = np.isfinite(surface_heights)
+    apart = {unit: ground[known, 2] * UNITS[unit] - surface_heights[known] for unit in units}
+    if not known.any():
+        return None
+    if known.sum() >= _TELLING:
+        return _clearly({unit: _scatter(over) for unit, over in apart.items()})
+    distance = {unit: float(np.median(np.abs(over))) for unit, over in apart.items()}
+    return _clearly(distance) if max(distance.values()) > _BEYOND else None
+
+
+def _by_rpc(features: FeatureSet, units: tuple[str, ...], rpc: Rpc) -> str | None:
+    """Return the unit in which an RPC sees points where they are, but for a shift, or covers them.
+    """
+    points = _telling(features).points
+    if not len(points):
+        return None
+    scatter: dict[str, float] = {}
+    covered: dict[str, float] = {}
+    for unit in units:
+        places = to_wgs84(with_height_unit(features.crs, unit))(points.ground)
+        with np.errstate(all="ignore"):
+            scatter[unit] = _scatter(rpc.project(places) - points.image)
+        above = np.abs(places[:, 2] - rpc.ground_offset[2])
+        covered[unit] = float((above <= _WITHIN * abs(rpc.ground_scale[2])).mean())
+    clearly = _clearly(scatter) if len(points) >= _TELLING else None
+    if clearly is not None:
+        return clearly
+    best, other = sorted(units, key=lambda unit: -covered[unit])
+    return best if covered[best] >= _MOST and covered[other] <= _FEW else None
+
+
+def _scatter(values: FloatArray) -> float:
+    """Return the median distance from the median of values (n,) or of vectors (n, 2)."""
+    away = values - np.median(values, axis=0)
+    return float(np.median(np.abs(away) if away.ndim == 1 else np.linalg.norm(away, axis=1)))
+
+
+def _clearly(sizes: Mapping[str, float]) -> str | None:
+    """Return what has clearly the smallest size, if anything has."""
+    best, other = sorted(sizes, key=lambda unit: sizes[unit])
+    return best if sizes[best] < _CLEAR * sizes[other] else None

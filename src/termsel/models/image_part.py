@@ -1,0 +1,161 @@
+"""An image that is a part of another one, or reduced, and the RPC of the other one.
+
+With (L, S) a place in the whole image, f its pixels in one pixel of the part along either axis and
+(L0, S0) where the part begins, both counted from the outer corner of the first pixel,
+
+    l + 1/2 = (L + 1/2 - L0) / f,
+
+and samples likewise: so the offsets and scales of the RPC take the part over exactly.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.measurements.features import FloatArray
+from termsel.models.rpc import Rpc
+from termsel.options import Option
+
+RPC_OFFSET = Option(
+    "rpc_offset", None, "Line and sample at which this image begins in the larger one that the RPC "
+    "is of, such as 700,900: the image was cut out.")
+RPC_SCALE = Option(
+    "rpc_scale", None, "Pixels along a side of the image that the RPC is of in one pixel of this "
+    "image, such as 2: the image was reduced.", float, 1e-3, 1e3)
+
+_PAIR = re.compile(r"\s*([-+.\deE]+)\s*,\s*([-+.\deE]+)\s*")
+_FAR = 100.0
+"""Median distance [px] from which on an RPC may be of another image: vendors' are nearer."""
+_ALIKE = 0.05
+"""Share of the distance, or of the image, by which points may differ that a part explains."""
+_MEASURED = 3.0
+"""Scatter of measured points about a part [px] that needs no explanation."""
+_REDUCED = 0.1
+"""Least difference of a factor from 1: a drift is smaller."""
+_SIMPLE = 0.02
+"""Relative difference of a factor from a simple one up to which it is that."""
+_FACTORS = (*range(2, 17), *(1 / n for n in range(2, 17)), 1.5, 2.5, 2 / 3, 0.75, 4 / 3)
+_ROUND = 10.0  # px
+_LEAST = 3  # points that tell a part
+_MOST = 60  # points whose pairs are looked at
+
+
+@dataclass(frozen=True)
+class ImagePart:
+    """Where an image is in the one that an RPC is of.
+
+    Parameters
+    ----------
+    offset : tuple of float
+        Line and sample at which it begins [px of the whole image].
+    scale : float
+        Pixels of the whole image in one of the part, along either axis.
+    """
+
+    offset: tuple[float, float] = (0.0, 0.0)
+    scale: float = 1.0
+
+    def rpc(self, whole: Rpc) -> Rpc:
+        """Return the RPC of the part."""
+        line, sample = self.places(np.array(whole.image_offset)).tolist()
+        lines, samples = whole.image_scale
+        return replace(whole, image_offset=(line, sample),
+                       image_scale=(lines / self.scale, samples / self.scale))
+
+    def places(self, whole: FloatArray) -> FloatArray:
+        """Return lines and samples (..., 2) of the part, of those of the whole image."""
+        return np.asarray((whole + 0.5 - self.offset) / self.scale - 0.5)
+
+    @property
+    def settings(self) -> str:
+        """The options that state it."""
+        line, sample = self.offset
+        said = [f"--set rpc_offset={line:g},{sample:g}"] if line or sample else []
+        said += [f"--set rpc_scale={self.scale:g}"] if self.scale != 1.0 else []
+        return " ".join(said)
+
+    def sentence(self) -> str:
+        """Return what it is, as a sentence."""
+        line, sample = self.offset
+        said = []
+        if self.scale != 1.0:
+            said.append(f"has {self.scale:g} times the pixels of this one along a side"
+                        if self.scale > 1.0 else
+                        f"is {1 / self.scale:g} times coarser than this one")
+        if line or sample:
+            up = "above" if line >= 0 else "below"
+            left = "left" if sample >= 0 else "right"
+            said.append(f"begins some {abs(line):.0f} lines {up} and {abs(sample):.0f} samples "
+                        f"{left} of it")
+        return (f"By the control the RPC is of an image that {' and '.join(said)}; it was used so "
+                f"({self.settings}).")
+
+
+def part_of(offset: str | None, scale: float | str | None) -> ImagePart | None:
+    """Return what the options `RPC_OFFSET` and `RPC_SCALE` say; None where they are not given."""
+    if offset is None and scale is None:
+        return None
+    start = (0.0, 0.0)
+    if offset is not None:
+        pair = _PAIR.fullmatch(str(offset))
+        try:
+            start = (float(pair[1]), float(pair[2])) if pair else (np.nan, np.nan)
+        except ValueError:
+            start = (np.nan, np.nan)
+        if not np.isfinite(start).all():
+            raise TermselError(f"option 'rpc_offset' does not take {offset!r}",
+                               hint="Give line and sample, such as rpc_offset=700,900.")
+    try:
+        factor = 1.0 if scale is None else float(scale)
+    except ValueError:
+        factor = np.nan
+    if not 1e-3 <= factor <= 1e3:
+        raise TermselError(f"option 'rpc_scale' does not take {scale!r}",
+                           hint="Give a number from 0.001 to 1000, such as rpc_scale=2.")
+    return ImagePart(start, factor)
+
+
+def recognised(whole: FloatArray, measured: FloatArray) -> ImagePart | None:
+    """Return the part that explains where an RPC sees points, and where they were measured.
+
+    Shapes (n, 2) [px]. None where the RPC is near, where the points are too few, or where no part
+    explains most of them. Nothing tells where a part begins from a shift of the RPC itself. So it
+    is rounded, and the correction of the RPC finds the remaining pixels, with their uncertainty.
+    Medians let less than half of the points be blunders.
+    """
+    known = np.isfinite(whole).all(axis=1)
+    whole, measured = whole[known], measured[known]
+    if len(whole) < _LEAST or np.median(np.linalg.norm(whole - measured, axis=1)) < _FAR:
+        return None
+    factor = _factor(whole, measured)
+    scale = _simple(factor) if abs(factor - 1.0) > _REDUCED else 1.0
+    start = np.median(whole + 0.5 - scale * (measured + 0.5), axis=0)
+    # Less than what vendors' RPCs are off is a shift of the RPC; more is where the part begins.
+    start = _ROUND * np.round(start / _ROUND) if np.abs(start).max() > _FAR or scale == 1.0 \
+        else np.zeros(2)
+    part = ImagePart((float(start[0]), float(start[1])), scale)
+    apart = part.places(whole) - measured
+    scatter = float(np.median(np.linalg.norm(apart - np.median(apart, axis=0), axis=1)))
+    wide = float(np.linalg.norm(np.ptp(measured, axis=0)))
+    return part if scatter < max(_MEASURED, _ALIKE * wide / 2) and wide > _FAR else None
+
+
+def _factor(whole: FloatArray, measured: FloatArray) -> float:
+    """Return the median ratio of distances between points in both images."""
+    chosen = np.linspace(0, len(whole) - 1, min(len(whole), _MOST)).astype(int)
+    pairs = np.array(list(combinations(chosen.tolist(), 2)))
+    there, here = (np.linalg.norm(places[pairs[:, 0]] - places[pairs[:, 1]], axis=1)
+                   for places in (whole, measured))
+    apart = here > 0
+    return float(np.median(there[apart] / here[apart])) if apart.any() else 1.0
+
+
+def _simple(factor: float) -> float:
+    """Return the simple factor that a measured one is, or that itself."""
+    nearest = min(_FACTORS, key=lambda one: abs(factor / one - 1.0))
+    return float(nearest) if abs(factor / nearest - 1.0) < _SIMPLE else factor

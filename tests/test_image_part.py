@@ -1,0 +1,105 @@
+"""An RPC of the uncut or of the full image: recognised by control, or stated."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import termsel
+from termsel.errors import TermselError
+from termsel.formats.readers.csv_tables import write_points_csv
+from termsel.measurements.features import FeatureSet, FloatArray
+from termsel.models.image_part import ImagePart, recognised
+from tests.test_vertical_datum import camera, control
+
+PARTS = {
+    "cut": ImagePart((700.0, 900.0)),
+    "padded": ImagePart((-1500.0, 0.0)),
+    "halved": ImagePart(scale=2.0),
+    "thirds of a cut": ImagePart((120.0, 2000.0), 3.0),
+    "doubled": ImagePart(scale=0.5)}
+
+
+def seen(part: ImagePart, features: FeatureSet) -> FeatureSet:
+    """The same features, measured in a part of the image."""
+    image = part.places(features.points.image)
+    return replace(features, points=replace(features.points, image=image))
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_the_rpc_of_a_part_sees_what_is_in_the_part(name: str) -> None:
+    features = control(20, sigma=0.0)
+    expected = PARTS[name].places(camera().project(features.points.ground))
+    found = PARTS[name].rpc(camera()).project(features.points.ground)
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("count", [3, 5])
+@pytest.mark.parametrize("name", PARTS)
+def test_a_run_recognises_a_part_and_says_so(name: str, count: int, tmp_path: Path) -> None:
+    part = PARTS[name]
+    result = termsel.run(features=seen(part, control(count)))
+    said = result.summary().partition("How accurate")[0].replace("\n    ", " ")
+    assert "By the control the RPC is of an image that" in said
+    assert ("rpc_scale" in said) == (part.scale != 1.0)
+    termsel.export(result, "rpb", tmp_path / "part.RPB")
+    exact = seen(part, control(200, sigma=0.0)).points
+    errors = termsel.read_rpc(tmp_path / "part.RPB").project(exact.ground) - exact.image
+    assert np.sqrt((errors**2).sum(axis=1).mean()) < 0.5
+
+
+def test_a_blunder_among_the_points_hides_no_part() -> None:
+    features = seen(PARTS["cut"], control(8))
+    image = features.points.image.copy()
+    image[3] += [400.0, -250.0]
+    result = termsel.run(features=replace(features, points=replace(features.points, image=image)))
+    assert "--set rpc_offset=" in result.summary()
+    assert [one.id for one in result.outliers] == ["P3"]
+
+
+def test_the_interval_knows_that_the_place_of_a_part_was_estimated() -> None:
+    """The rest of a rounded offset is left to the correction, as if it had been stated."""
+    told = termsel.run(features=seen(PARTS["cut"], control(5)))
+    stated = termsel.run(features=control(5))
+    assert told.predicted is not None
+    assert stated.predicted is not None
+    assert told.predicted.rmse == pytest.approx(stated.predicted.rmse, rel=0.15)
+
+
+@pytest.mark.parametrize("move", [[0.0, 0.0], [17.0, -9.0], [60.0, 60.0]])
+def test_a_shift_of_vendors_size_is_no_part(move: list[float]) -> None:
+    whole = camera().project(control(12).points.ground)
+    assert recognised(whole, whole + move) is None
+
+
+def test_another_image_is_no_part() -> None:
+    rng = np.random.default_rng(3)
+    whole = camera().project(control(12).points.ground)
+    others: dict[str, FloatArray] = {
+        "exchanged": whole[:, ::-1], "of another place": rng.uniform(0, 2000, (12, 2)),
+        "turned": 2000 - whole, "all at one place": np.zeros((12, 2))}
+    for name, measured in others.items():
+        assert recognised(whole, measured) is None, name
+    assert recognised(whole[:2], whole[:2] - 700) is None
+
+
+def test_what_is_stated_is_used(tmp_path: Path) -> None:
+    features = seen(PARTS["thirds of a cut"], control(4))
+    write_points_csv(features.points, tmp_path / "points.csv", "EPSG:4979")
+    vendor = tmp_path / "vendor.RPB"
+    termsel.write_rpc(camera(), vendor)
+    read = termsel.read(tmp_path / "points.csv", rpc=vendor, rpc_offset="120,2000", rpc_scale=3)
+    assert read.rpc == PARTS["thirds of a cut"].rpc(camera())
+    result = termsel.run(features=read)
+    assert "By the control the RPC" not in result.summary()
+    for options, words in [({"rpc_offset": "120"}, "line and sample"),
+                           ({"rpc_offset": "1,e"}, "line and sample"),
+                           ({"rpc_scale": "0"}, "0.001 to 1000"),
+                           ({"rpc_scale": "much"}, "0.001 to 1000")]:
+        with pytest.raises(TermselError, match=words):
+            termsel.read(tmp_path / "points.csv", rpc=vendor, **options)
+    with pytest.raises(TermselError, match="none is given"):
+        termsel.read(tmp_path / "points.csv", rpc_scale=2)
