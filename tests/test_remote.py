@@ -18,7 +18,7 @@ import pytest
 
 import termsel
 from termsel.errors import TermselError
-from termsel.files import remote
+from termsel.files import drivers, rasters, sources
 from termsel.files.rasters import open_raster, tiff_bytes
 from termsel.formats.heights import open_dem
 
@@ -123,9 +123,14 @@ def read_all(path: Path) -> None:
         raster.read(1, out_shape=(5, 5))
 
 
+NAMED = {"wms.xml": "format WMS",
+         "wcs.xml": "format WCS", "inline.vrt": "remote source", "not-xml.vrt": "not well-formed"}
+REFUSED = r"remote source .* which is refused.*--allow-remote"
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_remote_sources_are_refused_before_gdal_sees_them(name: str, folder, server) -> None:
-    with pytest.raises(TermselError, match=r"remote source .* which is refused.*--allow-remote"):
+    with pytest.raises(TermselError, match=NAMED.get(name, REFUSED)):
         read_all(folder / name)
     assert server.count() == 0
 
@@ -134,7 +139,8 @@ def test_remote_sources_are_refused_before_gdal_sees_them(name: str, folder, ser
 @pytest.mark.parametrize("exceptions", ["", "*"])
 def test_gdal_makes_no_request_whatever_a_file_hides(name: str, exceptions: str, folder, server,
                                                      monkeypatch) -> None:
-    monkeypatch.setattr(remote, "_remote_names", lambda path: iter(()))
+    monkeypatch.setattr(rasters, "refuse_foreign", lambda path: None)
+    monkeypatch.setattr(rasters, "refuse_named", lambda path, names: None)
     monkeypatch.setenv("no_proxy", exceptions)
     for key, text in FILES.items():  # GDAL remembers what it has asked for
         text = text.replace(".tif<", f"{len(exceptions)}.tif<")
@@ -142,10 +148,10 @@ def test_gdal_makes_no_request_whatever_a_file_hides(name: str, exceptions: str,
     with suppress(TermselError):  # GDAL passes over a remote overview, for one
         read_all(folder / name)
     assert server.count() == 0
-    assert remote.os.environ["no_proxy"] == exceptions
+    assert drivers.os.environ["no_proxy"] == exceptions
 
 
-@pytest.mark.parametrize("name", ["url.vrt", "wms.xml", "nested.vrt", "pam.tif"])
+@pytest.mark.parametrize("name", ["url.vrt", "nested.vrt", "pam.tif"])
 def test_they_are_asked_for_where_that_is_allowed(name: str, folder, server) -> None:
     for key, text in FILES.items():
         text = text.replace(".tif<", "-allowed.tif<").replace(".ovr", "-allowed.ovr")
@@ -175,8 +181,7 @@ def test_addresses_that_no_file_is_read_from_do_no_harm(text: str, folder) -> No
     (folder / "self.vrt").write_text(text)
     (folder.parent / "vsicurlews").mkdir(exist_ok=True)
     (folder.parent / "vsicurlews" / "plain.tif").write_bytes((folder / "plain.tif").read_bytes())
-    with remote.local_alone(folder / "self.vrt") as options:
-        assert options == remote.REFUSING
+    sources.refuse_foreign(folder / "self.vrt")
 
 
 def test_vector_files(folder, server) -> None:
@@ -184,7 +189,7 @@ def test_vector_files(folder, server) -> None:
     path = folder / "lines.vrt"
     path.write_text(f"""<OGRVRTDataSource><OGRVRTLayer name="x"><SrcDataSource>/vsicurl/{server.url}
 /x.gpkg</SrcDataSource></OGRVRTLayer></OGRVRTDataSource>""")
-    with pytest.raises(TermselError, match="which is refused"):
+    with pytest.raises(TermselError, match="format OGR_VRT, which termsel does not open"):
         termsel.read(lines=path, format="vector-lines", crs="local")
     assert server.count() == 0
 
@@ -213,7 +218,7 @@ POINTS = "id,line,sample,x,y,z\nA,1,2,-56,-34.9,\nB,3,2,-56.1,-34.8,\nC,1,4,-56.
     ("export", "result", "--to", "gcp-vrt", "-o", "x.vrt", "--image", "vsicurl.vrt"),
     ("project", "result", "--points", "pixels.csv", "--inverse", "--dem", "vsicurl.vrt"),
     ("rectify", "result", "vsicurl.vrt", "-o", "map.tif", "--height", "3"),
-    ("rectify", "result", "plain.tif", "-o", "map.tif", "--dem", "wms.xml")],
+    ("rectify", "result", "plain.tif", "-o", "map.tif", "--dem", "url.vrt")],
     ids=lambda words: " ".join(words))
 def test_commands(words: tuple[str, ...], folder, server, call, result, monkeypatch) -> None:
     monkeypatch.chdir(folder)

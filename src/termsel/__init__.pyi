@@ -13,8 +13,9 @@ from .criteria import Criterion as Criterion
 from .criteria import Fits as Fits
 from .enumeration.columns.system import SubsetSystem as SubsetSystem
 from .errors import TermselError as TermselError
+from .files.drivers import allow_driver as allow_driver
+from .files.drivers import allow_remote as allow_remote
 from .files.rasters import open_raster as open_raster
-from .files.remote import allow_remote as allow_remote
 from .fits.accuracy import ce90 as ce90
 from .fits.fit import Estimator as Estimator
 from .fits.fit import Fit as Fit

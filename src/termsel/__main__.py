@@ -106,7 +106,9 @@ def main() -> None:
         # Of the BLAS that NumPy and SciPy bring along: see termsel.threads.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         from termsel.cli.main import cli
+        from termsel.files.drivers import claim_process
 
+        claim_process()
         open_streams()
         cli.main(prog_name="termsel", gives_back=False)
     except KeyboardInterrupt:  # where the command line does not answer

@@ -38,7 +38,9 @@ from .files.atomic import write_bytes as write_bytes
 from .files.atomic import write_text as write_text
 from .files.cog import require_tiff_name as require_tiff_name
 from .files.cog import write_cog as write_cog
+from .files.drivers import program_environment as program_environment
 from .files.lock import locked as locked
+from .files.rasters import refuse_empty_giant as refuse_empty_giant
 from .files.rasters import require_rasterio as require_rasterio
 from .fits.accuracy import ASPRS_POINTS as ASPRS_POINTS
 from .fits.accuracy import NSSDA_POINTS as NSSDA_POINTS

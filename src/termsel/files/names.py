@@ -44,6 +44,15 @@ def refuse_pipe(path: Path) -> None:
                            hint="Save what it carries to a file, and give that.")
 
 
+def require_regular(path: Path, named_by: object = None) -> None:
+    """Refuse what is no regular file, such as a pipe, which a file may name or be next to."""
+    if _kind(path) not in (None, stat.S_IFREG):
+        known = "" if named_by is None or str(named_by) == str(path) else f"{path.name!r}: "
+        raise TermselError(f"{known}this is a pipe or a device, expected a file",
+                           file=path if named_by is None else named_by,
+                           hint="Save what it carries to a file, and give that.")
+
+
 def _kind(path: Path) -> int | None:
     try:
         return stat.S_IFMT(path.stat().st_mode)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import os
+import re
 import sys
 import warnings
 from collections.abc import Iterator
@@ -14,17 +16,40 @@ from typing import Any
 import numpy as np
 
 from termsel.errors import GIS, TermselError, requires
+from termsel.files.drivers import (
+    NO_PROXY_EXISTS,
+    gdal_options,
+    own_drivers,
+    raster_drivers,
+    without_exceptions,
+)
 from termsel.files.names import is_there, refuse_pipe, utf8_name
-from termsel.files.remote import HINT, NO_PROXY_EXISTS, local_alone
+from termsel.files.sources import REMOTE_HINT, refuse_foreign, refuse_named, refused_format
 from termsel.measurements.features import FloatArray
+
+LARGEST_BLOCK = 2**29
+"""Bytes of one band that GDAL may have to hold at once."""
+
+SMALL = 2**28
+"""Bytes of pixels that are read whatever the size of the file."""
+
+_DENSEST = 1100
+"""Bytes of pixels that a byte of a file can hold: 1,032 by deflate."""
+
+_BYTES = {"complex_int16": "complex64"}
+"""Types of rasterio that NumPy has not."""
 
 
 def require_rasterio() -> Any:
     """Return the package rasterio; the TermselError says how to install it if it is not there."""
-    with requires("this requires", "rasterio", GIS):
+    if "rasterio" not in sys.modules:
+        # GDAL's errors come as exceptions, which termsel explains; the log would repeat them.
+        logging.getLogger("rasterio").addHandler(logging.NullHandler())
+    with own_drivers(), requires("this requires", "rasterio", GIS):
         import rasterio
-    # GDAL's errors come as exceptions, which termsel explains; the log would repeat them.
-    logging.getLogger("rasterio").addHandler(logging.NullHandler())
+
+        with rasterio.Env():  # GDAL looks for its drivers now
+            pass
     return rasterio
 
 
@@ -75,7 +100,8 @@ def open_raster(path: Path | str) -> Iterator[Any]:
     Parameters
     ----------
     path : path-like
-        Of any format that GDAL reads.
+        Of a format of `termsel.files.drivers`, or one that the user allows; a virtual raster whose
+        sources are such.
 
     Yields
     ------
@@ -84,36 +110,97 @@ def open_raster(path: Path | str) -> Iterator[Any]:
     Raises
     ------
     TermselError
-        If rasterio is not installed; if GDAL cannot open or read the file; if it has remote
-        sources that are not allowed (see `termsel.files.remote`).
+        If rasterio is not installed; if GDAL cannot open or read the file; if it, or what it
+        names, is of another format or on a server (see `termsel.files.sources`).
     """
     rasterio = require_rasterio()
     from rasterio._err import CPLE_BaseError
 
     refuse_pipe(Path(path))
+    path = _archived(path)
+    refuse_foreign(path)
     try:
-        with (local_alone(path) as options, rasterio.Env(**options), utf8_name(path) as name,
+        with (without_exceptions(), rasterio.Env(**gdal_options()), utf8_name(path) as name,
               _quiet_about_encodings(), np.errstate(over="ignore")):
             # The last: rasterio compares a value for no data with what pixels of the type can hold.
             with warnings.catch_warnings():
                 # An image that is to be georeferenced has no geotransform.
                 warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-                raster = rasterio.open(name)
+                # rasterio.open itself takes no list of drivers.
+                raster = rasterio.io.DatasetReader(str(name), driver=list(raster_drivers()))
             with raster:
+                refuse_named(path, _named_by(raster))
+                _refuse_large_blocks(path, raster)
                 yield raster
     except (rasterio.errors.RasterioError, CPLE_BaseError) as error:
-        if not is_there(Path(path)):
-            raise TermselError("this file does not exist", file=path,
-                               hint="Check the name and the folder.") from error
         # rasterio's own message only points to the cause.
-        reason = str(error.__cause__ or error).rstrip(".")
-        hint = HINT if NO_PROXY_EXISTS in reason else "Is it complete, and an image?"
-        raise TermselError(f"GDAL cannot read this raster: {reason}", file=path,
-                           hint=hint) from error
+        raise _unreadable(path, str(error.__cause__ or error).rstrip(".")) from error
     except UnicodeDecodeError as error:  # names, or what GDAL quotes of the file
         raise TermselError("this raster has text that is not UTF-8", file=path,
                            hint="Save the file, or what is next to it, with the encoding UTF-8."
                            ) from error
+
+
+def _archived(path: Path | str) -> Path | str:
+    """Return a name of GDAL with the second slash of an absolute place, which paths lose."""
+    found = re.fullmatch(r"(/vsi(?:zip|tar|gzip|7z|rar)/)([^/{].*)", str(path))
+    if found is None or any(map(os.path.lexists, (found[2], found[2].partition("/")[0]))):
+        return path
+    return f"{found[1]}/{found[2]}"
+
+
+def _named_by(raster: Any) -> Iterator[str]:
+    """Yield the rasters that the metadata of an open one name, wherever GDAL found them."""
+    for domain in ("OVERVIEWS", "GEOLOCATION"):
+        tags = raster.tags(ns=domain)
+        yield from (value for key, value in tags.items()
+                    if key.upper() in ("OVERVIEW_FILE", "X_DATASET", "Y_DATASET"))
+
+
+def _refuse_large_blocks(path: Path | str, raster: Any) -> None:
+    """Refuse a raster of which GDAL must hold more than a gigabyte to read a single pixel."""
+    sizes = [lines * samples * np.dtype(_BYTES.get(kind, kind)).itemsize
+             for (lines, samples), kind in zip(raster.block_shapes, raster.dtypes, strict=True)]
+    if max(sizes, default=0) > LARGEST_BLOCK:
+        raise TermselError(
+            f"GDAL would have to hold {max(sizes) / 2**30:,.1f} GiB of this raster at once",
+            file=path, hint="Divide it into tiles: gdal_translate -co TILED=YES FILE map.tif.")
+
+
+def refuse_empty_giant(raster: Any) -> None:
+    """Refuse to read a raster whose pixels are a thousand times what its files can hold.
+
+    A small file can claim to have any size. Where GDAL is asked for all of its pixels, that takes
+    hours.
+
+    Raises
+    ------
+    TermselError
+    """
+    pixels = float(raster.width) * raster.height * raster.count
+    size = pixels * np.dtype(_BYTES.get(raster.dtypes[0], raster.dtypes[0])).itemsize
+    held = sum(os.path.getsize(file) for file in raster.files if os.path.isfile(file))
+    archived = any(file.startswith("/vsi") for file in raster.files)
+    if not archived and size > SMALL and size > _DENSEST * held:
+        raise TermselError(
+            f"this raster of {raster.height:,} lines and {raster.width:,} samples has only "
+            f"{held / 1024:,.0f} KiB of data", file=raster.name,
+            hint="Give a raster that has pixels, or a smaller one.")
+
+
+def _unreadable(path: Path | str, reason: str) -> TermselError:
+    """Return the error for a raster that GDAL cannot read."""
+    if not is_there(Path(path)) and not str(path).startswith("/vsi"):
+        return TermselError("this file does not exist", file=path,
+                            hint="Check the name and the folder.")
+    if "not recognized as being in a supported file format" in reason:
+        try:
+            head = Path(path).read_bytes() if Path(path).stat().st_size < 4096 else b""
+        except OSError:
+            head = b""
+        return refused_format(path, head)
+    hint = REMOTE_HINT if NO_PROXY_EXISTS in reason else "Is it complete, and an image?"
+    return TermselError(f"GDAL cannot read this raster: {reason}", file=path, hint=hint)
 
 
 def positions(raster: Any, x: FloatArray, y: FloatArray) -> FloatArray:

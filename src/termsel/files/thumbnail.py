@@ -8,7 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from termsel.errors import TermselError
-from termsel.files.rasters import open_raster, require_rasterio, tiff_bytes
+from termsel.files.rasters import (
+    open_raster,
+    refuse_empty_giant,
+    require_rasterio,
+    tiff_bytes,
+)
 
 LONGEST = 1000
 """Pixels of the longer side."""
@@ -25,6 +30,7 @@ def thumbnail(path: Path | str, expected: tuple[int, int] | None = None,
                 f"this image has {size[0]} lines and {size[1]} samples, and the points were "
                 f"measured in one of {expected[0]} and {expected[1]}", file=path,
                 hint="Give the image that the points were measured in.")
+        refuse_empty_giant(raster)
         small = max(1.0, max(size) / LONGEST)
         shape = (max(1, round(size[0] / small)), max(1, round(size[1] / small)))
         band = raster.read(1, out_shape=shape, masked=True,

@@ -6,9 +6,9 @@ import os
 import pickle
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from threading import Lock
+from threading import Lock, Timer
 from typing import Any
 
 SAFE_PATH = "PYTHONSAFEPATH"
@@ -76,18 +76,28 @@ class Helper:
     code : str
         What it runs. It reads questions, pickled, from stdin, writes an answer to each to stdout,
         and ends with stdin.
+    environment : mapping, optional
+        Of the process; by default that of this one.
     """
 
     # Not by multiprocessing: that imports the script of the user once more, and so does its work
     # again where it is not guarded by `if __name__ == "__main__":`.
-    def __init__(self, code: str) -> None:
+    def __init__(self, code: str, environment: Mapping[str, str] | None = None) -> None:
         self._code, self._lock = code, Lock()
+        self._environment = environment
         self._child: subprocess.Popen[bytes] | None = None
 
-    def ask(self, question: Any) -> Any:
-        """Return the answer to a question. Raises ProcessEndedError where there is none."""
+    def ask(self, question: Any, seconds: float | None = None) -> Any:
+        """Return the answer to a question. Raises ProcessEndedError where there is none.
+
+        A process that takes longer than so many seconds is ended.
+        """
         with self._lock:
             child = self._child = self._child or self._begun()
+            limit = None if seconds is None else Timer(seconds, child.kill)
+            if limit is not None:
+                limit.daemon = True
+                limit.start()
             assert child.stdin is not None
             assert child.stdout is not None
             answered = False
@@ -99,6 +109,8 @@ class Helper:
             except (OSError, EOFError, pickle.UnpicklingError) as error:  # half an answer is none
                 raise ProcessEndedError from error
             finally:
+                if limit is not None:
+                    limit.cancel()
                 if not answered:  # nor is one that comes after Ctrl-C
                     self.end()
             return answer
@@ -115,4 +127,4 @@ class Helper:
         first = f"import sys; sys.path[:] = {safe_path()!r}\n"
         return subprocess.Popen([sys.executable, "-P", "-c", first + self._code],
                                 stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-                                env={**os.environ, SAFE_PATH: "1"})
+                                env={**(self._environment or os.environ), SAFE_PATH: "1"})

@@ -14,7 +14,7 @@ from termsel.errors import TermselError
 from termsel.files.atomic import private_folder, write_text
 from termsel.files.cog import TILE, require_tiff_name, write_cog
 from termsel.files.names import utf8_name
-from termsel.files.rasters import open_raster, require_rasterio
+from termsel.files.rasters import open_raster, refuse_empty_giant, require_rasterio
 from termsel.formats.heights import Dem, say_difference, surface_of, write_ellipsoidal
 from termsel.formats.rpc_files import rpc_items
 from termsel.formats.vrt import Picture, picture_for, vrt_text
@@ -117,6 +117,8 @@ def rectify(
     target = map_crs(result, crs)
     result = as_exported(result, final)
     picture = picture_for(result, image)
+    with open_raster(image) as raster:
+        refuse_empty_giant(raster)
     result = result.of_image(picture.size)
     level = float(result.fit.ground_box()[0][2]) if height is None else height
     with ExitStack() as stack:

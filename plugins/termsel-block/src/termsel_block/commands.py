@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from termsel.toolkit import remote_option
+
 _PATH = click.Path(path_type=Path)
 
 
@@ -25,6 +27,7 @@ def add_commands(cli: click.Group) -> None:
 @click.option("--json", "as_json", is_flag=True, help="Print JSON alone on stdout.")
 @click.option("--verbose", is_flag=True, help="Print a row for each image and each blunder.")
 @click.option("--quiet", is_flag=True, help="Show no progress.")
+@remote_option
 def block(file: Path, folder: Path, overwrite: bool, as_json: bool, verbose: bool, quiet: bool,
           ) -> None:
     """Adjust several images together, by their control and the ties between them.
@@ -119,6 +122,7 @@ def block_points(folder: Path, output: Path, overwrite: bool) -> None:
 @click.option("--seed", type=int, default=1, show_default=True)
 @click.option("--overwrite", is_flag=True, help="Replace a file that is there.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON alone on stdout.")
+@remote_option
 def block_select(file: Path, output: Path, solver: str, most: int | None, candidates: int,
                  evaluations: int | None, seed: int, overwrite: bool, as_json: bool) -> None:
     """Select which control and which ties of a block are enough (the problem owdis-block).

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from termsel import TermselError, get, require_replaceable
-from termsel.toolkit import counted
+from termsel.toolkit import counted, remote_option
 
 if TYPE_CHECKING:
     from termsel_match.matchers import Matcher
@@ -100,6 +100,7 @@ def matcher_of(name: str | None, settings: tuple[str, ...]) -> Matcher | None:
               type=_FILE, help="Table of candidate points to write.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 @click.option("--quiet", is_flag=True, help="Show no progress.")
+@remote_option
 def match_points(image: Path, reference: Path, output: Path, overwrite: bool, quiet: bool,
                  matcher: str | None, settings: tuple[str, ...], **options: Any) -> None:
     """Find candidates of control points: places of an image and a map that look alike.
@@ -148,6 +149,7 @@ def match_points(image: Path, reference: Path, output: Path, overwrite: bool, qu
               type=_FILE, help="Table of candidate lines to write.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing table.")
 @click.option("--quiet", is_flag=True, help="Show no progress.")
+@remote_option
 def match_lines(image: Path, vectors: Path, iterate: bool, folder: Path | None, output: Path,
                 overwrite: bool, quiet: bool, **options: Any) -> None:
     """Find candidates of control lines: bands of an image near projected vectors.
@@ -211,6 +213,7 @@ def match_lines(image: Path, vectors: Path, iterate: bool, folder: Path | None, 
               type=_FILE, help="Table of ties to write.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 @click.option("--quiet", is_flag=True, help="Show no progress.")
+@remote_option
 def match_ties(images: tuple[Path, ...], dem: Path, output: Path, overwrite: bool, quiet: bool,
                matcher: str | None, settings: tuple[str, ...], **options: Any) -> None:
     """Find tie points: places that two raw images or more show.
@@ -262,6 +265,7 @@ def match_ties(images: tuple[Path, ...], dem: Path, output: Path, overwrite: boo
 @click.option("--overwrite", is_flag=True, help="Replace an existing map.")
 @click.option("--quiet", is_flag=True, help="Show no progress.")
 @click.pass_context
+@remote_option
 def auto_georeference(context: click.Context, /, image: Path, output: Path, folder: Path | None,
                       dem: Path | None, quiet: bool, matcher: str | None,
                       settings: tuple[str, ...], **options: Any) -> None:

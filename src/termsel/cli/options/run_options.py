@@ -266,7 +266,7 @@ class Asked:
     def command(self, problem: str, solver: str, criterion: str,
                 settings: Mapping[str, str]) -> str:
         """Return a command that runs another method on the same data, all of ``--set`` included."""
-        from termsel.files.remote import remote_allowed
+        from termsel.files.drivers import remote_allowed
 
         words = ["termsel", "run", "--problem", problem]
         data = {"--dataset": self.dataset, "--points": self.points, "--lines": self.lines,

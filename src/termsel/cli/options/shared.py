@@ -29,7 +29,12 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 def remote_option(command: Command) -> Command:
-    """Add ``--allow-remote``, which holds for all that the command reads."""
+    """Add ``--allow-remote`` and ``--allow-driver``, which hold for all that the command reads."""
+    command = click.option(
+        "--allow-driver", metavar="NAME", multiple=True, expose_value=False,
+        callback=_allow_drivers,
+        help="Let this driver of GDAL open files, such as netCDF. Only for files that you trust: "
+             "some drivers write files or run programs.")(command)
     return click.option(
         "--allow-remote", is_flag=True, expose_value=False, callback=_allow,
         help="Let rasters and vector files refer to servers; refused otherwise.")(command)
@@ -37,6 +42,14 @@ def remote_option(command: Command) -> Command:
 
 def _allow(context: click.Context, parameter: click.Parameter, given: bool) -> None:  # noqa: ARG001
     if given and not context.resilient_parsing:
-        from termsel.files.remote import allow_remote as allowed
+        from termsel.files.drivers import allow_remote as allowed
 
         context.with_resource(allowed())
+
+
+def _allow_drivers(context: click.Context, parameter: click.Parameter,  # noqa: ARG001
+                   names: tuple[str, ...]) -> None:
+    if names and not context.resilient_parsing:
+        from termsel.files.drivers import allow_driver as allowed
+
+        context.with_resource(allowed(*names))

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from termsel.errors import TermselError, requires
+from termsel.files.apart import apart
 from termsel.files.names import is_there
 from termsel.formats.base import read_data
 from termsel.measurements.tables.columns import FOREIGN, USE, Aliases, declared, matches
@@ -204,16 +205,8 @@ def _of_text(path: Path, text: str, delimiter: str) -> Cells:
 def _sheet(path: Path, aliases: Aliases, own: Mapping[str, str], layer: str | None) -> Cells:
     """Return the rows of a sheet of a spreadsheet: the first visible one that names columns."""
     with requires("spreadsheets require", "python-calamine", '"termsel[tables]"', path):
-        from python_calamine import CalamineError, CalamineWorkbook, SheetVisibleEnum
-    try:
-        with CalamineWorkbook.from_path(str(path)) as book:
-            names = [sheet.name for sheet in book.sheets_metadata
-                     if sheet.visible == SheetVisibleEnum.Visible or sheet.name == layer]
-            sheets = {name: _filled(book.get_sheet_by_name(name).to_python(skip_empty_area=False))
-                      for name in names if layer in (None, name)}
-    except (CalamineError, OSError, ValueError) as error:
-        raise TermselError(f"this spreadsheet cannot be read: {error}", file=path,
-                           hint="Save it again, or as CSV.") from error
+        import python_calamine  # noqa: F401 (what the other process imports)
+    names, sheets = apart(_sheets, path, layer)
     if not sheets:
         raise TermselError(f"the file has no sheet {layer!r}" if layer else "no sheet is visible",
                            file=path, hint=f"It has {', '.join(names) or 'hidden sheets alone'}.")
@@ -223,6 +216,26 @@ def _sheet(path: Path, aliases: Aliases, own: Mapping[str, str], layer: str | No
     return Cells(*sheets[chosen], notes=() if len(good) < 2 else (
         f"{path} has tables in the sheets {', '.join(good)}; {chosen} is read, and --set "
         "layer=NAME chooses another",))
+
+
+def _sheets(path: Path, layer: str | None,
+            ) -> tuple[list[str], dict[str, tuple[list[list[str]], list[int]]]]:
+    """Return the names of the visible sheets, and the rows of the layer or of all of them.
+
+    A sheet of a kilobyte can say that it has 17 billion cells: see `termsel.files.apart`.
+    """
+    from python_calamine import CalamineError, CalamineWorkbook, SheetVisibleEnum
+
+    try:
+        with CalamineWorkbook.from_path(str(path)) as book:
+            names = [sheet.name for sheet in book.sheets_metadata
+                     if sheet.visible == SheetVisibleEnum.Visible or sheet.name == layer]
+            return names, {
+                name: _filled(book.get_sheet_by_name(name).to_python(skip_empty_area=False))
+                for name in names if layer in (None, name)}
+    except (CalamineError, OSError, ValueError) as error:
+        raise TermselError(f"this spreadsheet cannot be read: {error}", file=path,
+                           hint="Save it again, or as CSV.") from None
 
 
 def _filled(values: Sequence[Sequence[Any]]) -> tuple[list[list[str]], list[int]]:

@@ -2,22 +2,35 @@
 
 from __future__ import annotations
 
+import glob
+import re
+import shutil
+import sqlite3
 from collections.abc import Container, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 from warnings import catch_warnings, simplefilter
 
 import numpy as np
 
 from termsel.errors import GIS, TermselError, requires
-from termsel.files.names import is_there, utf8_name
-from termsel.files.remote import local_alone
+from termsel.files.apart import apart
+from termsel.files.atomic import private_folder
+from termsel.files.drivers import DRIVER_HINT, WORKING_DRIVERS, gdal_options, vector_drivers
+from termsel.files.names import is_there, require_regular
+from termsel.files.sources import foreign_format
 from termsel.formats.base import read_head, read_text
 from termsel.formats.readers.geojson import Feature
 from termsel.formats.readers.tables import COLUMNS
 
 LAYER = next(option for option in COLUMNS if option.name == "layer")
+
+_SINGLE_FILES = (".gpkg", ".fgb", ".geojson", ".json", ".geojsonl", ".kml", ".kmz", ".gml", ".gpx",
+                 ".xml", ".zip", ".shz")
+"""Endings of formats of one file."""
 
 POINT_KINDS = {"Point": 0, "MultiPoint": 1}
 
@@ -30,30 +43,13 @@ def is_vector(head: bytes) -> bool:
 
 def has_points(path: Path) -> bool:
     """Return whether a vector file has a layer of points; False where it cannot be read."""
-    try:
-        from pyogrio import list_layers
-        from pyogrio.errors import DataSourceError
-    except ImportError:
+    if find_spec("pyogrio") is None:
         return False
     try:
-        with local_alone(path) as options, _configured(options), utf8_name(path) as name:
-            return is_there(path) and any(
-                str(kind).split(" ")[0] in POINT_KINDS for _, kind in list_layers(name))
-    except (DataSourceError, TermselError):
+        return is_there(path) and any(kind in POINT_KINDS
+                                      for kind in apart(_layers, path).values())
+    except TermselError:
         return False
-
-
-@contextmanager
-def _configured(options: Mapping[str, str]) -> Iterator[None]:
-    """Set options of pyogrio's GDAL while the block runs."""
-    from pyogrio import get_gdal_config_option, set_gdal_config_options
-
-    before = {key: get_gdal_config_option(key) for key in options}
-    set_gdal_config_options(dict(options))
-    try:
-        yield
-    finally:
-        set_gdal_config_options(before)
 
 
 def open_layer(path: Path, layer: str | None, kinds: Container[str],
@@ -65,26 +61,132 @@ def open_layer(path: Path, layer: str | None, kinds: Container[str],
     if read_head(path, "Expected a GeoPackage, Shapefile or FlatGeobuf.").lstrip()[:1] == b"{":
         read_text(path)  # lest GDAL quotes what is no text
     with requires("this requires", "pyogrio and shapely", GIS, path):
-        from pyogrio import list_layers
-        from pyogrio.errors import DataLayerError, DataSourceError
-        from pyogrio.raw import read
+        import pyogrio.errors  # noqa: F401 (what the other process imports)
         from shapely import GEOSException, from_wkb
+    layers = apart(_layers, path)
+    if not layers:
+        raise TermselError("the file has no layers", file=path, hint="Is it complete?")
+    if layer is None:
+        layer = next((key for key, kind in layers.items() if kind in kinds),
+                     next((key for key, kind in layers.items() if kind == "Unknown"), None))
+    meta, geometries, values = apart(_layer, path, layer, columns)
     try:
-        with (local_alone(path) as options, _configured(options), catch_warnings(),
-              utf8_name(path) as name):
-            simplefilter("ignore")  # what GDAL says of a file that it reads all the same
-            layers = {str(key): str(kind).split(" ")[0] for key, kind in list_layers(name)}
-            if not layers:
-                raise TermselError("the file has no layers", file=path, hint="Is it complete?")
-            if layer is None:
-                layer = next((key for key, kind in layers.items() if kind in kinds),
-                             next((key for key, kind in layers.items() if kind == "Unknown"), None))
-            meta, _, geometries, values = read(name, layer=layer, columns=columns)
         return meta, None if geometries is None else from_wkb(geometries), values
-    except (DataSourceError, DataLayerError, GEOSException, ValueError) as error:
-        raise TermselError(f"GDAL cannot read this file: {error}", file=path,
-                           hint="Is it complete? A Shapefile needs its .shx and .dbf next to it."
-                           ) from error
+    except GEOSException as error:
+        raise _unreadable(path, error) from error
+
+
+def _layers(path: Path) -> dict[str, str]:
+    """Return the kind of geometry of each layer, in the process that reads vector files."""
+    from pyogrio import list_layers
+
+    with _only_allowed(path) as name:
+        return {str(key): str(kind).split(" ")[0] for key, kind in list_layers(name)}
+
+
+def _layer(path: Path, layer: str | None, columns: list[str] | None,
+           ) -> tuple[dict[str, Any], Any, list[Any]]:
+    """Return what is known of a layer, its geometries and its columns, in that process."""
+    from pyogrio.raw import read
+
+    with _only_allowed(path) as name:
+        meta, _, geometries, values = read(name, layer=layer, columns=columns)
+    return meta, geometries, list(values)
+
+
+@contextmanager
+def _only_allowed(path: Path) -> Iterator[Path]:
+    """Yield a name in a private folder by which the drivers that are allowed read a vector file."""
+    from pyogrio.errors import DataLayerError, DataSourceError
+
+    _turn_off_drivers()
+    _refuse_queries(path)
+    try:
+        with private_folder() as folder, catch_warnings():
+            simplefilter("ignore")  # what GDAL says of a file that it reads all the same
+            yield _linked(path, folder)
+    except (DataSourceError, DataLayerError, ValueError) as error:
+        if "not recognized as being in a supported file format" in str(error):
+            raise _foreign(path) from None
+        raise _unreadable(path, error) from None
+
+
+def _turn_off_drivers() -> None:
+    """Leave GDAL, of which this process has its own, the drivers that may open vector files."""
+    from pyogrio import core, list_drivers, set_gdal_config_options
+
+    others = [name for name in list_drivers() if name not in (*vector_drivers(), *WORKING_DRIVERS)]
+    set_gdal_config_options({**gdal_options(), "GDAL_SKIP": ",".join(others) or None,
+                             "OGR_SKIP": None})
+    if others:
+        core._register_drivers()
+
+
+def _linked(path: Path, folder: Path) -> Path:
+    """Link a file into a folder, where GDAL may write next to it what it likes.
+
+    A Shapefile has further files of its name; what is next to another file is not read.
+    """
+    name = folder / path.name.encode(errors="replace").decode()
+    files = [path]
+    if path.suffix.lower() not in _SINGLE_FILES:
+        files += [file for file in path.parent.glob(f"{glob.escape(path.stem)}.*") if file != path]
+    for file in files:
+        place = name if file == path else name.with_suffix(file.suffix)
+        if not file.is_file():
+            require_regular(file, path)
+            continue
+        if _is_wal(file):  # SQLite would write files next to it, wherever links lead
+            shutil.copy(file, place)
+            continue
+        try:
+            place.symlink_to(file.absolute())
+        except FileExistsError:
+            continue
+        except OSError:  # links need a permission on some systems
+            shutil.copy(file, place)
+    return name
+
+
+def _is_wal(path: Path) -> bool:
+    with path.open("rb") as file:
+        head = file.read(20)
+    return head.startswith(b"SQLite format 3\0") and 2 in head[18:20]
+
+
+def _refuse_queries(path: Path) -> None:
+    """Refuse a GeoPackage with tables that read other files."""
+    with path.open("rb") as file:
+        if file.read(16) != b"SQLite format 3\0":
+            return
+    place = f"file:{quote(str(path.absolute()))}?mode=ro&immutable=1"
+    try:
+        with closing(sqlite3.connect(place, uri=True)) as database:
+            virtual = [str(sql) for sql, in database.execute(
+                "SELECT sql FROM sqlite_master WHERE type = 'table' AND rootpage = 0")]
+    except sqlite3.Error as error:
+        raise _unreadable(path, error) from None
+    for sql in virtual:
+        if not re.search(r"\bUSING\s+[\"'`\[]?(rtree|rtree_i32|fts[345]|geopoly)\b", sql,
+                         re.IGNORECASE):
+            raise TermselError("this database has a virtual table, which may read any file",
+                               file=path, hint="Write its layers to a plain GeoPackage: ogr2ogr "
+                                               "plain.gpkg FILE LAYER.")
+
+
+def _foreign(path: Path) -> TermselError:
+    """Return the error for a file of a driver that is off."""
+    with path.open("rb") as file:
+        name = foreign_format(file.read(4096))
+    what = f"this is of the format {name}, which termsel does not open" if name else \
+        "this is no vector file of a format that termsel opens"
+    allowing = f" {DRIVER_HINT.format(name=name)}" if name else ""
+    return TermselError(what, file=path, hint=f"Convert it: ogr2ogr lines.gpkg FILE.{allowing}")
+
+
+def _unreadable(path: Path, error: Exception) -> TermselError:
+    return TermselError(f"GDAL cannot read this file: {error}", file=path,
+                        hint="Is it complete? A Shapefile needs its .shx and .dbf next to it.")
 
 
 def read_layer(path: Path, layer: str | None, kinds: Mapping[str, int],

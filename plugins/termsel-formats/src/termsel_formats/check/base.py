@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from termsel import TermselError
-from termsel.toolkit import FloatArray
+from termsel.toolkit import FloatArray, program_environment
 
 Places = Callable[[FloatArray, FloatArray], FloatArray]
 """From line and sample (n, 2) and heights (n,) to x and y (n, 2), NaN where there are none."""
@@ -49,7 +49,7 @@ class NoAnswer(TermselError):
 
 def answer(command: Sequence[str], text: str = "",
            environment: Mapping[str, str] | None = None) -> str:
-    """Return what a program prints.
+    """Return what a program prints, which reads files as termsel does: see `program_environment`.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def answer(command: Sequence[str], text: str = "",
         done = subprocess.run(
             list(command), input=text, capture_output=True, text=True, errors="replace",
             timeout=_PATIENCE, check=False,
-            env=dict(environment) if environment else {**os.environ, "LC_ALL": "C.UTF-8"})
+            env=program_environment(environment or {**os.environ, "LC_ALL": "C.UTF-8"}))
     except subprocess.TimeoutExpired:
         raise NoAnswer(f"{Path(command[0]).name} gave no answer in {_PATIENCE:g} s") from None
     except OSError as error:

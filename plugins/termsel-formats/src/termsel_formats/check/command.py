@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING
 import click
 
 from termsel import TermselError
-from termsel.toolkit import echo, final_option, print_json, print_table, show_messages
+from termsel.toolkit import (
+    echo,
+    final_option,
+    print_json,
+    print_table,
+    remote_option,
+    show_messages,
+)
 
 if TYPE_CHECKING:
     from termsel_formats.check.comparison import Apart, Deviation
@@ -25,6 +32,7 @@ CLOSE = 1.0
               help="Folder of a run: how far is what programs take from its model?")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @final_option
+@remote_option
 def check(file: Path, folder: Path | None, as_json: bool, final: bool | None) -> None:
     """Say which transformation other programs take from a file, and how far it is off.
 

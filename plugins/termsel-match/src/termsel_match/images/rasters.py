@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from termsel import TermselError, open_raster
+from termsel.toolkit import refuse_empty_giant
 
 FloatArray = NDArray[np.float64]
 Grey = NDArray[np.float32]
@@ -161,6 +162,7 @@ def open_picture(path: Path | str, band: int | None = None) -> Iterator[GreyRast
         if band is not None and not 1 <= band <= raster.count:
             raise TermselError(f"this raster has no band {band}", file=path,
                                hint=f"Give a band from 1 to {raster.count}.")
+        refuse_empty_giant(raster)
         visible = tuple(index for index, kind in zip(raster.indexes, raster.colorinterp,
                                                      strict=True) if kind != ColorInterp.alpha)
         if band is None and len(visible) > _BANDS:

@@ -1,0 +1,270 @@
+"""Reading writes nothing and reads nothing else: a list of drivers, to the end of the chain."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import subprocess
+import sys
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import termsel
+from termsel import TermselError, open_raster
+from termsel.files.drivers import RASTER_DRIVERS, VECTOR_DRIVERS, skipped
+from termsel.toolkit import open_layer
+from tests.attacks.files import auxiliary, ers, image, mrf, ogr_vrt, pds, pipeline, raw, vrt, wms
+
+rasterio = pytest.importorskip("rasterio")
+pyogrio = pytest.importorskip("pyogrio")
+
+POINT = json.dumps({"type": "FeatureCollection", "features": [
+    {"type": "Feature", "properties": {"f": "x"},
+     "geometry": {"type": "LineString", "coordinates": [[48.5, 34.8], [48.51, 34.81]]}}]})
+
+
+def read(path: Path) -> None:
+    with open_raster(path) as raster:
+        raster.overviews(1)
+        raster.read(1, out_shape=(7, 7))
+        raster.read(1)
+
+
+def files_of(folder: Path) -> set[str]:
+    return {str(path.relative_to(folder)) for path in folder.rglob("*")}
+
+
+@pytest.fixture
+def rasters(folder: Path, victim: Path, server) -> dict[str, str]:
+    """Texts of rasters that write elsewhere, or that read the bytes of any file."""
+    source = image(folder / "source.tif")
+    return {
+        "mrf": mrf(source, victim / "made.bin"), "wms": wms(server.url, victim / "cache"),
+        "raw": raw(victim / "kept.txt"), "ers": ers(victim / "kept.txt"),
+        "pds": pds(victim / "kept.txt"),
+        "indented mrf": "  " + mrf(source, victim / "made.bin"),
+        "commented mrf": "<!-- a -->" + mrf(source, victim / "made.bin"),
+        "raw in another case": raw(victim / "kept.txt").replace("subClass", "SUBCLASS"),
+        "python": vrt(source).replace(
+            '<VRTRasterBand dataType="Byte" band="1">', '<VRTRasterBand dataType="Byte" band="1" '
+            'subClass="VRTDerivedRasterBand"><PixelFunctionType>f</PixelFunctionType>'
+            "<PixelFunctionLanguage>Python</PixelFunctionLanguage><PixelFunctionCode><![CDATA[\n"
+            f"open({str(victim / 'made')!r}, 'w')\n]]></PixelFunctionCode>")}
+
+
+def test_rasters_alone(rasters, folder: Path, victim: Path) -> None:
+    for number, text in enumerate(rasters.values()):
+        for ending in ("tif", "vrt", "mrf", "ers", "lbl", "img"):
+            path = folder / f"{number}.{ending}"
+            path.write_text(text)
+            before = files_of(folder)
+            with pytest.raises(TermselError, match=r"does not open|not opened|that termsel opens"
+                                                   r"|not well-formed|remote source"):
+                read(path)
+            assert files_of(folder) == before
+
+
+def test_as_part_of_others(rasters, folder: Path, victim: Path) -> None:
+    """As source, inline source, overview, mask, or from auxiliary XML."""
+    for number, text in enumerate(rasters.values()):
+        folder = folder.parent / f"parts {number}"
+        folder.mkdir()
+        part = folder / "part.dat"
+        part.write_text(text)
+        whole = {"s.vrt": vrt(part), "i.vrt": vrt(text), "o.tif.ovr": text, "m.tif.msk": text,
+                 "x.tif.aux.xml": auxiliary(part), "deep.vrt": vrt("s.vrt", 1),
+                 "w.vrt": '<VRTDataset subClass="VRTWarpedDataset" rasterXSize="60" rasterYSize='
+                          '"60"><VRTRasterBand dataType="Byte" band="1" subClass='
+                          '"VRTWarpedRasterBand"/><GDALWarpOptions><SourceDataset>'
+                          f"{part}</SourceDataset></GDALWarpOptions></VRTDataset>"}
+        for name, content in whole.items():
+            if ".tif" in name:
+                image(folder / f"{name[0]}.tif")
+            (folder / name).write_text(content)
+        before = files_of(folder)
+        for name in ("s.vrt", "i.vrt", "o.tif", "m.tif", "x.tif", "deep.vrt", "w.vrt"):
+            with pytest.raises(TermselError):
+                read(folder / name)
+        assert files_of(folder) == before
+
+
+@pytest.mark.parametrize("name", ["CSV:@V", "ENVI:@V", "RAW:@V", "MRF:@V", "ISIS3:@V", "PDF:1:@V",
+                                  "DERIVED_SUBDATASET:AMPLITUDE:@V", "HDF5:@V://a", "/vsistdin/",
+                                  "/vsisparse/@V", "/vsicrypt/@V", "MEM:::DATAPOINTER=1,PIXELS=9,"
+                                  "LINES=9", '{"type": "gdal_streamed_alg"}', "/etc/passwd",
+                                  "/dev/zero", "/proc/self/environ", "@V"])
+def test_names_of_what_is_no_raster(name: str, folder: Path, victim: Path) -> None:
+    (folder / "a.vrt").write_text(vrt(name.replace("@V", str(victim / "kept.txt"))))
+    with pytest.raises(TermselError):
+        read(folder / "a.vrt")
+
+
+def test_a_header_beside_a_link_to_another_file(folder: Path, victim: Path) -> None:
+    (folder / "a.bil").symlink_to(victim / "kept.txt")
+    (folder / "a.hdr").write_text("ncols 60\nnrows 60\nnbits 8\nlayout bil\n")
+    with pytest.raises(TermselError):
+        read(folder / "a.bil")
+
+
+@pytest.mark.parametrize("kind", ["mrf", "wms", "raw"])
+def test_in_a_process_of_termsel(kind: str, rasters, folder: Path, made_result: Path, typed,
+                                 ) -> None:
+    (folder / "a.tif").write_text(rasters[kind])
+    done = typed("report", made_result, "--image", "a.tif", "-o", "page.html")
+    assert done.returncode == 2
+    assert not (folder / "page.html").exists()
+
+
+def test_gdal_itself_has_no_other_drivers_in_a_process_of_termsel() -> None:
+    """Even what no look at the file would see, GDAL cannot do there."""
+    code = ("from termsel.files.drivers import claim_process; claim_process()\n"
+            "from termsel.files.rasters import require_rasterio\n"
+            "with require_rasterio().Env() as env: print('|'.join(env.drivers()))")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr == ""
+    known = set(done.stdout.strip().split("|"))
+    assert {"GTiff", "VRT", "MEM"} <= known <= {*RASTER_DRIVERS, *VECTOR_DRIVERS, "MEM", "Memory"}
+
+
+def test_drivers_of_a_program_that_imports_termsel_stay() -> None:
+    code = ("import termsel, rasterio\n"
+            "from termsel.files.rasters import require_rasterio; require_rasterio()\n"
+            "with rasterio.Env() as env: assert {'MRF', 'netCDF'} <= set(env.drivers())\n"
+            "import os; assert 'GDAL_SKIP' not in os.environ")
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_every_driver_of_gdal_is_on_one_of_the_lists() -> None:
+    """One that is not would be on in a process of termsel."""
+    with rasterio.Env() as env:
+        there = {*env.drivers(), *pyogrio.list_drivers()}
+    assert there - {*RASTER_DRIVERS, *VECTOR_DRIVERS, "MEM", "Memory"} <= set(skipped().split(","))
+
+
+def test_vector_files(folder: Path, victim: Path) -> None:
+    (folder / "source.geojson").write_text(POINT)
+    kept = victim / "kept.txt"
+    texts = {"pipeline": pipeline(folder / "source.geojson", victim / "made"),
+             "csv": ogr_vrt(f"CSV:{kept}"), "any": ogr_vrt(kept),
+             "indented": "  " + ogr_vrt(f"CSV:{kept}")}
+    for text in texts.values():
+        for ending in ("geojson", "json", "vrt", "gpkg", "gdalg.json", "shp", "kml"):
+            path = folder / f"a.{ending}"
+            path.write_text(text)
+            before = files_of(folder)
+            with pytest.raises(TermselError):
+                open_layer(path, None, ("LineString",))
+            with pytest.raises(TermselError):
+                termsel.read(lines=path, format="vector-lines", crs="local")
+            assert files_of(folder) == before
+            path.unlink()
+
+
+def test_a_virtual_table_of_a_geopackage(folder: Path, victim: Path) -> None:
+    shapely = pytest.importorskip("shapely")
+    path = folder / "a.gpkg"
+    pyogrio.raw.write(path, np.array([shapely.to_wkb(shapely.LineString([[0, 0], [1, 1]]))], object),
+                      [np.array(["x"], object)], ["id"], geometry_type="LineString",
+                      crs="EPSG:4326", driver="GPKG")
+    meta, shapes, _ = open_layer(path, None, ("LineString",))
+    assert len(shapes) == 1
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("PRAGMA writable_schema = 1")
+        database.execute("INSERT INTO sqlite_master VALUES ('table', 'v', 'v', 0, "
+                         f"'CREATE VIRTUAL TABLE v USING VirtualOGR(''{victim}/kept.txt'')')")
+        database.commit()
+    with pytest.raises(TermselError, match="virtual table"):
+        open_layer(path, None, ("LineString",))
+
+
+def test_gml_leaves_nothing(folder: Path) -> None:
+    path = folder / "roads.gml"
+    path.write_text(
+        '<ogr:FeatureCollection xmlns:ogr="http://ogr.maptools.org/" '
+        'xmlns:gml="http://www.opengis.net/gml"><gml:featureMember><ogr:roads fid="1">'
+        '<ogr:geometryProperty><gml:LineString srsName="EPSG:4326"><gml:coordinates>48,34 49,35'
+        "</gml:coordinates></gml:LineString></ogr:geometryProperty></ogr:roads>"
+        "</gml:featureMember></ogr:FeatureCollection>")
+    _, shapes, _ = open_layer(path, None, ("LineString",))
+    assert len(shapes) == 1
+    assert files_of(folder) == {"roads.gml"}
+
+
+def test_a_geopackage_with_a_log_leaves_nothing(folder: Path) -> None:
+    shapely = pytest.importorskip("shapely")
+    path = folder / "a.gpkg"
+    pyogrio.raw.write(path, np.array([shapely.to_wkb(shapely.LineString([[0, 0], [1, 1]]))], object),
+                      [], [], geometry_type="LineString", crs="EPSG:4326", driver="GPKG")
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("PRAGMA journal_mode = WAL")
+    before = files_of(folder)
+    open_layer(path, None, ("LineString",))
+    assert files_of(folder) == before
+
+
+def test_what_the_user_trusts(folder: Path, victim: Path, call, made_result: Path) -> None:
+    """A driver that the user names opens files; none that a file names does."""
+    path = folder / "a.xyz"
+    path.write_text("".join(f"{x} {y} {x + y}\n" for y in range(3) for x in range(4)))
+    with pytest.raises(TermselError, match="no raster of a format that termsel opens"):
+        read(path)
+    with termsel.allow_driver("xyz"):
+        read(path)
+    with pytest.raises(TermselError, match="no driver 'nope'"), termsel.allow_driver("nope"):
+        pass
+    done = call("report", made_result, "--image", path, "-o", "a.html", "--allow-driver", "XYZ")
+    assert "termsel does not open" not in done.stderr
+    (folder / "study.toml").write_text('problems = ["poly-terms"]\nsolvers = ["swap"]\n'
+                                       '[options]\nallow_driver = "MRF"\n')
+    assert call("compare", "study.toml", "--dry-run").exit_code == 2
+
+
+def test_formats_that_the_pages_promise(folder: Path) -> None:
+    """Mosaics of rasters elsewhere, pyramids, masks, auxiliary files; Shapefiles in archives."""
+    from rasterio.shutil import copy
+
+    (folder / "tiles").mkdir()
+    image(folder / "tiles" / "a.tif")
+    (folder / "mosaic.vrt").write_text(vrt("tiles/a.tif", 1))
+    (folder / "absolute.vrt").write_text(vrt(folder / "tiles" / "a.tif"))
+    (folder / "of-mosaic.vrt").write_text(vrt("mosaic.vrt", 1))
+    with rasterio.open(folder / "tiles" / "a.tif", "r+") as raster:
+        raster.build_overviews([2, 4])
+    image(folder / "tiles" / "a.tif.ovr", 30)
+    (folder / "tiles" / "a.tif.aux.xml").write_text("<PAMDataset/>")
+    for name in ("mosaic.vrt", "absolute.vrt", "of-mosaic.vrt", "tiles/a.tif"):
+        read(folder / name)
+    with open_raster(folder / "tiles" / "a.tif") as raster:
+        pixels = raster.read()
+    for driver, ending in (("PNG", "png"), ("HFA", "img"), ("ENVI", "bil"), ("EHdr", "flt"),
+                           ("AAIGrid", "asc"), ("NITF", "ntf"), ("JPEG", "jpg"), ("BMP", "bmp"),
+                           ("GIF", "gif"), ("JP2OpenJPEG", "jp2")):
+        path = folder / f"made.{ending}"
+        copy(folder / "tiles" / "a.tif", path, driver=driver, strict=False)
+        read(path)
+        (folder / "of.vrt").write_text(vrt(path))
+        read(folder / "of.vrt")
+    assert pixels.shape == (1, 60, 60)
+
+
+@pytest.mark.parametrize(("driver", "ending"), [
+    ("GPKG", "gpkg"), ("ESRI Shapefile", "shp"), ("FlatGeobuf", "fgb"), ("GeoJSON", "geojson"),
+    ("KML", "kml"), ("GML", "gml"), ("GPX", "gpx"), ("ESRI Shapefile", "shz")])
+def test_vector_formats(driver: str, ending: str, folder: Path) -> None:
+    shapely = pytest.importorskip("shapely")
+    line = shapely.to_wkb(shapely.LineString([[48, 34], [49, 35]]))
+    options = {"layer": "tracks"} if driver == "GPX" else {}
+    kind = "MultiLineString" if driver == "GPX" else "LineString"
+    if driver == "GPX":
+        line = shapely.to_wkb(shapely.MultiLineString([[[48, 34], [49, 35]]]))
+    try:
+        pyogrio.raw.write(folder / f"a.{ending}", np.array([line], object), [], [], driver=driver,
+                          geometry_type=kind, crs="EPSG:4326", **options)
+    except pyogrio.errors.DataSourceError as error:
+        pytest.skip(str(error))
+    _, shapes, _ = open_layer(folder / f"a.{ending}", options.get("layer"),
+                              ("LineString", "MultiLineString"))
+    assert len(shapes) == 1
