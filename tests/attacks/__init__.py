@@ -1,1 +1,1 @@
-"""Files of a stranger: what they must not do, one module for each rule of docs/explanation/trust.md."""
+"""Files of a stranger, and what they must not do: docs/explanation/trust.md says it in words."""

@@ -166,10 +166,11 @@ def test_vector_files(folder: Path, victim: Path) -> None:
 def test_a_virtual_table_of_a_geopackage(folder: Path, victim: Path) -> None:
     shapely = pytest.importorskip("shapely")
     path = folder / "a.gpkg"
-    pyogrio.raw.write(path, np.array([shapely.to_wkb(shapely.LineString([[0, 0], [1, 1]]))], object),
+    line = shapely.to_wkb(shapely.LineString([[0, 0], [1, 1]]))
+    pyogrio.raw.write(path, np.array([line], object),
                       [np.array(["x"], object)], ["id"], geometry_type="LineString",
                       crs="EPSG:4326", driver="GPKG")
-    meta, shapes, _ = open_layer(path, None, ("LineString",))
+    _, shapes, _ = open_layer(path, None, ("LineString",))
     assert len(shapes) == 1
     with closing(sqlite3.connect(path)) as database:
         database.execute("PRAGMA writable_schema = 1")
@@ -196,7 +197,8 @@ def test_gml_leaves_nothing(folder: Path) -> None:
 def test_a_geopackage_with_a_log_leaves_nothing(folder: Path) -> None:
     shapely = pytest.importorskip("shapely")
     path = folder / "a.gpkg"
-    pyogrio.raw.write(path, np.array([shapely.to_wkb(shapely.LineString([[0, 0], [1, 1]]))], object),
+    line = shapely.to_wkb(shapely.LineString([[0, 0], [1, 1]]))
+    pyogrio.raw.write(path, np.array([line], object),
                       [], [], geometry_type="LineString", crs="EPSG:4326", driver="GPKG")
     with closing(sqlite3.connect(path)) as database:
         database.execute("PRAGMA journal_mode = WAL")

@@ -28,7 +28,8 @@ WRAPPED = {
     "plain": lambda name: vrt(name),
     "behind blanks": lambda name: vrt(name, before=" " * 9000),
     "behind a comment": lambda name: vrt(name, before=f"<!-- {'x' * 5000} -->"),
-    "as characters": lambda name: vrt(name).replace("/vsi", "&#x2f;vsi").replace("http", "&#104;ttp"),
+    "as characters": lambda name: vrt(name).replace("/vsi", "&#x2f;vsi").replace(
+        "http", "&#104;ttp"),
     "as CDATA": lambda name: vrt("@").replace("@", f"<![CDATA[{name}]]>"),
     "inline": lambda name: vrt(vrt(name)),
     "not well-formed": lambda name: vrt(name, more="<a b>"),
