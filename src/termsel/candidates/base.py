@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from termsel.adjustment.parts import independent_parts
+from termsel.adjustment.rounding import ROUNDING
 from termsel.criteria import Fits
 from termsel.errors import TermselError
 from termsel.fits.fit import Estimator, Fit, Undetermined
@@ -81,6 +82,11 @@ class Judged:
         control = self.fit.control
         return float(np.sqrt(self.squares.sum()
                              / (len(control.points) + 2 * len(control.lines))))
+
+    @property
+    def rounding(self) -> float:
+        """Errors up to which they are rounding [px]."""
+        return ROUNDING * self.fit.scaling.image_scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,8 +284,13 @@ def left_out_squares(fitted: Fit) -> FloatArray:
     return np.asarray(fits.held_out_each(solutions[:, None])[0])
 
 
-def gain_of(one: FloatArray, other: FloatArray) -> float:
-    """Return by how many standard errors one's squares are smaller, in logarithms."""
+def gain_of(one: FloatArray, other: FloatArray, rounding: float = 0.0) -> float:
+    """Return by how many standard errors one's squares are smaller, in logarithms.
+
+    Errors up to `rounding` are none, and equal: of points that a model fits exactly, the logarithms
+    of what is left would differ by chance, and from processor to processor.
+    """
     tiny = np.finfo(float).tiny
-    gain = np.log(np.maximum(other, tiny) / np.maximum(one, tiny))
+    least = max(rounding**2, tiny)
+    gain = np.log(np.maximum(other, least) / np.maximum(one, least))
     return float(gain.mean() / max(gain.std(ddof=1) / np.sqrt(len(gain)), tiny))

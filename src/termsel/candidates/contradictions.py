@@ -169,7 +169,7 @@ def _better(quadratic: _One | None, cubic: _One | None) -> _One | None:
     """Return the cubic if its squared errors are clearly smaller, else the quadratic."""
     if quadratic is None or cubic is None:
         return cubic or quadratic
-    return cubic if gain_of(cubic.squares, quadratic.squares) > BETTER else quadratic
+    return cubic if gain_of(cubic.squares, quadratic.squares, ROUNDING) > BETTER else quadratic
 
 
 def polynomial_of(heights: bool, degree: int) -> Polynomial:

@@ -230,12 +230,12 @@ def best_of(candidates: Iterable[Judged], portfolio: Portfolio | None = None) ->
     judged, portfolio = tuple(candidates), portfolio or Portfolio()
     priors = [one for one in judged if one.candidate.has_prior]
     if not priors:
-        return Choice(min(judged, key=lambda one: one.predicted), judged, LEAST) if judged else None
+        return Choice(min(judged, key=_beyond_rounding), judged, LEAST) if judged else None
     base, said = _base_of(priors)
     others = [one for one in judged
               if not (one.candidate.has_prior or _contained(one.candidate, priors))]
     rivals = [base, *(one for one in others if _gain(one, base) > _asked(one, base))]
-    chosen = min(rivals, key=lambda one: one.predicted)
+    chosen = min(rivals, key=_beyond_rounding)
     said[:0] = [reason for one in dict.fromkeys((chosen, base))
                 if (reason := portfolio.ask(one.candidate, "describe", one.fit))]
     return Choice(chosen, judged, _reason(chosen, base, said, others, judged))
@@ -289,7 +289,7 @@ def choose_features(control: Control, portfolio: Portfolio | None = None,
     alone = choose(points, portfolio, whole=whole)
     if alone is None:
         return choice
-    gain = gain_of(alone.chosen.squares, choice.chosen.squares[:count])
+    gain = gain_of(alone.chosen.squares, choice.chosen.squares[:count], choice.chosen.rounding)
     said = (f"Points alone predict the points {'better' if gain > 0 else 'worse'} than points with "
             f"lines do, by {_standard_errors(gain)}")
     if gain > BETTER:
@@ -311,7 +311,7 @@ def _reason(chosen: Judged, base: Judged, said: Sequence[str], others: Sequence[
                     f"{_asked(nearest, base):.2g}{smaller}.")
     if any("standard error" in one for one in said):
         said.append("Standard errors are those of logarithms of squared leave-one-out errors.")
-    least = min(judged, key=lambda one: one.predicted).candidate
+    least = min(judged, key=_beyond_rounding).candidate
     whole = next((one.candidate for one in judged if one.candidate.has_prior
                   and least.name in one.candidate.contains and not least.has_prior), None)
     if whole is not None:
@@ -332,6 +332,12 @@ def _standard_errors(gain: float) -> str:
     return f"{number} standard error{'s' * (number != '1')}"
 
 
+def _beyond_rounding(judged: Judged) -> float:
+    """Return the predicted RMSE [px], all that are rounding being equal: then the first is taken.
+    """
+    return max(judged.predicted, judged.rounding)
+
+
 def _gain(one: Judged, other: Judged) -> float:
     """Return by how many standard errors one's squared errors are smaller, in logarithms."""
-    return gain_of(one.squares, other.squares)
+    return gain_of(one.squares, other.squares, one.rounding)

@@ -2,8 +2,8 @@
 
 Affine terms are always in; the term enters that explains most of what is left, and the number
 of terms is that of the least extended Bayesian information criterion (see
-`termsel.criteria.Ebic`). All is done once with all points and once without each of them (of many,
-without each of some folds), as one batch.
+`termsel.criteria.Ebic`). None enters where what is left is rounding. All is done once with all
+points and once without each of them (of many, without each of some folds), as one batch.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.monomials import monomials
+from termsel.adjustment.rounding import ROUNDING, largest
 from termsel.adjustment.solve import TOLERANCE
 from termsel.candidates.local import points_alone
 from termsel.fits.fit import Estimator, Fit, HeldOut, Undetermined
@@ -143,10 +144,11 @@ def _chosen(systems: FloatArray, equations: FloatArray, forced: int,
     best, least, rows = chosen.copy(), np.full(count, np.inf), np.arange(count)
     # All terms are a candidate of their own. No selection leaves less than they do.
     counts = range(max(min(most, free - 1), 0) + 1)
-    bounds = np.array([_criterion(systems[:, forced + free:, -1], equations, more, free,
+    rounding = (ROUNDING * np.linalg.norm(systems[:, :, -1], axis=1)) ** 2
+    bounds = np.array([_criterion(systems[:, forced + free:, -1], rounding, equations, more, free,
                                   forced + more) for more in counts])
     for added in counts:
-        value = _criterion(left, equations, added, free, forced + added)
+        value = _criterion(left, rounding, equations, added, free, forced + added)
         better = value < least
         least, best = np.where(better, value, least), np.where(better[:, None], chosen, best)
         squares = np.einsum("bnk,bnk->bk", rest, rest)
@@ -155,7 +157,7 @@ def _chosen(systems: FloatArray, equations: FloatArray, forced: int,
                 or (least < bounds[added + 1:].min(axis=0, initial=np.inf)).all()):
             break
         gain = np.einsum("bnk,bn->bk", rest, left) ** 2
-        entering = np.where(usable, gain / np.where(usable, squares, 1.0), -1.0).argmax(axis=1)
+        entering = largest(np.where(usable, gain / np.where(usable, squares, 1.0), -1.0))
         q = rest[rows, :, entering] / np.sqrt(squares[rows, entering])[:, None]
         rest -= q[:, :, None] * np.einsum("bn,bnk->bk", q, rest)[:, None, :]
         left = left - q * np.einsum("bn,bn->b", q, left)[:, None]
@@ -181,7 +183,11 @@ def _errors(rows: FloatArray, fold: IntArray, systems: FloatArray, best: BoolArr
     return errors
 
 
-def _criterion(left: FloatArray, n: FloatArray, count: int, free: int, used: int) -> FloatArray:
-    """Return the criterion of some of the free terms, of n equations each."""
-    rss = np.maximum((left**2).sum(axis=1), np.finfo(float).tiny)
+def _criterion(left: FloatArray, rounding: FloatArray, n: FloatArray, count: int, free: int,
+               used: int) -> FloatArray:
+    """Return the criterion of some of the free terms, of n equations each.
+
+    A sum of squares is at least that of rounding (s,): its logarithm has no meaning below.
+    """
+    rss = np.maximum((left**2).sum(axis=1), np.maximum(rounding, np.finfo(float).tiny))
     return np.asarray(n * np.log(rss / n) + used * np.log(n) + 2 * np.log(comb(free, count)))

@@ -211,6 +211,10 @@ class Criterion(Configurable, ABC):
     is_rmse: bool = True
     """Whether the figure is an RMSE [px], for which a standard error can be given."""
 
+    in_px: bool = False
+    """Whether the figure is a size of errors [px], as every RMSE is. Of selections that leave
+    rounding alone, the one with fewest terms is then the best."""
+
     subset_score: str = ""
     """Score of `termsel.enumeration.subsets.search` from which the figure follows, if any."""
 

@@ -24,6 +24,7 @@ class _LeftOut(Criterion):
     """Base of criteria of the errors of control features that are held out."""
 
     needs_check = False
+    in_px = True
     declared_options: ClassVar[tuple[Option, ...]] = (LOSS, THRESHOLD)
 
     def __init__(self, **options: Any) -> None:

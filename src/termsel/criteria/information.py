@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from termsel.adjustment.parts import IndependentPart
+from termsel.adjustment.rounding import ROUNDING
 from termsel.criteria.base import Criterion, Fits
 from termsel.errors import TermselError
 from termsel.measurements.features import FloatArray, IntArray
@@ -16,19 +17,15 @@ from termsel.options import COUNT, Option
 if TYPE_CHECKING:
     from termsel.enumeration.columns.system import SubsetSystem
 
-NO_RESIDUAL = 1e-9
-"""Root mean square residual, relative to the image's half-range, that counts as zero: rounding
-error, whose logarithm has no meaning."""
-
-
 class Ebic(Criterion):
     """Extended Bayesian information criterion of the control residuals; not in px.
 
     n ln(RSS / n) + k ln n + 2 gamma ln C(P, j), added up over line and sample if they are
     independent: n equations, k terms in use, j of them chosen from the P that may be chosen, RSS
-    of the linearised, weighted residuals in the scaled image unit. Terms that are forced on are no
-    choice, and those forced off are not offered. Plain BIC lacks the last part: the more
-    selections of a size there are, the better one of them fits by chance. Terms of line and
+    of the linearised, weighted residuals in the scaled image unit, at least that of rounding.
+    Terms that are forced on are no choice, and those forced off are not offered. Plain BIC lacks
+    the last part: the more selections of a size there are, the better one of them fits by chance.
+    Terms of line and
     sample that are switched together are one choice and one system with a common variance.
 
     The criterion is valid for n much larger than k. As k nears n, ln(RSS / n) falls without
@@ -91,7 +88,7 @@ class Ebic(Criterion):
         least = self.options["min_redundancy"]
         least = max(1, round(n / 3)) if least is None else least
         choices = np.array([log(comb(offered, size)) for size in range(offered + 1)])
-        value = (n * np.log(np.maximum(rss / n, NO_RESIDUAL**2)) + k * log(n)
+        value = (n * np.log(np.maximum(rss / n, ROUNDING**2)) + k * log(n)
                  + 2 * self.options["gamma"] * choices[chosen])
         return np.where(n - k >= least, value, np.inf)
 

@@ -31,6 +31,7 @@ class Median(Criterion):
 
     name = "median"
     is_rmse = False
+    in_px = True
 
     def score(self, fits: Fits) -> FloatArray:
         """Return the figure [px]."""
@@ -52,6 +53,7 @@ class Huber(Criterion):
 
     name = "huber"
     is_rmse = False
+    in_px = True
     declared_options = (THRESHOLD,)
 
     def score(self, fits: Fits) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from termsel.adjustment.equations import Equations, row_axes
+from termsel.adjustment.rounding import ROUNDING, by_size
 from termsel.enumeration.columns.system import SubsetSystem
 from termsel.errors import TermselError
 from termsel.measurements.features import (
@@ -70,10 +72,24 @@ def enumerable_parts(inputs: Inputs, equations: Equations, genome: Genome,
     for side, where in zip(sides, genes, strict=True):
         order = np.argsort(where)  # columns in the order of the genes
         system = _ordered(side, order, genome, where[order])
-        parts.append(EnumerablePart(where[order], system, score,
-                                    partial(criterion.subset_cost, system=system), folds,
-                                    inputs.pixels))
+        cost = partial(criterion.subset_cost, system=system)
+        if criterion.is_rmse:
+            judged = (sum(map(len, folds)) if score == "kfold" else
+                      len(inputs.check) if score == "check" else len(system.design))
+            cost = partial(_cost_by_size, cost=cost, rounding=judged * ROUNDING**2 / len(sides),
+                           share=len(sides) / genome.size)
+        parts.append(EnumerablePart(where[order], system, score, cost, folds, inputs.pixels))
     return tuple(parts)
+
+
+def _cost_by_size(scores: FloatArray, cost: Callable[[FloatArray], FloatArray], rounding: float,
+                  share: float) -> FloatArray:
+    """Return the cost of the best score of each size, shape (k + 1,).
+
+    Scores up to `rounding` count by their size, each term as a share, as where `SelectionProblem`
+    evaluates them: there roots of sums over the parts are judged.
+    """
+    return cost(by_size(scores, rounding, share * np.arange(len(scores))))
 
 
 def _refuse_other_errors(inputs: Inputs) -> None:

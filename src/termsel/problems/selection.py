@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from termsel.adjustment.parts import independent_parts, solve_parts
+from termsel.adjustment.rounding import ROUNDING, by_size
 from termsel.criteria import Criterion, Fits
 from termsel.errors import TermselError, unknown_name
 from termsel.fits.least_squares import first_order
@@ -199,6 +200,9 @@ class SelectionProblem(Problem):
                 coefficients[good], inputs.control.lines, self._parts,
                 None if features is None else features[good], self._gene_of_term,
                 None if self._gene_of_term is None else self.genome.free[self._gene_of_term]))
+            if inputs.criterion.is_rmse or inputs.criterion.in_px:
+                score[good] = by_size(score[good], ROUNDING * inputs.pixels,
+                                      np.sqrt(self.genome.chosen(genes[good]).mean(axis=1)))
         violation[~np.isfinite(score)] = 1.0
         score = np.minimum(np.nan_to_num(score, nan=WORST, posinf=WORST), WORST)
         return Evaluation(self._all_objectives(score, terms, features), violation)

@@ -129,7 +129,8 @@ class Lasso(TermRegression):
         fold = np.arange(len(part.target)) % min(self.options["folds"], len(part.target))
         for out in range(fold.max() + 1):
             square += _squares_left_out(part, fold != out, penalties)
-        return _selection(part, pieces[int(square.argmin())])
+        # Of those that leave rounding alone the first, with the largest penalty.
+        return _selection(part, pieces[int(np.maximum(square, part.rounding).argmin())])
 
 
 def _path(part: Regression, rows: BoolArray) -> list[PathPiece]:

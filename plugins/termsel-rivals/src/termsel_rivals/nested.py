@@ -46,7 +46,7 @@ class NestedRegression(TermRegression):
         while chosen.sum() < part.most:
             # By the errors of the quotient itself, not by those of the linear equations.
             share = explained_share(part, chosen, errors)
-            best = int(share.argmax())
+            best = part.largest(share)
             if share[best] <= 0.0:
                 break
             chosen = chosen.copy()

@@ -6,6 +6,7 @@ import numpy as np
 
 from termsel import Option, Regression, TermRegression, TermselError
 from termsel_rivals.arrays import BoolArray, FloatArray
+from termsel_rivals.stepwise import with_column
 
 
 class ScatterMatrix(TermRegression):
@@ -52,37 +53,53 @@ class ScatterMatrix(TermRegression):
             gain = explained(scatter, len(chosen))
             ready = part.free & ~chosen & (left > 0) \
                 & (np.diag(scatter)[:len(chosen)] > self.options["tolerance"])
-            best = int(np.where(ready, gain, -1.0).argmax())
+            best = part.largest(np.where(ready, gain, -1.0))
             if not ready[best]:
                 break
             other = chosen.copy()
             other[best] = True
-            if self._f(part, scatter, gain[best], other, entering=True) <= f_in \
-                    and chosen.sum() >= part.least:
+            if chosen.sum() >= part.least \
+                    and self._f(part, scatter, gain[best], other, chosen, entering=True) <= f_in:
                 break
             scatter, chosen = swept(scatter, best), other
             while True:
                 loss = np.where(chosen & part.free, explained(scatter, len(chosen)), np.inf)
                 worst = int(loss.argmin())
+                fewer = with_column(chosen, worst, False)
                 if worst == best or not np.isfinite(loss[worst]) or chosen.sum() <= part.least \
-                        or self._f(part, scatter, loss[worst], chosen, entering=False) >= f_out:
+                        or self._f(part, scatter, loss[worst], chosen, fewer,
+                                   entering=False) >= f_out:
                     break
-                scatter, chosen = swept(scatter, worst), chosen.copy()
-                chosen[worst] = False
+                scatter, chosen = swept(scatter, worst), fewer
             if chosen.tobytes() in seen:
                 break
             seen.add(chosen.tobytes())
         return chosen
 
-    def _f(self, part: Regression, scatter: FloatArray, change: float, with_it: BoolArray, *,
-           entering: bool) -> float:
-        """Return the F of a column; `with_it` are the columns in use with it among them."""
+    def _f(self, part: Regression, scatter: FloatArray, change: float, with_it: BoolArray,
+           without: BoolArray, *, entering: bool) -> float:
+        """Return the F of a column, given the columns in use with it and without it (k,).
+
+        Where these leave rounding alone it is 0, and where those do, infinite: differences of the
+        scatter matrix would tell neither.
+        """
+        if part.explained(square_left(part, without)):
+            return 0.0
+        if part.explained(square_left(part, with_it)):
+            return float("inf")
         k, targets = len(with_it), part.target.shape[1]
         rest = float(np.diag(scatter)[k:].sum()) - (change if entering else 0.0)
         freedom = part.freedom(with_it)
         if freedom < 1:
             return 0.0
         return float("inf") if rest <= 0.0 else (change / targets) / (rest / freedom)
+
+
+def square_left(part: Regression, chosen: BoolArray) -> float:
+    """Return the residual sum of squares of the adjustment with chosen columns (k,)."""
+    q = np.linalg.qr(part.unit[:, chosen])[0]
+    rest = part.target - q @ (q.T @ part.target)
+    return float((rest**2).sum())
 
 
 def scatter_of(part: Regression) -> tuple[FloatArray, FloatArray]:

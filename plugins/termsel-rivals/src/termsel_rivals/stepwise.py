@@ -115,7 +115,7 @@ class Stepwise(TermRegression):
         count = int(chosen.sum())
         gain, square = gains(part, chosen)
         gain[~part.free] = 0.0
-        best = int(gain.argmax())
+        best = part.largest(gain)
         if count >= part.most or gain[best] == 0.0:
             return None
         grown = with_column(chosen, best, True)

@@ -213,5 +213,7 @@ class _Records:
         good = np.flatnonzero(evaluation.violation == 0)
         for row in good[np.argsort(evaluation.objectives[good, 0], kind="stable")]:
             size, value = int(sizes[row]), float(evaluation.objectives[row, 0])
-            if value < self.best[size]:
+            # Of equal ones, such as those that leave rounding alone, whatever comes first.
+            if value < self.best[size] or (value == self.best[size]
+                                           and genes[row].tobytes() > self.genes[size].tobytes()):
                 self.best[size], self.genes[size] = value, genes[row].copy()

@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
+from termsel.adjustment.rounding import ROUNDING, largest
 from termsel.adjustment.solve import TOLERANCE
 from termsel.enumeration.columns.system import SubsetSystem
 from termsel.errors import TermselError
@@ -16,9 +17,6 @@ from termsel.measurements.features import BoolArray, FloatArray, IntArray
 from termsel.problems.base import EnumerablePart, Problem
 from termsel.solvers.base import Generation, Solver
 from termsel.solvers.proofs.proof import segment_of
-
-EXPLAINED = 1e-12
-"""A target is explained when its residual is below this fraction of its length: rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,9 +70,19 @@ class Regression:
         lengths = np.linalg.norm(self.columns, axis=0)
         return np.asarray(self.columns / np.where(lengths > 0, lengths, 1.0))
 
+    @cached_property
+    def rounding(self) -> float:
+        """Residual sum of squares up to which it is rounding error."""
+        return float((ROUNDING * np.linalg.norm(self.target)) ** 2)
+
     def explained(self, square: float) -> bool:
         """Return whether a residual sum of squares is rounding error."""
-        return bool(square <= (EXPLAINED * np.linalg.norm(self.target)) ** 2)
+        return bool(square <= self.rounding)
+
+    @staticmethod
+    def largest(values: FloatArray) -> int:
+        """Return the index of the largest value (k,), of those equal but for rounding the first."""
+        return int(largest(values))
 
     def standardised(self, penalised: BoolArray, others: BoolArray, rows: BoolArray | None = None,
                      ) -> Standardised:
