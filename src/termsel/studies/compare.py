@@ -140,6 +140,9 @@ def compare(
 LONG = 20.0
 """Seconds from which on a cell is not run again to learn its time."""
 
+TIMED = 3
+"""Cells of a kind that are run to learn how long all of them take."""
+
 FINISHING = "The cells under way are being finished. Ctrl-C once more ends at once."
 
 
@@ -180,8 +183,9 @@ def estimate(study: Path | str | Mapping[str, Any] | None = None, **keys: Any
              ) -> Iterator[tuple[tuple[str, ...], int, float | None, str]]:
     """Yield each kind of cell: its labels, its number, seconds of one, and why that failed.
 
-    Arguments as for `compare`. Seconds are those of the first cell, run twice if that takes less
-    than `LONG`; None if it failed.
+    Arguments as for `compare`. Seconds are the mean of up to `TIMED` cells, with few, middling and
+    many features; None if one of them failed. The first of all is run twice, unless it takes
+    `LONG`.
     """
     spec, folder = asked(study, keys)
     cold = needs_compilation()
@@ -193,11 +197,26 @@ def estimate(study: Path | str | Mapping[str, Any] | None = None, **keys: Any
         if not works:
             yield kind, len(cells), None, cells[0].data.reason
             continue
-        record = do(works[0], features[works[0].data.key]).record
-        if cold or record.figures.get("seconds", LONG) < LONG:
+        sample = _of_all_sizes(works, features)
+        first = do(sample[0], features[sample[0].data.key]).record
+        if cold or first.figures.get("seconds", LONG) < LONG:
             # The first run of a kind also loads or compiles what it needs.
-            record = do(works[0], features[works[0].data.key]).record
-        yield kind, len(cells), record.figures.get("seconds"), record.reason
+            records = [do(cell, features[cell.data.key]).record for cell in sample]
+        else:
+            records = [first, *(do(cell, features[cell.data.key]).record for cell in sample[1:])]
+        seconds = [record.figures.get("seconds") for record in records]
+        known = [value for value in seconds if value is not None]
+        yield (kind, len(cells), sum(known) / len(known) if len(known) == len(seconds) else None,
+               next((record.reason for record in records if record.reason), ""))
+
+
+def _of_all_sizes(cells: list[Cell], features: Mapping[str, FeatureSet]) -> list[Cell]:
+    """Return up to `TIMED` cells of one kind that stand for all, whose images differ in size."""
+    by_size = sorted(cells, key=lambda cell: len(features[cell.data.key]))
+    sizes = {len(features[cell.data.key]) for cell in cells}
+    number = min(TIMED, len(sizes))
+    # The middle cell of each of so many equal parts.
+    return [by_size[(2 * part + 1) * len(by_size) // (2 * number)] for part in range(number)]
 
 
 def _begun(stack: ExitStack, place: Path, now: Mapping[str, str]) -> Journal:

@@ -13,7 +13,7 @@ from termsel.display import Glance
 from termsel.errors import counted, requires
 from termsel.guard.parts import part
 from termsel.studies.cells.journal import CellRecord
-from termsel.studies.cells.table import Row, columns_of, rows_of
+from termsel.studies.cells.table import Row, batch_of_records, columns_of, rows_of
 from termsel.studies.plan.spec import Spec
 
 if TYPE_CHECKING:
@@ -81,6 +81,11 @@ class Study(Glance):
         """One row a cell; of the strategy auto alone the worst first."""
         return Rows(rows_of(self.cells, self.records, self.spec.strategies,
                             self.spec.measures), self.columns)
+
+    @cached_property
+    def remarks(self) -> tuple[str, ...]:
+        """Sentences on images that lie elsewhere than most, or are mirrored unlike most."""
+        return batch_of_records(self.cells, self.records).sentences
 
     def to_pandas(self) -> pd.DataFrame:
         """Return the rows as a table of pandas (see `Rows.to_pandas`)."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
+from collections.abc import Container
 from typing import Any
 
 from termsel import Study, TableBlock
@@ -12,6 +14,23 @@ from termsel_studies.fronts import front_figures
 from termsel_studies.groups import Groups, group
 from termsel_studies.significance import compare_methods, effect_size, medians_of
 from termsel_studies.summaries import Summary, summaries
+
+USUAL = 1 / 2
+"""Share of the images from which on a note of theirs is said once."""
+
+
+def remarks_of(study: Study) -> list[str]:
+    """Return what is said of the images together: which stand out, and the notes of most."""
+    images = [row for row in study.rows if row["strategy"] == "auto"]
+    return [*study.remarks, *(f"{number} of {len(images)} images: {note}"
+                              for note, number in usual_notes(images).items())]
+
+
+def usual_notes(images: list[Row]) -> dict[str, int]:
+    """Return the notes that most images have, with the number of these."""
+    count = Counter(note for row in images for note in row["notes"] or ())
+    return {note: number for note, number in count.items()
+            if number > 1 and number > USUAL * len(images)}
 
 
 def tables_of(study: Study) -> tuple[list[TableBlock], list[str]]:
@@ -51,14 +70,21 @@ def tables_of(study: Study) -> tuple[list[TableBlock], list[str]]:
 
 
 def _images(rows: list[Row]) -> TableBlock:
-    """Return one row an image, in the order of the study's rows."""
+    """Return one row an image, in the order of the study's rows; see `remarks_of` for the rest."""
+    usual = usual_notes(rows)
     return TableBlock(
         f"{counted(len(rows), 'image')}, worst first",
         ("image", "model", "predicted RMSE [px]", "independent RMSE [px]", "blunders", "notes"),
         [(str(row["data"]) + (f", split {row['split']}" if row["split"] else ""),
           str(row["chosen"] or row["state"]), _predicted(row), shown(row["independent"], 3),
-          ", ".join(row["blunders"] or ()), row["reason"] or " ".join(row["notes"] or ()))
+          ", ".join(row["blunders"] or ()), _said(row, usual))
          for row in rows], keys=[row["cell"] for row in rows])
+
+
+def _said(row: Row, usual: Container[str]) -> str:
+    """Return why an image has no result, or the doubts about it and its own notes."""
+    notes = [note for note in row["notes"] or () if note not in usual]
+    return " ".join(part for part in (row["doubt"], row["reason"] or " ".join(notes)) if part)
 
 
 def _predicted(row: Row) -> str:
@@ -109,7 +135,11 @@ def shown(value: float | None, digits: int) -> str:
 def markdown(study: Study) -> str:
     """Return all tables of a study, and what may be claimed, as Markdown."""
     tables, said = tables_of(study)
-    parts = [f"# {study.spec.title or 'Study'}\n", *map(section, tables)]
+    remarks = [f"- {_escaped(remark)}" for remark in remarks_of(study)]
+    parts = [f"# {study.spec.title or 'Study'}\n"]
+    if remarks:
+        parts.append("\n".join(remarks) + "\n")
+    parts += map(section, tables)
     if said:
         parts.append("## What may be claimed\n")
         parts.append("\n".join(f"- {_escaped(sentence)}" for sentence in said) + "\n")

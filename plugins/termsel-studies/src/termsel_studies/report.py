@@ -24,7 +24,7 @@ from termsel.toolkit import (
     write_text,
 )
 from termsel_studies.figures import figures_of
-from termsel_studies.pages import latex, markdown, tables_of
+from termsel_studies.pages import latex, markdown, remarks_of, tables_of
 from termsel_studies.small import small_map
 
 log = logging.getLogger(__name__)
@@ -61,7 +61,7 @@ def _document(study: Study, charts: list[Figure], pictures: dict[str, str]) -> D
                       if pictures else ()) for one in tables if one.keys]
     sections = (
         Section("What may be claimed", tuple(said)),
-        Section("Images", (*[_SMALL] * bool(pictures and images), *images)),
+        Section("Images", (*remarks_of(study), *[_SMALL] * bool(pictures and images), *images)),
         Section("Tables", tuple(one for one in tables if not one.keys)),
         Section("Charts", tuple(charts)))
     alike = study.spec.strategies == ("auto",)

@@ -30,6 +30,7 @@ from termsel.record.chances import median
 log = logging.getLogger(__name__)
 
 _TELLING = 4  # points from which on a mirror image shows, or half as many again lines
+MIRRORED = 3  # points from which on it shows next to other images
 _UNLIKE = 0.2  # share of the image coordinates' variance that relief and distortion may leave
 _FLAT = 0.05  # ratio of the axes of what a matrix makes of a circle, below which nothing tells
 _WIDE = 20.0  # degrees that a scene may be wide
@@ -39,26 +40,39 @@ _BEYOND = 5.0  # degrees outside the area of a CRS at which features may still b
 def place_of(features: FeatureSet) -> str:
     """Return where the middle of features is, such as "34.8 N, 48.5 E"; "" if nothing tells."""
     ground = features.ground_vertices()
-    middle = _degrees_of(features.crs, ground) if len(ground) else None
+    middle = degrees_of(features.crs, ground) if len(ground) else None
     if middle is None:
         return ""
-    lon, lat = (round(degrees, 1) for degrees in middle)
-    place = f"{abs(lat):.1f} {'N' if lat >= 0 else 'S'}, {abs(lon):.1f} {'E' if lon >= 0 else 'W'}"
+    place = in_words(middle)
     body = body_of(features.crs)
     return place if body == EARTH else f"{place} on {body}"
 
 
+def in_words(place: tuple[float, float]) -> str:
+    """Return longitude and latitude [deg] as words, such as "34.8 N, 48.5 E"."""
+    lon, lat = (round(degrees, 1) for degrees in place)
+    return f"{abs(lat):.1f} {'N' if lat >= 0 else 'S'}, {abs(lon):.1f} {'E' if lon >= 0 else 'W'}"
+
+
 def say_turned(features: FeatureSet) -> None:
     """Say so where axes look swapped, or where lines or samples are counted the other way."""
+    if said := note_on_turned(features):
+        log.warning("%s: %s", "Warning" if swapped(features) else "Note", said)
+
+
+def note_on_turned(features: FeatureSet) -> str:
+    """Return what a reader must know where axes look swapped or are counted the other way; or "".
+    """
     if doubt := swapped(features):
         which, other = _exchanged(doubt)
         place = place_of(features)
         where = f" As they stand, x and y are near {place}." if place else ""
-        log.warning("Warning: %s.%s Name the columns the other way round, as in --columns %s; "
-                    "or else --columns %s.", doubt, where, which, other)
-    elif counted := _counted(features):
-        log.warning("Note: %s here, as on maps whose y points up and in some radar images. If "
-                    "this is neither, check whether x and y are swapped.", counted)
+        return (f"{doubt}.{where} Name the columns the other way round, as in --columns {which}; "
+                f"or else --columns {other}.")
+    if counted := _counted(features):
+        return (f"{counted} here, as on maps whose y points up and in some radar images. If "
+                "this is neither, check whether x and y are swapped.")
+    return ""
 
 
 def unknown_crs(features: FeatureSet, may_turn: bool) -> TermselError:
@@ -116,6 +130,16 @@ def _counted(features: FeatureSet) -> str:
             else "sample numbers grow to the west")
 
 
+def is_mirrored(features: FeatureSet) -> bool | None:
+    """Return whether the image is a mirror image of the ground; None where nothing tells.
+
+    The determinant of the matrix from ground to image says so, of three points on no line already.
+    Whether this is right depends on how the image is counted: others of its kind tell.
+    """
+    turn = _matrix(features, MIRRORED)
+    return None if turn is None else bool(np.linalg.det(turn) < 0)
+
+
 def _is_diagonal(turn: FloatArray) -> bool:
     """Return whether a reflection exchanges both axes, and does not turn one of them round."""
     # The reflection next to the matrix has cos 2t and sin 2t proportional to these.
@@ -130,8 +154,13 @@ def _turn(features: FeatureSet) -> FloatArray | None:
     """
     if kind_of(normalise(features.crs)) not in ("geographic", "projected"):
         return None
+    return _matrix(features, _TELLING)
+
+
+def _matrix(features: FeatureSet, fewest: int) -> FloatArray | None:
+    """Return the matrix of `_turn` in any CRS; None for fewer features than `fewest`."""
     points, lines = features.points, features.lines
-    if len(points) + len(lines) // 1.5 < _TELLING:
+    if len(points) + len(lines) // 1.5 < fewest:
         return None
     ground = features.ground_vertices()[:, :2]
     apart = ground - ground.mean(axis=0)
@@ -168,7 +197,7 @@ def _misplaced(features: FeatureSet) -> bool:
     area = area_of_use(features.crs) if len(ground) else None
     if area is None or is_geocentric(features.crs):
         return False
-    here, there = (_degrees_of(features.crs, place) for place in (ground, ground[:, [1, 0, 2]]))
+    here, there = (degrees_of(features.crs, place) for place in (ground, ground[:, [1, 0, 2]]))
     # Scenes may reach beyond the area, so one that is near it is not outside.
     return there is not None and _is_inside(there, area, 0.0) \
         and (here is None or not _is_inside(here, area, _BEYOND))
@@ -183,7 +212,7 @@ def _is_inside(place: tuple[float, float], area: tuple[float, float, float, floa
         and ((lon - west + beyond) % 360 <= wide + 2 * beyond or wide + 2 * beyond >= 360)
 
 
-def _degrees_of(crs: str, ground: FloatArray) -> tuple[float, float] | None:
+def degrees_of(crs: str, ground: FloatArray) -> tuple[float, float] | None:
     """Return longitude and latitude [deg] of the middle of places, None where nothing tells."""
     try:
         if is_geographic(crs):

@@ -10,6 +10,7 @@ from termsel.errors import counted
 from termsel.fits.fit import Fit
 from termsel.formats.heights import pixels_of
 from termsel.measurements.control import MEASURED, Control, carriers, off_plane
+from termsel.measurements.coordinates.earth import note_on_turned
 from termsel.measurements.coordinates.longitudes import jumps
 from termsel.measurements.coordinates.metres import height_unit, plan_of
 from termsel.measurements.features import FeatureSet, FloatArray, Points
@@ -40,6 +41,8 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
     """
     if blank:
         yield note_on_blank(blank, read)
+    if turned := note_on_turned(read):
+        yield f"{turned[0].upper()}{turned[1:]}"
     if jumps(read):
         yield ("The longitudes jump by a full turn between points. They were made continuous: on "
                "one side they go on beyond 180 degrees.")

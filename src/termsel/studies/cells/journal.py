@@ -31,6 +31,8 @@ State = Literal["done", "infeasible", "failed"]
 
 Number = float | None
 
+Degrees = Annotated[float, Meta(ge=-360.0, le=360.0)]
+
 
 class Figures(RecordPart, frozen=True):
     """What the columns of a finished cell may hold: a journal with anything else was forged."""
@@ -56,6 +58,10 @@ class Figures(RecordPart, frozen=True):
     generations: int = 0
     excluded: int = 0
     blunders: tuple[str, ...] = ()
+    place: tuple[Degrees, Degrees] | None = None
+    exchanged: tuple[Degrees, Degrees] | None = None
+    mirrored: bool | None = None
+    doubt: str = ""
     notes: tuple[str, ...] = ()
     measures: Mapping[str, Number] = {}
     seconds: float = 0.0

@@ -8,7 +8,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from termsel.measurements.coordinates.earth import in_words
 from termsel.studies.cells.journal import CellRecord
+from termsel.studies.cells.neighbours import Batch, batch_of
 
 LABELS = ("problem", "data", "split", "strategy", "model", "criterion", "solver", "seed")
 """What tells the cells of a study apart, in the order in which they vary."""
@@ -20,7 +22,7 @@ _SEARCH = ("objective", "fitness", "optimum", "proven", "refinement_evaluations"
 _AUTO = ("chosen", "predicted", "predicted_low", "predicted_high", "excluded", "blunders")
 _BOTH = ("control", "n_control", "check", "n_check", "independent", "n_independent", "n_terms",
          "n_features", "evaluations")
-_LAST = ("notes", "cell", "seconds", "cpu_seconds")
+_LAST = ("place", "doubt", "notes", "cell", "seconds", "cpu_seconds")
 
 TIMES = ("seconds", "cpu_seconds")
 """Columns that differ from run to run."""
@@ -38,14 +40,29 @@ def rows_of(cells: Mapping[str, Mapping[str, Any]], records: Mapping[str, CellRe
             strategies: Sequence[str], measures: Sequence[str] = ()) -> list[Row]:
     """Return one row a cell, waiting without a record, in order; of auto alone worst first."""
     columns = columns_of(strategies, measures)
+    doubts = batch_of_records(cells, records).doubts
     rows = []
     for key, labels in cells.items():
         record = records.get(key)
         values = {**labels, "cell": key, "state": WAITING, "reason": ""} if record is None else {
             **labels, **record.figures, **record.figures.get("measures", {}), "cell": key,
-            "state": record.state, "reason": record.reason}
+            "state": record.state, "reason": record.reason,
+            "place": in_words(place) if (place := record.figures.get("place")) else "",
+            "doubt": " ".join([*_sentence(record.figures.get("doubt")),
+                               *doubts.get(str(labels["data"]), ())])}
         rows.append({name: values.get(name) for name in columns})
     return sorted(rows, key=_badness) if tuple(strategies) == ("auto",) else rows
+
+
+def batch_of_records(cells: Mapping[str, Mapping[str, Any]],
+                     records: Mapping[str, CellRecord]) -> Batch:
+    """Return what the images of finished cells say of each other."""
+    return batch_of({str(labels["data"]): records[key].figures for key, labels in cells.items()
+                     if key in records})
+
+
+def _sentence(doubt: str | None) -> list[str]:
+    return [f"{doubt[0].upper()}{doubt[1:]}."] if doubt else []
 
 
 def _badness(row: Row) -> tuple[int, float]:

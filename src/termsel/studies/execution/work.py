@@ -6,9 +6,8 @@ import logging
 import math
 import time
 from collections.abc import Mapping
-from contextvars import ContextVar
-from dataclasses import dataclass, field
-from functools import cache, partial
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Final
 
 from termsel.display.quiet import quieted
@@ -17,6 +16,7 @@ from termsel.files.atomic import private_folder
 from termsel.fits.figures import finite_or_none
 from termsel.fits.residuals import Rmse
 from termsel.io.export import export, writer_of
+from termsel.io.result_folder import write_result
 from termsel.measurements.features import BoolArray, FeatureSet
 from termsel.plugins.loading import attempt
 from termsel.plugins.registry import registry
@@ -32,6 +32,8 @@ from termsel.solvers.proofs.proof import TIE, count
 from termsel.solvers.search import Search
 from termsel.studies.cells.cell import Cell
 from termsel.studies.cells.journal import CellRecord, State
+from termsel.studies.cells.neighbours import setting_of
+from termsel.studies.execution.naming import named
 from termsel.threads import one_blas_thread
 
 DONE: Final = "done"
@@ -40,7 +42,6 @@ FAILED: Final = "failed"
 STATES = (DONE, INFEASIBLE, FAILED)
 
 _MOST = 256
-_image: ContextVar[str] = ContextVar("image", default="")  # under way in this thread
 _optima: dict[str, float | None] = {}
 """Proven optima by instance, up to `_MOST`: the same for all seeds and most solvers."""
 
@@ -58,38 +59,19 @@ class _OutOfTime(TermselError):
     """The cell took longer than the study allows."""
 
 
-def failed(key: str, reason: str) -> Outcome:
-    """Return the outcome of a cell that has no result."""
-    return Outcome(CellRecord(key, FAILED, reason, {}, [], []))
-
-
-@cache
-def _name_images() -> None:
-    """Put the name of the image of a cell into what is logged from now on."""
-    before = logging.getLogRecordFactory()
-
-    def named(*args: Any, **kwargs: Any) -> logging.LogRecord:
-        record = before(*args, **kwargs)
-        image = _image.get()
-        if image and record.name.startswith("termsel."):
-            head, mark, rest = record.getMessage().rpartition("Warning: ")
-            record.msg, record.args = f"{head}{mark}{image}: {rest}", ()
-        return record
-
-    logging.setLogRecordFactory(named)
+def failed(key: str, reason: str, features: FeatureSet | None = None) -> Outcome:
+    """Return the outcome of a cell that has no result; of features it says where they are."""
+    figures = {} if features is None else setting_of(features)
+    return Outcome(CellRecord(key, FAILED, reason, figures, [], []))
 
 
 @one_blas_thread
 @quieted("termsel.solvers", logging.WARNING)  # plans that solvers announce, of thousands of runs
 def do(cell: Cell, features: FeatureSet) -> Outcome:
     """Run a cell, and return its outcome; where the run fails, with the reason."""
-    _name_images()
-    before = _image.set(cell.data.source)
-    try:
+    with named(cell.data.source):
         outcome, reason = attempt(partial(_done, cell, features))
-    finally:
-        _image.reset(before)
-    return outcome if outcome is not None else failed(cell.key, str(reason))
+    return outcome if outcome is not None else failed(cell.key, str(reason), features)
 
 
 def _done(cell: Cell, features: FeatureSet) -> Outcome:
@@ -98,7 +80,8 @@ def _done(cell: Cell, features: FeatureSet) -> Outcome:
         state, figures, front, files = (_auto if cell.call["strategy"] == "auto" else _as_asked)(
             cell, features, trace)
     except TermselError as error:
-        return failed(cell.key, str(error))
+        return failed(cell.key, str(error), features)
+    figures |= setting_of(features)
     reason = "no selection satisfies all conditions" if state == INFEASIBLE else ""
     return Outcome(CellRecord(cell.key, state, reason, figures, trace.points, front), files)
 
@@ -174,7 +157,8 @@ def _as_asked(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
         "n_terms": len(selection.terms), "n_features": len(selection.features),
         "evaluations": found.evaluations,
         "refinement_evaluations": found.polish.evaluations if found.polish else 0,
-        "generations": found.generations, "notes": list(found.notes), **times}
+        "generations": found.generations,
+        "notes": [*found.notes, *cell.data.warnings], **times}
     if call.get("measures"):
         figures["measures"] = _measures(cell, assessed(task, found), figures["notes"])
     front = [_member(task, genes) for genes in found.front]
@@ -236,6 +220,10 @@ def _auto(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
                      seed=cell.call["seed"], observers=[trace], out=out)
         if result.interrupted:
             raise KeyboardInterrupt
+        warnings = [said for said in cell.data.warnings if said not in result.notes]
+        if warnings:  # of reading the file, which the run knows nothing of
+            result = replace(result, notes=(*result.notes, *warnings))
+            write_result(result, out)
         for to in cell.call["exports"]:
             suffix = writer_of(to).suffix or f".{to}"
             export(result, to, out / f"result{suffix}")

@@ -17,6 +17,7 @@ from termsel.measurements.datasets import DatasetSpec
 from termsel.measurements.features import FeatureSet
 from termsel.plugins.registry import registry
 from termsel.results.checksums import of_attributes, of_features
+from termsel.studies.execution.naming import named
 from termsel.studies.plan.places import Path as Keys
 from termsel.studies.plan.spec import Source, Spec
 
@@ -38,6 +39,7 @@ class Data:
     features: FeatureSet | None  # None where they cannot be read, for this reason
     reason: str = ""
     path: Keys = ()  # where the study file names them
+    warnings: tuple[str, ...] = ()  # on them as they were read
 
 
 def data_of(spec: Spec, folder: Path) -> list[Data]:
@@ -144,10 +146,12 @@ def _read(source: Source, files: Mapping[str, str], folder: Path, part: str,
     label = " + ".join(dict.fromkeys(files.values())) + f"#{part}" * bool(part)
     of_files: dict[str, Any] = {kind: folder / name for kind, name in files.items()}
     try:
-        features = read(**of_files, **{**source.reading, **options})
+        with named(label) as warnings:
+            features = read(**of_files, **{**source.reading, **options})
     except TermselError as error:
         return Data(label, "unreadable", label, None, str(error), source.path)
-    return Data(label, _key(features), label, features, path=source.path)
+    return Data(label, _key(features), label, features, path=source.path,
+                warnings=tuple(warnings))
 
 
 def _key(features: FeatureSet) -> str:

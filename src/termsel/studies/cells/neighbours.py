@@ -1,0 +1,183 @@
+"""Images of a batch held against each other: those that lie elsewhere, and those that are mirrored.
+
+Where axes are exchanged, one image hardly shows it; the others of its batch do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from termsel.errors import counted
+from termsel.measurements.coordinates.earth import degrees_of, in_words, is_mirrored, swapped
+from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, IntArray
+
+MOST = 2 / 3
+"""Share of the images from which on they are those that the others are held against."""
+
+NEAREST, FARTHEST = 1.0, 20.0
+"""Distance of a group's next image [deg] beyond which it is elsewhere, at least and at most."""
+
+SCATTER = 20.0
+"""Times the distance between neighbours of a batch that is such a distance."""
+
+DIGITS, PLACES = 2, 3000
+"""Decimals of a place [deg] that are looked at, and most places that are held against each other.
+"""
+
+NAMED = 10
+"""Images that a sentence names."""
+
+ELSEWHERE = "are coordinates and CRS right?"
+"""What is asked of images far from the others where nothing more is known."""
+
+Place = tuple[float, float]
+"""Longitude and latitude [deg]."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """What the images of a batch say of each other.
+
+    Attributes
+    ----------
+    sentences : tuple of str
+        On the batch, with the names of the images that stand out.
+    doubts : mapping
+        Sentences on each of these images, by its name.
+    """
+
+    sentences: tuple[str, ...]
+    doubts: Mapping[str, tuple[str, ...]]
+
+
+def setting_of(features: FeatureSet) -> dict[str, Any]:
+    """Return where an image is, for its figures in the journal.
+
+    `place` is the middle of its features, `exchanged` that with x and y exchanged, `mirrored`
+    whether the image is a mirror image of the ground; each is None where nothing tells. `doubt`
+    says which axes look swapped.
+    """
+    ground = features.ground_vertices()
+    return {"place": degrees_of(features.crs, ground) if len(ground) else None,
+            "exchanged": degrees_of(features.crs, ground[:, [1, 0, 2]]) if len(ground) else None,
+            "mirrored": is_mirrored(features), "doubt": swapped(features)}
+
+
+def batch_of(settings: Mapping[str, Mapping[str, Any]]) -> Batch:
+    """Return what images say of each other, given the setting of each by its name."""
+    sentences: list[str] = []
+    doubts: dict[str, list[str]] = {}
+    for sentence, images in (*_elsewhere(settings), *_mirrored(settings)):
+        sentences.append(f"{sentence}: {_listed(list(images))}.")
+        for name, doubt in images.items():
+            doubts.setdefault(name, []).append(doubt)
+    return Batch(tuple(sentences), {name: tuple(said) for name, said in doubts.items()})
+
+
+def _elsewhere(settings: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, dict[str, str]]]:
+    """Return sentences on images far from most others, each with the doubt about every image."""
+    placed = {name: one for name, one in settings.items() if one.get("place")}
+    if len(placed) < 3:
+        return []
+    names = list(placed)
+    # Images at one place are looked at once: batches may have very many.
+    places, place_of, count = np.unique(
+        np.round([placed[name]["place"] for name in names], DIGITS), axis=0,
+        return_inverse=True, return_counts=True)
+    if len(places) > PLACES:
+        return []
+    distances = _apart(places, places)
+    reach = _reach(distances)
+    groups = _groups(distances <= reach)
+    usual = max(groups, key=lambda group: count[group].sum())
+    number = int(count[usual].sum())
+    if number < 2 or number < MOST * len(names):
+        return []
+    middle = in_words(_middle(places[usual]))
+    sentences = []
+    for group in groups:
+        if group is usual:
+            continue
+        members = np.flatnonzero(np.isin(place_of.ravel(), group)).tolist()
+        guesses = [_guess(placed[names[i]], places[usual], reach) for i in members]
+        asked = guesses[0] if len(set(guesses)) == 1 else ELSEWHERE
+        doubts = {names[i]: f"Near {in_words(placed[names[i]]['place'])}, while {number} other "
+                            f"images of the batch are near {middle}: {guess}"
+                  for i, guess in zip(members, guesses, strict=True)}
+        sentences.append((f"{number} images are near {middle}, {len(members)} near "
+                          f"{in_words(_middle(places[group]))} ({asked})", doubts))
+    return sentences
+
+
+def _guess(setting: Mapping[str, Any], group: FloatArray, reach: float) -> str:
+    """Return what may be wrong with the coordinates of an image far from a group."""
+    lon, lat = setting["place"]
+    exchanged = setting.get("exchanged")
+    if exchanged and _apart(np.array([exchanged]), group).min() <= reach:
+        return "are x and y swapped?"
+    turned = np.array([[-lon, lat], [lon, -lat], [-lon, -lat]])
+    if (_apart(turned, group).min(axis=1) <= reach).any():
+        return "is a sign wrong?"
+    return ELSEWHERE
+
+
+def _mirrored(settings: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, dict[str, str]]]:
+    """Return a sentence on images that are mirrored where most are not, or the other way round."""
+    told = {name: bool(one["mirrored"]) for name, one in settings.items()
+            if one.get("mirrored") is not None}
+    usual = sum(told.values()) * 2 > len(told)
+    odd = [name for name, mirrored in told.items() if mirrored != usual]
+    alike = len(told) - len(odd)
+    if not odd or alike < 2 or alike < MOST * len(told):
+        return []
+    verb = "is a mirror image" if len(odd) == 1 else "are mirror images"
+    negated = verb.replace("is a", "is no").replace("are ", "are no ")
+    said = f"{counted(len(odd), 'image')} {negated if usual else verb} of the ground"
+    asked = "are x and y exchanged there, or line and sample?"
+    doubt = (f"{'No m' if usual else 'M'}irror image of the ground, unlike {alike} others of the "
+             "batch: are x and y exchanged, or line and sample?")
+    return [(f"{said}, unlike the other {alike} ({asked})", dict.fromkeys(odd, doubt))]
+
+
+def _apart(some: FloatArray, others: FloatArray) -> FloatArray:
+    """Return the angles between places [deg], shape (n, m), from longitudes and latitudes."""
+    first, second = _directions(some), _directions(others)
+    chords = np.linalg.norm(first[:, None] - second[None], axis=2)
+    return np.asarray(np.degrees(2.0 * np.arcsin(np.minimum(chords / 2.0, 1.0))))
+
+
+def _directions(places: FloatArray) -> FloatArray:
+    """Return unit vectors, shape (n, 3)."""
+    lon, lat = np.radians(places).T
+    return np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+
+
+def _middle(places: FloatArray) -> Place:
+    """Return the middle of places: the direction of the sum of theirs."""
+    x, y, z = _directions(places).sum(axis=0)
+    return float(np.degrees(np.arctan2(y, x))), float(np.degrees(np.arctan2(z, np.hypot(x, y))))
+
+
+def _reach(distances: FloatArray) -> float:
+    """Return the distance beyond which a place no longer belongs to its neighbours [deg]."""
+    if len(distances) < 2:
+        return NEAREST
+    nearest = np.where(np.eye(len(distances), dtype=bool), np.inf, distances).min(axis=1)
+    return float(np.clip(SCATTER * np.median(nearest), NEAREST, FARTHEST))
+
+
+def _groups(linked: BoolArray) -> list[IntArray]:
+    """Return the groups of places that are linked (n, n), through others, too."""
+    from scipy.sparse.csgraph import connected_components
+
+    number, label = connected_components(linked, directed=False)
+    return [np.flatnonzero(label == i) for i in range(number)]
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = len(names) - NAMED
+    return ", ".join(names[:NAMED]) + (f" and {more} more" if more > 0 else "")

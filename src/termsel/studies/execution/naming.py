@@ -1,0 +1,68 @@
+"""Warnings about one image of many: they carry its name, and are kept for its notes."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import cache
+from typing import Any
+
+_image: ContextVar[str] = ContextVar("image", default="")  # under way in this thread
+
+_MARKS = ("Warning: ", "Note: ")
+
+
+@contextmanager
+def named(image: str) -> Iterator[list[str]]:
+    """Put the name of an image into what is logged meanwhile; yield a list of these warnings.
+
+    There they are as logged, without mark and name.
+    """
+    _name_images()
+    warnings: list[str] = []
+    keeper = _Keeper(warnings, image)
+    before = _image.set(image)
+    logger = logging.getLogger("termsel")
+    logger.addHandler(keeper)
+    try:
+        yield warnings
+    finally:
+        logger.removeHandler(keeper)
+        _image.reset(before)
+
+
+class _Keeper(logging.Handler):
+    """Keeps the warnings about one image."""
+
+    def __init__(self, warnings: list[str], image: str) -> None:
+        super().__init__(logging.WARNING)
+        self._warnings, self._image = warnings, image
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep a warning, unless it is about another image of a thread at the same time."""
+        if _image.get() != self._image:
+            return
+        text = record.getMessage()
+        for mark in _MARKS:
+            text = text.removeprefix(mark)
+        text = text.removeprefix(f"{self._image}: ")
+        self._warnings.append(f"{text[:1].upper()}{text[1:]}")
+
+
+@cache
+def _name_images() -> None:
+    """Put the name of the image under way into what is logged from now on."""
+    before = logging.getLogRecordFactory()
+
+    def with_name(*args: Any, **kwargs: Any) -> logging.LogRecord:
+        record = before(*args, **kwargs)
+        image = _image.get()
+        if image and record.name.startswith("termsel."):
+            text = record.getMessage()
+            mark = next((mark for mark in _MARKS if text.startswith(mark)), "")
+            record.msg, record.args = f"{mark}{image}: {text.removeprefix(mark)}", ()
+        return record
+
+    logging.setLogRecordFactory(with_name)
