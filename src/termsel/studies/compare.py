@@ -198,12 +198,10 @@ def estimate(study: Path | str | Mapping[str, Any] | None = None, **keys: Any
             yield kind, len(cells), None, cells[0].data.reason
             continue
         sample = _of_all_sizes(works, features)
-        first = do(sample[0], features[sample[0].data.key]).record
-        if cold or first.figures.get("seconds", LONG) < LONG:
+        records = [do(cell, features[cell.data.key]).record for cell in sample]
+        if cold or records[0].figures.get("seconds", LONG) < LONG:
             # The first run of a kind also loads or compiles what it needs.
-            records = [do(cell, features[cell.data.key]).record for cell in sample]
-        else:
-            records = [first, *(do(cell, features[cell.data.key]).record for cell in sample[1:])]
+            records[0] = do(sample[0], features[sample[0].data.key]).record
         seconds = [record.figures.get("seconds") for record in records]
         known = [value for value in seconds if value is not None]
         yield (kind, len(cells), sum(known) / len(known) if len(known) == len(seconds) else None,
