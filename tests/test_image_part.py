@@ -13,7 +13,7 @@ from termsel.errors import TermselError
 from termsel.formats.readers.csv_tables import write_points_csv
 from termsel.measurements.features import FeatureSet, FloatArray
 from termsel.models.image_part import ImagePart, recognised
-from tests.test_vertical_datum import camera, control
+from tests.test_vertical_datum import camera, control, needs_rpc
 
 PARTS = {
     "cut": ImagePart((700.0, 900.0)),
@@ -37,6 +37,7 @@ def test_the_rpc_of_a_part_sees_what_is_in_the_part(name: str) -> None:
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
+@needs_rpc
 @pytest.mark.parametrize("count", [3, 5])
 @pytest.mark.parametrize("name", PARTS)
 def test_a_run_recognises_a_part_and_says_so(name: str, count: int, tmp_path: Path) -> None:
@@ -51,6 +52,7 @@ def test_a_run_recognises_a_part_and_says_so(name: str, count: int, tmp_path: Pa
     assert np.sqrt((errors**2).sum(axis=1).mean()) < 0.5
 
 
+@needs_rpc
 def test_a_blunder_among_the_points_hides_no_part() -> None:
     features = seen(PARTS["cut"], control(8))
     image = features.points.image.copy()
@@ -60,6 +62,7 @@ def test_a_blunder_among_the_points_hides_no_part() -> None:
     assert [one.id for one in result.outliers] == ["P3"]
 
 
+@needs_rpc
 def test_the_interval_knows_that_the_place_of_a_part_was_estimated() -> None:
     """The rest of a rounded offset is left to the correction, as if it had been stated."""
     told = termsel.run(features=seen(PARTS["cut"], control(5)))
@@ -86,6 +89,7 @@ def test_another_image_is_no_part() -> None:
     assert recognised(whole[:2], whole[:2] - 700) is None
 
 
+@needs_rpc
 def test_what_is_stated_is_used(tmp_path: Path) -> None:
     features = seen(PARTS["thirds of a cut"], control(4))
     write_points_csv(features.points, tmp_path / "points.csv", "EPSG:4979")

@@ -18,6 +18,7 @@ from termsel.io.plan import GRID, plan
 from termsel.measurements.features import FeatureSet, FloatArray, Points, no_points
 from termsel.simulate import scene_truth, simulate_scene
 from termsel.simulate.catalogue import SCENES
+from tests.test_vertical_datum import camera, control, needs_rpc
 
 
 def _fit(points: Points) -> Fit:
@@ -218,3 +219,19 @@ def test_of_candidates_that_are_close_together_one_is_proposed_first() -> None:
     order = rank_places(fitted, twins, points.ground, 16).order
     assert [number // 2 for number in order[:3]] == best
     assert sorted(order.tolist()) == list(range(16))  # those that are close follow in the end
+
+
+@needs_rpc
+def test_a_plan_by_an_rpc_alone_says_that_the_size_is_not_known(
+        caplog: pytest.LogCaptureFixture) -> None:
+    features = control(4)
+    wide = replace(camera(), image_scale=(4000.0, 4000.0),
+                   line_numerator=(0.0, 0.0, -0.25, 0.05, *[0.0] * 16),
+                   sample_numerator=(0.0, 0.25, *[0.0] * 18))
+    places = plan(termsel.run(features=replace(features, rpc=wide)), 3)
+    assert "the size of the image is not known" in caplog.text
+    assert (places.values[:, :2] >= 0).all()
+    assert (places.values[:, :2] <= 2 * 1000.0).all()
+    caplog.clear()
+    plan(termsel.run(features=replace(features, image_size=(2000, 2000))), 1)
+    assert "not known" not in caplog.text

@@ -319,3 +319,24 @@ def test_text_keeps_every_digit(rpc: Rpc) -> None:
             path = Path(folder) / "rpc"
             path.write_text(write(rpc))
             assert read_rpc(path) == rpc
+
+
+OTHER_FORMS = {
+    "METADATA.XML": ("<level_X><specific><RPC><bandID number='1'><ROW_OFF>511.5</ROW_OFF><COL_OFF>"
+                     "499</COL_OFF><LAT_OFF>48</LAT_OFF></bandID></RPC></specific></level_X>",
+                     "an RPC for each band, as EnMAP"),
+    "JAX_004.json": ('{"img": "JAX_004.tif", "rpc": {"rowOffset": 1, "colNum": [1, 2]}}', "JSON"),
+    "rpc_param.yaml": ("qb2.tif:\n  cam_type: rpc\n  rpc:\n    height_off: 14\n    line_off: 4\n",
+                       "YAML, such as Orthority"),
+    "scene.geom": ("line_den_coeff_00:  1\nlat_off:  30.2\n", "another one than these")}
+
+
+@pytest.mark.parametrize("name", OTHER_FORMS)
+def test_an_rpc_in_a_form_that_is_not_read_is_not_denied(name: str, tmp_path: Path) -> None:
+    text, form = OTHER_FORMS[name]
+    path = tmp_path / name
+    path.write_text(text)
+    with pytest.raises(TermselError, match=f"does not read: {form}") as caught:
+        read_rpc(path)
+    assert "has no RPC" not in str(caught.value)
+    assert "_RPC.TXT" in str(caught.value)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ rasterio = pytest.importorskip("rasterio")
 pyproj = pytest.importorskip("pyproj")
 from rasterio.transform import from_origin  # noqa: E402
 
+needs_rpc = pytest.mark.skipif(find_spec("termsel_rpc") is None, reason="corrects the RPC")
 pytestmark = pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
 
 WEST, NORTH, STEP = 9.0, 45.1, 0.001
@@ -166,6 +168,7 @@ def test_units_that_are_unclear_are_refused(tmp_path: Path) -> None:
             pass
 
 
+@needs_rpc
 def test_an_rpc_from_such_heights_is_right_for_ellipsoidal_users(tmp_path: Path,
                                                                  geoid: None) -> None:
     path = dem(tmp_path / "dem.tif", crs="EPSG:4326+5773", above=-GEOID)
@@ -177,6 +180,7 @@ def test_an_rpc_from_such_heights_is_right_for_ellipsoidal_users(tmp_path: Path,
     assert np.sqrt((errors**2).sum(axis=1).mean()) < 0.5
 
 
+@needs_rpc
 @pytest.mark.usefixtures("geoid")
 def test_control_above_a_geoid_is_converted_for_an_rpc(tmp_path: Path) -> None:
     features, expected = control(5), control(200, sigma=0.0)
@@ -195,12 +199,14 @@ def test_without_the_grid_a_run_with_an_rpc_ends() -> None:
     assert "pyproj sync" in str(caught.value)
 
 
+@needs_rpc
 def test_an_rpc_that_is_not_used_is_said_in_the_first_lines() -> None:
     result = termsel.run(features=blank(control(12)))
     opening = result.summary().partition("How accurate")[0].replace("\n    ", " ")
     assert "The RPC is not used: it needs ellipsoidal heights, and P" in opening
 
 
+@needs_rpc
 @pytest.mark.parametrize("above", [-48.6, 48.6, 20.0])
 def test_a_run_says_that_a_dem_contradicts_the_surveyed_heights(tmp_path: Path, above: float,
                                                                 ) -> None:
@@ -213,6 +219,7 @@ def test_a_run_says_that_a_dem_contradicts_the_surveyed_heights(tmp_path: Path, 
     assert "Next: check what heights refer to: the DEM dem.tif is" in said
 
 
+@needs_rpc
 def test_a_run_keeps_silent_of_a_dem_that_agrees(tmp_path: Path) -> None:
     path = dem(tmp_path / "dem.tif", above=0.3)
     said = noted(termsel.run(features=with_heights(blank(control(4), slice(0, 2)), path)))

@@ -105,6 +105,7 @@ from .measurements.coordinates.metres import in_metres as in_metres
 from .measurements.coordinates.wgs84 import from_ecef as from_ecef
 from .measurements.coordinates.wgs84 import to_ecef as to_ecef
 from .measurements.coordinates.wgs84 import vertical as vertical
+from .measurements.dem_difference import off_as_a_whole as off_as_a_whole
 from .measurements.features import BoolArray as BoolArray
 from .measurements.features import FloatArray as FloatArray
 from .measurements.features import no_lines as no_lines

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
 
 pytest.importorskip("termsel_match", reason="termsel-match is not installed: "
                     "pip install -e plugins/termsel-match")
@@ -15,6 +16,7 @@ pytest.importorskip("termsel_match", reason="termsel-match is not installed: "
 from termsel import FeatureSet, Points, TermselError, read
 from termsel.testing import check, checks
 from termsel_match.asp import AspMatches
+from termsel_match.images.starts import start_by_points
 from termsel_match.points.readers import ArosicsTable, MatchesCsv
 
 # As GeoPandas saves the table: with an index, the geometry as text, and all columns.
@@ -126,3 +128,24 @@ def test_what_is_wrong_is_said_with_its_place(file: Any, text: str, format: str 
     with pytest.raises(TermselError) as caught:
         read(file(text), crs="EPSG:32633", format=format or ())
     assert reason in str(caught.value)
+
+
+@pytest.mark.parametrize(("above", "said"), [(-48.6, "below the control"), (0.3, "")])
+def test_a_dem_is_held_against_the_control_of_the_start(
+        tmp_path: Path, above: float, said: str, caplog: pytest.LogCaptureFixture) -> None:
+    rng = np.random.default_rng(1)
+    lonlat = np.column_stack([rng.uniform(9.01, 9.09, 8), rng.uniform(45.01, 45.09, 8)])
+    heights = 300 + 4000 * (lonlat[:, 0] - 9.0)
+    row, column = np.mgrid[:100, :100] + 0.5
+    values = 300 + 4000 * 0.001 * column + above + 0 * row
+    with rasterio.open(tmp_path / "dem.tif", "w", driver="GTiff", width=100, height=100, count=1,
+                       dtype="float64", crs="EPSG:4326",
+                       transform=rasterio.transform.from_origin(9.0, 45.1, 0.001, 0.001)) as raster:
+        raster.write(values, 1)
+    ground = np.column_stack([lonlat, heights])
+    image = (lonlat - [9.0, 45.0])[:, ::-1] * 1e4
+    features = FeatureSet(Points(tuple("abcdefgh"), image, ground), crs="EPSG:4979")
+    start = start_by_points(features, "the points")
+    start.say_dem(tmp_path / "dem.tif")
+    assert said in caplog.text
+    assert bool(said) == ("geoid and ellipsoid?" in caplog.text)

@@ -344,3 +344,21 @@ def test_a_study_has_a_column_of_rpcs(tmp_path: Path) -> None:
     study = termsel.compare(tmp_path / "study.toml", out=tmp_path / "out", workers=1)
     assert [row["state"] for row in study.rows] == ["done"] * 2
     assert {row["chosen"] for row in study.rows} == {"rpc"}
+
+
+@pytest.mark.parametrize("role", range(4))
+def test_an_rpc_names_a_wrong_independent_point(role: int) -> None:
+    """A single independent point is no witness against itself; the RPC knows that it is wrong."""
+    features = scene(4)
+    image = features.points.image.copy()
+    image[1] += [80.0, -60.0]
+    roles = ["control"] * 4
+    roles[role] = "independent"
+    result = termsel.run(features=replace(
+        features, points=replace(features.points, image=image, roles=tuple(roles))))
+    assert [one.id for one in result.outliers] == [features.points.ids[1]]
+    opening = result.summary().partition("How accurate")[0]
+    assert "none found" not in opening
+    right = termsel.run(features=replace(
+        features, points=replace(features.points, roles=tuple(roles))))
+    assert not right.outliers

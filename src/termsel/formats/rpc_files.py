@@ -82,7 +82,7 @@ def _read(path: Path, head: bytes) -> Rpc:
         with open_raster(path) as raster:
             items: dict[str, str] = raster.tags(ns="RPC")
         if not items:
-            raise TermselError("this image has no RPC", file=path,
+            raise TermselError("this image has no RPC that GDAL finds", file=path,
                                hint=f"Expected {KNOWN}.")
         return from_items(items)
     if head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<"):
@@ -98,8 +98,32 @@ def _read(path: Path, head: bytes) -> Rpc:
                 _number(number, name, line)
             items[item] = value
     if not items.keys() & (RPB_NAMES.keys() | {"LINE_NUM_COEFF_1"}):
-        raise TermselError("this file has no RPC", file=path, hint=f"Expected {KNOWN}.")
+        raise _in_no_known_form(path, text)
     return from_items(items)
+
+
+def _in_no_known_form(path: Path, text: str, root: str = "") -> TermselError:
+    """Return the error for a file in which no RPC is read: it may have one in another form."""
+    kind = f"this XML <{root}>" if root else "this file"
+    if not _TRACES.search(text):
+        return TermselError(f"{kind} has no RPC in a form that termsel reads", file=path,
+                            hint=f"Expected {KNOWN}.")
+    form = "another one than these"
+    if root and "<bandid" in text.lower():
+        form = "an RPC for each band, as EnMAP's XML has"
+    elif text.lstrip()[:1] in ("{", "["):
+        form = "JSON, such as that of the Data Fusion Contest 2019"
+    elif path.suffix.lower() in (".yaml", ".yml"):
+        form = "YAML, such as Orthority's"
+    return TermselError(
+        f"{kind} seems to have an RPC in a form that termsel does not read: {form}", file=path,
+        hint=f"Expected {KNOWN}. Write its numbers as one of these, such as _RPC.TXT.")
+
+
+_TRACES = re.compile(
+    r"\brpc(?:00)?[ab]?\b|rational[ _-]?(?:poly|func)|(?:line|row|samp|col)\w{0,8}_?num|"
+    r"(?:lat|lon|long|height|row|line|samp|col)_?(?:off|scale)", re.IGNORECASE)
+"""What little else than an RPC has."""
 
 
 def _entries(text: str) -> Iterator[tuple[str, str, int]]:
@@ -178,8 +202,7 @@ def _from_xml(path: Path) -> Rpc:
         digital_globe = {rpb.upper(): name for name, rpb in (RPB_NAMES | ERROR_NAMES).items()}
         items = {digital_globe[name]: text for name, text in _texts(root) if name in digital_globe}
     if not items:
-        raise TermselError(f"this XML <{root.tag}> has no RPC", file=path,
-                           hint=f"Expected {KNOWN}.")
+        raise _in_no_known_form(path, content.decode("utf-8", errors="replace"), root.tag)
     return from_items(items)
 
 

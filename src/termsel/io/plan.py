@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from termsel.errors import TermselError
+from termsel.fits.fit import Fit
 from termsel.fits.next_places import rank_places
 from termsel.fits.scene import scene_grid
 from termsel.formats.readers.csv_tables import table_text
@@ -17,6 +19,8 @@ from termsel.measurements.features import FloatArray
 
 if TYPE_CHECKING:
     from termsel.results.result import Result
+
+log = logging.getLogger(__name__)
 
 COLUMNS = ("id", "line", "sample", "x", "y", "z", "uncertainty")
 GRID = 20
@@ -42,6 +46,16 @@ class Plan:
         return table_text(self.crs, list(COLUMNS), [[name] for name in self.ids], self.values)
 
 
+def _say_size(fitted: Fit) -> None:
+    """Say so where an RPC alone tells the size of the image, so that places may be outside it."""
+    features = fitted.control
+    if features.image_size is None and features.rpc is not None and "rpc" in fitted.model.options:
+        (top, left), (bottom, right) = fitted.image_box()
+        log.warning("Note: the size of the image is not known. By the scale of its RPC it is taken "
+                    "as lines %.0f to %.0f and samples %.0f to %.0f; places may be outside it. "
+                    "--image FILE, when you run termsel, states it.", top, bottom, left, right)
+
+
 def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
     """Return the places where further points lessen the uncertainty over the scene most.
 
@@ -50,6 +64,7 @@ def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
     read or has no place in the image, or the uncertainty of the model is not known.
     """
     fitted = result.fit
+    _say_size(fitted)
     scene = scene_grid(fitted, GRID)[1]
     scene = scene[np.isfinite(scene).all(axis=1)]
     if candidates is None:

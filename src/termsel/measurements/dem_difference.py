@@ -32,6 +32,9 @@ BEYOND = 3.0
 TAKEN = 1e-5
 """Difference [m] up to which a height was taken from the DEM itself, and tells nothing."""
 
+GEOID = "geoid and ellipsoid?"
+"""The usual cause."""
+
 _MAD = 1.4826  # from the median absolute deviation to the standard deviation of normal errors
 _EFFICIENCY = float(np.sqrt(np.pi / 2))  # standard deviation of a median by that of a mean
 _FEET, _EXACT = 1 / 3, 3.0  # what is left where heights are read as feet: a share, and metres
@@ -69,14 +72,21 @@ class DemDifference:
 
     def sentence(self, pixels: float | None = None) -> str:
         """Return it as one sentence, with what it does to a map [px], where that is known."""
-        side = "above" if self.above > 0 else "below"
-        cause = "feet and metres?" if self.in_feet else "geoid and ellipsoid?"
         effect = "" if pixels is None else f": {_rounded(pixels)} px on a map" \
             if pixels >= _VISIBLE else ", of which this model makes no use"
-        name = f" {self.dem}" if self.dem else ""
-        return (f"The DEM{name} is {_rounded(abs(self.above))} m {side} the control (median of "
-                f"{counted(self.count, 'height')}, standard deviation "
-                f"{_rounded(self.sigma)} m){effect}; {cause}")
+        evidence = (f"median of {counted(self.count, 'height')}, standard deviation "
+                    f"{_rounded(self.sigma)} m")
+        return off_as_a_whole(self.above, "the control", evidence, effect, self.dem,
+                              "feet and metres?" if self.in_feet else GEOID)
+
+
+def off_as_a_whole(above: float, other: str, evidence: str, effect: str = "", dem: str = "",
+                   cause: str = GEOID) -> str:
+    """Return in a sentence that a DEM is so much above something [m], and what may be the cause."""
+    side = "above" if above > 0 else "below"
+    name = f" {dem}" if dem else ""
+    return (f"The DEM{name} is {_rounded(abs(above))} m {side} {other} ({evidence}){effect}; "
+            f"{cause}")
 
 
 def dem_difference(control: FloatArray, dem: FloatArray, name: str = "") -> DemDifference | None:

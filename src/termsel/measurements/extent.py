@@ -10,7 +10,7 @@ from collections.abc import Container
 import numpy as np
 
 from termsel.measurements.coordinates.crs import transformation
-from termsel.measurements.features import FeatureSet, FloatArray
+from termsel.measurements.features import FeatureSet, FloatArray, KnownGeometry
 
 
 def image_extent(features: FeatureSet, options: Container[str],
@@ -21,9 +21,20 @@ def image_extent(features: FeatureSet, options: Container[str],
         return (0.0, 0.0), (lines - 1.0, samples - 1.0)
     image = features.image_vertices()
     if (rpc := features.rpc) is not None and "rpc" in options:
-        image = np.array(rpc.image_offset) + np.outer([-1.0, 1.0], np.abs(rpc.image_scale))
+        image = np.concatenate([_of_rpc(rpc), image])
     (top, left), (bottom, right) = image.min(axis=0).tolist(), image.max(axis=0).tolist()
     return (top, left), (bottom, right)
+
+
+def _of_rpc(rpc: KnownGeometry) -> FloatArray:
+    """Return first and last line and sample of an RPC, shape (2, 2): no image begins below 0.
+
+    RPCs are in the middle of their images, and scaled by no less than half of these; so the margin
+    before the first pixel is beyond the last one, too.
+    """
+    middle, half = np.array(rpc.image_offset), np.abs(rpc.image_scale)
+    half = np.where(middle > 0.0, np.minimum(half, middle), half)
+    return np.stack([middle - half, middle + half])
 
 
 def reach(features: FeatureSet, options: Container[str]) -> FloatArray:

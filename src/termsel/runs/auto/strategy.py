@@ -163,7 +163,7 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
     observations = with_lines(clean, observations.control.lines)
     fitted = in_role(chosen.fit, observations)
     model = fitted.model
-    contradicting, agreeing = judge_independent(clean, choice)
+    contradicting, agreeing = judge_independent(clean, choice, portfolio)
     outliers = (*verdict.without({*clean.together.ids}), *contradicting.outliers)
     final = _final_fit(chosen, observations.features.points, control.heights, portfolio,
                        contradicting.blunders)

@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from msgspec.structs import replace as changed
 
-from termsel.candidates.base import Suspects
+from termsel.candidates.base import Judged, Suspects
 from termsel.candidates.blunders import MOST, find_blunders, judge_others
 from termsel.candidates.contradictions import Division
 from termsel.candidates.portfolio import Choice, Portfolio
 from termsel.measurements.control import MEASURED, Control, off_plane
-from termsel.measurements.features import FeatureSet, select
+from termsel.measurements.features import FeatureSet, Points, select
 from termsel.measurements.roles import Observations, leave_out
 from termsel.measurements.twins import with_twins
 from termsel.record.base import Role
@@ -82,15 +82,20 @@ def _held_against_others(observations: Observations, roles: dict[str, Role],
     return _outliers(both, roles, Suspects(nothing, nothing, which, test.errors, test.errors))
 
 
-def judge_independent(observations: Observations,
-                      choice: Choice | None) -> tuple[Verdict, Observations]:
+def judge_independent(observations: Observations, choice: Choice | None,
+                      portfolio: Portfolio | None = None) -> tuple[Verdict, Observations]:
     """Return the verdict on independent points, and the observations without its blunders.
 
     They stay in all figures, next to which those without them are given. `choice` is that of
-    control and check without blunders.
+    control and check without blunders, from a portfolio: where the chosen model knows the image
+    beforehand, as a vendor's RPC does, it knows of a single point whether it is wrong.
     """
     points, found = observations.independent, None
-    if choice is not None:
+    known = None if choice is None or portfolio is None else \
+        _by_what_is_known(choice.chosen, points, observations.heights, portfolio)
+    if known is not None:
+        found = known
+    elif choice is not None:
         if not choice.chosen.candidate.from_one:
             # Where nothing tells what a height does, it contradicts nothing.
             control = Control.of(choice.chosen.fit.control, observations.heights)
@@ -98,7 +103,7 @@ def judge_independent(observations: Observations,
         found = judge_others(choice.chosen, observations.heights, points)
     if found is None or not found.blunders.any():
         return Verdict(), observations
-    if found.blunders.mean() > MOST:
+    if found.blunders.mean() > MOST and known is None:
         said = ("The independent point contradicts" if len(points) == 1 else
                 f"{int(found.blunders.sum())} of {len(points)} independent points contradict")
         return Verdict(notes=(
@@ -110,6 +115,21 @@ def judge_independent(observations: Observations,
     rest = observations.independent
     return Verdict(outliers, wrong), replace(
         observations, independent=rest.take([name not in wrong for name in rest.ids]))
+
+
+def _by_what_is_known(chosen: Judged, others: Points, heights: bool,
+                      portfolio: Portfolio) -> Suspects | None:
+    """Return which other points contradict what the chosen model knows of the image, if it does."""
+    if not chosen.candidate.from_one or not len(others):
+        return None
+    control = chosen.fit.control
+    every = Control.of(control.with_(points=control.points.join(others)), heights)
+    found: Suspects | None = portfolio.ask(chosen.candidate, "suspects", every)
+    if found is None:
+        return None
+    mine = slice(len(control.points), len(control.points) + len(others))
+    return Suspects(found.blunders[mine], found.probable[mine], found.undecided[mine],
+                    found.errors[mine], found.limits[mine])
 
 
 def _outliers(features: FeatureSet, roles: dict[str, Role],

@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from termsel.toolkit import off_as_a_whole
 from termsel_block.accuracy import in_space, independent_points, predicted, rmse
 from termsel_block.contradictions import doubts_of_models
 from termsel_block.geometry.cameras import RpcCamera
@@ -177,9 +178,7 @@ def doubts(result: BlockResult) -> list[str]:
                             f"{np.ptp(bent, axis=0).max():.0f} px over the image: is it of another "
                             "image?")
     if result.block.dem is not None and abs(adjusted.offset) > _OFF:
-        said.append(f"The ground is {abs(adjusted.offset):.0f} m "
-                    f"{'above' if adjusted.offset > 0 else 'below'} the DEM, by control and ties: "
-                    "check what its heights refer to.")
+        said.append(off_as_a_whole(-adjusted.offset, "the ground", "by control and ties"))
     return said
 
 

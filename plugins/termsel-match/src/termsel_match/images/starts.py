@@ -8,7 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
-from termsel import FeatureSet, Points, TermselError, fit, open_raster, read, read_result, read_rpc
+from termsel import (
+    FeatureSet,
+    Points,
+    TermselError,
+    fit,
+    open_dem,
+    open_raster,
+    read,
+    read_result,
+    read_rpc,
+)
+from termsel.toolkit import say_difference
 from termsel_match.images.rasters import FloatArray
 
 Heights = float | Callable[[FloatArray], FloatArray]
@@ -36,6 +47,8 @@ class Start:
         Least and largest height that an RPC is made for [m].
     bias : float, optional
         Root mean square of its bias [m], where its vendor states it.
+    control : FeatureSet, optional
+        What it was made from, whose heights a DEM is held against.
     """
 
     what: str
@@ -45,6 +58,15 @@ class Start:
     locate: Callable[[FloatArray, Heights], FloatArray]
     heights: tuple[float, float] | None = None
     bias: float | None = None
+    control: FeatureSet | None = None
+
+    def say_dem(self, dem: Path | str | None) -> None:
+        """Warn where a DEM contradicts the heights of the control, if that has any."""
+        if dem is None or self.control is None:
+            return
+        if np.isfinite(self.control.ground_vertices()[:, 2]).any():
+            with open_dem(Path(dem), self.crs) as surface:
+                say_difference(self.control, self.project, surface)
 
 
 def turned(plane: FloatArray, crs: str, to: str) -> FloatArray:
@@ -91,7 +113,8 @@ def start_of(named: str | Path | None, image: Path) -> Start | None:
         result = read_result(path)
         height = float(result.fit.ground_box()[0][2])
         return Start(f"the result {path}", result.features.crs,
-                     height if np.isfinite(height) else 0.0, result.project, result.locate)
+                     height if np.isfinite(height) else 0.0, result.project, result.locate,
+                     control=result.features)
     try:
         return _of_rpc(path)
     except TermselError as error:
@@ -132,7 +155,7 @@ def start_by_points(features: FeatureSet, what: str) -> Start:
     fitted = fit(free, "poly2d", degree=1)
     heights = points.ground[:, 2]
     height = float(np.nanmean(heights)) if np.isfinite(heights).any() else 0.0
-    return Start(what, features.crs, height, fitted.project, fitted.locate)
+    return Start(what, features.crs, height, fitted.project, fitted.locate, control=features)
 
 
 def _of_position(image: Path) -> Start | None:

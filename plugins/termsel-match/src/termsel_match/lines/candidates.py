@@ -79,6 +79,7 @@ def match_lines(
     known = start if isinstance(start, Start) else start_of(start, image)
     if known is None:
         raise without_start(image)
+    known.say_dem(dem)
     with open_picture(image, band) as picture:
         size = picture.size
         pieces = pieces_of(vectors, known, dem, size)

@@ -144,6 +144,7 @@ def match_points(
                 raise TermselError("a folder of references requires a start", file=image,
                                    hint="Give --start with an RPC, a result or points.")
             known = start_by_overview(picture, files[0], reference_band)
+        known.say_dem(dem)
         tried = []
         for name in _USUAL if matcher is None else (matcher,):
             chosen = get("matchers", name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,8 @@ from termsel_match.images.starts import start_of
 from termsel_match.images.warps import crs_of, references_of
 from termsel_match.points.candidates import LEAST, Candidates
 from termsel_match.points.readers import NEEDS_REFERENCE, MatchesCsv
+
+log = logging.getLogger("termsel.match")
 
 _HEAD = 4096  # bytes by which readers recognise a file
 
@@ -57,6 +60,12 @@ def read_candidates(path: Path | str, image: Path | str, reference: Path | str |
         if crs is None or not unplaced:
             raise
         features = read(path, dem=dem, crs=crs, **options)
+    rough = start_of(start, Path(image))
+    if rough is not None:
+        rough.say_dem(dem)
+    difference = features.dem_difference
+    if difference is not None and difference.contradicts:
+        log.warning("Warning: %s", difference.sentence())
     points = features.points
     points = points.take(np.isfinite(points.ground).all(axis=1)
                          & np.array([role != "off" for role in points.roles], dtype=bool))
@@ -66,7 +75,6 @@ def read_candidates(path: Path | str, image: Path | str, reference: Path | str |
                            hint="Give a table with more points, and a --dem that covers them.")
     with open_raster(Path(image)) as raster:
         size = int(raster.height), int(raster.width)
-    rough = start_of(start, Path(image))
     return Candidates(_named(points), features.crs, size, {},
                       "none" if rough is None else rough.what, rough)
 
