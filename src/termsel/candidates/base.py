@@ -18,11 +18,16 @@ from termsel.fits.of_features import control_of
 from termsel.measurements.control import Control
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, no_points
 from termsel.models.base import SensorModel
-from termsel.models.poles import guard_points, pole_violation
+from termsel.models.poles import guard_points, pole_margin, pole_violation
+from termsel.models.quotient import RationalModel
 from termsel.threads import one_blas_thread
 
 WIDER = 1.5
 """A denominator must be positive in a box this much wider than that of the points."""
+
+REFITTED = 40
+"""Points up to which distances are iterated again without each of them: of more, one step from the
+solution is as good."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,28 +265,45 @@ class Candidate(ABC):
 
 
 def has_pole(fitted: Fit) -> bool:
-    """Return whether a denominator falls short of the margin in a box wider than the points'."""
-    guard = guard_points(fitted.scaled_control, no_points())
-    middle = (guard.max(axis=0) + guard.min(axis=0)) / 2
-    return bool(pole_violation(fitted.model, fitted.adjustment.coefficients[None],
-                               middle + WIDER * (guard - middle))[0] > 0)
+    """Return whether a denominator falls short of the margin in a box wider than the points'.
+
+    What no image of such a view shows, as it lies behind the camera, does not count.
+    """
+    control = fitted.scaled_control
+    return bool(pole_violation(
+        fitted.model, fitted.adjustment.coefficients[None],
+        guard_points(control, no_points(), WIDER), pole_margin(control.points))[0])
 
 
 def left_out_squares(fitted: Fit) -> FloatArray:
     """Return the squared error of each control feature under the fit without it [px^2], (n,).
 
     By least squares, as the criterion press judges: with equations to first order where others are
-    not exact, so that this is closed form throughout. Infinite throughout where some feature is
-    indispensable, and where a denominator falls short.
+    not exact, so that this is closed form throughout; of few points the least squares of distances
+    are found again without each. Infinite throughout where some feature is indispensable, and where
+    a denominator falls short.
     """
     model, control = fitted.model, fitted.scaled_control
-    parts = independent_parts(first_order(model, control), model.axis)
+    weighted = isinstance(model, RationalModel) and model.weighted
+    equations = model.linearised(control, fitted.adjustment.coefficients) if weighted else None
+    parts = independent_parts(equations or first_order(model, control), model.axis)
     solutions = solutions_without_each(parts, fitted.terms, fitted.used)
     if solutions is None:
         return np.full(len(control), np.inf)
+    if weighted and len(control) <= REFITTED and not len(control.lines):
+        solutions = _refitted_without_each(fitted)
     fits = Fits(model, control.points, no_points(), fitted.scaling.image_scale,
                 fitted.terms[None], fitted.adjustment.coefficients[None], control.lines, parts)
     return np.asarray(fits.held_out_each(solutions[:, None])[0])
+
+
+def _refitted_without_each(fitted: Fit) -> FloatArray:
+    """Return the least squares of distances in the image of points without each, shape (n, k)."""
+    model, control, n = fitted.model, fitted.scaled_control, len(fitted.control)
+    assert isinstance(model, RationalModel)
+    return model.least_distances(
+        control.points, independent_parts(model.equations(control), model.axis),
+        np.tile(fitted.terms, (n, 1)), ~np.eye(n, dtype=bool))
 
 
 def gain_of(one: FloatArray, other: FloatArray, rounding: float = 0.0) -> float:

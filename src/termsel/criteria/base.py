@@ -25,7 +25,7 @@ from termsel.measurements.features import (
     Points,
     no_lines,
 )
-from termsel.models.poles import POLE_MARGIN
+from termsel.models.poles import pole_margin
 from termsel.models.quotient import RationalModel
 from termsel.options import Configurable
 
@@ -104,7 +104,7 @@ class Fits:
         ndarray, shape (p, n)
             Of a point dl^2 + ds^2, of a line the sum of the squared distances of its ground
             vertices from the image line [px^2]; infinite if a denominator is below
-            POLE_MARGIN.
+            `termsel.models.poles.pole_margin`.
         """
         owner, ground = self._vertices
         seen = np.isin(owner, features)
@@ -167,7 +167,7 @@ class Fits:
             distances = rho - (image[:, len(points):] * normal).sum(axis=2)
             squares = np.concatenate([squares, distances**2], axis=1)
         if below is not None:
-            squares = np.where((below >= POLE_MARGIN).all(axis=2), squares, np.inf)
+            squares = np.where((below >= pole_margin(self.control)).all(axis=2), squares, np.inf)
         if lines.any():  # all vertices of a feature together
             owner = np.concatenate([points, n + np.repeat(self.lines.feature[lines], 2)])
             order = np.argsort(owner, kind="stable")

@@ -18,6 +18,7 @@ import numpy as np
 from termsel.measurements.coordinates.metres import height_unit, plan_of
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, IntArray
 from termsel.measurements.scaling import Scaling, in_fit_crs, scaling_of
+from termsel.measurements.view import View, view_of
 
 FLAT = 1e-8
 """Scaled distance from a plane up to which heights are taken to lie on it: rounding."""
@@ -84,7 +85,7 @@ def heights_differ(control: Control) -> bool:
     if control.features.without_height():
         return False
     plane, z, _ = _vertices(control)
-    return _tells(control, _about_plane(plane, z)[0])
+    return _tells(control, _about_plane(plane, z)[0], np.ones(len(z), dtype=bool))
 
 
 def carriers(control: Control, most: int = 2) -> tuple[str, ...]:
@@ -97,7 +98,7 @@ def carriers(control: Control, most: int = 2) -> tuple[str, ...]:
     plane, z, owner = _vertices(control)
     keep, chosen = np.ones(len(z), dtype=bool), list[int]()
     rest, free = _about_plane(plane, z)
-    if not _tells(control, rest):
+    if not _tells(control, rest, keep):
         return control.features.ids
     while len(chosen) < most:
         # What the sum of squares falls by without a vertex: its residual squared by 1 - leverage.
@@ -105,7 +106,7 @@ def carriers(control: Control, most: int = 2) -> tuple[str, ...]:
         chosen.append(int(np.argmax(gain)))
         keep &= owner != chosen[-1]
         rest, free = _about_plane(plane[keep], z[keep])
-        if not _tells(control, rest):
+        if not _tells(control, rest, keep):
             return tuple(control.features.ids[i] for i in chosen)
     return ()
 
@@ -117,16 +118,16 @@ def off_plane(control: Control, ground: FloatArray) -> tuple[FloatArray, FloatAr
     where a height is not known, where those of the control are not, and where they tell what a
     height does. Carriers have no influence on the plane.
     """
-    effect, none = _effect(control), np.zeros(len(ground))
+    none = np.zeros(len(ground))
     carrying = () if control.features.without_height() else carriers(control)
-    if not carrying or not np.isfinite(effect):
+    if not carrying or not np.isfinite(_effect(control)):
         return none, none
     (plane, z, owner), scaled = _vertices(control), control.scaling.ground(ground)
     keep = ~np.isin(np.array(control.features.ids)[owner], carrying) | (
         len(carrying) == len(control))
     fitted = _plane_at(scaled) @ np.linalg.lstsq(plane[keep], z[keep])[0]
     off = np.where(np.isnan(ground[:, 2]), 0.0, np.abs(scaled[:, 2] - fitted))
-    return off * control.scaling.ground_scale[2], off * effect
+    return off * control.scaling.ground_scale[2], off * _effects(control, scaled)
 
 
 def with_usual_heights(control: Control, ground: FloatArray) -> FloatArray:
@@ -147,18 +148,20 @@ def with_usual_heights(control: Control, ground: FloatArray) -> FloatArray:
     return ground - np.pad(off[:, None], ((0, 0), (2, 0)))
 
 
-def _tells(control: Control, rest: FloatArray) -> bool:
-    """Return whether scaled heights off a plane tell what a height does."""
+def _tells(control: Control, rest: FloatArray, keep: BoolArray) -> bool:
+    """Return whether scaled heights off a plane, of the vertices `keep`, tell what a height does.
+    """
     if not np.abs(rest).max(initial=0.0) > FLAT:
         return False
-    return bool(np.linalg.norm(rest) * _effect(control) > _noise(control))
+    places = control.scaling.ground(control.features.ground_vertices())[keep]
+    return bool(np.linalg.norm(rest * _effects(control, places)) > _noise(control))
 
 
 def _noise(control: Control) -> float:
     """Return the standard deviation of a measurement [px], or more where many points show it.
 
-    They do so by what a quadratic polynomial leaves, without the points that fit worst: blunders
-    would hide what heights do.
+    They do so by what a quadratic polynomial or a view leaves, without the points that fit worst:
+    blunders would hide what heights do.
     """
     least = min(MEASURED, MEASURED_PART * control.scaling.image_scale)
     points = control.scaled.points
@@ -173,7 +176,38 @@ def _noise(control: Control) -> float:
         best = np.argsort(np.linalg.norm(left, axis=1) / free)[:round(BEST * kept)]
         square = (left**2).sum() / (len(image) - columns.shape[1]) / 2
         columns, image = columns[best], image[best]
-    return max(least, float(np.sqrt(square)) * control.scaling.image_scale)
+    view, noise = view_of(points), float(np.sqrt(square))
+    if view is not None:
+        noise = min(noise, view.noise)
+    return max(least, noise * control.scaling.image_scale)
+
+
+def _effects(control: Control, scaled: FloatArray) -> FloatArray:
+    """Return the standard deviation of what a scaled height of 1 does at scaled places [px], (n,).
+
+    In an oblique view it does more the nearer a place is to the camera.
+    """
+    view, effect = _view(control), _effect(control)
+    if view is None or not np.isfinite(effect):
+        return np.full(len(scaled), effect)
+    metres = _metres(control)
+    across = view.magnification(scaled) * control.scaling.image_scale / metres[:2]
+    return np.asarray(PARALLAX * metres[2] * across.max(axis=1))
+
+
+def _view(control: Control) -> View | None:
+    return view_of(control.scaled.points)
+
+
+def _metres(control: Control) -> FloatArray:
+    """Return how many metres a scaled step is along X, Y, Z."""
+    features, scaling = control.features, control.scaling
+    crs = features.fit_crs or features.crs
+    corners = np.array(scaling.ground_offset) + np.diag(scaling.ground_scale)
+    plan = plan_of(crs, np.concatenate([[scaling.ground_offset], corners]))
+    assert plan is not None
+    steps = np.linalg.norm(plan[1:3] - plan[0], axis=1)
+    return np.array([*steps, scaling.ground_scale[2] * height_unit(crs)])
 
 
 def _effect(control: Control) -> float:

@@ -3,19 +3,37 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import ClassVar
 
 from termsel.adjustment.monomials import Exponents, graded_exponents
 from termsel.models.quotient import MonomialModel
 from termsel.options import Option
 
+WEIGHTED = Option(
+    "weighted", False, "Divide the equations by the denominators and iterate, to the least squares "
+    "of distances in the image: each fit, and with control points each selection that a search "
+    "judges by check points.", bool)
+
 
 class Projective(MonomialModel):
     """A quotient of forms in the same monomials, with one denominator for both axes."""
+
+    declared_options: ClassVar[tuple[Option, ...]] = (WEIGHTED,)
 
     @property
     def divides(self) -> str:
         """One denominator."""
         return "shared"
+
+    @property
+    def weighted(self) -> bool:
+        """Whether adjustments are iterated, of points too."""
+        return bool(self.options["weighted"])
+
+    @property
+    def first_terms(self) -> None:
+        """None: iterations begin at the linear solution, as an oblique view is far from affine."""
+        return None
 
 
 class Projective2D(Projective):
@@ -61,6 +79,7 @@ class DLT2D(Projective):
     name = "dlt2d"
     uses_height = False
     declared_options = (
+        WEIGHTED,
         Option("relief", "xy", "Heights as a function of X and Y: with the term d3 XY; or a plane, "
                "which makes the model projective2d.", choices=("xy", "plane")),)
 

@@ -16,7 +16,7 @@ from termsel.fits.least_squares import first_order
 from termsel.measurements.coordinates.places import centres
 from termsel.measurements.features import BoolArray, FloatArray, IntArray, select
 from termsel.models.base import LINE, SAMPLE, SensorModel
-from termsel.models.poles import POLE_MARGIN, guard_points, pole_violation
+from termsel.models.poles import guard_points, pole_margin, pole_violation
 from termsel.models.quotient import RationalModel
 from termsel.models.terms import Term
 from termsel.problems.base import WORST, EnumerablePart, Evaluation, Inputs, Problem, Selection
@@ -60,6 +60,7 @@ class SelectionProblem(Problem):
             raise TermselError("weighted=true judges selections by check points",
                                hint="Choose --criterion check-rmse.")
         self._guard = guard_points(control, inputs.check)
+        self._margin = pole_margin(control.points)
         self._parts = independent_parts(self.equations, model.axis)
         names = model.terms
         segments: list[Bits | Subset] = []
@@ -159,7 +160,7 @@ class SelectionProblem(Problem):
           degree of freedom);
         - the number of axes without a term of the numerator;
         - the number of parents that are missing (option "hierarchy");
-        - how far a denominator is below POLE_MARGIN somewhere in the scene;
+        - how far a denominator is below `termsel.models.poles.pole_margin` somewhere in the scene;
         - how far the uncovered share of the image is above the option "max_uncovered".
 
         It is 1 where all of these are 0 and the criterion has no figure.
@@ -188,7 +189,7 @@ class SelectionProblem(Problem):
         differing = terms[:1] if self._gene_of_term is None else terms
         violation += excess(self._parts, differing, features, self._share, self._least_freedom)
         violation += self._empty_axes(differing)
-        violation += pole_violation(inputs.model, coefficients, self._guard)
+        violation += pole_violation(inputs.model, coefficients, self._guard, self._margin)
         violation += self._lacking_spread(features)
         if self._pairs is not None:
             violation += orphans(terms, self._pairs)
@@ -250,7 +251,7 @@ class SelectionProblem(Problem):
         from termsel.problems.enumeration import enumerable_parts  # for those who enumerate
 
         return enumerable_parts(self.inputs, self.equations, self.genome, self._gene_of_term,
-                                self._guard, POLE_MARGIN, self._pairs)
+                                self._guard, self._margin, self._pairs)
 
     def row_systems(self) -> tuple[RowSystem, ...] | None:
         """Return the parts of a selection of features alone (see `Problem.row_systems`)."""

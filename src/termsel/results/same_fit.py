@@ -22,7 +22,7 @@ from termsel.fits.least_squares import LeastSquares
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.measurements.scaling import Scaling
 from termsel.models.base import SensorModel
-from termsel.models.poles import guard_points, pole_violation
+from termsel.models.poles import guard_points, pole_margin, pole_violation
 from termsel.record.figures import AdjustmentFigures
 from termsel.record.record import FitRecord
 
@@ -112,5 +112,8 @@ def least_squares_of(model: Fittable, control: FeatureSet, scaling: Scaling, ter
 def has_pole(fitted: Fit, check: Points) -> bool:
     """Return whether a denominator falls short somewhere in the scene of control and check."""
     scaling = fitted.scaling
-    guard = guard_points(scaling.features(fitted.control), scaling.points(check))
-    return bool(pole_violation(fitted.model, fitted.adjustment.coefficients[None], guard).any())
+    control = scaling.features(fitted.control)
+    return bool(pole_violation(
+        fitted.model, fitted.adjustment.coefficients[None],
+        guard_points(control, scaling.points(check)),
+        pole_margin(control.points)).any())
