@@ -1,7 +1,6 @@
 """Oblique photographs: does auto choose the projection, and how near is it to the best one?
 
-``python -m benchmarks.oblique --write`` makes docs/evidence/oblique-views.md. A camera of 4000 x
-3000 px looks 10 to 40 degrees below the horizon at hills of a given height. Control and truth are
+``python -m benchmarks.oblique`` prints a table. A camera of 4000 x 3000 px looks 10 to 40 degrees below the horizon at hills of a given height. Control and truth are
 where the image shows ground; the truth is what lies within the hull of the control. Rivals are the
 homography and the DLT of the least squares of distances in the image, fitted to the same control.
 """
@@ -129,7 +128,8 @@ def rival(points: Points, ground: FloatArray, *, heights: bool) -> FloatArray | 
     """Return where the projection of least distances of points sees places; None if undetermined.
     """
     axes = slice(0, 3 if heights else 2)
-    middle, scale = points.ground[:, axes].mean(axis=0), np.ptp(points.ground[:, axes], axis=0).max()
+    middle = points.ground[:, axes].mean(axis=0)
+    scale = np.ptp(points.ground[:, axes], axis=0).max()
     columns, others = (np.column_stack([np.ones(len(one)), (one[:, axes] - middle) / scale])
                        for one in (points.ground, ground))
     size, unit = columns.shape[1], 2000.0

@@ -116,9 +116,10 @@ def test_rfm_as_normal_equations() -> None:
 # What a fit answers
 
 
-# The prior of a scanner declines these points; tests/test_physical.py has its errors.
+# The prior of a scanner declines these points; tests/test_physical.py has its errors. A projective
+# transformation is not for heights; tests/test_oblique.py has its errors.
 @pytest.mark.parametrize("name", [one.name for one in CANDIDATES if one.with_heights
-                                  and one.name != "physical-cubic"])
+                                  and one.name not in ("physical-cubic", "projective")])
 def test_leave_one_out_of_points_repeats_the_procedure(name: str) -> None:
     features = points_of(50 if name == "rfm-3" else 45 if name == "ridge" else 26)
     fitted = termsel.fit(features, name)

@@ -275,6 +275,18 @@ def has_pole(fitted: Fit) -> bool:
         guard_points(control, no_points(), WIDER), pole_margin(control.points))[0])
 
 
+def refusal(fitted: Fit) -> str:
+    """Return why a fit by least squares, which is determined, is not judged; "" if it is."""
+    if not fitted.estimator.least_squares:
+        return ""
+    if has_pole(fitted):
+        return "a denominator is near zero or negative at the control or next to it (a pole)"
+    if not np.isfinite(left_out_squares(fitted)).all():
+        return ("without one of the features it is not determined, or has a denominator near zero "
+                "or negative at its place (a pole)")
+    return ""
+
+
 def left_out_squares(fitted: Fit) -> FloatArray:
     """Return the squared error of each control feature under the fit without it [px^2], (n,).
 

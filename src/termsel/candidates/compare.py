@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from termsel.candidates.base import Candidate
+from termsel.candidates.base import Candidate, refusal
 from termsel.candidates.portfolio import Choice, Portfolio, choose
 from termsel.candidates.structures import ROBUST
 from termsel.fits.figures import BOTH, Baseline, baseline, finite_or_none
 from termsel.fits.fit import Fit
 from termsel.measurements.control import Control
 from termsel.measurements.roles import Observations
-from termsel.models.rational import RationalFunctions
+from termsel.models.quotient import RationalModel
 
 WITHOUT_BLUNDERS = "without-blunders"
 """Name of the baseline that is chosen once blunders are left out."""
@@ -32,6 +32,7 @@ class Yardsticks:
     reference: str
     choice: Choice | None  # that choice
     blunders: int = 0  # features that it does without
+    refused: Mapping[str, str] = field(default_factory=dict)  # why, of fits that are determined
 
     @property
     def candidate(self) -> Candidate | None:
@@ -42,7 +43,8 @@ class Yardsticks:
         """Return the figures of all fits for some observations."""
         return tuple(
             Baseline(name, fitted, BOTH, False, dict.fromkeys(("control", "check", "independent")))
-            if isinstance(fitted, int) else baseline(name, fitted, predicted, observations)
+            if isinstance(fitted, int) else baseline(
+                name, fitted, predicted, observations, refused=self.refused.get(name, ""))
             for name, fitted, predicted in self.fits)
 
 
@@ -51,8 +53,7 @@ def compare(observations: Observations, choice: Choice | None = None,
     """Return the candidates fitted to control and check together.
 
     No search is made with the check points there, so they are free to serve as control. A
-    rational model with a pole, which is not for the choice, is shown too, as its figures are
-    worth seeing.
+    rational model that was refused, as it has a pole, is shown too, with the reason.
 
     `choice` is that of `choose` for control and check, twins merged, or of `choose_features`: all
     are then fitted to the features that it chooses. By default it is that of `choose`, from the
@@ -66,21 +67,25 @@ def compare(observations: Observations, choice: Choice | None = None,
     if choice:
         fits = {one.name: (one.fit, finite_or_none(one.predicted)) for one in choice.judged}
     rows: list[tuple[str, Fit | int, float | None]] = []
+    refused: dict[str, str] = {}
     for one in portfolio.candidates:
-        if one in ROBUST:
+        if one in ROBUST or (one.name not in fits
+                             and portfolio.ask(one, "declines", both) is not None):
             continue
-        if one.name not in fits and isinstance(portfolio.ask(one, "model", both.heights),
-                                               RationalFunctions):
+        if one.name not in fits and not one.for_few and isinstance(
+                portfolio.ask(one, "model", both.heights), RationalModel):
             fitted = portfolio.ask(one, "fit_control", both)
             if fitted is not None and (not fitted.estimator.least_squares
                                        or fitted.adjustment.redundancy > 0):
                 fits[one.name] = fitted, None
+                refused[one.name] = refusal(fitted)
         if one.name in fits:
             rows.append((one.name, *fits[one.name]))
         elif np.isfinite(size := portfolio.ask(one, "size", both.heights) or np.inf) \
                 and not one.for_few:
             rows.append((one.name, int(size), None))
-    return Yardsticks(tuple(rows), choice.chosen.name if choice else "", choice)
+    return Yardsticks(tuple(rows), choice.chosen.name if choice else "", choice,
+                      refused={name: why for name, why in refused.items() if why})
 
 
 def compare_robustly(observations: Observations, blunders: Collection[str]) -> Yardsticks:
@@ -102,4 +107,4 @@ def compare_robustly(observations: Observations, blunders: Collection[str]) -> Y
         return replace(yardsticks, fits=rows)
     chosen = choice.chosen
     return Yardsticks((*rows, (WITHOUT_BLUNDERS, chosen.fit, chosen.predicted)),
-                      WITHOUT_BLUNDERS, choice, int(out.sum()))
+                      WITHOUT_BLUNDERS, choice, int(out.sum()), yardsticks.refused)

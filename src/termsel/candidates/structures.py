@@ -17,6 +17,7 @@ from termsel.fits.fit import Fit, Undetermined
 from termsel.fits.least_squares import LEAST_SQUARES, LeastSquares
 from termsel.fits.of_features import require_determined
 from termsel.measurements.control import Control
+from termsel.measurements.view import view_of
 from termsel.models.base import SensorModel
 from termsel.models.helmert import Helmert2D
 from termsel.models.interpolating import Field, Field3D, ThinPlate
@@ -69,6 +70,16 @@ class Structure(Candidate):
         model = self.model(heights)
         fixed = isinstance(self.estimator, LeastSquares | RidgeByOrder)
         return len(model.terms) if model is not None and fixed else np.inf
+
+
+class _OfPlane(Structure):
+    """A projective transformation, which needs a view where heights count."""
+
+    def declines(self, control: Control) -> str | None:
+        """Return why it is not for features with heights: they do more than the view does."""
+        if control.heights and view_of(control.scaled.points) is None:
+            return f"{self.title} is for features without heights, or for oblique views"
+        return super().declines(control)
 
 
 class _Selected(Structure):
@@ -147,8 +158,8 @@ CANDIDATES: tuple[Structure, ...] = (
               short="plane affine", is_plain=True, for_few=True),
     Structure("affine", "an affine polynomial", Affine(), Polynomial2D(degree=1), is_plain=True),
     Structure("dlt", "a DLT", DLT3D(weighted=True), None, short="DLT", is_plain=True, central=True),
-    Structure("projective", "a projective transformation", Projective2D(weighted=True),
-              Projective2D(weighted=True), is_plain=True, central=True),
+    _OfPlane("projective", "a projective transformation", Projective2D(weighted=True),
+             Projective2D(weighted=True), is_plain=True, central=True),
     Structure("quadratic", "a quadratic polynomial", *_polynomials(2), is_plain=True),
     Structure("cubic", "a cubic polynomial", *_polynomials(3), is_plain=True),
     Structure("rfm-2", "a second-order RFM", RationalFunctions(order=2), None,

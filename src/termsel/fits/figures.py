@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from msgspec import UNSET
 
 from termsel.fits.fit import GIVEN, Fit
 from termsel.fits.residuals import Residuals, Rmse, control_residuals, point_residuals
@@ -31,7 +32,8 @@ class Baseline:
     It has `n_terms` of both axes, and was fitted to the features of the roles `fitted_to`. If the
     control does not determine it, its figures are those of the least-norm solution, and if it has
     not `converged`, those of its last step. RMSE [px] are by role, None without points; `predicted`
-    is that by leave-one-out over the features it was fitted to.
+    is that by leave-one-out over the features it was fitted to. `refused` says why a choice left it
+    out though it is determined.
     """
 
     name: str
@@ -41,11 +43,12 @@ class Baseline:
     rmse: Rmses
     predicted: float | None = None
     converged: bool = True
+    refused: str = ""
 
     def row(self) -> BaselineRow:
         """Return the fit as the record of a run holds it."""
         return BaselineRow(self.name, self.n_terms, self.fitted_to, self.determined,
-                           self.predicted, rmse_record(self.rmse))
+                           self.predicted, rmse_record(self.rmse), self.refused or UNSET)
 
 
 def rmse_record(rmse: Rmses) -> RmseByRole:
@@ -78,12 +81,14 @@ def finite_or_none(value: float) -> float | None:
 
 
 def baseline(name: str, fitted: Fit, predicted: float | None, observations: Observations,
-             roles: tuple[Role, ...] = BOTH) -> Baseline:
+             roles: tuple[Role, ...] = BOTH, refused: str = "") -> Baseline:
     """Return the figures of a fit to some roles, whose RMSE by leave-one-out [px] is `predicted`.
+
+    `refused` is as for `Baseline`.
     """
     return Baseline(name, int(fitted.terms.sum()), roles, fitted.determined,
                     figures(in_role(fitted, observations), observations), predicted,
-                    fitted.adjustment.converged)
+                    fitted.adjustment.converged, refused)
 
 
 def in_role(fitted: Fit, observations: Observations) -> Fit:

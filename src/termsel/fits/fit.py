@@ -24,6 +24,7 @@ from termsel.fits.uncertainty import Spread, spread_of
 from termsel.measurements.extent import image_extent, reach
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Lines, Points
 from termsel.measurements.scaling import Scaling, scaling_of
+from termsel.measurements.view import View, view_of
 from termsel.record.base import Settings
 from termsel.threads import one_blas_thread
 
@@ -234,7 +235,8 @@ class Fit(Glance):
         Returns
         -------
         ndarray, shape (n, 2)
-            Line and sample [px]; NaN where a coordinate that the model uses is not finite.
+            Line and sample [px]; NaN where a coordinate that the model uses is not finite, and at
+            places that no image shows (see `unseen`).
 
         Raises
         ------
@@ -242,9 +244,82 @@ class Fit(Glance):
             If the array has another shape.
         """
         places = self._places(ground)
+        image = self._computed(places)
+        image[self.unseen(places)] = np.nan
+        return image
+
+    def _computed(self, places: FloatArray) -> FloatArray:
+        """Return what the model gives for places (n, 3), be they behind the camera or not [px]."""
         scaled = self.model.predict(self.adjustment.coefficients, self._scaled_used,
                                     self.scaling.ground(places))
         return self._known(self.scaling.pixels(scaled), places)
+
+    def unseen(self, ground: ArrayLike) -> BoolArray:
+        """Return whether ground points lie behind the camera or beyond the horizon, (n,).
+
+        There a denominator is zero, or has another sign than at the control; the quotient would
+        be the mirrored place of a ray that leads away from the ground. The model has no place for
+        it, so `project` has none either.
+
+        Parameters
+        ----------
+        ground : array_like
+            As for `project`.
+
+        Raises
+        ------
+        TermselError
+            If the array has another shape.
+        """
+        places, coefficients = self._places(ground), self.adjustment.coefficients
+        below = self.model.denominators(coefficients, self.scaling.ground(places))
+        if below is None:
+            return np.zeros(len(places), dtype=bool)
+        return np.asarray(~(below * self._sides > 0.0).all(axis=1))
+
+    def above_horizon(self, image: ArrayLike) -> BoolArray:
+        """Return whether image points lie above the horizon of the view, (n,).
+
+        The horizon is where the distances of places on the level of the control grow without end.
+        Nothing is above it where the control calls for no view.
+
+        Parameters
+        ----------
+        image : array_like, shape (n, 2)
+            Line and sample [px].
+        """
+        scaled = self.scaling.image(image)
+        return np.zeros(len(scaled), dtype=bool) if self.view is None \
+            else self.view.above_horizon(scaled)
+
+    def holds(self, ground: ArrayLike) -> BoolArray:
+        """Return whether a map may show ground points, (n,): no image of such a view is of use
+        much nearer to the camera than the control, or much farther away.
+
+        True throughout where the control calls for no view, but for places that are `unseen`.
+
+        Parameters
+        ----------
+        ground : array_like
+            As for `project`.
+        """
+        places = self._places(ground)
+        seen = ~self.unseen(places)
+        return seen if self.view is None else \
+            seen & self.view.holds(self.scaling.ground(places))
+
+    @cached_property
+    def _sides(self) -> FloatArray:
+        """Signs of the denominators at most of the control, shape (2,)."""
+        below = self.model.denominators(self.adjustment.coefficients,
+                                        self._scaled_used.ground_vertices())
+        assert below is not None
+        return np.where(np.median(below, axis=0) < 0.0, -1.0, 1.0)
+
+    @cached_property
+    def view(self) -> View | None:
+        """The central projection that the points in use call for, of scaled places, or None."""
+        return view_of(self._scaled_used.points)
 
     def sigma(self, ground: ArrayLike, *, measured: bool = False) -> FloatArray:
         """Return the standard deviation of the error of `project`.
@@ -274,7 +349,9 @@ class Fit(Glance):
         found = made.estimator.spread(made, made.scaling.ground(places))
         variance = (found.variance + found.noise * measured) * self.scaling.image_scale**2
         variance += by_heights(made.control.take(made.used), made.scaling, made.project, places)
-        return self._known(np.sqrt(variance), places)
+        sigma = self._known(np.sqrt(variance), places)
+        sigma[self.unseen(places)] = np.nan
+        return sigma
 
     def _places(self, ground: ArrayLike) -> FloatArray:
         """Return ground points (n, 3); a plane model also takes them without heights."""
@@ -310,7 +387,7 @@ class Fit(Glance):
 
     def errors(self, points: Points) -> FloatArray:
         """Return measured minus computed line and sample [px], shape (n, 2)."""
-        return points.image - self.project(points.ground)
+        return points.image - self._computed(points.ground)
 
     def line_errors(self, lines: Lines | None = None) -> FloatArray:
         """Return the vectors from projected ground vertices of lines to their image lines.
@@ -320,7 +397,7 @@ class Fit(Glance):
         """
         lines = self.control.lines if lines is None else lines
         normal, rho = line_normals(lines)
-        image = self.project(lines.ground.reshape(-1, 3)).reshape(-1, 2, 2)
+        image = self._computed(lines.ground.reshape(-1, 3)).reshape(-1, 2, 2)
         distance = rho[:, None] - np.einsum("ia,iva->iv", normal, image)
         return np.asarray(distance[..., None] * normal[:, None, :])
 

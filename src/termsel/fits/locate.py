@@ -20,6 +20,7 @@ TOLERANCE = 1e-6
 """Largest distance [px] between the image point and the projection of its ground point."""
 
 _STEPS, _KEPT = 24, 3
+_WORSE, _SHORTER = 2.0, 8
 _SECANTS, _HALVINGS = 20, 40
 _AT_SURFACE, _CLOSE = 1e-6, 1e-3  # in the unit of height; both far less than 1 px
 _FAR = 5.0  # half-ranges
@@ -67,7 +68,8 @@ def _newton(project: Projection, image: FloatArray, ground: FloatArray, unit: Fl
     """Return ground points at their heights, moved until they project to the image points.
 
     `inverse`, the moves on the ground for 1 px, hardly changes over an image. It is renewed
-    only for points that do not converge.
+    only for points that do not converge. In an oblique view it does change, and a step may end
+    behind the camera: such a step is made again from where it began, by half of it where need be.
     """
     ground = ground.copy()
     with np.errstate(all="ignore"):
@@ -76,12 +78,35 @@ def _newton(project: Projection, image: FloatArray, ground: FloatArray, unit: Fl
             going = np.flatnonzero(np.abs(error).max(axis=1) > TOLERANCE / 100)
             if not going.size:
                 break
-            moves = (_inverse(project, ground[going], unit) if step and not step % _KEPT
+            before, at = error[going], ground[going]
+            moves = (_inverse(project, at, unit) if step and not step % _KEPT
                      else inverse[going])
-            ground[going, :2] += np.einsum("nij,nj->ni", moves, error[going])
+            ground[going, :2] += np.einsum("nij,nj->ni", moves, before)
             error[going] = image[going] - project(ground[going])
+            wrong = ~(np.abs(error[going]).max(axis=1) <= _WORSE * np.abs(before).max(axis=1))
+            if wrong.any():
+                again = going[wrong]
+                ground[again] = _shortened(project, image[again], at[wrong], before[wrong], unit)
+                error[again] = image[again] - project(ground[again])
     ground[~(np.abs(error).max(axis=1) <= TOLERANCE)] = np.nan
     return ground
+
+
+def _shortened(project: Projection, image: FloatArray, ground: FloatArray, error: FloatArray,
+               unit: FloatArray) -> FloatArray:
+    """Return ground points moved by their own Newton steps, or shares of these that help."""
+    full = np.einsum("nij,nj->ni", _inverse(project, ground, unit), error)
+    moved, todo = ground.copy(), np.arange(len(ground))
+    for halving in range(_SHORTER):
+        tried = ground[todo]
+        tried[:, :2] += 0.5**halving * full[todo]
+        left = np.abs(image[todo] - project(tried)).max(axis=1)
+        better = left < np.abs(error[todo]).max(axis=1)
+        moved[todo[better]] = tried[better]
+        todo = todo[~better]
+        if not todo.size:
+            break
+    return moved
 
 
 def _inverse(project: Projection, ground: FloatArray, unit: FloatArray) -> FloatArray:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from termsel.results.result import Result
 
 _OUTLINE = 33  # places along either side of the image its extent on the map is found by
+_UNEVEN = 3.0  # largest pixel on the ground by the smallest, beyond which a view is oblique
 _LARGEST = 2e5  # pixels along either side of a map; more is a mistake in --res
 _USUAL = 16, 30_000  # pixels along either side: others are a mistake unless the image has them
 
@@ -125,12 +126,20 @@ def grid_of_image(result: Result, crs: str, resolution: float | None = None, *,
     known = outline[np.isfinite(outline).all(axis=-1)]
     along, across = (np.linalg.norm(np.diff(outline, axis=axis), axis=-1) for axis in (0, 1))
     if np.isnan(along).all() or np.isnan(across).all():
+        if dem is None:
+            raise TermselError("the model has a ground position for no part of the image",
+                               hint="Do not use it: choose another model, or measure more.")
         raise TermselError("the image is outside the raster of heights", file=dem,
                            hint="Give a raster that covers the image.")
     (top, left), (bottom, right) = result.fit.image_box()
     pixels = [np.nanmedian(along) * (_OUTLINE - 1) / max(bottom - top, 1.0),
               np.nanmedian(across) * (_OUTLINE - 1) / max(right - left, 1.0)]
-    of_image = float(f"{min(pixels):.2g}")
+    of_image = min(pixels)
+    sizes = along[np.isfinite(along)]
+    if sizes.max() > _UNEVEN * sizes.min():
+        # An oblique view: as many pixels as the image has on the ground that the map shows.
+        of_image = _even_pixel(outline, (bottom - top) * (right - left))
+    of_image = float(f"{of_image:.2g}")
     if resolution is None:
         resolution = of_image
     # Edges on multiples of the pixel size, so that maps of neighbouring images fit together.
@@ -152,6 +161,29 @@ def grid_of_image(result: Result, crs: str, resolution: float | None = None, *,
         float(np.isfinite(outline).all(axis=-1).mean())
 
 
+def sees_all(result: Result, grid: MapGrid, height: float) -> bool:
+    """Return whether all places of a map, at a height, are in front of the camera."""
+    from pyproj import Transformer
+
+    samples, lines = np.meshgrid(np.linspace(0.0, grid.samples, _OUTLINE),
+                                 np.linspace(0.0, grid.lines, _OUTLINE))
+    x, y = grid.transform @ (samples.ravel(), lines.ravel())
+    turn = Transformer.from_crs(grid.crs, horizontal(result.features.crs), always_xy=True)
+    ground = np.column_stack([*turn.transform(x, y), np.full(len(x), height)])
+    known = np.isfinite(ground).all(axis=1)
+    return not result.fit.unseen(ground[known]).any()
+
+
+def _even_pixel(outline: FloatArray, pixels: float) -> float:
+    """Return the side of a square on the ground of as many as an image has pixels.
+
+    `outline` are ground places (n, n, 2) of a grid over the image.
+    """
+    along, across = outline[1:, 1:] - outline[:-1, :-1], outline[1:, :-1] - outline[:-1, 1:]
+    areas = np.abs(along[..., 0] * across[..., 1] - along[..., 1] * across[..., 0]) / 2
+    return float(np.sqrt(np.nansum(areas) / (np.isfinite(areas).mean() * pixels)))
+
+
 def _ground(result: Result, dem: Path | str | None, height: float, target: str,
             ) -> FloatArray:
     """Return where on the map a grid of image places is, shape (_OUTLINE, _OUTLINE, 2)."""
@@ -166,6 +198,8 @@ def _ground(result: Result, dem: Path | str | None, height: float, target: str,
     own = result.features.crs
     with surface_of(dem, own, height) as surface:
         ground = result.fit.locate(image, surface)
+    # The horizon is without end, and what is seen near it says nothing of the size of a pixel.
+    ground[~result.fit.holds(ground)] = np.nan
     try:
         turn = Transformer.from_crs(horizontal(own), target, always_xy=True)
     except ProjError as error:

@@ -45,8 +45,9 @@ def project_table(
     The CSV is headed id,line,sample,x,y,z,uncertainty_line,uncertainty_sample,outside: standard
     deviations of what the model predicts (`termsel.Fit.sigma`), and how far a place is outside the
     control that the model was fitted to (`termsel.fits.extrapolation.outside`). Warned is of points
-    without a place and of those outside. Raises TermselError for tables that cannot be read, a CRS
-    other than that of the control, and heights that are missing.
+    without a place, by name and with the reason where it is known, and of those outside. Raises
+    TermselError for tables that cannot be read, a CRS other than that of the control, and heights
+    that are missing.
     """
     model, crs = result.fit.model, result.fit.control.crs
     if inverse:
@@ -90,14 +91,24 @@ def project_table(
     header = ["id", "line", "sample", "x", "y", "z", "uncertainty_line",
               "uncertainty_sample", "outside"]
     text = table_text(crs, header, [[name] for name in ids], values)
+    hidden = missed & (result.exported.above_horizon(image) if inverse else
+                       np.isfinite(ground[:, :2]).all(axis=1) & result.exported.unseen(ground))
     return text, list(_warnings(
-        select(ids, missed), select(ids, ~missed & (apart > FAR)),
-        encloses=encloses))
+        select(ids, missed & ~hidden), select(ids, hidden), select(ids, ~missed & (apart > FAR)),
+        encloses=encloses, inverse=inverse))
 
 
-def _warnings(missed: Sequence[str], far: Sequence[str], *, encloses: bool) -> Iterator[str]:
+def _warnings(missed: Sequence[str], hidden: Sequence[str], far: Sequence[str], *, encloses: bool,
+              inverse: bool) -> Iterator[str]:
     if not encloses:
         yield "the control encloses no area, so nothing tells which places lie outside it"
+    if hidden:
+        verb = "shows" if len(hidden) == 1 else "show"
+        lie = "lies" if len(hidden) == 1 else "lie"
+        yield f"{counted(len(hidden), 'point')} " + (
+            f"{verb} no ground, as above the horizon" if inverse else
+            f"{lie} behind the camera or beyond the horizon, where no image shows "
+            f"{'it' if len(hidden) == 1 else 'them'}") + f": {first_of(hidden)}"
     if missed:
         yield f"no position was found for {counted(len(missed), 'point')}: {first_of(missed)}"
     if far:

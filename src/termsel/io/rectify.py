@@ -21,7 +21,7 @@ from termsel.formats.vrt import Picture, picture_for, vrt_text
 from termsel.formats.writers.grids import GeolocationVrt
 from termsel.io.accuracy_tags import accuracy_tags
 from termsel.io.export import as_exported
-from termsel.io.map_grid import MapGrid, grid_of_image, map_crs, within
+from termsel.io.map_grid import MapGrid, grid_of_image, map_crs, sees_all, within
 from termsel.io.replacing import require_replaceable
 from termsel.measurements.coordinates.crs import (
     UTM,
@@ -135,7 +135,7 @@ def rectify(
             zone = "the zone of UTM, " if UTM.fullmatch(target) else ""
             chosen = "" if crs is not None or target == horizontal(result.features.crs) else \
                 f" ({zone}as the control is not in metres; --crs names another)"
-            _say(grid, chosen, share, dem)
+            _say(result, grid, chosen, share, dem)
             _warp(raster, output, grid, empty, progress, accuracy_tags(result),
                   resampling=resampling, **options)
 
@@ -143,7 +143,9 @@ def rectify(
 def _source(result: Result, picture: Picture, vrt: Path, surface: Dem | float, grid: MapGrid,
             ) -> tuple[Path, dict[str, Any]]:
     """Write the virtual raster that is warped; return it and the options of the warper."""
-    found = _rpc(result)
+    # By an RPC the warper would put the sky, mirrored, on places behind the camera.
+    level = float(result.fit.ground_box()[0][2]) if isinstance(surface, Dem) else surface
+    found = _rpc(result) if sees_all(result, grid, level) else None
     if found is None:
         log.info("Warping by a geolocation array.")
         writer = GeolocationVrt(image=str(picture.path), **(
@@ -175,15 +177,27 @@ def _rpc(result: Result) -> RpcFit | None:
     return found if found.worst <= GOOD else None
 
 
-def _say(grid: MapGrid, chosen: str, share: float, dem: Path | str | None) -> None:
+def _say(result: Result, grid: MapGrid, chosen: str, share: float,
+         dem: Path | str | None) -> None:
     """Log what the map is, and which share of the image it shows."""
     log.info("Map: %d lines and %d samples of %g %s in %s%s, with %s of the image.", grid.lines,
              grid.samples, grid.transform.a, grid.unit, short(grid.crs), chosen,
              "all" if share == 1 else f"about {100 * share:.0f} %")
     if share < 1:
         log.warning("Warning: about %.0f %% of the image is not on the map, as %s.",
-                    100 - 100 * share, "the model has no ground position there" if dem is None
-                    else f"{dem} has no heights there")
+                    100 - 100 * share, _why_not(result, dem))
+
+
+def _why_not(result: Result, dem: Path | str | None) -> str:
+    """Return why a part of the image is not on the map."""
+    (top, left), (bottom, right) = result.fit.image_box()
+    corners = [(line, sample) for line in (top, bottom) for sample in (left, right)]
+    if result.fit.above_horizon(corners).any():
+        return "it is above the horizon or much farther away than any control"
+    if result.fit.view is not None and dem is None:
+        return "it is much nearer or farther away than any control"
+    return "the model has no ground position there" if dem is None \
+        else f"{dem} has no heights there"
 
 
 def _held(nodata: float, dtype: str) -> float:

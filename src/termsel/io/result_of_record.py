@@ -69,7 +69,8 @@ def result_from(record: Record, features: FeatureSet) -> Result:
                             record.selection.parameters or {}),
         rmse=rmse_from(record.rmse),
         baselines=tuple(Baseline(one.name, one.n_terms, one.fitted_to, one.determined,
-                                 rmse_from(one.rmse), one.predicted) for one in record.baselines),
+                                 rmse_from(one.rmse), one.predicted, refused=one.refused or "")
+                        for one in record.baselines),
         fit=fitted, diagnosis=Diagnosis(
             record.significance, tuple((*pair.terms, pair.correlation)
                                        for pair in record.correlations),

@@ -23,6 +23,9 @@ NEARER = 0.5
 """Places nearer to the camera than this part of the distance of the nearest point are outside the
 image."""
 
+FARTHER = 1.5
+"""A map shows no places farther from the camera than this many times the farthest point."""
+
 ENOUGH = 200
 """Points by which a view is found; more are thinned out evenly."""
 
@@ -75,6 +78,22 @@ class View:
     def shows(self, ground: FloatArray) -> FloatArray:
         """Return whether places are in front of the camera, and not much nearer than the points."""
         return np.asarray(self.distances(ground) >= NEARER * self.nearest)
+
+    def holds(self, ground: FloatArray) -> FloatArray:
+        """Return whether places are about as far from the camera as some points are."""
+        far = self.distances(ground) <= FARTHER * self.distances(self.ground).max()
+        return np.asarray(self.shows(ground) & far)
+
+    def above_horizon(self, image: FloatArray) -> FloatArray:
+        """Return whether the rays of scaled image places (n, 2) lead away from the ground.
+
+        A level place X, Y seen at an image place is that of the homogeneous solution of H (1, X, Y)
+        = t (line, sample, 1), whose first coordinate has the sign of 1 / t: the place is in front
+        of the camera where t, its distance, is positive.
+        """
+        level = self.matrix[:, :3].copy()
+        places = np.column_stack([image, np.ones(len(image))]) @ np.linalg.inv(level).T
+        return np.asarray(~(places[:, 0] > 0.0))
 
     def magnification(self, ground: FloatArray) -> FloatArray:
         """Return how far places move in the image, by a move in X or in Y, (n, 2).

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import sqrt
 from typing import Annotated, Literal
 
-from msgspec import Meta, field
+from msgspec import UNSET, Meta, UnsetType, field
 
 from termsel.record.base import Count, Name, Names, Positive, RecordPart, Role, Roles, Share, Size
 from termsel.record.chances import chi_squared_quantile, t_quantile
@@ -84,6 +84,8 @@ class BaselineRow(RecordPart, frozen=True):
     """RMSE by leave-one-out [px] where it was computed."""
     rmse: RmseByRole
     """RMSE by role [px]."""
+    refused: str | UnsetType = UNSET
+    """Why a choice left it out, though the points determine it."""
 
 
 class Outlier(RecordPart, frozen=True, omit_defaults=False):

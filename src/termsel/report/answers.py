@@ -26,7 +26,7 @@ from termsel.report.blocks import (
     TableBlock,
 )
 from termsel.report.charts import bars, maps
-from termsel.report.compared import fits_of
+from termsel.report.compared import fits_of, label_of
 from termsel.report.opening import are_all_named, opening, rounded
 from termsel.report.plots import figure, missing
 from termsel.report.selected import selected
@@ -177,6 +177,8 @@ def _compared(record: Record, view: View | None) -> Iterator[Block]:
     yield from map(Note, record.notes)
     yield from figure(view, "baselines")
     yield Detail(_fits(record))
+    yield from (Detail(f"Refused: {label_of(one.name)}, as {one.refused}.")
+                for one in record.baselines if one.refused)
     yield from map(Detail, _legend(record, view))
 
 
