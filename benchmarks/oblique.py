@@ -1,14 +1,15 @@
 """Oblique photographs: does auto choose the projection, and how near is it to the best one?
 
-``python -m benchmarks.oblique`` prints a table. A camera of 4000 x 3000 px looks 10 to 40 degrees below the horizon at hills of a given height. Control and truth are
-where the image shows ground; the truth is what lies within the hull of the control. Rivals are the
-homography and the DLT of the least squares of distances in the image, fitted to the same control.
+``python -m benchmarks.oblique`` prints a table. A camera of 4000 x 3000 px looks 10 to 40 degrees
+below the horizon at hills of a given height. Control and truth are where the image shows ground;
+the truth is what lies within the hull of the control. Rivals are the homography and the DLT of the
+least squares of distances in the image, fitted to the same control.
 """
 
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray

@@ -69,9 +69,10 @@ def _newton(project: Projection, image: FloatArray, ground: FloatArray, unit: Fl
 
     `inverse`, the moves on the ground for 1 px, hardly changes over an image. It is renewed
     only for points that do not converge. In an oblique view it does change, and a step may end
-    behind the camera: such a step is made again from where it began, by half of it where need be.
+    behind the camera. Such a step is made again from where it began, by half of it where need be,
+    and so are all further ones of the point.
     """
-    ground = ground.copy()
+    ground, oblique = ground.copy(), np.zeros(len(ground), dtype=bool)
     with np.errstate(all="ignore"):
         error = image - project(ground)
         for step in range(_STEPS):
@@ -83,7 +84,9 @@ def _newton(project: Projection, image: FloatArray, ground: FloatArray, unit: Fl
                      else inverse[going])
             ground[going, :2] += np.einsum("nij,nj->ni", moves, before)
             error[going] = image[going] - project(ground[going])
-            wrong = ~(np.abs(error[going]).max(axis=1) <= _WORSE * np.abs(before).max(axis=1))
+            oblique[going] |= ~(np.abs(error[going]).max(axis=1)
+                                <= _WORSE * np.abs(before).max(axis=1))
+            wrong = oblique[going]
             if wrong.any():
                 again = going[wrong]
                 ground[again] = _shortened(project, image[again], at[wrong], before[wrong], unit)
