@@ -340,7 +340,7 @@ def test_few_points_are_told_what_cannot_be_found() -> None:
     assert limits(17) == []
     last = at(np.random.default_rng(0).uniform(0, 10, (16, 3))).ids[15]
     assert limits(16) == ["With 16 points an error must exceed 8.5 px to be found for certain at "
-                          f"half of them, and 16 px at {last}."]
+                          f"half of them, and at {last} none can be found for certain."]
     assert limits(16, scale=100.0) == [
         "With 16 points no blunder can be found for certain: any may be one."]
 

@@ -179,7 +179,7 @@ def read_result(folder: Path | str) -> Result:
         _refuse_changed(seals is None or seals.features != of_features(features)
                         or seals.attributes != of_attributes(features),
                         path.with_name(" or ".join(files)))
-        with options_of_file(folder / RECORD):
+        with options_of_file(Path(folder) / RECORD):
             return result_from(record, features)
     except TermselError as error:
         raise (error if error.file is not None else located(error, path)) from error

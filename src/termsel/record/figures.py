@@ -107,6 +107,18 @@ class Outlier(RecordPart, frozen=True, omit_defaults=False):
     """Whether the fit does without it."""
 
 
+class BlunderTest(RecordPart, frozen=True, omit_defaults=False):
+    """What the test of control and check features for blunders could find."""
+
+    features: int
+    """Number of features that were tested."""
+    limit: Size | None
+    """Error that half of them must exceed to be found for certain [px]; null where they are too few
+    for any test."""
+    extent: Size
+    """Larger side of the box around them in the image [px]."""
+
+
 class Predicted(RecordPart, frozen=True, omit_defaults=False):
     """A predicted RMSE with its interval."""
 

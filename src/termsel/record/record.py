@@ -24,6 +24,7 @@ from termsel.record.figures import (
     Accuracy,
     AdjustmentFigures,
     BaselineRow,
+    BlunderTest,
     Correlation,
     Outlier,
     Predicted,
@@ -307,6 +308,8 @@ class Record(RecordPart, frozen=True, kw_only=True):
     """Further sentences of the report."""
     outliers: tuple[Outlier, ...]
     """The verdict on blunders: every feature that contradicts all others, used or not."""
+    blunder_test: BlunderTest | None = None
+    """What that verdict could find; absent where no test was made."""
     predicted: Predicted | None
     """RMSE that the strategy auto predicts, or null."""
     accuracy: Accuracy | None

@@ -20,6 +20,11 @@ _NAMED = 3
 """Blunders that are named."""
 _LONGEST = 60
 """Characters of the ids of an option that fit in."""
+_NO_FIT, _BLUNT = 0.01, 0.005
+"""Shares of the extent of the features in the image: of an RMSE, beyond which no model fits, and of
+an error that must be exceeded to be found."""
+_CONTRADICTED = 2.0
+"""Times the upper end of the predicted RMSE beyond which independent points contradict it."""
 _MOST, _WIDTH = 8, 85
 """Lines of all, and characters of a line."""
 _PLAIN = {"shrunken": "uncertain terms held near zero",
@@ -144,7 +149,7 @@ def blunders_of(record: Record, brief: bool) -> str:
     off = off_option(record)
     if not any(groups):
         return "looked for before, not here." if record.options.data.get("tested") \
-            else "none found."
+            else _none_found(record)
     said = "; ".join([
         *[f"{_listed(out)} left out"] * bool(out), *[f"{_listed(used)} in use"] * bool(used),
         *[f"{_listed(independent)} contradict{'s' * (len(independent) == 1)} all others"]
@@ -155,6 +160,37 @@ def blunders_of(record: Record, brief: bool) -> str:
         return f"{said}{'; see the list below' * brief}."
     return (f"{said}: leave {'them' if ',' in off else 'it'} out by "
             f"{off if len(off) <= _LONGEST else 'the option --off below'}.")
+
+
+def _none_found(record: Record) -> str:
+    """Return that no blunder was found, and why this may say little."""
+    test, size = record.blunder_test, _size_of_errors(record)
+    accuracy, predicted = record.accuracy, record.predicted
+    if accuracy and predicted and accuracy.image.total > _CONTRADICTED * predicted.high:
+        points = counted(accuracy.image.n, "independent point")
+        return (f"none found, but {points} {'is' if accuracy.image.n == 1 else 'are'} "
+                f"{rounded(accuracy.image.total)} px off where {rounded(predicted.rmse)} px are "
+                "predicted: look there.")
+    if test is None:  # of a record that has none
+        return "none found."
+    features = counted(test.features, record.data.counts.word.removesuffix("s"))
+    if test.limit is None:
+        return f"none can be found with {features}."
+    if test.limit > test.extent:
+        return f"none can be found with {features}; any may be one."
+    if size > _NO_FIT * test.extent:
+        return (f"none can be told, as no model agrees with the {record.data.counts.word} better "
+                f"than {rounded(size)} px: several are wrong, or no model holds.")
+    if test.limit > _BLUNT * test.extent:
+        return f"none found; with {features} errors below {rounded(test.limit)} px are not seen."
+    return "none found."
+
+
+def _size_of_errors(record: Record) -> float:
+    """Return the RMSE that features which took no part have, or are predicted to have [px]."""
+    known = [one for one in (record.predicted and record.predicted.rmse,
+                             record.accuracy and record.accuracy.image.total) if one is not None]
+    return min(known, default=0.0)
 
 
 def _grouped(record: Record) -> tuple[list[Outlier], list[Outlier], list[Outlier]]:

@@ -27,7 +27,7 @@ from termsel.measurements.features import FeatureSet, FloatArray
 from termsel.measurements.roles import by_roles
 from termsel.problems.base import Selection
 from termsel.record.base import plain
-from termsel.record.figures import Accuracy, Correlation, Outlier, Predicted
+from termsel.record.figures import Accuracy, BlunderTest, Correlation, Outlier, Predicted
 from termsel.record.record import (
     SCHEMA,
     DataRecord,
@@ -63,7 +63,7 @@ if TYPE_CHECKING:
 
 CARRIED = (
     "problem", "model", "solver", "criterion", "seed", "data", "feasible", "judgement", "notes",
-    "outliers", "predicted", "accuracy", "accuracy_without", "objectives", "front", "certificate",
+    "outliers", "blunder_test", "predicted", "accuracy", "accuracy_without", "objectives", "front", "certificate",
     "strategy", "evaluations", "lookups", "generations", "seconds", "history", "budget",
     "stability", "by_size", "interrupted", "polish", "versions")
 """What a result and its record hold alike."""
@@ -124,6 +124,8 @@ class Result(Glance):
         what is proven of those as large.
     outliers : tuple of Outlier
         The verdict on blunders: every feature that contradicts all others, used or not.
+    blunder_test : BlunderTest, optional
+        What that verdict could find; None where no test was made.
     predicted : Predicted, optional
         RMSE that a choice by the strategy "auto" predicts, with its interval.
     accuracy : Accuracy, optional
@@ -177,6 +179,7 @@ class Result(Glance):
     certificate: Certificate | None = None
     strategy: Strategy | None = None
     outliers: tuple[Outlier, ...] = ()
+    blunder_test: BlunderTest | None = None
     predicted: Predicted | None = None
     accuracy: Accuracy | None = None
     accuracy_without: Accuracy | None = None

@@ -192,7 +192,7 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
                        determined=not enough, known=chosen.candidate.from_one),
                *_high(verdict), *verdict.notes, *_lines(fitted), *contradicting.notes,
                *portfolio.notes),
-        outliers=outliers, predicted=expected,
+        outliers=outliers, blunder_test=verdict.test, predicted=expected,
         accuracy=accuracy_of(fitted, observations.independent), final=final,
         accuracy_without=accuracy_of(fitted, agreeing.independent)
         if contradicting.outliers else None,

@@ -146,7 +146,7 @@ def assessed(task: Task, found: Search, verdict: Verdict | None = None) -> Resul
         seconds=found.seconds, interrupted=found.interrupted,
         polish=found.polish, history=found.history, fit=chosen,
         residuals=residuals_of(chosen, observations, outliers),
-        diagnosis=diagnose(chosen), outliers=outliers,
+        diagnosis=diagnose(chosen), outliers=outliers, blunder_test=verdict.test,
         accuracy=accuracy_of(chosen, observations.independent),
         accuracy_without=accuracy_of(chosen, agreeing.independent)
         if contradicting.outliers else None,

@@ -16,12 +16,13 @@ from termsel.candidates.base import Judged, Suspects
 from termsel.candidates.blunders import MOST, find_blunders, judge_others
 from termsel.candidates.contradictions import Division
 from termsel.candidates.portfolio import Choice, Portfolio
+from termsel.fits.figures import finite_or_none
 from termsel.measurements.control import MEASURED, Control, off_plane
 from termsel.measurements.features import FeatureSet, Points, select
 from termsel.measurements.roles import Observations, leave_out
 from termsel.measurements.twins import with_twins
 from termsel.record.base import Role
-from termsel.record.figures import Outlier
+from termsel.record.figures import BlunderTest, Outlier
 
 FEW = 17
 """Number of features below which a note says what errors cannot be found."""
@@ -32,13 +33,15 @@ class Verdict:
     """Features that contradict all others, the worst first, and what the test could not find.
 
     `blunders` are the ids of those that are certainly or probably wrong, with their twins; `high`
-    of those whose height alone is off a plane, which are no blunders but would spoil a plane model.
+    of those whose height alone is off a plane, which are no blunders but would spoil a plane model;
+    `test` what could be found, None where no test was made.
     """
 
     outliers: tuple[Outlier, ...] = ()
     blunders: frozenset[str] = frozenset()
     high: frozenset[str] = frozenset()
     notes: tuple[str, ...] = ()
+    test: BlunderTest | None = None
 
     def without(self, in_use: Collection[str]) -> tuple[Outlier, ...]:
         """Return the outliers, as excluded those that are not in use."""
@@ -62,6 +65,9 @@ def judge_features(observations: Observations, portfolio: Portfolio,
     verdict = Verdict(held, high=high if held else frozenset())
     both, pool = observations.pool.features, observations.pool
     found = portfolio.suspects(pool) or find_blunders(pool, portfolio)
+    limit = None if found is None else finite_or_none(float(np.median(found.limits)))
+    verdict = replace(verdict, test=BlunderTest(
+        len(both), limit, float(np.ptp(both.image_vertices(), axis=0).max())))
     if found is None:
         return verdict
     wrong = select(both.ids, found.blunders)
@@ -150,12 +156,16 @@ def _limits(both: FeatureSet, found: Suspects) -> Iterator[str]:
     if len(both) >= FEW:
         return
     worst, half = int(np.argmax(found.limits)), float(np.median(found.limits))
-    if half > np.ptp(both.image_vertices(), axis=0).max():
+    extent = float(np.ptp(both.image_vertices(), axis=0).max())
+    if half > extent:
         yield (f"With {len(both)} {both.word} no blunder can be found for certain: any may be "
                "one.")
         return
+    at_worst = (f"{_size(found.limits[worst])} px at {both.ids[worst]}"
+                if found.limits[worst] <= extent else
+                f"at {both.ids[worst]} none can be found for certain")
     yield (f"With {len(both)} {both.word} an error must exceed {_size(half)} px to be found for "
-           f"certain at half of them, and {_size(found.limits[worst])} px at {both.ids[worst]}.")
+           f"certain at half of them, and {at_worst}.")
 
 
 def _size(error: float) -> str:

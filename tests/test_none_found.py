@@ -1,0 +1,90 @@
+"""Where no blunder is named, the answer says whether one could have been found."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import termsel
+from termsel.measurements.features import FeatureSet, Points
+
+
+def photograph(count: int, wrong: int = 0, noise: float = 0.5, roles: tuple[str, ...] = (),
+               ) -> FeatureSet:
+    """Points of a view from above; the first `wrong` ones are 40 to 200 px off."""
+    rng = np.random.default_rng(count + wrong)
+    unit = rng.uniform(-1, 1, (count, 2))
+    ground = np.column_stack([11.3 + 0.01 * unit[:, 0], 46.5 + 0.01 * unit[:, 1],
+                              rng.uniform(300, 400, count)])
+    image = np.column_stack([1500 - 1400 * unit[:, 1], 2000 + 1800 * unit[:, 0]])
+    image += rng.normal(0, noise, (count, 2))
+    angle, size = rng.uniform(0, 2 * np.pi, wrong), rng.uniform(40, 200, wrong)
+    image[:wrong] += np.column_stack([np.cos(angle), np.sin(angle)]) * size[:, None]
+    return FeatureSet(Points(tuple(f"P{i}" for i in range(count)), image, ground, None, roles),
+                      crs="EPSG:4979")
+
+
+def line_on_blunders(result: termsel.Result) -> str:
+    text = " ".join(result.summary().split())
+    return text.partition("Blunders: ")[2].partition(" Next: ")[0]
+
+
+@pytest.mark.parametrize(("count", "said"), [
+    (3, "none can be found with 3 points."), (5, "none can be found with 5 points."),
+    (6, "none can be found with 6 points; any may be one.")])
+def test_too_few_points_find_none(count: int, said: str) -> None:
+    assert line_on_blunders(termsel.run(features=photograph(count))) == said
+
+
+def test_the_error_that_would_not_be_seen_is_said_where_it_is_large() -> None:
+    result = termsel.run(features=photograph(8))
+    assert result.blunder_test is not None
+    assert result.blunder_test.features == 8
+    said = line_on_blunders(result)
+    assert said.startswith("none found; with 8 points errors below ")
+    assert said.endswith(" px are not seen.")
+
+
+def test_many_points_find_none_plainly() -> None:
+    result = termsel.run(features=photograph(30))
+    assert line_on_blunders(result) == "none found."
+    assert result.blunder_test is not None
+    assert result.blunder_test.limit is not None
+    assert result.blunder_test.limit < 10
+
+
+def test_points_of_which_a_third_is_wrong_are_not_called_free_of_blunders() -> None:
+    said = line_on_blunders(termsel.run(features=photograph(12, wrong=4)))
+    assert said == "none can be found with 8 points; any may be one."
+
+
+def test_points_that_agree_with_no_model_are_not_called_free_of_blunders() -> None:
+    said = line_on_blunders(termsel.run(features=photograph(30, noise=90.0)))
+    assert said.startswith("none can be told, as no model agrees with the points better than ")
+    assert said.endswith(" px: several are wrong, or no model holds.")
+
+
+def test_an_independent_point_far_from_what_is_predicted_is_not_passed_over() -> None:
+    features = photograph(9, roles=(*["control"] * 8, "independent"))
+    wrong = features.points.image.copy()
+    wrong[8, 0] += 900.0
+    points = Points(features.points.ids, wrong, features.points.ground, None, features.points.roles)
+    said = line_on_blunders(termsel.run(features=features.with_(points=points)))
+    assert "P8" in said or said.startswith("none found, but 1 independent point is ")
+
+
+def test_a_point_whose_error_could_be_any_is_not_given_a_size_beyond_the_image() -> None:
+    notes = [note for count in (7, 8, 9) for note in termsel.run(features=photograph(count)).notes
+             if "must exceed" in note]
+    assert notes
+    for note in notes:
+        sizes = [float(word.replace(",", "")) for word, unit in zip(
+            note.split(), note.split()[1:], strict=False) if unit == "px"]
+        assert max(sizes) < 4000, note
+
+
+def test_a_result_that_is_read_again_says_the_same(tmp_path: object) -> None:
+    result = termsel.run(features=photograph(8), out=f"{tmp_path}/out")
+    again = termsel.read_result(f"{tmp_path}/out")
+    assert again.blunder_test == result.blunder_test
+    assert line_on_blunders(again) == line_on_blunders(result)
