@@ -63,8 +63,8 @@ if TYPE_CHECKING:
 
 CARRIED = (
     "problem", "model", "solver", "criterion", "seed", "data", "feasible", "judgement", "notes",
-    "outliers", "blunder_test", "predicted", "accuracy", "accuracy_without", "objectives", "front", "certificate",
-    "strategy", "evaluations", "lookups", "generations", "seconds", "history", "budget",
+    "outliers", "blunder_test", "predicted", "accuracy", "accuracy_without", "objectives", "front",
+    "certificate", "strategy", "evaluations", "lookups", "generations", "seconds", "history", "budget",
     "stability", "by_size", "interrupted", "polish", "versions")
 """What a result and its record hold alike."""
 
