@@ -16,6 +16,7 @@ import numpy as np
 
 from termsel.errors import counted
 from termsel.fits.fit import Fit
+from termsel.fits.next_places import share_left
 from termsel.fits.normality import chances_if_normal
 from termsel.fits.residuals import freedom_of
 from termsel.fits.uncertainty import shared_variance
@@ -93,6 +94,16 @@ def predicted_by(fitted: Fit, errors: FloatArray, points: int,
     rmse, low, high = np.hypot([found.rmse, found.low, found.high],
                                [more**0.5, low, high]).tolist()
     return Predicted(rmse, low, high, points=points or None)
+
+
+def predicted_of_all(fitted: Fit, expected: Predicted, ground: FloatArray) -> Predicted:
+    """Return the RMSE predicted for the same structure once places (m, 3) are control, too.
+
+    `expected` is that of the fit without them. By what the error falls follows from the places
+    alone, so that their measurements stay unseen.
+    """
+    share = share_left(fitted, ground)
+    return Predicted(expected.rmse * share, expected.low * share, expected.high * share)
 
 
 def _by_heights(fitted: Fit, control: FeatureSet, ground: FloatArray) -> float:

@@ -50,12 +50,8 @@ def rank_places(fitted: Fit, candidates: FloatArray, scene: FloatArray, count: i
     it, any may follow. Raises TermselError if the uncertainty of the fit is not known.
     """
     made = fitted.made or fitted
-    places = made.scaling.ground(np.concatenate([candidates, scene]))
-    both: Spread | None = made.estimator.spread(made, places)
-    if both is not None and both.factors is None:  # a local model, which tells no covariances
-        both = believed_spread(made.model, made.scaled_control.take(made.used), places,
-                               np.zeros((len(places), 2)))
-    if both is None or both.factors is None or not np.isfinite(both.factors).all():
+    both = covariances(made, np.concatenate([candidates, scene]))
+    if both is None or both.factors is None:
         raise TermselError("the uncertainty of this model is not known",
                            hint="Plan with 4 or more control points alone; with lines, by a model "
                                 "of least squares, such as --model poly3d.")
@@ -83,6 +79,39 @@ def rank_places(fitted: Fit, candidates: FloatArray, scene: FloatArray, count: i
     scale = made.scaling.image_scale
     return Ranking(np.array(chosen, dtype=np.intp), np.sqrt(after) * scale,
                    float(np.sqrt(np.trace(over))) * scale)
+
+
+def covariances(made: Fit, ground: FloatArray) -> Spread | None:
+    """Return the mean square errors of a fit at places (m, 3), with factors; None if not known."""
+    places = made.scaling.ground(ground)
+    spread: Spread | None = made.estimator.spread(made, places)
+    if spread is not None and spread.factors is None:  # a local model, which tells no covariances
+        spread = believed_spread(made.model, made.scaled_control.take(made.used), places,
+                                 np.zeros((len(places), 2)))
+    return spread if spread is not None and spread.factors is not None \
+        and np.isfinite(spread.factors).all() else None
+
+
+def share_left(fitted: Fit, ground: FloatArray) -> float:
+    """Return by how much the error at a place falls once those around it are measured: a ratio.
+
+    Of measured places (m, 3), each in its turn is the place, and the others are those around it.
+    With C the covariance of all m measurements, the variance of one given the others is
+    1 / (C^-1)_ii, and C_ii without them. The measurements themselves are not looked at. 1 where the
+    covariances are not known.
+    """
+    spread = covariances(fitted.made or fitted, ground)
+    if spread is None or spread.factors is None or not (spread.noise > 0).all():
+        return 1.0
+    alone, among = np.zeros(2), np.zeros(2)
+    for axis, noise in enumerate(spread.noise):
+        factors = spread.factors[:, axis]                                          # (m, d)
+        # C = F F' + s I, so that C^-1 = (I - F (s I + F' F)^-1 F') / s.
+        inner = noise * np.eye(factors.shape[1]) + factors.T @ factors
+        kept = 1.0 - (factors * np.linalg.solve(inner, factors.T).T).sum(axis=1)
+        alone[axis] = (noise + (factors**2).sum(axis=1)).mean()
+        among[axis] = (noise / np.maximum(kept, np.finfo(float).eps)).mean()
+    return float(np.sqrt(min(among.sum() / alone.sum(), 1.0)))
 
 
 def _gains(at: FloatArray, left: FloatArray, over: FloatArray, noise: FloatArray) -> FloatArray:

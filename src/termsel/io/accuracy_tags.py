@@ -5,6 +5,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
+from termsel.report.opening import expected_of, predicted_first
 from termsel.version import __version__
 
 if TYPE_CHECKING:
@@ -12,24 +13,32 @@ if TYPE_CHECKING:
 
 
 def accuracy_tags(result: Result) -> dict[str, str]:
-    """Return tags of a TIFF: accuracy of the run on independent points, or as predicted; date.
+    """Return tags of a TIFF: accuracy as predicted or of the run on independent points; date.
 
-    A final fit has used the independent points too, so theirs is the accuracy of the fit before.
+    The first figure is the surer one, as in the summary. A final fit has used the independent
+    points too, so theirs is the accuracy of the fit before.
     """
     now = datetime.now(UTC)
     tags = {"TIFFTAG_SOFTWARE": f"termsel {__version__}", "ACCURACY_DATE": f"{now:%Y-%m-%d}",
             "TIFFTAG_DATETIME": f"{now:%Y:%m:%d %H:%M:%S}"}
-    if result.accuracy is None:
-        expected = result.predicted
+    record = result.record
+    accuracy, expected = result.accuracy, expected_of(record)
+    predicted = "" if expected is None else (
+        f"predicted RMSE {expected.rmse:.3g} px "
+        f"({100 * expected.level:g} % interval {expected.low:.3g} to {expected.high:.3g} px)")
+    if accuracy is None:
         tags["ACCURACY_STATED"] = "no: the result has no independent points" + (
-            "" if expected is None else f"; predicted RMSE {expected.rmse:.3g} px "
-            f"({100 * expected.level:g} % interval {expected.low:.3g} to {expected.high:.3g} px)")
+            f"; {predicted}" if predicted else "")
         return tags
-    image, ground = result.accuracy.image, result.accuracy.ground
-    tags["ACCURACY_STATED"] = "by independent points, which took no part in any choice"
-    tags["ACCURACY_POINTS"] = str(image.n)
-    for unit, known in (("PX", image), ("M", ground)):
-        if known is not None:
-            tags[f"ACCURACY_RMSE_{unit}"] = f"{known.total:.4g}"
-            tags[f"ACCURACY_CE90_{unit}"] = f"{known.ce90:.4g}"
+    stated = "by independent points, which took no part in any choice" + (
+        f" of this run; an earlier result showed {accuracy.spent_count} of them"
+        if accuracy.spent_count else "")
+    tags["ACCURACY_STATED"] = f"{predicted}; below {stated}" if predicted_first(record) else stated
+    tags["ACCURACY_POINTS"] = str(accuracy.image.n)
+    low, high = accuracy.image.interval
+    tags["ACCURACY_RMSE_PX_INTERVAL"] = f"{low:.4g} to {high:.4g} (90 %)"
+    for unit, figures in (("PX", accuracy.image), ("M", accuracy.ground)):
+        if figures is not None:
+            tags[f"ACCURACY_RMSE_{unit}"] = f"{figures.total:.4g}"
+            tags[f"ACCURACY_CE90_{unit}"] = f"{figures.ce90:.4g}"
     return tags

@@ -77,7 +77,8 @@ def result_from(record: Record, features: FeatureSet) -> Result:
             record.adjustment.orientation_spread),
         residuals=residuals_of(fitted, observations, record.outliers,
                                check_used=record.strategy is not None),
-        features=features, final=_final(record, model, observations))
+        features=features, final=_final(record, model, observations),
+        predicted_final=None if record.final is None else record.final.predicted)
 
 
 def _model(record: Record) -> SensorModel:

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from termsel.errors import TermselError, counted, first_of
+from termsel.errors import TermselError, first_of
 from termsel.formats.base import parse_json, read_text
 from termsel.formats.readers.csv_tables import PointsCsv
 from termsel.io.result_folder import POINTS, RECORD
@@ -30,27 +30,45 @@ def with_spent(result: Result, folder: Path) -> Result:
     """
     if result.accuracy is None:
         return result
-    mine, this = _independent(result.features.points), _fit_of(result.record)
-    shared, names = set[tuple[Any, ...]](), set[str]()
+    mine, this_fit = _independent(result.features.points), _fit_of(result.record)
+    shown, names = set[str](), set[str]()
     for file in sorted(folder.resolve().parent.glob(f"*/{RECORD}")):
         with suppress(TermselError):  # another program's, or damaged
             record = record_from(parse_json(read_text(file), AGAIN))
+            another_fit, known = _fit_of(record) != this_fit, _spent_before(record)
+            if not another_fit and not known:
+                continue
+            both = mine & _independent(PointsCsv().read(file.with_name(POINTS)).points)
+            ids = {name for name, *_ in both}
             # What an earlier result knew of its points holds for these, even if that one is gone.
-            known = {*((record.accuracy and record.accuracy.spent_by) or ()),
-                     *[file.parent.name] * (_fit_of(record) != this)}
-            if known and (both := mine & _independent(
-                    PointsCsv().read(file.with_name(POINTS)).points)):
-                shared |= both
-                names |= known
-    if not names:
+            if before := ids & known.keys():
+                shown |= before
+                names |= {name for point in before for name in known[point]}
+            if another_fit and ids:
+                shown |= ids
+                names.add(file.parent.name)
+    if not shown:
         return result
-    named, one = tuple(sorted(names)), len(shared) == 1
-    note = (f"{counted(len(shared), 'independent point')} {'is' if one else 'are'} spent: "
-            f"{first_of(named)} showed {'its error' if one else 'their errors'} under another "
+    named, single = tuple(sorted(names)), len(shown) == 1
+    of_all = "" if len(shown) == len(mine) else f" of {len(mine)}"
+    note = (f"{len(shown)}{of_all} independent point{'s' * (len(mine) > 1)} "
+            f"{'is' if single else 'are'} spent: "
+            f"{first_of(named)} showed {'its error' if single else 'their errors'} under another "
             "fit. A fit that is chosen by them looks better than it is. Compare fits by check "
             "points or by the predicted RMSE, or measure new independent points.")
     return replace(result, notes=(*result.notes, note), accuracy=msgspec.structs.replace(
-        result.accuracy, spent_by=named))
+        result.accuracy, spent_by=named,
+        spent=tuple(name for name in result.features.points.ids if name in shown)))
+
+
+def _spent_before(record: Record) -> dict[str, tuple[str, ...]]:
+    """Return the independent points that were spent for an earlier result, with those that did it.
+    """
+    accuracy = record.accuracy
+    if accuracy is None or not accuracy.spent_by:
+        return {}
+    spent = record.data.roles.independent if accuracy.spent is None else accuracy.spent
+    return dict.fromkeys(spent, accuracy.spent_by)
 
 
 def _independent(points: Points) -> set[tuple[Any, ...]]:
@@ -62,6 +80,13 @@ def _independent(points: Points) -> set[tuple[Any, ...]]:
 
 
 def _fit_of(record: Record) -> tuple[Any, ...]:
-    """Return what tells a fit from another one over the same points."""
-    return (record.model, plain(record.selection), record.fit.estimator, record.fit.options,
+    """Return what tells a fit from another one over the same points.
+
+    The strategy auto selects no features, so that a point which was corrected, or left out, makes
+    no other fit: nobody chose it by the independent points.
+    """
+    selection = record.selection
+    if record.strategy is not None:
+        selection = msgspec.structs.replace(selection, features=(), n_features=0)
+    return (record.model, plain(selection), record.fit.estimator, record.fit.options,
             sorted(record.coefficients))

@@ -11,6 +11,8 @@ import numpy as np
 
 from termsel.errors import TermselError, unknown_name
 from termsel.measurements.control import Control, carriers
+from termsel.measurements.coordinates.crs import LOCAL
+from termsel.measurements.coordinates.globe import on_globe
 from termsel.measurements.coordinates.longitudes import without_jump
 from termsel.measurements.features import (
     ROLES,
@@ -92,6 +94,7 @@ def assign(
     split: Split = STRATIFIED,
     fractions: Sequence[float] = THIRDS,
     lines: bool = False,
+    crs: str = LOCAL,
     rng: np.random.Generator,
 ) -> tuple[str, ...]:
     """Assign the roles control, check and independent to points, by their places on the ground.
@@ -106,7 +109,8 @@ def assign(
                            hint="Give three numbers: control (above 0), check, independent.")
     shares = shares / shares.max()  # the sum of huge ones is infinite
     # By the ground, so that what an independent point's image coordinates are changes no role.
-    return split.roles(points.ids, points.ground, shares / shares.sum(), rng)
+    ground = on_globe(points.ground, crs) if split.on_globe else points.ground
+    return split.roles(points.ids, ground, shares / shares.sum(), rng)
 
 
 def asked_roles(off: str | None, role: str | None) -> dict[str, str]:
@@ -186,7 +190,7 @@ def observe(
     if blank.size:
         _, first, group = np.unique(labels[blank], return_index=True, return_inverse=True)
         assigned = assign(points.take(blank[first]), split=split or STRATIFIED,
-                          fractions=fractions, lines=control == "lines", rng=rng)
+                          fractions=fractions, lines=control == "lines", crs=features.crs, rng=rng)
         roles[blank] = np.array(assigned, dtype=object)[group]
     if control == "lines":
         roles[roles == "control"] = "off"

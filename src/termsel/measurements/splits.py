@@ -28,11 +28,16 @@ class Split:
         shares of the three roles (3,), which sum to 1, and a numpy.random.Generator; returns n
         roles. It sees no image, so that no role depends on how well a point fits. With lines as
         control the share of control is 0. Points at one place are one.
+    on_globe : bool
+        Whether the ground coordinates are longitude and latitude [deg], rounded, and height,
+        whatever the CRS of the points, so that no role depends on it. Those of a CRS that nothing
+        is known of stay as they are.
     """
 
     name: str
     summary: str
     assign: Callable[[tuple[str, ...], FloatArray, FloatArray, np.random.Generator], Sequence[str]]
+    on_globe: bool = False
 
     def roles(self, ids: tuple[str, ...], ground: FloatArray, shares: FloatArray,
               rng: np.random.Generator) -> tuple[str, ...]:
@@ -77,6 +82,6 @@ def _in_turn(order: Sequence[int] | np.ndarray, shares: FloatArray,
 
 
 STRATIFIED = Split("stratified", "Neighbouring points get different roles, so that each role covers"
-                   " the scene.", stratified)
+                   " the scene.", stratified, on_globe=True)
 SPLITS = (STRATIFIED, Split("random", "Roles are drawn without regard to place.", at_random))
 """Built-in splits."""

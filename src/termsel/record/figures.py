@@ -13,6 +13,14 @@ from termsel.record.chances import chi_squared_quantile, t_quantile
 CONFIDENCE = 0.9
 """Probability of an interval."""
 
+MANY_INDEPENDENT = 20
+"""Number of independent points below which the predicted RMSE is shown before theirs: it varies
+less, and its interval holds more often (docs/evidence/intervals.md)."""
+
+MANY_INDEPENDENT = 20
+"""Number of independent points below which the predicted RMSE is shown before theirs: it varies
+less, and its interval holds more often (docs/evidence/intervals.md)."""
+
 SIGNIFICANT = 0.05
 """Chance below which a coefficient is called significant."""
 
@@ -200,6 +208,16 @@ class Accuracy(RecordPart, frozen=True):
     spent_by: Names | None = None
     """Folders of earlier results that showed errors of these points under another fit; absent where
     none did."""
+    spent: Names | None = None
+    """Ids of the points that these showed; absent where `spent_by` is, and before 0.4, when it was
+    not recorded which they are."""
+
+    @property
+    def spent_count(self) -> int:
+        """Number of points whose errors an earlier result showed under another fit."""
+        if not self.spent_by:
+            return 0
+        return self.image.n if self.spent is None else min(len(self.spent), self.image.n)
 
 
 class Significance(RecordPart, frozen=True):

@@ -246,6 +246,9 @@ class FinalFit(RecordPart, frozen=True):
     """As the key `adjustment`."""
     fit: FitRecord
     """As the key `fit`."""
+    predicted: Predicted | None = None
+    """RMSE predicted for this fit: that of the key `predicted`, less what the independent points
+    add by their places; null where none is, absent before 0.4."""
 
 
 class PluginRecord(RecordPart, frozen=True):
@@ -311,7 +314,7 @@ class Record(RecordPart, frozen=True, kw_only=True):
     blunder_test: BlunderTest | None = None
     """What that verdict could find; absent where no test was made."""
     predicted: Predicted | None
-    """RMSE that the strategy auto predicts, or null."""
+    """RMSE that the strategy auto predicts for the fit without independent points, or null."""
     accuracy: Accuracy | None
     """Accuracy on the independent points, or null."""
     accuracy_without: Accuracy | None = None

@@ -27,7 +27,13 @@ from termsel.report.blocks import (
 )
 from termsel.report.charts import bars, maps
 from termsel.report.compared import fits_of, label_of
-from termsel.report.opening import are_all_named, opening, rounded
+from termsel.report.opening import (
+    are_all_named,
+    expected_of,
+    opening,
+    predicted_first,
+    rounded,
+)
 from termsel.report.plots import figure, missing
 from termsel.report.selected import selected
 from termsel.report.tables import sigma_table
@@ -78,12 +84,10 @@ def _accuracy(record: Record) -> Iterator[Block]:
     yield Statement(statement(record))
     accuracy, predicted = record.accuracy, record.predicted
     if accuracy:
-        yield from _figures(accuracy, ", which took no part in any choice" + (
-            f" of this run; {first_of(accuracy.spent_by)} showed them before"
-            if accuracy.spent_by else ""))
+        yield from _figures(accuracy, f", which took no part in any choice{_seen_before(accuracy)}")
         if record.accuracy_without:
             yield from _figures(record.accuracy_without, f", without {contradicting(record)}")
-        if predicted:
+        if predicted and (_of_all(record) or not predicted_first(record)):
             yield _prediction(predicted)
     if (strategy := record.strategy) and strategy.predicted is not None:
         if predicted and rounded(predicted.rmse) != rounded(strategy.predicted):
@@ -100,19 +104,45 @@ def _accuracy(record: Record) -> Iterator[Block]:
                "these are.")
 
 
+def _seen_before(accuracy: Accuracy) -> str:
+    """Return which earlier results showed how many of the independent points."""
+    if not accuracy.spent_by:
+        return ""
+    few = accuracy.spent_count < accuracy.image.n
+    return (f" of this run; {first_of(accuracy.spent_by)} showed "
+            f"{f'{accuracy.spent_count} of them' if few else 'them'} before")
+
+
 def statement(record: Record) -> str:
-    """Return the accuracy as a statement that can be pasted."""
-    accuracy, predicted = record.accuracy, record.predicted
+    """Return the accuracy as a statement that can be pasted, the surer figure first."""
+    accuracy, expected = record.accuracy, expected_of(record)
+    sentences = []
+    if expected and predicted_first(record):
+        sentences.append(_prediction(expected, exported=_of_all(record)))
     if accuracy:
-        less = record.accuracy_without
-        return _rmse_on(accuracy) + (
-            f" Without {contradicting(record)}: {_rmse_on(less)}" if less else "") + (
-            " The points are spent: errors of another fit had been shown."
-            if accuracy.spent_by else "")
-    if predicted:
-        return f"{_prediction(predicted)} There are no independent points."
-    return ("The accuracy is not known: there are no independent points. Give some points the role "
-            "independent.")
+        sentences += _measured(record, accuracy)
+    elif expected:
+        sentences.append("There are no independent points.")
+    else:
+        sentences.append("The accuracy is not known: there are no independent points. Give some "
+                         "points the role independent.")
+    return " ".join(sentences)
+
+
+def _of_all(record: Record) -> bool:
+    """Return whether the prediction is for the fit to all points."""
+    return record.final is not None and record.final.predicted is not None
+
+
+def _measured(record: Record, accuracy: Accuracy) -> Iterator[str]:
+    """Yield what independent points say of the accuracy, and whether they still can."""
+    yield _rmse_on(accuracy)
+    if less := record.accuracy_without:
+        yield f"Without {contradicting(record)}: {_rmse_on(less)}"
+    spent, n = accuracy.spent_count, accuracy.image.n
+    if spent and 2 * spent >= n:
+        which = "The points" if spent == n else f"{spent} of the points"
+        yield f"{which} are spent: errors of another fit had been shown."
 
 
 def _rmse_on(accuracy: Accuracy) -> str:
@@ -159,9 +189,10 @@ def _shape(of: InImage | OnGround, unit: str, rmse: dict[str, float]) -> Iterato
             if min(of.normal) < _UNLIKELY and not ground else Detail(said)
 
 
-def _prediction(predicted: Predicted) -> str:
+def _prediction(predicted: Predicted, *, exported: bool = False) -> str:
     of = f"of {counted(predicted.points, 'independent point')}" if predicted.points \
         else "of further points like the control's"
+    of += ", by the fit to all points that is exported" * exported
     return (f"Predicted RMSE {of}: {rounded(predicted.rmse)} px "
             f"({100 * predicted.level:.0f} % interval {rounded(predicted.low)} to "
             f"{rounded(predicted.high)} px).")

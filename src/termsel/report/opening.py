@@ -8,7 +8,7 @@ from pathlib import PurePath
 from termsel.candidates.structures import named
 from termsel.errors import counted, cut
 from termsel.measurements.coordinates.crs import LOCAL, short
-from termsel.record.figures import Accuracy, Outlier
+from termsel.record.figures import MANY_INDEPENDENT, Accuracy, Outlier, Predicted
 from termsel.record.record import Record, WhatWasRead
 from termsel.report.blocks import Note
 from termsel.report.compared import label_of
@@ -119,18 +119,44 @@ def share(chosen: int, offered: int) -> str:
 
 
 def accuracy_of(record: Record) -> str:
-    """Return the accuracy in one sentence."""
-    accuracy, predicted = record.accuracy, record.predicted
-    if accuracy:
-        less, spent = record.accuracy_without, "spent " * bool(accuracy.spent_by)
-        without = f"; {rounded(less.image.total)} px without " \
-            f"{cut(contradicting(record), _SOURCE)}" if less else ""
-        return (f"{_sizes(accuracy)} (RMSE of "
-                f"{counted(accuracy.image.n, spent + 'independent point')}){without}.")
-    if predicted:
-        return (f"{rounded(predicted.rmse)} px predicted ({rounded(predicted.low)} to "
-                f"{rounded(predicted.high)} px); no independent point confirms it.")
-    return "not known, as there are no independent points."
+    """Return the accuracy in one sentence: the surer figure first."""
+    accuracy, expected = record.accuracy, expected_of(record)
+    confirmed = "" if accuracy is None else _confirmed(record, accuracy)
+    if expected is None:
+        return f"{confirmed}." if accuracy else "not known, as there are no independent points."
+    if not predicted_first(record):
+        return f"{confirmed}."
+    return (f"{rounded(expected.rmse)} px predicted ({rounded(expected.low)} to "
+            f"{rounded(expected.high)} px); {confirmed or 'no independent point confirms it'}.")
+
+
+def expected_of(record: Record) -> Predicted | None:
+    """Return the RMSE predicted for the fit that is exported, if one is."""
+    return (record.final and record.final.predicted) or record.predicted
+
+
+def predicted_first(record: Record) -> bool:
+    """Return whether the predicted RMSE is surer than that of the independent points."""
+    return expected_of(record) is not None and (
+        record.accuracy is None or record.accuracy.image.n < MANY_INDEPENDENT)
+
+
+def _confirmed(record: Record, accuracy: Accuracy) -> str:
+    """Return the RMSE of the independent points in a few words."""
+    less = record.accuracy_without
+    without = f"; {rounded(less.image.total)} px without " \
+        f"{cut(contradicting(record), _SOURCE)}" if less else ""
+    return f"{_sizes(accuracy)} (RMSE of {independent_points(accuracy)}){without}"
+
+
+def independent_points(accuracy: Accuracy) -> str:
+    """Return how many independent points there are, and how many are spent where most are."""
+    spent, n = accuracy.spent_count, accuracy.image.n
+    if not spent or 2 * spent < n:
+        return counted(n, "independent point")
+    if spent == n:
+        return f"{counted(n, 'spent independent point')}, which an earlier result showed"
+    return f"{counted(n, 'independent point')}, of which an earlier result showed {spent}: spent"
 
 
 def _sizes(accuracy: Accuracy) -> str:

@@ -128,6 +128,9 @@ class Result(Glance):
         What that verdict could find; None where no test was made.
     predicted : Predicted, optional
         RMSE that a choice by the strategy "auto" predicts, with its interval.
+    predicted_final : Predicted, optional
+        The same of `final`, by the places of all points; the independent points' measurements take
+        no part.
     accuracy : Accuracy, optional
         Of the independent points, in px and on the ground, and by standards.
     accuracy_without : Accuracy, optional
@@ -181,6 +184,7 @@ class Result(Glance):
     outliers: tuple[Outlier, ...] = ()
     blunder_test: BlunderTest | None = None
     predicted: Predicted | None = None
+    predicted_final: Predicted | None = None
     accuracy: Accuracy | None = None
     accuracy_without: Accuracy | None = None
     plugins: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
@@ -219,7 +223,8 @@ class Result(Glance):
             baselines=tuple(one.row() for one in self.baselines),
             final=None if final is None else FinalFit(
                 final.control.ids, final.scaling.numbers(), final.coefficients,
-                final.standard_deviations, adjustment_figures(final), fit_record(final)),
+                final.standard_deviations, adjustment_figures(final), fit_record(final),
+                self.predicted_final),
             exported="final" if final else "selection", hit_rate=self.hit_rate,
             coefficients=self.fit.coefficients,
             standard_deviations=self.fit.standard_deviations, fit=fit_record(self.fit),
@@ -271,7 +276,7 @@ class Result(Glance):
                                         "points. Leave --final out.")
             return self
         if final is False:
-            return replace(self, final=None)
+            return replace(self, final=None, predicted_final=None)
         observations = by_roles(self.features)
         # Of independent points, the outliers stay out of the final fit; twins of others are in it.
         taken = set(observations.independent.ids) - {one.id for one in self.outliers}

@@ -36,7 +36,7 @@ from termsel.runs.notebook import notebook_observer
 from termsel.runs.task.blank_heights import to_leave_out
 from termsel.runs.task.request import Request, loaded
 from termsel.runs.task.rpc_given import part_of_rpc, with_part
-from termsel.runs.task.task import Task, observe, prepared
+from termsel.runs.task.task import Task, observe, prepared, with_shares
 from termsel.runs.task.verdict import judge_features
 from termsel.solvers.base import Solver
 from termsel.solvers.heuristics.yardsticks import AllTerms
@@ -211,6 +211,7 @@ def _chosen(request: Request, seed: int, observers: Iterable[Observer], out: Pat
     if setup.recipe.search_first and setup.features.without_height():
         # The model of the search is not asked for, so that it asks for no heights.
         setup = replace(setup, model=registry().get("models", "poly2d")())
+    setup = with_shares(setup, auto=True)
     least = LEAST if setup.features.rpc is None else 1
     observations = observe(setup, least)
     part = part_of_rpc(observations.together)

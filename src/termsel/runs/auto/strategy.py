@@ -12,7 +12,7 @@ from termsel.candidates.compare import compare
 from termsel.candidates.portfolio import Portfolio, best_of, choose_features, exact
 from termsel.candidates.repetition import folds_of, repeated
 from termsel.errors import TermselError, counted
-from termsel.fits.accuracy import accuracy_of, predicted_by
+from termsel.fits.accuracy import accuracy_of, predicted_by, predicted_of_all
 from termsel.fits.diagnosis import diagnose
 from termsel.fits.extrapolation import warnings_of
 from termsel.fits.figures import Baseline, figures, finite_or_none, in_role, residuals_of
@@ -33,7 +33,6 @@ from termsel.runs.task.data_notes import notes_on_data, notes_on_dem
 from termsel.runs.task.given import all_candidates
 from termsel.runs.task.provenance import data_of, plugins_of, versions
 from termsel.runs.task.request import Setup
-from termsel.runs.task.task import FEW, all_control
 from termsel.runs.task.verdict import Verdict, judge_features, judge_independent
 from termsel.solvers.base import Generation
 from termsel.solvers.ledger import Progress
@@ -168,6 +167,9 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
     final = _final_fit(chosen, observations.features.points, control.heights, portfolio,
                        contradicting.blunders)
 
+    expected_of_final = None if final is None or expected is None else predicted_of_all(
+        chosen.fit, expected, agreeing.independent.ground)
+
     def others(seen: Observations) -> tuple[Baseline, ...]:
         # The chosen one is the selection, and is not shown twice unless it is plain.
         return tuple(b for b in comparison.baselines(seen)
@@ -186,13 +188,13 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
         feasible=True, rmse=figures(fitted, observations), baselines=others(clean),
         judgement=judge_choice(chosen.candidate, None if expected is None else expected.rmse,
                                figures(fitted, agreeing), others(agreeing), setup.features.noise),
-        notes=(*notes_on_dem(setup.features, fitted), *filter(None, (rpc, correction)),
-               *_few(setup), *of_data,
+        notes=(*notes_on_dem(setup.features, fitted), *filter(None, (rpc, correction)), *of_data,
                *_notes(setup.model, clean, errors, said, plane=not model.uses_height,
                        determined=not enough, known=chosen.candidate.from_one),
                *_high(verdict), *verdict.notes, *_lines(fitted), *contradicting.notes,
                *portfolio.notes),
         outliers=outliers, blunder_test=verdict.test, predicted=expected,
+        predicted_final=expected_of_final,
         accuracy=accuracy_of(fitted, observations.independent), final=final,
         accuracy_without=accuracy_of(fitted, agreeing.independent)
         if contradicting.outliers else None,
@@ -270,13 +272,6 @@ def _unused_rpc(control: Control, portfolio: Portfolio, chosen: Judged | None = 
     else:
         return ""
     return f"The RPC is not used: {reason}."
-
-
-def _few(setup: Setup) -> list[str]:
-    if not all_control(setup):
-        return []
-    return [f"With fewer than {FEW} points and no roles, all points are control. --set "
-            "fractions=2:1:1 assigns roles all the same."]
 
 
 def _notes(model: SensorModel, observations: Observations, errors: FloatArray | None,

@@ -18,6 +18,7 @@ from termsel.fits.least_squares import fit
 from termsel.measurements.roles import Observations
 from termsel.plugins.registry import registry
 from termsel.problems.genome import Genome
+from termsel.record.figures import MANY_INDEPENDENT
 from termsel.solvers.search import Search
 
 _ROUNDING = 1e-9  # px: smaller errors are those of arithmetic
@@ -61,7 +62,8 @@ def judge(conventional: str, criterion: str, rmse: Rmses,
         if not baselines[0].converged:
             first += f" (the fit of {conventional} did not converge)"
     else:
-        first = _compare("The selection is", mine.total, baselines[0], conventional)
+        first = _compare("The selection is", mine.total, _independent(baselines[0]), conventional,
+                         determined=baselines[0].determined)
     sentences = [f"{first} on {counted(mine.n, 'independent point')}."]
     candidate = candidate or named(reference)
     if best is not None and candidate is not None:
@@ -91,23 +93,31 @@ def judge_choice(chosen: Candidate, predicted: float | None, rmse: Rmses,
     """Return some sentences on what the choice of a strategy is worth.
 
     `predicted` is the RMSE of the choice repeated in folds [px], `rmse` that by role, and `noise`
-    the standard deviation of the measurements [px], where it is known.
+    the standard deviation of the measurements [px], where it is known. The choice is compared with
+    the best conventional model by the figure that is surer: that of the independent points where
+    there are `MANY_INDEPENDENT`, else the predicted one.
     """
-    mine = rmse["independent"]
+    measured = rmse["independent"]
     expected = "" if predicted is None else f", with a predicted RMSE of {_px(predicted)}"
-    start = f"From control and check auto chooses {chosen.title}{expected}."
-    if mine is None:
-        return f"{start} There are no independent points to confirm it."
-    sentences = [start, f"The RMSE of {counted(mine.n, 'independent point')}, which took no part, "
-                        f"is {_px(mine.total)}."]
-    others = [(b.predicted, b, other) for b in baselines if b.predicted is not None
-              and (other := registry().known("candidates", b.name))
-              and other.is_plain and other is not chosen]
-    if others:
-        _, best, other = min(others, key=lambda one: one[0])
-        sentences.append(_compare("That is", mine.total, best, f"{other.title}, the best "
-                                  "of the other plain structures at held-out features") + ".")
-    if noise is not None:
+    sentences = [f"From control and check auto chooses {chosen.title}{expected}."]
+    if measured is None:
+        sentences.append("There are no independent points to confirm it.")
+    else:
+        sentences.append(f"The RMSE of {counted(measured.n, 'independent point')}, which took no "
+                         f"part, is {_px(measured.total)}.")
+    many = measured is not None and measured.n >= MANY_INDEPENDENT
+    rivals = [(_independent(b) if many else b.predicted, b, candidate) for b in baselines
+              if b.predicted is not None
+              and (candidate := registry().known("candidates", b.name))
+              and candidate.is_plain and candidate is not chosen]
+    mine = measured.total if many and measured else predicted
+    if rivals and mine is not None:
+        theirs, best, candidate = min(rivals, key=lambda rival: rival[0])
+        title = f"{candidate.title}, the best of the other plain structures at " + (
+            "the independent points" if many else "held-out features")
+        start = "That is" if many or measured is None else "The prediction is"
+        sentences.append(_compare(start, mine, theirs, title, determined=best.determined) + ".")
+    if noise is not None and measured is not None:
         sentences.append(f"Measurement noise alone gives {_px(noise * np.sqrt(2))}.")
     return " ".join(sentences)
 
@@ -142,11 +152,9 @@ def _times(ratio: float) -> str:
     return f"{ratio:.1f} times" if ratio < 10 else f"{ratio:,.0f} times"
 
 
-def _compare(start: str, mine: float, other: Baseline, title: str) -> str:
-    theirs = _independent(other)
+def _compare(start: str, mine: float, theirs: float, title: str, *, determined: bool) -> str:
     figures = f"({_px(mine)} against {_px(theirs)}"
-    figures += ")" if other.determined else \
-        ", which the control does not even determine)"
+    figures += ")" if determined else ", which the control does not even determine)"
     ratio = _ratio(theirs, mine)
     if ratio > ALIKE:
         return f"{start} {_times(ratio)} better than {title} {figures}"

@@ -33,7 +33,7 @@ FILE = "file"
 """The roles of the file, in place of a split."""
 
 ALIKE = "1:1:1"
-"""Shares of control, check and independent points by default."""
+"""Shares of control, check and independent points for a search."""
 
 DATA_OPTIONS = (
     Option("roles", FILE, "Roles of points: those of the file, with blank ones assigned by "
@@ -42,8 +42,9 @@ DATA_OPTIONS = (
     Option("off", None, "Ids of features that take no part, with commas between them (--off)."),
     Option("role", None, "Roles of single points, whatever the file says, as ID=ROLE with commas "
            "between them (--role)."),
-    Option("fractions", ALIKE, "Shares of control, check and independent points among those "
-           "that are assigned a role."),
+    Option("fractions", None, "Shares of control, check and independent points among those "
+           "that are assigned a role, such as 2:1:1. By default 1:1:1; the strategy auto makes all "
+           "control below 60 points, and takes 3:3:2 from there."),
     Option("split", 0, "Seed by which roles are assigned.", int, 0, SEED),
     Option("check_as", None, "What check points are: judges of each selection, or further control. "
            "By default judges; where points are the control and the criterion needs no check "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,15 +27,24 @@ from termsel.problems.recipes import Recipe
 from termsel.runs.task.enough import require_enough
 from termsel.runs.task.fit_crs import with_fit_crs
 from termsel.runs.task.given import objectives_of
-from termsel.runs.task.request import ALIKE, Request, Setup, require_type, split_of
+from termsel.runs.task.request import ALIKE, FILE, Request, Setup, require_type, split_of
 from termsel.solvers.base import Solver
 from termsel.solvers.search import require_able
 
 MIN_CONTROL = 3
 
 FEW = 12
-"""Number of points without any role below which all are control, where nothing needs check points:
-leave-one-out then tells the accuracy."""
+"""Number of points without any role below which all are control for a search that needs no check
+points: leave-one-out then tells the accuracy."""
+
+MANY = 60
+"""Number of points from which on the strategy auto sets independent points aside. Below, held-out
+features tell the accuracy better than the few points that could be spared, and the choice would
+miss these: without a quarter of 60 points the RMSE is 4 % higher, without a quarter of 12, 30 and
+40 13, 6 and 9 % (docs/explanation/roles.md)."""
+
+ALL_CONTROL, SPARED = "1:0:0", "3:3:2"
+"""Shares of control, check and independent points below `MANY` points, and from there on."""
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -106,6 +115,7 @@ def prepare(
 
 def prepared(setup: Setup) -> Task:
     """Return the task of a setup."""
+    setup = with_shares(setup)
     observations = observe(setup)
     return build(setup, observations, *scale(setup, observations))
 
@@ -113,12 +123,13 @@ def prepared(setup: Setup) -> Task:
 def observe(setup: Setup, least: int = MIN_CONTROL) -> Observations:
     """Return the features, each in its role, in the CRS of the fit; at least so many are control.
     """
+    setup = with_shares(setup)
     recipe, criterion, of_data = setup.recipe, setup.criterion, setup.options["data"]
     observations = assign_roles(
         setup.features,
         control="both" if setup.options["problem"].get("mixed") else recipe.control,
-        split=split_of(of_data), fractions=(1.0, 0.0, 0.0) if all_control(setup) else
-        parsed_shares(of_data["fractions"], criterion.needs_check),
+        split=split_of(of_data),
+        fractions=parsed_shares(of_data["fractions"], criterion.needs_check),
         rng=np.random.default_rng(of_data["split"]))
     if _check_as(setup, observations) == "control":
         observations = check_as_control(observations)
@@ -131,14 +142,29 @@ def observe(setup: Setup, least: int = MIN_CONTROL) -> Observations:
     return observations
 
 
-def all_control(setup: Setup) -> bool:
-    """Return whether the points are too few to give any away, and nobody asks for it."""
+def with_shares(setup: Setup, *, auto: bool = False) -> Setup:
+    """Return a setup with the shares of the roles, where the option does not give them.
+
+    A search keeps check and independent points, which judge it. The strategy `auto` holds control
+    out instead, and sets independent points aside only where there are `MANY`.
+    """
     of_data = setup.options["data"]
+    if of_data["fractions"] is not None:
+        return setup
+    shares = _usual_shares(setup, auto=auto)
+    return replace(setup, options={**setup.options, "data": {**of_data, "fractions": shares}})
+
+
+def _usual_shares(setup: Setup, *, auto: bool) -> str:
     roles = [role for role in setup.features.points.roles if role != "off"]
-    return (len(roles) < FEW and not {"control", "check"} & set(roles)
-            and setup.recipe.control == "points"
-            and not setup.criterion.needs_check and of_data["roles"] == "file"
-            and of_data["fractions"] == ALIKE)
+    points_are_control = setup.recipe.control == "points" or setup.options["problem"].get("mixed")
+    if setup.criterion.needs_check or not points_are_control \
+            or setup.options["data"]["roles"] != FILE:
+        return ALIKE
+    if auto:
+        return SPARED if len(roles) >= MANY and "independent" not in roles else ALL_CONTROL
+    return ALL_CONTROL if len(roles) < FEW and not {"control", "check"} & set(roles) \
+        and setup.recipe.control == "points" else ALIKE
 
 
 def scale(setup: Setup, observations: Observations) -> tuple[Scaling, Inputs]:

@@ -18,7 +18,7 @@ from termsel.results.extras import Measure
 from termsel.runs.auto.strategy import LEAST, wanted
 from termsel.runs.run import problem_for
 from termsel.runs.task.request import DATA_OPTIONS, Request, Setup
-from termsel.runs.task.task import build, observe, scale
+from termsel.runs.task.task import build, observe, scale, with_shares
 from termsel.solvers.base import Solver
 from termsel.solvers.budget import SEARCH_OPTIONS
 from termsel.studies.cells.identity import made_of
@@ -199,7 +199,8 @@ class _Kinds:
                 made["measures"] = made_of([one.compute for one in measures])
             chosen: Solver = request.solver
             try:
-                observations = observe(request, LEAST if strategy == "auto" else 3)
+                observations = observe(with_shares(request, auto=strategy == "auto"),
+                                       LEAST if strategy == "auto" else 3)
                 if strategy != "auto":
                     build(request, observations, *scale(request, observations))
             except TermselError as error:
