@@ -148,19 +148,18 @@ CHOSEN = ("From control and check auto chooses a quadratic polynomial, with a pr
 @pytest.mark.parametrize(("others", "sentence"), [
     ((), ""),
     ((baseline("dlt", 2.0, predicted=3.0),), " That is 2.0 times better than a DLT, the best of "
-     "the other plain structures at the independent points (1.00 px against 2.00 px)."),
-    # The best by independent points, as the table beside it shows; of the plain ones; not the
-    # choice.
+     "the other plain structures at held-out features (1.00 px against 2.00 px)."),
+    # The best by leave-one-out, not by independent points; of the plain ones; not the choice.
     ((baseline("affine", 0.5, predicted=4.0), baseline("dlt", 2.0, predicted=3.0)),
-     " That is 2.0 times worse than an affine polynomial, the best of the other plain structures "
-     "at the independent points (1.00 px against 0.50 px)."),
+     " That is 2.0 times better than a DLT, the best of the other plain structures at "
+     "held-out features (1.00 px against 2.00 px). At these points an affine polynomial is 2.0 "
+     "times better (0.50 px), in hindsight: nothing told so before."),
     ((baseline("dlt", 1.02, predicted=3.0), baseline("rfm-3", 0.1, predicted=0.1),
       baseline("selected", 0.1, predicted=0.1), baseline("quadratic", 0.1, predicted=0.1)),
-     " That is no better than a DLT, the best of the other plain structures at the independent "
-     "points (1.00 px against 1.02 px)."),
+     " That is no better than a DLT, the best of the other plain structures at held-out features "
+     "(1.00 px against 1.02 px)."),
     ((baseline("rfm-2", 0.25, predicted=3.0),), " That is 4.0 times worse than a second-order "
-     "RFM, the best of the other plain structures at the independent points (1.00 px against "
-     "0.25 px)."),
+     "RFM, the best of the other plain structures at held-out features (1.00 px against 0.25 px)."),
     ((baseline("dlt", 2.0),), ""),
     ((baseline("quadratic", 2.0, predicted=1.0),), ""),
     ((baseline("all-terms", 2.0, predicted=1.0),), "")])

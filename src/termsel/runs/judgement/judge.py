@@ -94,8 +94,9 @@ def judge_choice(chosen: Candidate, predicted: float | None, rmse: Rmses,
 
     `predicted` is the RMSE of the choice repeated in folds [px], `rmse` that by role, and `noise`
     the standard deviation of the measurements [px], where it is known. The choice is compared with
-    the best conventional model by the figure that is surer: that of the independent points where
-    there are `MANY_INDEPENDENT`, else the predicted one.
+    the plain structure that held-out features would have chosen, by the figure that is surer: the
+    RMSE of the independent points where there are `MANY_INDEPENDENT`, else the predicted one. A
+    plain structure that is better at so many independent points is named, too.
     """
     measured = rmse["independent"]
     expected = "" if predicted is None else f", with a predicted RMSE of {_px(predicted)}"
@@ -105,21 +106,36 @@ def judge_choice(chosen: Candidate, predicted: float | None, rmse: Rmses,
     else:
         sentences.append(f"The RMSE of {counted(measured.n, 'independent point')}, which took no "
                          f"part, is {_px(measured.total)}.")
-    many = measured is not None and measured.n >= MANY_INDEPENDENT
-    rivals = [(_independent(b) if many else b.predicted, b, candidate) for b in baselines
-              if b.predicted is not None
+    rivals = [(b.predicted, b, candidate.title) for b in baselines if b.predicted is not None
               and (candidate := registry().known("candidates", b.name))
               and candidate.is_plain and candidate is not chosen]
-    mine = measured.total if many and measured else predicted
-    if rivals and mine is not None:
-        theirs, best, candidate = min(rivals, key=lambda rival: rival[0])
-        title = f"{candidate.title}, the best of the other plain structures at " + (
-            "the independent points" if many else "held-out features")
-        start = "That is" if many or measured is None else "The prediction is"
-        sentences.append(_compare(start, mine, theirs, title, determined=best.determined) + ".")
+    if rivals:
+        by_points = measured is not None and (predicted is None
+                                              or measured.n >= MANY_INDEPENDENT)
+        held_out, best, title = min(rivals, key=lambda rival: rival[0])
+        title = f"{title}, the best of the other plain structures at held-out features"
+        if by_points and measured is not None:
+            sentences.append(_compare("That is", measured.total, _independent(best), title,
+                                      determined=best.determined) + ".")
+            sentences += _in_hindsight(measured.total, best, [
+                (b, name) for _, b, name in rivals])
+        elif predicted is not None:
+            start = "That is" if measured is None else "The prediction is"
+            sentences.append(_compare(start, predicted, held_out, title,
+                                      determined=best.determined) + ".")
     if noise is not None and measured is not None:
         sentences.append(f"Measurement noise alone gives {_px(noise * np.sqrt(2))}.")
     return " ".join(sentences)
+
+
+def _in_hindsight(mine: float, named: Baseline,
+                  plain: list[tuple[Baseline, str]]) -> Iterator[str]:
+    """Yield which plain structure is better at the independent points, if one but `named` is."""
+    best, title = min(plain, key=lambda rival: _independent(rival[0]))
+    ratio = _ratio(mine, _independent(best))
+    if ratio > ALIKE and best is not named:
+        yield (f"At these points {title} is {_times(ratio)} better ({_px(_independent(best))}), "
+               "in hindsight: nothing told so before.")
 
 
 def name_conventional(genome: Genome, observations: Observations) -> str:

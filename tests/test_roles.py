@@ -1,0 +1,273 @@
+"""Roles cost no accuracy, depend on no CRS, and the prediction is of the fit that is exported."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import termsel
+from termsel.cli.main import cli
+from termsel.formats.readers.csv_tables import write_points_csv
+from termsel.io.accuracy_tags import accuracy_tags
+from termsel.measurements.coordinates.crs import transformation
+from termsel.measurements.features import FeatureSet, FloatArray, Points
+from termsel.measurements.roles import observe
+
+NOISE = 0.6
+EXTENT = np.array([15_000.0, 12_000.0])
+
+
+def warped(share: FloatArray) -> FloatArray:
+    """Return line and sample of places on a sheet (n, 2), in shares of its extent."""
+    x, y = 2 * share.T - 1
+    line = 2000 - 1900 * y + 4 * x * y + 2 * np.sin(3 * x) * np.cos(2 * y)
+    return np.column_stack([line, 2500 + 2400 * x + 5 * x**2 - 3 * y**2 + 1.5 * np.sin(4 * y)])
+
+
+def sheet(n: int, seed: int = 0, crs: str = "EPSG:25832") -> FeatureSet:
+    """Return points of a deformed sheet, without roles."""
+    rng = np.random.default_rng([seed, n])
+    share = rng.uniform(0.02, 0.98, (400, 2))
+    picked = [0]
+    while len(picked) < n:  # the farthest of all from those before it
+        apart = np.linalg.norm(share[:, None] - share[picked], axis=2).min(axis=1)
+        picked.append(int(np.argmax(apart * rng.uniform(0.7, 1.0, len(share)))))
+    share = share[picked]
+    place = [650_000.0, 5_200_000.0] + (share - 0.5) * EXTENT
+    ground = np.column_stack([place, np.full(n, np.nan)])
+    if crs != "EPSG:25832":
+        ground[:, :2] = transformation("EPSG:25832", crs)(ground)[:, :2]
+        ground = np.round(ground, 8)
+    image = warped(share) + rng.normal(0.0, NOISE, (n, 2))
+    return FeatureSet(Points(tuple(f"P{i}" for i in range(n)), image, ground), crs=crs,
+                      image_size=(4000, 5000))
+
+
+def true_error(result: termsel.Result) -> float:
+    """Return the RMSE of further measurements over the sheet by the exported fit [px]."""
+    share = np.stack(np.meshgrid(*[np.linspace(0.06, 0.94, 15)] * 2), -1).reshape(-1, 2)
+    place = [650_000.0, 5_200_000.0] + (share - 0.5) * EXTENT
+    errors = result.project(np.column_stack([place, np.full(len(place), np.nan)])) - warped(share)
+    return float(np.hypot(np.sqrt((errors**2).sum(axis=1).mean()), NOISE * np.sqrt(2)))
+
+
+@pytest.mark.parametrize("n", [11, 12, 13, 30, 59])
+def test_auto_gives_no_point_away_where_few_are_there(n: int) -> None:
+    result = termsel.run(features=sheet(n))
+    counts = result.data.counts
+    assert (counts.control, counts.check, counts.independent) == (n, 0, 0)
+    assert result.final is None
+    assert result.predicted is not None
+    assert result.predicted.points is None
+
+
+def test_the_twelfth_point_raises_no_prediction() -> None:
+    rises, truths = [], []
+    for seed in range(5):
+        features = sheet(12, seed)
+        with_twelve = termsel.run(features=features)
+        with_eleven = termsel.run(features=features.with_(points=features.points.take(range(11))))
+        assert with_twelve.predicted is not None
+        assert with_eleven.predicted is not None
+        rises.append(with_twelve.predicted.rmse / with_eleven.predicted.rmse)
+        truths.append(with_twelve.predicted.rmse / true_error(with_twelve))
+    assert np.median(rises) < 1.1  # it was 1.4 to 3.4
+    assert 0.7 < np.median(truths) < 2.2  # held out are points at the rim, too
+
+
+def test_many_points_spare_a_quarter() -> None:
+    counts = termsel.run(features=sheet(60)).data.counts
+    assert (counts.control + counts.check, counts.independent) == (45, 15)
+
+
+@pytest.mark.parametrize(("options", "independent"), [
+    ({"fractions": "1:1:1"}, 4), ({"fractions": "2:1:1"}, 3), ({"roles": "stratified"}, 4),
+    ({"role": "P3=independent,P7=independent"}, 2), ({"role": "P3=check"}, 0)])
+def test_independent_points_are_set_aside_on_demand(options: dict[str, str],
+                                                    independent: int) -> None:
+    result = termsel.run(features=sheet(12), options=options)
+    assert result.data.counts.independent == independent
+    assert (result.final is None) == (not independent)
+
+
+def test_roles_of_the_file_stay() -> None:
+    features = sheet(14)
+    roles = ("control", "", "independent", *[""] * 11)
+    result = termsel.run(features=features.with_(points=replace(features.points, roles=roles)))
+    assert result.data.roles.independent == ("P2",)
+    assert result.data.counts.control == 13
+
+
+def test_many_points_with_independent_ones_in_the_file_give_no_more_away() -> None:
+    features = sheet(64)
+    roles = ("independent", "independent", *[""] * 62)
+    result = termsel.run(features=features.with_(points=replace(features.points, roles=roles)))
+    assert result.data.roles.independent == ("P0", "P1")
+
+
+def test_a_search_keeps_check_and_independent_points() -> None:
+    task = termsel.prepare("poly-terms", features=sheet(14), criterion="check-rmse")
+    sizes = [len(points) for points in (task.observations.control.points,
+                                        task.observations.check, task.observations.independent)]
+    assert sum(sizes) == 14
+    assert min(sizes) >= 4
+    assert task.options["data"]["fractions"] == "1:1:1"
+
+
+@pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:32632", "EPSG:3857", "EPSG:31468"])
+@pytest.mark.parametrize("n", [12, 25, 80])
+def test_roles_do_not_depend_on_the_crs(crs: str, n: int) -> None:
+    roles = {}
+    for name in ("EPSG:25832", crs):
+        features = sheet(n, crs=name)
+        roles[name] = observe(features, rng=np.random.default_rng(3)).features.points.roles
+    assert roles[crs] == roles["EPSG:25832"]
+    assert set(roles[crs]) == {"control", "check", "independent"}
+
+
+def test_corners_of_a_graticule_have_the_same_roles_in_every_crs() -> None:
+    lon, lat = np.meshgrid(11 + np.arange(8) / 12, 46 + np.arange(6) / 12)
+    degrees = np.column_stack([lon.ravel(), lat.ravel(), np.zeros(48)])
+    ids = tuple(f"K{i}" for i in range(48))
+    roles = []
+    for crs in ("EPSG:4326", "EPSG:25832"):
+        ground = degrees if crs == "EPSG:4326" else transformation("EPSG:4326", crs)(degrees)
+        points = Points(ids, degrees[:, 1::-1] * 1000, np.round(ground, 3) if crs != "EPSG:4326"
+                        else ground)
+        features = FeatureSet(points, crs=crs)
+        roles.append(observe(features, rng=np.random.default_rng(0)).features.points.roles)
+    assert roles[0] == roles[1]
+
+
+def test_the_prediction_on_demand_is_of_the_fit_to_all_points() -> None:
+    """It sees the places of independent points, and not how they were measured."""
+    features = sheet(30, 4)
+    given: dict[str, Any] = {"options": {"fractions": "1:1:1"}}
+    result = termsel.run(features=features, **given)
+    assert result.predicted is not None
+    assert result.predicted_final is not None
+    assert 0.6 * result.predicted.rmse < result.predicted_final.rmse < 0.99 * result.predicted.rmse
+    moved = features.points.image.copy()
+    moved[np.isin(features.points.ids, result.data.roles.independent)] += 0.7
+    other = termsel.run(features=features.with_(points=replace(features.points, image=moved)),
+                        **given)
+    assert other.predicted_final == result.predicted_final
+    assert result.as_exported(False).predicted_final is None
+
+
+def test_few_independent_points_come_after_the_prediction(tmp_path: Path) -> None:
+    features = sheet(30)
+    result = termsel.run(features=features, options={"fractions": "2:1:1"}, out=tmp_path / "r")
+    expected, accuracy = result.predicted_final, result.accuracy
+    assert expected is not None
+    assert accuracy is not None
+    first = f"{expected.rmse:.3g} px predicted ({expected.low:.3g} to {expected.high:.3g} px); " \
+        f"{accuracy.image.total:.3g} px"
+    shown = " ".join(result.summary().split())
+    assert f"Accuracy: {first}" in shown
+    assert f"(RMSE of {accuracy.image.n} independent points)" in shown
+    assert shown.index("Predicted RMSE") < shown.index("(90 % interval", shown.index("on the "))
+    assert first in repr(result)
+    tags = accuracy_tags(result)
+    assert tags["ACCURACY_STATED"].startswith(f"predicted RMSE {expected.rmse:.3g} px")
+    assert termsel.read_result(tmp_path / "r").summary() == result.summary()
+
+
+def test_many_independent_points_come_first() -> None:
+    result = termsel.run(features=sheet(84), options={"fractions": "2:1:1"})
+    assert result.accuracy is not None
+    assert f"Accuracy: {result.accuracy.image.total:.3g} px, " in result.summary()
+    assert accuracy_tags(result)["ACCURACY_STATED"].startswith("by independent points")
+
+
+Call = Callable[..., SimpleNamespace]
+
+
+def spent_note(result: termsel.Result) -> str:
+    return next((note for note in result.notes if "spent" in note), "")
+
+
+def test_a_sibling_that_used_few_of_the_points_is_not_held_against_them(tmp_path: Path) -> None:
+    features = sheet(40)
+    points = features.points
+    roles = np.array(["control"] * 40, dtype=object)
+    roles[:10] = "independent"
+    mine = features.with_(points=replace(points, roles=tuple(roles)))
+    roles[1:10] = "control"
+    other = features.with_(points=replace(points, roles=tuple(roles)))
+    termsel.run("poly-terms", features=other, solver="all-terms", criterion="press",
+                options={"degree": 2}, out=tmp_path / "other")
+    result = termsel.run(features=mine, out=tmp_path / "mine")
+    assert result.accuracy is not None
+    assert result.accuracy.spent == ("P0",)
+    assert spent_note(result).startswith("1 of 10 independent points is spent: other showed its")
+    assert "(RMSE of 10 independent points)" in " ".join(result.summary().split())
+    assert "The points are spent" not in result.summary()
+    assert "other showed 1 of them before" in " ".join(result.summary(verbose=True).split())
+    assert "an earlier result showed 1 of them" in accuracy_tags(result)["ACCURACY_STATED"]
+    assert termsel.read_result(tmp_path / "mine").accuracy == result.accuracy
+
+
+def test_a_run_with_a_corrected_point_spends_nothing(tmp_path: Path) -> None:
+    """Auto has chosen by no independent point, before and after."""
+    features = sheet(24)
+    points = features.points
+    roles = tuple("independent" if i < 6 else "control" for i in range(24))
+    image = points.image.copy()
+    image[20] += 0.3
+    first = features.with_(points=replace(points, roles=roles))
+    second = features.with_(points=replace(points, roles=roles, image=image))
+    kind = termsel.run(features=first, out=tmp_path / "r").strategy
+    again = termsel.run(features=second, out=tmp_path / "r", overwrite=True)
+    assert kind is not None
+    assert again.strategy is not None
+    assert kind.chosen == again.strategy.chosen
+    assert not spent_note(again)
+    left_out = termsel.run(features=second, options={"off": "P21"}, out=tmp_path / "off")
+    assert left_out.strategy is not None
+    assert bool(spent_note(left_out)) == (left_out.strategy.chosen != kind.chosen)
+
+
+def test_a_plain_structure_that_is_better_in_the_table_is_named() -> None:
+    named = 0
+    for seed in range(6):
+        result = termsel.run(features=sheet(60, seed), options={"fractions": "1:1:1"})
+        mine, strategy = result.rmse["independent"], result.strategy
+        assert mine is not None
+        assert strategy is not None
+        plain = {"affine", "projective", "quadratic", "cubic"} - {strategy.chosen}
+        best = min(row.rmse["independent"].total for row in result.baselines if row.name in plain)
+        better = best < mine.total / 1.05
+        named += better
+        if better:
+            assert f"{best:.2f} px)" in result.judgement
+        else:
+            assert "in hindsight" not in result.judgement
+    assert named
+
+
+def test_few_independent_points_compare_predictions() -> None:
+    few = termsel.run(features=sheet(30, 2), options={"fractions": "2:1:1"})
+    none = termsel.run(features=sheet(30, 2))
+    for result in (few, none):
+        assert result.predicted is not None
+        assert f"({result.predicted.rmse:.2f} px against " in result.judgement
+        assert "at held-out features" in result.judgement
+
+
+def test_the_command_line_says_the_same(tmp_path: Path) -> None:
+    features = sheet(12)
+    write_points_csv(features.points, tmp_path / "p.csv", crs=features.crs)
+    done = CliRunner().invoke(cli, ["run", "--points", str(tmp_path / "p.csv"), "--quiet"])
+    assert done.exit_code == 0
+    assert "Control: 12 points; no check points; no independent points." in done.output
+    done = CliRunner().invoke(cli, ["run", "--points", str(tmp_path / "p.csv"), "--quiet",
+                                    "--set", "fractions=1:1:1"])
+    assert "Control: 4 points; 4 check points; 4 independent points." in done.output
