@@ -160,12 +160,18 @@ def _keys_of(given: dict[str, Any]) -> dict[str, Any]:
                            hint="Give --points FILES, or leave --crs out.")
     if given["dataset"] is not None:
         keys["data"] = [word.strip() for word in given["dataset"].split(",")]
+    settings = parse_settings(given["settings"])
     if files:
-        keys["data"] = [{**files, **({"crs": given["crs"]} if given["crs"] else {})}]
+        from termsel.io.read import READ_OPTIONS
+
+        of_reading = {one.name: settings.pop(one.name) for one in READ_OPTIONS
+                      if one.name in settings}
+        keys["data"] = [{**files, **({"crs": given["crs"]} if given["crs"] else {}),
+                         **({"options": of_reading} if of_reading else {})}]
     budget = {name: given[name] for name in ("evaluations", "generations", "patience", "seconds",
                                                   "timeout")
               if given[name] is not None}
-    more = {"budget": budget, "options": parse_settings(given["settings"]),
+    more = {"budget": budget, "options": settings,
             "exports": list(given["exports"]), "seeds": given["seeds"],
             "splits": given["splits"], "measure": given["measure"],
             "measures": [word.strip() for word in (given["measures"] or "").split(",") if word]}

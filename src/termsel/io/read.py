@@ -17,6 +17,7 @@ from termsel.files.names import is_there
 from termsel.formats.base import Reader, is_utf16, located, read_head, read_once, utf16_error
 from termsel.formats.heights import with_heights
 from termsel.formats.readers.advice import unknown_table
+from termsel.formats.repeated import REPEATED, averaging
 from termsel.formats.rpc_files import with_rpc
 from termsel.formats.z_unit import Z_UNIT, with_z_unit
 from termsel.guard.faults import PluginFault, is_own, name_of
@@ -31,7 +32,7 @@ from termsel.plugins.registry import built_in, registry
 
 log = logging.getLogger(__name__)
 
-READ_OPTIONS = (Z_UNIT, RPC_OFFSET, RPC_SCALE)
+READ_OPTIONS = (Z_UNIT, RPC_OFFSET, RPC_SCALE, REPEATED)
 """Options of reading, whatever the format."""
 
 _NEAR = 0.76
@@ -57,6 +58,7 @@ def read(
     z_unit: str | None = None,
     rpc_offset: str | None = None,
     rpc_scale: float | str | None = None,
+    repeated: str | None = None,
     **options: Any,
 ) -> FeatureSet:
     """Return the control features in files of points, lines and areas.
@@ -85,6 +87,9 @@ def read(
         Line and sample of the image that the RPC is of at which this image begins, "700,900" [px].
     rpc_scale : float, optional
         Pixels of the image that the RPC is of in one pixel of this image, along either axis.
+    repeated : {"refuse", "average"}, optional
+        What is done with points of a table at the same ground coordinates: by default they are
+        refused, all by name; their mean in the image may stand for them.
     **options
         Options of the readers, such as `raster` of "qgis-points".
 
@@ -109,8 +114,10 @@ def read(
         if lines is not None or areas is not None or format:
             raise TermselError("a table in Python is read alone",
                                hint="Read files by themselves and join them with FeatureSet.with_.")
-        return _with_known(_read_frame(points, crs, of_readers), dem, rpc, z_unit, part)
+        with averaging(repeated):
+            return _with_known(_read_frame(points, crs, of_readers), dem, rpc, z_unit, part)
     with ExitStack() as stack:
+        stack.enter_context(averaging(repeated))
         image_lines = of_readers.get("image_lines")
         once = {Path(path): stack.enter_context(read_once(Path(path)))
                 for path in dict.fromkeys((points, lines, areas, image_lines)) if path is not None}

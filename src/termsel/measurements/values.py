@@ -18,6 +18,9 @@ FARTHEST = 1e50
 LONGEST = 200
 """Characters of an id."""
 
+_NAMED = 8
+"""Points and places that a message names."""
+
 _CORRECT = "Correct the values or remove the feature."
 
 
@@ -64,15 +67,36 @@ def _refuse(bad: NDArray[np.bool_], ids: Sequence[str], kind: str, what: str,
 
 
 def check_places(ground: FloatArray, ids: Sequence[str]) -> None:
-    """Refuse two points at one place on the ground."""
+    """Refuse points at one place on the ground, naming all of them."""
     # One image position with several ground points is a line of sight through several
     # heights; one ground point cannot be seen at two image positions.
-    pair = _repeated(np.nan_to_num(ground, nan=0.0))
-    if pair:
-        first, again = (ids[i] for i in pair)
-        raise TermselError(f"points {first!r} and {again!r} have the same ground coordinates",
-                           hint="Remove one of them, or average their image coordinates.",
-                           ids=[again, first])
+    places = repeated_places(ground)
+    if places:
+        few = len(places) == 1 and len(places[0]) == 2
+        which = "one of them" if few else "all but one of each"
+        raise TermselError(places_in_words(ids, places), ids=[ids[places[0][1]], ids[places[0][0]]],
+                           hint=f"Remove {which}, or average their image coordinates: --set "
+                                "repeated=average.")
+
+
+def repeated_places(ground: FloatArray, *, alone: bool = False) -> list[list[int]]:
+    """Return the rows of each place (n, 3) on the ground that has several; or of all with `alone`.
+    """
+    _, place = np.unique(np.nan_to_num(ground, nan=0.0), axis=0, return_inverse=True)
+    rows: dict[int, list[int]] = {}
+    for row, number in enumerate(place.ravel().tolist()):
+        rows.setdefault(number, []).append(row)
+    return [some for some in rows.values() if alone or len(some) > 1]
+
+
+def places_in_words(ids: Sequence[str], places: Sequence[Sequence[int]]) -> str:
+    """Return which points have the same ground coordinates, given the rows of each place."""
+    named = [" and ".join(repr(ids[row]) for row in rows[:_NAMED])
+             + (f" and {len(rows) - _NAMED} more" if len(rows) > _NAMED else "")
+             for rows in places[:_NAMED]]
+    more = f", and those of {len(places) - _NAMED} more places" if len(places) > _NAMED else ""
+    each = " each" if len(places) > 1 else ""
+    return f"points {', '.join(named)}{more}{each} have the same ground coordinates"
 
 
 def check_segments(ground: FloatArray, ids: Sequence[str]) -> None:

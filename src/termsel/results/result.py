@@ -64,8 +64,8 @@ if TYPE_CHECKING:
 CARRIED = (
     "problem", "model", "solver", "criterion", "seed", "data", "feasible", "judgement", "notes",
     "outliers", "blunder_test", "predicted", "accuracy", "accuracy_without", "objectives", "front",
-    "certificate", "strategy", "evaluations", "lookups", "generations", "seconds", "history", "budget",
-    "stability", "by_size", "interrupted", "polish", "versions")
+    "certificate", "strategy", "evaluations", "lookups", "generations", "seconds", "history",
+    "budget", "stability", "by_size", "interrupted", "polish", "versions")
 """What a result and its record hold alike."""
 
 _SHORTENED = "All tables, terms and proofs: --verbose, in Python summary(verbose=True)."

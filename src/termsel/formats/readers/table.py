@@ -11,6 +11,7 @@ import numpy as np
 
 from termsel.errors import TermselError
 from termsel.formats.base import located
+from termsel.formats.repeated import averaged, is_averaging
 from termsel.measurements.features import ROLES, FeatureSet, FloatArray, Points
 from termsel.measurements.tables.attributes import Attributes, rows_at
 from termsel.measurements.tables.numbers import POINT, BadCell, read_numbers
@@ -88,8 +89,13 @@ class Table:
                 raise self.error(f"id {name!r} is already used on {self.part} "
                                  f"{self.lines[first[name]]}", row, "id",
                                  "Give every point an id of its own.")
+        more = self.more
         try:
-            return Points(tuple(ids), image, ground, sigma, tuple(roles), self.more)
+            if is_averaging():
+                first, image, sigma = averaged(ids, image, ground, sigma, roles)
+                ids, roles = [ids[row] for row in first], [roles[row] for row in first]
+                ground, more = ground[first], rows_at(more, first)
+            return Points(tuple(ids), image, ground, sigma, tuple(roles), more)
         except TermselError as error:
             raise self.placed(error) from error
 

@@ -1,0 +1,78 @@
+"""Points measured more than once: several rows with the same ground coordinates."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+import numpy as np
+
+from termsel.errors import TermselError, counted
+from termsel.measurements.features import FloatArray, IntArray
+from termsel.measurements.values import places_in_words, repeated_places
+from termsel.options import Option
+
+log = logging.getLogger(__name__)
+
+REFUSE, AVERAGE = "refuse", "average"
+
+REPEATED = Option(
+    "repeated", REFUSE, "What is done with points at the same ground coordinates, of a table: "
+    "refuse them, or average their image coordinates to one point.", choices=(REFUSE, AVERAGE))
+
+_averaging: ContextVar[bool] = ContextVar("averaging", default=False)
+
+
+@contextmanager
+def averaging(choice: str | None) -> Iterator[None]:
+    """Average the repeated points of tables that are read meanwhile, if that is the choice."""
+    before = _averaging.set(REPEATED.parse(choice) == AVERAGE if choice else False)
+    try:
+        yield
+    finally:
+        _averaging.reset(before)
+
+
+def is_averaging() -> bool:
+    """Return whether repeated points are to be averaged."""
+    return _averaging.get()
+
+
+def averaged(ids: Sequence[str], image: FloatArray, ground: FloatArray, sigma: FloatArray | None,
+             roles: Sequence[str]) -> tuple[IntArray, FloatArray, FloatArray | None]:
+    """Return the first row of each place (m,), its mean image position and standard deviations.
+
+    Rows with the role "off" take no part where others are at their place. Refuses different roles
+    at one place: one of them would be lost.
+    """
+    off = np.array([role == "off" for role in roles])
+    kept: list[int] = []
+    means = np.array(image)
+    deviations = None if sigma is None else np.array(sigma)
+    together = []
+    for rows in repeated_places(ground, alone=True):
+        used = [row for row in rows if not off[row]] or list(rows)
+        named = {roles[row] for row in used}
+        if len(named) > 1:
+            raise TermselError(
+                f"{places_in_words(ids, [used])} and different roles, so they have no mean",
+                hint="Give them one role, or remove all but one.", ids=[ids[used[1]]])
+        kept.append(used[0])
+        means[used[0]] = image[used].mean(axis=0)
+        if sigma is not None and deviations is not None:
+            # Of independent measurements: sqrt(sum of squares) / number.
+            deviations[used[0]] = np.sqrt((sigma[used] ** 2).sum(axis=0)) / len(used)
+        if len(used) > 1:
+            together.append(used)
+    if together:
+        apart = max(float(np.linalg.norm(image[used] - means[used[0]], axis=1).max())
+                    for used in together)
+        names = "; ".join(", ".join(ids[row] for row in used) for used in together[:5])
+        more = f" and {len(together) - 5} more" if len(together) > 5 else ""
+        log.warning("Note: %s measured more than once %s averaged: %s%s. They are up to %.3g px "
+                    "from their means.", counted(len(together), "point"),
+                    "is" if len(together) == 1 else "are", names, more, apart)
+    first = np.array(sorted(kept), dtype=np.intp)
+    return first, means[first], None if deviations is None else deviations[first]
