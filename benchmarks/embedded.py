@@ -1,7 +1,7 @@
 """Compute the simulated data sets that are kept as files.
 
-``python -m benchmarks.embedded`` in a clone writes them anew, as after a change of a scene: all figures
-of the documentation that are made of these scenes change with them.
+``python -m benchmarks.embedded`` in a clone writes them once more, as after a change of a scene.
+All figures of the documentation that are made of these scenes then change, too.
 """
 
 from __future__ import annotations

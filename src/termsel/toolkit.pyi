@@ -72,6 +72,7 @@ from .formats.readers.vector import open_layer as open_layer
 from .formats.rpc_files import rpb_text as rpb_text
 from .formats.rpc_files import rpc_items as rpc_items
 from .formats.rpc_files import rpc_txt_text as rpc_txt_text
+from .formats.toml_files import read_toml as read_toml
 from .formats.vrt import picture_for as picture_for
 from .formats.vrt import vrt_text as vrt_text
 from .formats.writers.selections import chosen_points as chosen_points

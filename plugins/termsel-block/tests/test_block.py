@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -413,6 +414,18 @@ def test_a_block_in_plane_coordinates() -> None:
         for i in range(3))
     result = adjust(Block("local", images, ties))
     assert rmse(seen(2, known) - result.project(2, known)) < 0.05
+
+
+def test_places_of_a_block_in_plane_coordinates_are_written_without_a_warning(
+        tmp_path: Path) -> None:
+    pytest.importorskip("pyogrio")
+    (tmp_path / "block.json").write_text('{"crs": "local"}')
+    (tmp_path / "ties.csv").write_text("id,x,y,z,sigma_east,sigma_north,sigma_up,images\n"
+                                       "T1,1,2,3,0.1,0.1,0.2,2\n")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        done = invoke("block-points", tmp_path, "-o", tmp_path / "places.gpkg")
+    assert done.exit_code == 0, done.output
 
 
 def test_what_is_read_is_not_replaced(example: Example) -> None:

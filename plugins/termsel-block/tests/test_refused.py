@@ -34,7 +34,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (('crs = "EPSG:4979"', 'crs = "local"'), "'A' has an RPC, which needs the ground's place"),
     (('points = "A_points.csv"', 'points = "A.RPB"'), "Name the RPC as rpc of the image"),
     (('ties = "ties.csv"', "ties = []"), "names no file of ties"),
-    (('crs = "EPSG:4979"', "crs = "), "not the file of a block"),
+    (('crs = "EPSG:4979"', "crs = "), "this is not TOML"),
+    (('crs = "EPSG:4979"', f"crs = {'[' * 5000}"), "keys or numbers have no end"),
+    (('crs = "EPSG:4979"', f"crs{'.a' * 5000} = 1"), "keys or numbers have no end"),
+    (('crs = "EPSG:4979"', f"crs = {'9' * 20000}"), "keys or numbers have no end"),
+    (('name = "B"', f'name = "B"\noptions = {{degree = {"9" * 300}}}'), "more than 64 bits"),
+    (('name = "B"', 'name = "B"\nimage = "b\\u0000.tif"'), "has a NUL character"),
     (('crs = "EPSG:4979"', ""), "the key 'crs' is missing"),
     (('crs = "EPSG:4979"', "crs = 4979"), "crs is a whole number, and must be text in quotes"),
     (('name = "B"', "name = 2"), "name of image number 2 is a whole number, and must be text"),
@@ -58,8 +63,22 @@ def test_what_is_wrong_is_said_and_nothing_written(
     assert not (folder / "new").exists()
 
 
+@pytest.mark.parametrize(("name", "content"), [
+    ("ties.csv", b"id,x\n\xff\xfe,1\n"), ("block.json", b"\xff{}"), ("block.json", b"[" * 9999),
+    ("ties.csv", b"id,x\nT1,\x00\n"), ("ties.csv", b"id\n\nT1\n")])
+def test_places_of_damaged_files_are_refused(tmp_path: Path, name: str, content: bytes) -> None:
+    (tmp_path / "block.json").write_bytes(b"{}")
+    (tmp_path / "ties.csv").write_bytes(b"id\n")
+    (tmp_path / name).write_bytes(content)
+    done = invoke("block-points", tmp_path, "-o", tmp_path / "places.gpkg")
+    assert done.exit_code == 2, done.output
+    assert name in done.output
+    assert not (tmp_path / "places.gpkg").exists()
+
+
 @pytest.mark.parametrize(("row", "message"), [
     ("X1,A,nan,3", "'nan' is not a number"), ("X1,A,5", "has 3 cells"),
+    ("X1,A,5,5,6,5", "has 6 cells"), ("X1,A,9999999,4", "and the others are within"),
     ("X1,A,3,1e300", r"1e\+300 is no sample of an image"),
     ("T0,A,1,2", "measured twice in image 'A'")])
 def test_a_table_of_ties_names_line_and_column(folder: Path, row: str, message: str) -> None:

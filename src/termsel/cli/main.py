@@ -135,7 +135,10 @@ class Commands(click.Group):
     def _end_with_code(self, args: Sequence[str] | None, prog_name: str | None,
                        complete_var: str | None, **extra: Any) -> NoReturn:
         try:
-            value = super().main(args, prog_name, complete_var, False, **extra)
+            try:
+                value = super().main(args, prog_name, complete_var, False, **extra)
+            except MemoryError as error:
+                raise _too_large(error) from error
         except TermselError as error:
             echo(f"Error: {error}", err=True)
             typed = shlex.join([*_without(sys.argv[1:] if args is None else args, error.options),
@@ -155,6 +158,12 @@ class Commands(click.Group):
             echo("Interrupted.", err=True)
             sys.exit(INTERRUPTED)
         sys.exit(value if isinstance(value, int) else 0)
+
+
+def _too_large(error: MemoryError) -> TermselError:
+    from termsel.guard.memory import out_of_memory
+
+    return out_of_memory(error)
 
 
 def _without(words: Sequence[str], options: Mapping[str, str]) -> Iterator[str]:
@@ -222,7 +231,8 @@ def _blaming(command: click.Command) -> click.Command:
     def blaming(ctx: click.Context) -> Any:
         try:
             return invoke(ctx)
-        except (click.ClickException, click.exceptions.Exit, click.Abort, TermselError):
+        except (click.ClickException, click.exceptions.Exit, click.Abort, TermselError,
+                MemoryError):
             raise
         except Exception as error:
             if isinstance(error, OSError) and error.errno in _UNWRITABLE:

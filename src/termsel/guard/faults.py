@@ -92,7 +92,9 @@ def blamed(thing: Any, method: str, hint: str = HINT) -> Iterator[None]:
             yield
     # A plugin may raise anything at all, even leave the program.
     except BaseException as error:
-        if isinstance(error, KeyboardInterrupt) or is_own(type(error)) or is_marked(error):
+        # Memory that is too small is no fault of the plugin.
+        if isinstance(error, KeyboardInterrupt | MemoryError) or is_own(type(error)) \
+                or is_marked(error):
             raise
         raise failed(error, f"{name_of(thing)} failed in {method}()", package, hint) from error
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
@@ -11,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from termsel.errors import TermselError, is_printable
-from termsel.formats.base import read_text
+from termsel.errors import is_printable
+from termsel.formats.toml_files import read_toml
 from termsel.measurements.features import FeatureSet
 from termsel.options import MOST_RUNS, SEED, Configurable
 from termsel.studies.plan.places import Path as Keys
@@ -30,7 +28,6 @@ STRATEGIES = ("auto", "as-asked")
 MEASURES = ("fitness", "check", "independent")
 
 _LONGEST = 200  # characters of a label: charts have no room for more
-_BOMB = re.compile(r"\.(?:[\"'\w \t-]{0,80}\.){100}")  # dotted keys cost the square of their parts
 
 
 @dataclass(frozen=True)
@@ -81,23 +78,7 @@ class Spec:
 
 def read_spec(file: Path) -> Spec:
     """Return what a study file asks for; what is refused has its line and column."""
-    text = read_text(file)
-    no_study = TermselError("this is not a study file: its keys or numbers have no end", file=file,
-                            hint="See how-to/compare in the documentation.")
-    if _BOMB.search(text):
-        raise no_study
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        what, _, place = str(error).rpartition(" (at ")
-        numbers = [int(word) for word in place.replace(",", " ").rstrip(")").split()
-                   if word.isdecimal()]
-        line, column = numbers if len(numbers) == 2 else (text.count("\n") + 1, None)
-        raise TermselError(f"this is not TOML: {what or place}", file=file, line=line,
-                           column=column, hint="See how-to/compare in the documentation."
-                           ) from error
-    except (RecursionError, ValueError) as error:  # lists in lists, numbers of 20,000 digits
-        raise no_study from error
+    table, text = read_toml(file, "a study file", "See how-to/compare in the documentation.")
     return spec_of(table, places_of(text, file))
 
 

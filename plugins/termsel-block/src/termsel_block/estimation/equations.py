@@ -230,7 +230,7 @@ def solve(
         np.add.at(of_ties, part.tie, weighted.transpose(0, 2, 1) @ part.slopes)
         np.add.at(right_of_ties, part.tie, np.einsum("nai,na->ni", weighted, part.residual))
         coupling.append(part.rows.transpose(0, 2, 1) @ weighted)
-        rows = part.rows.reshape(-1, part.rows.shape[2])
+        rows = part.rows.reshape(part.rows.shape[0] * part.rows.shape[1], part.rows.shape[2])
         heavy = rows * np.repeat(w, 2, axis=0)
         diagonal.append(mine + heavy.T @ rows)
         right.append(aside + heavy.T @ part.residual.ravel())

@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 
 from termsel import FeatureSet, TermselError, get, open_raster, read, read_rpc
-from termsel.toolkit import LOCAL, normalise, options_of_file
+from termsel.toolkit import LOCAL, normalise, options_of_file, read_toml
 from termsel_block.block import CORRECTIONS, Block, BlockImage, Ties
 from termsel_block.estimation.equations import pairs
 from termsel_block.files.asp import asp_rows, is_asp
@@ -35,6 +35,8 @@ _NAMED = 5  # in a note
 _LEAST = 3  # ties and control features of an image
 _LONGEST = 100  # bytes of an image's name, in UTF-8
 _LARGEST = 1e7  # lines or samples: no image has as many
+_TOO_FAR = 20.0  # times the reach of the other ties of the image
+_LEAST_REACH = 500.0  # px: of ties that are all near each other
 _SAME = 1e-3  # px; no measurement is repeated to that
 
 
@@ -75,14 +77,10 @@ def read_block(path: Path | str) -> Block:
         Naming file and place of what is wrong.
     """
     path = Path(path)
-    text = b""
+    table, text = read_toml(path, "the file of a block", _EXAMPLE)
     try:
-        text = path.read_bytes()
-        stated = msgspec.toml.decode(text, type=_File)
-    except OSError as error:
-        raise TermselError(f"cannot read the block: {error.strerror}", file=path,
-                           hint=_EXAMPLE) from error
-    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        stated = msgspec.convert(table, type=_File)
+    except msgspec.ValidationError as error:
         raise TermselError(f"this is not the file of a block: {_said(str(error))}", file=path,
                            line=_line_of(str(error), text), hint=_EXAMPLE) from error
     names = [image.name for image in stated.image]
@@ -144,17 +142,15 @@ def _said(error: str) -> str:
         wanted = " or ".join(_KINDS.get(kind, kind) for kind in wrong[1].split(" | ")
                              if kind != "null")
         return f"{key[1]}{of} is {_KINDS.get(wrong[2], wrong[2])}, and must be {wanted}"
-    if what.startswith(("Cannot overwrite", "Cannot declare")):  # a table, and again
-        return f"a key is stated twice, or [image] stands where [[image]] should: {what}"
     return error
 
 
-def _line_of(said: str, text: bytes) -> int | None:
-    """Return the line of an unknown key; a decoder names the key alone, but lines of bad TOML."""
+def _line_of(said: str, text: str) -> int | None:
+    """Return the line of an unknown key, of which a decoder says the name alone."""
     key = re.search(r"unknown field `(.+?)`", said)
     if key is None:
         return None
-    states = re.compile(rf"\s*(\[\[?\s*)?[\"']?{re.escape(key[1])}[\"']?\s*[=\].]".encode())
+    states = re.compile(rf"\s*(\[\[?\s*)?[\"']?{re.escape(key[1])}[\"']?\s*[=\].]")
     return next((number for number, line in enumerate(text.splitlines(), 1)
                  if states.match(line)), None)
 
@@ -320,6 +316,7 @@ def read_ties(files: Sequence[Path], images: Sequence[str]) -> tuple[Ties, tuple
         raise TermselError(f"{places[k][axis]:g} is no {column} of an image", file=file,
                            line=None if file in matches else line, column=column,
                            hint="Write positions in px, such as 1234.5.")
+    _refuse_far(seen, places, images, matches)
     count = Counter(name for name, _ in seen)
     names = tuple(name for name in count if count[name] > 1)
     alone = [name for name in count if count[name] == 1]
@@ -337,6 +334,34 @@ def read_ties(files: Sequence[Path], images: Sequence[str]) -> tuple[Ties, tuple
         f"out: {', '.join(alone[:_NAMED])}{', ...' * (len(alone) > _NAMED)}.",)
     return Ties(names, table[:, 0].astype(np.intp), table[:, 1].astype(np.intp),
                 table[:, 2:]), notes
+
+
+def _refuse_far(seen: Mapping[tuple[str, int], tuple[Path, int]],
+                places: Sequence[tuple[float, float]], images: Sequence[str],
+                matches: Sequence[Path]) -> None:
+    """Refuse a tie that is so far from the others of its image that no image reaches so far."""
+    measured = np.array(places).reshape(-1, 2)
+    image_of = np.array([image for _, image in seen], int)
+    for image, name in enumerate(images):
+        of_image = np.flatnonzero(image_of == image)
+        if not len(of_image):
+            continue
+        middle = np.median(measured[of_image], axis=0)
+        away = np.abs(measured[of_image] - middle).max(axis=1)
+        # Half of the width or height that nine of ten ties take.
+        reach = max(float(np.quantile(away, 0.9, method="lower")), _LEAST_REACH)
+        worst = int(away.argmax())
+        if away[worst] <= _TOO_FAR * reach:
+            continue
+        at = int(of_image[worst])
+        file, line = list(seen.values())[at]
+        tie = list(seen)[at][0]
+        raise TermselError(
+            f"tie {tie!r} is at line {measured[at, 0]:,.0f}, sample {measured[at, 1]:,.0f} of "
+            f"image {name!r}, and the others are within {reach:,.0f} px of line "
+            f"{middle[0]:,.0f}, sample {middle[1]:,.0f}", file=file,
+            line=None if file in matches else line,
+            hint="Correct the row, or remove it.")
 
 
 def _rows(file: Path) -> list[tuple[int, dict[str, str]]]:
@@ -358,10 +383,13 @@ def _rows(file: Path) -> list[tuple[int, dict[str, str]]]:
             for cells in reader:
                 if not any(cell.strip() for cell in cells):
                     continue
-                if len(cells) <= max(at.values()):
+                if len(cells) <= max(at.values()) or any(
+                        cell.strip() for cell in cells[len(header):]):
                     raise TermselError(f"this row has {len(cells)} cells, expected "
                                        f"{len(header)}", file=file, line=reader.line_num,
-                                       hint="Complete the row, or remove it.")
+                                       hint="Complete the row, or remove it." if len(cells)
+                                       < len(header) else "Write decimal points, not commas, and "
+                                       "put text with commas in quotes.")
                 rows.append((reader.line_num, {name: cells[i].strip() for name, i in at.items()}))
             return rows
     except OSError as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import importlib
 import io
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -62,13 +63,16 @@ def _read(folder: Path) -> tuple[list[str], FloatArray, str]:
     except OSError as error:
         raise TermselError(f"there is no block in this folder: {error.strerror}", file=folder,
                            hint="Name the folder that termsel block --out wrote.") from error
-    except msgspec.DecodeError as error:
+    except (msgspec.DecodeError, RecursionError) as error:
         raise TermselError(f"this is not the file of a block: {error}", file=folder / RECORD,
                            hint="Run termsel block again.") from error
-    rows = list(csv.reader(io.StringIO(text)))[1:]
+    except UnicodeDecodeError as error:
+        raise TermselError("the text of this file is not UTF-8", file=folder / TIES,
+                           hint="Run termsel block again.") from error
     try:
-        values = np.array([row[1:] for row in rows], float).reshape(-1, 7)
-    except ValueError as error:
+        rows = list(csv.reader(io.StringIO(text)))[1:]
+        values = np.array([row[1:] for row in rows], float).reshape(len(rows), 7)
+    except (ValueError, csv.Error) as error:
         raise TermselError("this is not the table of ties that termsel block wrote",
                            file=folder / TIES, hint="Run termsel block again.") from error
     return [row[0] for row in rows], values, str(record.get("crs") or LOCAL)
@@ -80,9 +84,12 @@ def _geopackage(whole: Path, target: Path, ids: list[str], values: FloatArray, c
     write = _needed("pyogrio.raw", target, "termsel[gis]").write
     names = ["id", "sigma_east", "sigma_north", "sigma_up", "images"]
     fields = [np.array(ids, object), *values[:, 3:6].T, values[:, 6].astype(np.int32)]
-    write(str(whole), shapely.to_wkb(shapely.points(values[:, :3])), fields, names,
-          layer="places", driver="GPKG", geometry_type="Point Z", crs=horizontal(crs) or None,
-          dataset_options={"VERSION": "1.3"})
+    with warnings.catch_warnings():
+        # Plane coordinates have none, as the block says.
+        warnings.filterwarnings("ignore", "'crs' was not provided")
+        write(str(whole), shapely.to_wkb(shapely.points(values[:, :3])), fields, names,
+              layer="places", driver="GPKG", geometry_type="Point Z", crs=horizontal(crs) or None,
+              dataset_options={"VERSION": "1.3"})
 
 
 def _cloud(whole: Path, target: Path, _: list[str], values: FloatArray, crs: str) -> None:

@@ -1,0 +1,79 @@
+"""Files in TOML that people write: studies and blocks."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from termsel.errors import TermselError
+from termsel.formats.base import read_text
+
+_BOMB = re.compile(r"\.(?:[\"'\w \t-]{0,80}\.){100}")  # dotted keys cost the square of their parts
+_TWICE = re.compile(r"Cannot (?:overwrite|declare) \('(\w+)'")
+_DEEPEST = 100
+"""Tables or lists within each other at most."""
+
+_LARGEST = 2**63
+"""Whole numbers of TOML have 64 bits."""
+
+
+def read_toml(file: Path, kind: str, hint: str) -> tuple[dict[str, Any], str]:
+    """Return what a file in TOML holds, and its text.
+
+    Refused is what is not TOML, with line and column, and what no program can make use of: keys or
+    values that are nested without end, numbers of more than 64 bits, text with a NUL character.
+
+    Parameters
+    ----------
+    file : Path
+    kind : str
+        What the file should be, such as "a study file".
+    hint : str
+        What to do where it is not.
+    """
+    text = read_text(file)
+    endless = TermselError(f"this is not {kind}: its keys or numbers have no end", file=file,
+                           hint=hint)
+    if _BOMB.search(text):
+        raise endless
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        what, _, place = str(error).rpartition(" (at ")
+        numbers = [int(word) for word in place.replace(",", " ").rstrip(")").split()
+                   if word.isdecimal()]
+        line, column = numbers if len(numbers) == 2 else (text.count("\n") + 1, None)
+        twice = _TWICE.match(what)
+        if twice:
+            what = f"the key {twice[1]!r} is stated twice, or [{twice[1]}] stands where " \
+                   f"[[{twice[1]}]] should"
+        raise TermselError(f"this is not TOML: {what or place}", file=file, line=line,
+                           column=column, hint=hint) from error
+    except (RecursionError, ValueError) as error:  # lists in lists, numbers of 20,000 digits
+        raise endless from error
+    for key, value in _values(table, endless):
+        if isinstance(value, str) and "\0" in value:
+            raise TermselError(f"the text of {key!r:.60} has a NUL character", file=file, hint=hint)
+        if isinstance(value, int) and abs(value) > _LARGEST:
+            raise TermselError(f"the number of {key!r:.60} has more than 64 bits", file=file,
+                               hint=hint)
+    return table, text
+
+
+def _values(table: Mapping[str, Any], endless: TermselError) -> Iterator[tuple[str, Any]]:
+    """Yield keys and all else within a table, each with the key that it is under."""
+    within: list[tuple[str, Any, int]] = [("", table, 0)]
+    while within:
+        key, value, depth = within.pop()
+        if depth > _DEEPEST:
+            raise endless
+        if isinstance(value, Mapping):
+            yield from ((name, name) for name in value)
+            within += [(name, part, depth + 1) for name, part in value.items()]
+        elif isinstance(value, list):
+            within += [(key, part, depth + 1) for part in value]
+        else:
+            yield key, value
