@@ -40,8 +40,10 @@ from .files.cog import require_tiff_name as require_tiff_name
 from .files.cog import write_cog as write_cog
 from .files.drivers import program_environment as program_environment
 from .files.lock import locked as locked
+from .files.names import STABILITY as STABILITY
 from .files.rasters import refuse_empty_giant as refuse_empty_giant
 from .files.rasters import require_rasterio as require_rasterio
+from .files.reasons import reason_of as reason_of
 from .fits.accuracy import ASPRS_POINTS as ASPRS_POINTS
 from .fits.accuracy import NSSDA_POINTS as NSSDA_POINTS
 from .fits.accuracy import distances as distances

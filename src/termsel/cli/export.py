@@ -46,6 +46,7 @@ def export(folder: Path, to: str, output: Path, image: str | None, dem: str | No
     refuse_stdout(output)
     show_messages()
 
+    from termsel.files.names import is_there
     from termsel.io.export import export as write
     from termsel.io.export import writer_of
     from termsel.io.replacing import require_replaceable
@@ -53,6 +54,8 @@ def export(folder: Path, to: str, output: Path, image: str | None, dem: str | No
 
     # Report a mistake in these before the folder is read.
     files = writer_of(to, **options).files(output)
+    if not is_there(output):  # those next to it may be of an export that was killed
+        files = (output,)
     require_replaceable(files, reads=[folder, *options.values()], overwrite=overwrite)
     say_written(write(read_result(folder), to, output, overwrite=overwrite, final=final,
                       **options))

@@ -47,7 +47,8 @@ def run(verbose: bool, **given: Any) -> None:
 
     out = asked.out
     if out is not None:
-        require_replaceable(files_of_result(out), reads=asked.reads, overwrite=True)
+        require_replaceable(files_of_result(out), reads=asked.reads, overwrite=True,
+                            makes_folder=True)
     # A name that is not known is said before a long search.
     exported, page = asked.exported(), asked.page()
     features, options = asked.read()

@@ -12,6 +12,7 @@ from termsel.errors import TermselError
 from termsel.files.atomic import atomic_path
 from termsel.files.names import utf8_folder
 from termsel.files.rasters import require_rasterio
+from termsel.files.reasons import reason_of
 
 TILE = 1024
 """Size of the tiles that are computed at once [px]."""
@@ -103,6 +104,6 @@ def write_cog(
                                        file=path, hint="Check the free space on the disk.")
             made.replace(folder / temporary.name)
     except (rasterio.errors.RasterioError, CPLE_BaseError) as error:
-        raise TermselError(f"GDAL cannot make this map: {error}", file=path,
+        raise TermselError(f"GDAL cannot make this map: {reason_of(error, path)}", file=path,
                            hint="Check the image, the raster of heights, and the free space on the "
                                 "disk.") from error

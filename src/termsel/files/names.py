@@ -18,6 +18,9 @@ JOURNAL = "journal.jsonl"
 CERTIFICATE = "certificate.json"
 """Of the proof of `exact`, in the folder of a result."""
 
+STABILITY = "stability.json"
+"""Of ``termsel stability``, in the folder of the result of the stable terms."""
+
 
 def is_there(path: Path) -> bool:
     """Return whether there is such a file or folder; TermselError if it cannot be told."""

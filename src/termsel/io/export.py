@@ -6,7 +6,10 @@ import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from termsel.display.quiet import quieted
 from termsel.errors import TermselError
+from termsel.files.atomic import private_folder
+from termsel.files.names import is_there
 from termsel.io.replacing import require_replaceable
 from termsel.plugins.registry import registry
 
@@ -40,6 +43,21 @@ def as_exported(result: Result, final: bool | None) -> Result:
         log.info("Fit: to all %d %s, independent ones included. --no-final takes the fit "
                  "without them, whose accuracy is known.", len(control), control.word)
     return result.as_exported(final)
+
+
+def _left(writer: Writer, result: Result, path: Path) -> list[Path]:
+    """Return files next to one that is not there, which have the content that they would get.
+
+    Writers of several files write that of the name last. So an export that was killed leaves such
+    files, and can be repeated; a file of other content is somebody's own.
+    """
+    others = [file for file in writer.files(path) if file != path and is_there(file)]
+    if not others:
+        return []
+    with private_folder() as folder, quieted("termsel", logging.CRITICAL):
+        writer.write(result, folder / path.name)
+        return [file for file in others if file.is_file() and (folder / file.name).is_file()
+                and file.read_bytes() == (folder / file.name).read_bytes()]
 
 
 def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False,
@@ -82,7 +100,9 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
         needs = f"It needs {writer.needs}. " if writer.needs else ""
         raise TermselError(f"the format {to} cannot hold this result",
                            hint=f"{needs}Formats that do: {others}.")
-    require_replaceable(writer.files(path), reads=writer.options.values(),
-                        overwrite=overwrite)
+    files = set(writer.files(path))
+    if not overwrite and not is_there(path):
+        files -= set(_left(writer, result, path))
+    require_replaceable(files, reads=writer.options.values(), overwrite=overwrite)
     writer.write(result, path)
     return tuple(file for file in writer.files(path) if file.exists())

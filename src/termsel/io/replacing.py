@@ -18,12 +18,13 @@ _APPENDED = (".aux.xml", ".ovr", ".msk", ".points")
 
 
 def require_replaceable(files: Iterable[Path], *, reads: Iterable[object] = (),
-                        overwrite: bool = False) -> None:
-    """Refuse to replace a file that is read, and any other without permission.
+                        overwrite: bool = False, makes_folder: bool = False) -> None:
+    """Refuse to replace a file that is read, any other without permission, or what cannot be.
 
-    For commands, before long work. However a name is spelt (relative, through links, in another
-    case where the disk ignores it), the file counts. So do the sources of a VRT, and the files with
-    RPCs, georeferences and pyramids next to an image.
+    For commands, before long work: nobody should learn after it that there is no such folder.
+    However a name is spelt (relative, through links, in another case where the disk ignores it),
+    the file counts. So do the sources of a VRT, and the files with RPCs, georeferences and pyramids
+    next to an image.
 
     Parameters
     ----------
@@ -34,13 +35,18 @@ def require_replaceable(files: Iterable[Path], *, reads: Iterable[object] = (),
         the name of a file does not matter.
     overwrite : bool
         Whether other files may be replaced.
+    makes_folder : bool
+        Whether the command makes the folder that they are in.
 
     Raises
     ------
     TermselError
         Naming the file.
     """
+    files = list(files)
     there = [file for file in files if is_there(file)]
+    for file in files:
+        _require_writable(file, makes_folder)
     if not there:
         return
     read = list(_sources(reads))
@@ -53,6 +59,26 @@ def require_replaceable(files: Iterable[Path], *, reads: Iterable[object] = (),
     if not overwrite:
         raise TermselError("this file already exists", file=there[0],
                            hint="Choose another name, or add --overwrite.")
+
+
+def _require_writable(file: Path, makes_folder: bool) -> None:
+    """Refuse the name of a file that cannot be written: no folder, no permission, another kind."""
+    target = Path(os.path.realpath(file))
+    if os.path.lexists(target) and not target.is_file():
+        raise TermselError("this is not an ordinary file and cannot be replaced", file=file,
+                           hint="Give the name of a file to write.")
+    folder = target.parent
+    if makes_folder:
+        folder = next(place for place in target.parents if os.path.lexists(place))
+    if not folder.is_dir():
+        why = "there is no such folder" if not os.path.lexists(folder) else \
+            f"{folder} is no folder"
+    elif not os.access(folder, os.W_OK | os.X_OK):
+        why = f"no permission to write to the folder {folder}"
+    else:
+        return
+    raise TermselError(f"cannot write this file: {why}", file=file,
+                       hint="Make the folder, or give another name.")
 
 
 def _sources(reads: Iterable[object]) -> Iterator[Path]:

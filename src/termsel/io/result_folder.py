@@ -13,7 +13,7 @@ from pathlib import Path
 from termsel.errors import TermselError
 from termsel.files.atomic import encoded, private_folder, put_in_place, sync, write_bytes
 from termsel.files.lock import locked
-from termsel.files.names import CERTIFICATE, JOURNAL, is_there
+from termsel.files.names import CERTIFICATE, JOURNAL, STABILITY, is_there
 from termsel.formats.base import located, parse_json, read_text
 from termsel.formats.readers.csv_tables import LinesCsv, PointsCsv, lines_text, points_text
 from termsel.formats.readers.table import guarded
@@ -39,7 +39,7 @@ RESIDUAL_COLUMNS = ("id", "kind", "role", "used", "residual_line", "residual_sam
 def files_of_result(folder: Path) -> list[Path]:
     """Return all files that a result in this folder may have."""
     return [place / name for place in (folder, folder / _PENDING)
-            for name in (RECORD, POINTS, LINES, RESIDUALS, SUMMARY, CERTIFICATE)]
+            for name in (RECORD, POINTS, LINES, RESIDUALS, SUMMARY, CERTIFICATE, STABILITY)]
 
 
 def names_of(features: FeatureSet) -> tuple[str, ...]:

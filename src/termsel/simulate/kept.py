@@ -1,6 +1,6 @@
 """Simulated features that are kept as files, with all their digits.
 
-A scene that is computed anew differs in its last bits from one kind of processor to the next, and
+A scene that is computed at use differs in its last bits from one kind of processor to the next, and
 so would the cells of a study, the files of ``termsel example`` and the optimum of a search. The
 embedded data sets are therefore read; ``python -m benchmarks.embedded`` computes and writes them.
 """

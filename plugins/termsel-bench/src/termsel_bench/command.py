@@ -118,7 +118,7 @@ def _run(methods: Sequence[Method], names: Sequence[str], real: Path | None, pro
 
     if out is not None:
         require_replaceable([out / "table.csv", out / "index.html"], reads=[],
-                            overwrite=overwrite)
+                            overwrite=overwrite, makes_folder=True)
     folders = [] if real is None else real_folders(real)
     found: list[Score] = []
     total = (len(names) + len(folders)) * len(methods)
@@ -161,7 +161,7 @@ def _write_files(folder: Path, names: Sequence[str], *, overwrite: bool) -> None
     from termsel_bench.scenes.catalogue import METADATA, simulated
     from termsel_bench.scenes.croissant import described
 
-    require_replaceable([folder / METADATA], reads=[], overwrite=overwrite)
+    require_replaceable([folder / METADATA], reads=[], overwrite=overwrite, makes_folder=True)
     sets = [simulated(name) for name in names]
     folder.mkdir(parents=True, exist_ok=True)
     for one in sets:

@@ -352,9 +352,6 @@ def next_run(start: str | None, image: Path, lines: Path) -> str:
 def refuse_output(output: Path, overwrite: bool, *reads: object) -> None:
     """Refuse to replace what is read, or a file without permission, before long work."""
     require_replaceable([output], reads=reads, overwrite=overwrite)
-    if not output.absolute().parent.is_dir():
-        raise TermselError("the folder of this file does not exist", file=output,
-                           hint="Make the folder, or give another --output.")
 
 
 def refuse_folder(folder: Path | None) -> None:

@@ -56,15 +56,15 @@ def stability(repeats: int, threshold: float, **given: Any) -> None:
     show_messages()
 
     from termsel import require_replaceable
-    from termsel.toolkit import claimed, problem_for, write_text
+    from termsel.toolkit import STABILITY, claimed, problem_for, write_text
     from termsel_stability import frequencies as module
 
     exported, page = asked.exported(), asked.page()
     features, options = asked.read()
     problem = asked.problem or problem_for(features, asked.dataset)
     if asked.out is not None:
-        require_replaceable([asked.out / "stability.json"], reads=asked.reads,
-                            overwrite=asked.overwrite)
+        require_replaceable([asked.out / STABILITY], reads=asked.reads,
+                            overwrite=asked.overwrite, makes_folder=True)
         click.get_current_context().with_resource(claimed(asked.out, overwrite=asked.overwrite))
     if asked.strategy == "auto":
         echo("Note: the strategy auto searches for no terms. Each repetition runs the problem's "
@@ -74,9 +74,6 @@ def stability(repeats: int, threshold: float, **given: Any) -> None:
             problem, repeats=repeats, threshold=threshold, features=features, options=options,
             dataset=asked.dataset, model=asked.model, solver=asked.solver,
             criterion=asked.criterion, **asked.budget, observers=[observe] if observe else [])
-    if asked.out is not None:
-        write_text(asked.out / "stability.json", json_text(repeated.to_dict()))
-        say_written([asked.out / "stability.json"])
     if asked.as_json:
         print_json(repeated.to_dict())
     else:
@@ -85,6 +82,9 @@ def stability(repeats: int, threshold: float, **given: Any) -> None:
     if repeated.determined and others and not asked.as_json:
         echo("For a result with the stable terms run\n  " + asked.command(
             problem, _SOLVER, _CRITERION, _for_stable(problem, asked, asked.options, others)))
+    if asked.out is not None and not repeated.determined:
+        write_text(asked.out / STABILITY, json_text(repeated.to_dict()))
+        say_written([asked.out / STABILITY])
     if (exported or page) and not repeated.determined:
         raise TermselError("the stable terms alone are no model, so nothing is exported",
                            hint="Lower --threshold.")
@@ -134,7 +134,7 @@ def _write(repeated: Stability, exported: Mapping[str, Path], page: Path | None,
            asked: Asked, features: FeatureSet | None, options: Mapping[str, str]) -> None:
     """Write the fit of the stable terms: its record with the frequencies, exports, its page."""
     from termsel import run
-    from termsel.toolkit import RECORD, TermFrequencies, write_result
+    from termsel.toolkit import RECORD, STABILITY, TermFrequencies, write_result
 
     assert asked.out is not None
     fitted = run(problem, features=features, dataset=asked.dataset, source=asked.source,
@@ -142,7 +142,8 @@ def _write(repeated: Stability, exported: Mapping[str, Path], page: Path | None,
                          options=options)
     said = repeated.to_dict()
     result = replace(fitted, stability=TermFrequencies(
-        said["repeats"], said["threshold"], said["frequency"]))
+        said["repeats"], said["threshold"], said["frequency"]),
+        files={**fitted.files, STABILITY: json_text(said)})  # both, or neither
     write_result(result, asked.out)
-    say_written([asked.out / RECORD])
+    say_written([asked.out / STABILITY, asked.out / RECORD])
     asked.write(result, exported, page)

@@ -214,7 +214,7 @@ class Asked:
         files = {to: self.out / f"result{writer_of(to).suffix or f'.{to}'}" for to in self.exports}
         require_replaceable([part for to, file in files.items()
                              for part in writer_of(to).files(file)],
-                            reads=self.reads, overwrite=self.overwrite)
+                            reads=self.reads, overwrite=self.overwrite, makes_folder=True)
         return files
 
     def page(self) -> Path | None:
@@ -225,7 +225,8 @@ class Asked:
         if not self.reports or self.out is None:
             return None
         require_altair()
-        require_replaceable([self.out / REPORT], reads=self.reads, overwrite=self.overwrite)
+        require_replaceable([self.out / REPORT], reads=self.reads, overwrite=self.overwrite,
+                            makes_folder=True)
         return self.out / REPORT
 
     def write(self, result: Result, exported: Mapping[str, Path], page: Path | None) -> None:

@@ -13,6 +13,7 @@ from termsel.errors import TermselError
 from termsel.files.atomic import atomic_path, encoded, private_folder, write_bytes, write_text
 from termsel.files.names import is_there
 from termsel.files.rasters import empty_tiff, open_raster, require_rasterio
+from termsel.files.reasons import reason_of
 from termsel.formats.base import Writer
 from termsel.formats.deviation import places_of, say_deviation
 from termsel.formats.rpc_files import read_rpc, rpb_text, rpc_items, rpc_txt_text
@@ -168,7 +169,7 @@ def _require_same_by_gdal(rpc: Rpc, image: Path) -> None:
         with RPCTransformer(rpcs) as transformer:
             rows, columns = transformer.rowcol(*ground[seen].T, op=np.asarray)
     except (RasterioError, CPLE_BaseError, ValueError) as error:
-        raise TermselError(f"GDAL cannot use this RPC: {error}",
+        raise TermselError(f"GDAL cannot use this RPC: {reason_of(error, image)}",
                            hint="A model cannot be inverted if its line or sample does not depend "
                                 "on the ground position.") from error
     # GDAL counts from the corner of the upper-left pixel.

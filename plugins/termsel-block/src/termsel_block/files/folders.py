@@ -58,7 +58,7 @@ def claim(folder: Path, names: list[str], *, overwrite: bool, reads: Iterable[Pa
         raise TermselError(f"{own[0]!r} cannot be the name of an image: the block has a file of "
                            "that name", hint="Give the image another name.")
     require_replaceable([folder / name for name in (RECORD, SUMMARY, PAGE, TIES, SCHEMA_FILE)],
-                        reads=reads, overwrite=True)
+                        reads=reads, overwrite=True, makes_folder=True)
     if (folder / RECORD).exists() and not overwrite:
         raise TermselError("there is a block in this folder already", file=folder,
                            hint="Choose another --out, or add --overwrite.")

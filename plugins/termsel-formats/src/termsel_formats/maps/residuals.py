@@ -17,6 +17,7 @@ from termsel.toolkit import (
     errors_on_ground,
     horizontal,
     private_folder,
+    reason_of,
     requires,
     say_measured,
     write_bytes,
@@ -81,8 +82,9 @@ class ResidualsGeopackage(Writer):
                 write(str(whole), None, list(shown.values()), list(shown), layer=TABLE,
                       driver="GPKG", append=True, layer_options=OPTIONS)
             except (DataSourceError, DataLayerError) as error:
-                raise TermselError(f"cannot make the GeoPackage: {error}", file=path,
-                                   hint="Check that there is room for temporary files.") from error
+                raise TermselError(
+                    f"cannot make the GeoPackage: {reason_of(error, whole)}", file=path,
+                    hint="Check that there is room for temporary files.") from error
             write_bytes(path, whole.read_bytes())
         say_measured(self.name)
 

@@ -22,6 +22,7 @@ from termsel.toolkit import (
     normalise,
     picture_for,
     private_folder,
+    reason_of,
     vrt_text,
     write_text,
 )
@@ -144,5 +145,7 @@ class GcpTiff(PointsWriter):
                      sparse_ok=image is None)
                 shutil.move(folder / "copy.tif", made)
             except (RasterioError, CPLE_BaseError) as error:
-                raise TermselError(f"cannot write this file: {error}", file=path) from error
+                raise TermselError(
+                    f"cannot write this file: {reason_of(error, path, folder)}", file=path,
+                    hint="Check the image, and the free space on the disk.") from error
         say_by_gdal(self.name, result, used)
