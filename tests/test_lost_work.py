@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import itertools
 import os
 from pathlib import Path
 from typing import Any
@@ -82,7 +83,7 @@ def test_an_export_that_was_killed_between_its_files_can_be_repeated(
 
 def test_the_reason_of_a_library_is_told_and_not_that_there_was_one(tmp_path: Path) -> None:
     def chained(*errors: Exception) -> Exception:
-        for error, cause in zip(errors, errors[1:], strict=False):
+        for error, cause in itertools.pairwise(errors):
             error.__cause__ = cause
         return errors[0]
 

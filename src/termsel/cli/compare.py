@@ -14,7 +14,7 @@ from termsel.cli.messages import echo, say_written, show_messages
 from termsel.cli.options.run_options import parse_settings
 from termsel.cli.options.shared import progress_option, remote_option
 from termsel.cli.tables import print_table
-from termsel.errors import TermselError, counted
+from termsel.errors import TermselError, counted, printable
 from termsel.interrupts import INTERRUPTED
 from termsel.options import MOST_RUNS
 
@@ -190,10 +190,37 @@ def _show_status(folder: Path) -> None:
     echo(f"At work: {holder}." if holder else "Nobody is at work on it.")
 
 
+MOST_LISTED = 100
+"""Files that a dry run lists."""
+
+
+def _list_files(study: Path | None, keys: dict[str, Any]) -> None:
+    """List what a study would read, before anything of it is read: it may be somebody else's."""
+    from termsel.studies.compare import asked
+    from termsel.studies.plan.data import files_of
+
+    spec, folder = asked(study, keys)
+    files = files_of(spec, folder)
+    if not files:
+        return
+    echo(f"Reads {counted(len(files), 'file')}:")
+    here = folder.resolve()
+    for file in files[:MOST_LISTED]:
+        place = file.resolve()
+        link = "" if place == file else f"{place}, "
+        elsewhere = "" if place.is_relative_to(here) else \
+            f" ({link}outside of the folder of the study)"
+        echo(f"  {printable(str(file), kept='')}{printable(elsewhere, kept='')}")
+    if len(files) > MOST_LISTED:
+        echo(f"  and {len(files) - MOST_LISTED:,} more")
+    echo("")
+
+
 def _show_plan(study: Path | None, keys: dict[str, Any], workers: int) -> None:
     from termsel.studies.compare import estimate
     from termsel.studies.execution.progress import duration
 
+    _list_files(study, keys)
     total, cells, rows = 0.0, 0, []
     for kind, number, seconds, reason in estimate(study, **keys):
         rows.append((*kind, str(number), "-" if seconds is None else f"{seconds:.2f}", reason))

@@ -6,6 +6,7 @@ import glob
 import logging
 import os
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Timer
@@ -55,6 +56,34 @@ def data_of(spec: Spec, folder: Path) -> list[Data]:
         raise TermselError(found[0].reason, hint=None if len(found) == 1 else
                            f"None of the {len(found)} data can be read; this is the first.")
     return found
+
+
+def files_of(spec: Spec, folder: Path) -> list[Path]:
+    """Return every file that a study names, as it would be read: of patterns all that match.
+
+    So are texts of options that are names of files. Nothing is read. Raises TermselError as
+    `data_of`, where no file matches.
+    """
+    named: list[Path] = []
+    for source in spec.data:
+        for kind, patterns in source.files.items():
+            named += [folder / name for name in _matched(spec, source, kind, patterns, folder)]
+        named += _named_by(source.reading, folder)
+    for part in (*spec.problems, *spec.models, *spec.solvers, *spec.criteria):
+        named += _named_by(part.options, folder)
+    named += _named_by(spec.options, folder)
+    return list(dict.fromkeys(named))
+
+
+def _named_by(options: Mapping[str, Any], folder: Path) -> Iterator[Path]:
+    """Yield the files that options name, such as a raster of heights or an RPC."""
+    for value in options.values():
+        if isinstance(value, str) and value:
+            for place in (folder / value, Path(value)):
+                with suppress(OSError, ValueError):  # a text that is too long for a name
+                    if place.is_file():
+                        yield place
+                        break
 
 
 def of_dataset(name: str, path: Keys = ()) -> Data:
