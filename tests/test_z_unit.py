@@ -12,6 +12,7 @@ import termsel
 from termsel.errors import TermselError
 from termsel.formats.readers.csv_tables import write_points_csv
 from termsel.formats.rpc_files import write_rpc
+from termsel.io.project import project_table
 from termsel.measurements.coordinates.crs import horizontal, metres_per_height, to_wgs84
 from termsel.measurements.coordinates.height_units import UNITS, with_height_unit
 from termsel.measurements.features import FloatArray, Points
@@ -162,3 +163,12 @@ def test_a_dem_above_control_in_feet_is_said_in_metres(tmp_path: Path) -> None:
     features = termsel.read(table(tmp_path, US_FOOT), dem=surface(tmp_path, -30.0), z_unit="us-ft")
     assert features.dem_difference is not None
     assert features.dem_difference.above == pytest.approx(-30.0, abs=1.0)
+
+
+def test_places_in_the_same_plane_are_projected(tmp_path: Path) -> None:
+    """A table of the same CRS without heights has z in the unit that was stated."""
+    features = termsel.read(table(tmp_path, US_FOOT), z_unit="us-ft")
+    result = termsel.run(features=features)
+    text, _ = project_table(result, tmp_path / "points.csv")
+    row = text.splitlines()[2].split(",")
+    assert float(row[1]) == pytest.approx(features.points.image[0, 0], abs=3.0)

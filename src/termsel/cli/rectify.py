@@ -18,7 +18,7 @@ from termsel.errors import TermselError
 @click.option("--output", "-o", metavar="FILE", required=True, type=click.Path(path_type=Path),
               help="The map to write, a cloud-optimised GeoTIFF.")
 @click.option("--dem", metavar="FILE", type=click.Path(path_type=Path),
-              help="Raster of heights, with the vertical datum of the control.")
+              help="Raster of heights; converted where it declares another vertical datum.")
 @click.option("--height", type=float, help="Height of the ground, instead of a raster.")
 @click.option("--crs", metavar="CRS", help="CRS of the map; by default that of the control if "
                                            "it is in metres, else UTM.")

@@ -16,7 +16,7 @@ from termsel.formats.heights import say_difference, surface_of
 from termsel.formats.readers.csv_tables import table_text
 from termsel.formats.readers.table import Table
 from termsel.formats.readers.tables import read_table
-from termsel.measurements.coordinates.crs import is_geographic, normalise
+from termsel.measurements.coordinates.crs import is_geographic, normalise, with_stated_heights
 from termsel.measurements.coordinates.longitudes import nearest
 from termsel.measurements.features import BoolArray, FloatArray, select
 from termsel.measurements.tables.columns import COORDINATES
@@ -127,7 +127,7 @@ def read_ground(result: Result, path: Path, columns: str = "") -> tuple[list[str
     model, crs = result.fit.model, result.fit.control.crs
     names = ("x", "y", "z") if model.uses_height else ("x", "y")
     table = _table(path, columns, *names)
-    if table.crs and table.crs != normalise(crs):
+    if table.crs and normalise(crs) not in (table.crs, with_stated_heights(table.crs, crs)):
         raise TermselError(f"the file declares the CRS {table.crs}, but the control is in {crs}",
                            file=path, hint="Transform the points to the CRS of the control.")
     ground = np.full((len(table.lines), 3), np.nan)

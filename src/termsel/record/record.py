@@ -118,6 +118,8 @@ class WhatWasRead(RecordPart, frozen=True):
     """Unit of z and what tells it, where that was open or is not metres."""
     height_doubt: str = ""
     """How far a DEM is from the heights of control, where it contradicts them."""
+    two_groups: str = ""
+    """Which points lie a constant shift from the others, as if in another datum."""
 
 
 class RpcNumbers(RecordPart, frozen=True):

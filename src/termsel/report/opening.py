@@ -249,6 +249,8 @@ def _next(record: Record) -> str:
     if read and read.height_doubt:
         doubt = f"{read.height_doubt[:1].lower()}{read.height_doubt[1:]}"
         return f"check what heights refer to: {doubt}"
+    if read and read.two_groups:
+        return f"check the datum of the points: {read.two_groups}."
     if record.interrupted:
         return "the run was interrupted; run it again to its end."
     if not record.feasible:

@@ -290,6 +290,12 @@ def horizontal(crs: str) -> str:
     return name if known is None or len(known.axis_info) < 3 else normalise(known.to_2d().to_wkt())
 
 
+def with_stated_heights(crs: str, other: str) -> str:
+    """Return another CRS if it is this one with heights, else this one: in feet, for example."""
+    return normalise(other) if height_axis_unit(crs) is None \
+        and horizontal(other) == horizontal(crs) else normalise(crs)
+
+
 @lru_cache  # an error is not kept with what raised it
 def _missing_grids(source: CRS, target: CRS) -> tuple[str, ...]:
     """Return the names of grids with which PROJ could transform."""

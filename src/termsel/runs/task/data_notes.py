@@ -6,16 +6,18 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from termsel.errors import counted
+from termsel.errors import counted, first_of
 from termsel.fits.fit import Fit
 from termsel.formats.heights import pixels_of
 from termsel.measurements.control import MEASURED, Control, carriers, off_plane
+from termsel.measurements.coordinates.crs import EARTH, body_of
 from termsel.measurements.coordinates.earth import note_on_turned
 from termsel.measurements.coordinates.longitudes import jumps
-from termsel.measurements.coordinates.metres import height_unit, plan_of
+from termsel.measurements.coordinates.metres import height_unit, is_in_degrees, plan_of
 from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.measurements.roles import Observations
 from termsel.measurements.twins import groups, twins
+from termsel.measurements.two_groups import datum_of, two_groups
 from termsel.runs.task.blank_heights import note_on_blank
 
 SOME = 5
@@ -47,6 +49,7 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
         yield ("The longitudes jump by a full turn between points. They were made continuous: on "
                "one side they go on beyond 180 degrees.")
     both, independent = observations.together, observations.independent
+    yield from _on_two_groups(both)
     yield from _on_twins(both.points, independent)
     yield from _on_one_line(both)
     if heights and len(both) > 1 and not both.without_height():
@@ -60,6 +63,20 @@ def notes_on_dem(features: FeatureSet, fitted: Fit) -> Iterator[str]:
     difference = features.dem_difference
     if difference is not None and difference.contradicts:
         yield difference.sentence(pixels_of(difference, fitted.control, fitted.project))
+
+
+def _on_two_groups(both: FeatureSet) -> Iterator[str]:
+    """Yield that points lie as if in two datums, with the other one's name if PROJ knows it."""
+    groups = two_groups(both)
+    if groups is None:
+        return
+    datum = ""
+    if is_in_degrees(both.crs) and body_of(both.crs) == EARTH:
+        lon, lat = both.points.ground[:, :2].mean(axis=0).tolist()
+        datum = datum_of(groups, both.crs, (lon, lat))
+    likely = f" Coordinates in {datum} are as far off there." if datum else ""
+    yield (f"{groups.sentence()}: {first_of(groups.second)}.{likely} Transform them to the CRS of "
+           "the others.")
 
 
 def _on_one_line(both: FeatureSet) -> Iterator[str]:

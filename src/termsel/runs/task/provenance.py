@@ -13,6 +13,7 @@ from termsel.measurements.coordinates.crs import height_reference
 from termsel.measurements.coordinates.earth import place_of, swapped
 from termsel.measurements.features import select
 from termsel.measurements.roles import Observations
+from termsel.measurements.two_groups import two_groups
 from termsel.plugins.hookspecs import PROJECT
 from termsel.plugins.registry import SESSION, registry
 from termsel.record.record import Counts, DataRecord, IdsByRole, WhatWasRead
@@ -40,6 +41,11 @@ def _read(setup: Setup, observations: Observations) -> WhatWasRead:
     """Return what was read, and what of it takes no part for another reason than as a blunder."""
     read, points = setup.read, setup.features.points
     difference = read.dem_difference
+    # Blunders among control and check included: they may be one of the groups.
+    apart = {*observations.independent.ids, *select(
+        points.ids, [role == "off" for role in points.roles])}
+    groups = two_groups(setup.features.with_(
+        points=points.take([name not in apart for name in points.ids])))
     stay = set(setup.features.lines.ids)
     off = [name for name in (*select(points.ids, [role == "off" for role in points.roles]),
                              *read.lines.features) if name not in stay]
@@ -53,7 +59,8 @@ def _read(setup: Setup, observations: Observations) -> WhatWasRead:
     return WhatWasRead(
         len(read.points), len(read.lines.features), len(read.without_height()), place_of(read),
         swapped(read), {reason: tuple(ids) for reason, ids in why.items() if ids}, read.z_unit,
-        difference.sentence() if difference is not None and difference.contradicts else "")
+        difference.sentence() if difference is not None and difference.contradicts else "",
+        "" if groups is None else groups.sentence())
 
 
 def versions() -> dict[str, str]:

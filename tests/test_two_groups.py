@@ -1,0 +1,97 @@
+"""Points in two datums: named as such, and never where they are not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import termsel
+from termsel.measurements.features import FeatureSet, Points
+from termsel.measurements.two_groups import datum_of, two_groups
+from termsel.simulate import simulate_scene
+from termsel.simulate.catalogue import SCENES
+
+PLACE = (-112.0, 33.4)
+METRE = np.array([1 / 93_000, 1 / 111_000])  # in degrees, about
+
+
+def points(count: int = 30, *, noise: float = 0.5, relief: float = 0.0, height: bool = True,
+           seed: int = 0) -> FeatureSet:
+    """Points of an image with pixels of 3 m, turned by a few degrees, with some relief [m]."""
+    rng = np.random.default_rng(seed)
+    east, north = rng.uniform(-5000, 5000, (2, count))
+    z = relief * rng.standard_normal(count)
+    image = np.column_stack([-north + 0.1 * east, east + 0.1 * north + 0.4 * z]) / 3 + 2000
+    image += rng.normal(0.0, noise, (count, 2))
+    lonlat = PLACE + np.column_stack([east, north]) * METRE
+    ground = np.column_stack([lonlat, z if height else np.full(count, np.nan)])
+    return FeatureSet(Points(tuple(f"q{i}" for i in range(count)), image, ground), crs="EPSG:4326")
+
+
+def moved(features: FeatureSet, metres: tuple[float, float], which: slice) -> FeatureSet:
+    ground = features.points.ground.copy()
+    ground[which, :2] += np.array(metres) * METRE
+    return replace(features, points=replace(features.points, ground=ground))
+
+
+@pytest.mark.parametrize("shift", [(63.0, -2.0), (-90.0, -200.0), (30.0, 30.0)])
+@pytest.mark.parametrize("which", [slice(0, 5), slice(0, 15), slice(4, 30, 3)])
+def test_a_constant_shift_of_some_points_is_found(shift: tuple[float, float],
+                                                  which: slice) -> None:
+    features = moved(points(), shift, which)
+    found = two_groups(features)
+    assert found is not None
+    expected = features.points.ids[which]
+    if len(expected) == 15:  # nothing tells which half is wrong
+        assert set(expected) in (set(found.first), set(found.second))
+        assert np.abs(found.shift) == pytest.approx(np.abs(shift), abs=3.0)
+    else:
+        assert set(found.second) == set(expected)
+        assert found.shift == pytest.approx(shift, abs=3.0)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_errors_and_relief_are_no_two_groups(seed: int) -> None:
+    for features in (points(seed=seed), points(seed=seed, noise=20.0), points(12, seed=seed),
+                     points(seed=seed, relief=200.0),
+                     points(seed=seed, relief=200.0, height=False),
+                     moved(points(seed=seed), (400.0, 0.0), slice(0, 3))):
+        assert two_groups(features) is None
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_scenes_are_no_two_groups(name: str) -> None:
+    assert two_groups(simulate_scene(name)) is None
+
+
+def test_two_levels_are_told_by_their_heights() -> None:
+    features = points()
+    ground, image = features.points.ground.copy(), features.points.image.copy()
+    ground[::2, 2] += 500.0
+    image[::2, 1] += 0.4 * 500.0 / 3
+    levels = replace(features, points=replace(features.points, ground=ground, image=image))
+    assert two_groups(levels) is None
+    ground[:, 2] = np.nan
+    blank = two_groups(replace(levels, points=replace(levels.points, ground=ground)))
+    assert blank is not None
+    assert "two levels whose heights are not known" in blank.sentence()
+
+
+def test_the_other_datum_is_named() -> None:
+    pytest.importorskip("pyproj")
+    features = moved(points(height=False), (63.0, -2.0), slice(0, 12))
+    found = two_groups(features)
+    assert found is not None
+    assert datum_of(found, features.crs, PLACE) == "NAD27"
+    far = two_groups(moved(points(height=False), (630.0, 900.0), slice(0, 12)))
+    assert far is not None
+    assert datum_of(far, features.crs, PLACE) == ""
+
+
+def test_a_run_says_so_first() -> None:
+    features = moved(points(24, height=False), (63.0, -2.0), slice(0, 24, 3))
+    said = termsel.run(features=features).summary().replace("\n    ", " ")
+    assert "Next: check the datum of the points" in said.partition("How accurate")[0]
+    assert "Coordinates in NAD27 are as far off there." in said
