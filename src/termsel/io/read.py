@@ -128,7 +128,11 @@ def read(
             *paths[:2], areas=paths[2], crs=crs,
             readers=readers_of([path for path in paths if path is not None], formats),
             formats=formats, options=of_readers)
-    return _with_known(features, dem, rpc, z_unit, part)
+    given = [path for path in (points, lines, areas) if path is not None]
+    try:
+        return _with_known(features, dem, rpc, z_unit, part)
+    except TermselError as error:
+        raise (located(error, Path(given[0])) if error.file is None else error) from error
 
 
 def parts_of(path: Path, format: str | None = None, **options: Any) -> dict[str, dict[str, Any]]:
@@ -152,7 +156,10 @@ def features_of(given: Any, crs: str | None = None,
             path, path, crs=crs, either=True,
             options={"columns": columns_text(columns)} if columns else {},
             readers=readers_of([path], ()))
-    return with_z_unit(features, None)
+    try:
+        return with_z_unit(features, None)
+    except TermselError as error:
+        raise located(error, Path(given)) from error
 
 
 def _with_known(features: FeatureSet, dem: Path | str | None, rpc: Rpc | Path | str | None,
