@@ -25,7 +25,7 @@ from termsel.measurements.coordinates.crs import (
     to_wgs84,
     transformation,
 )
-from termsel.measurements.coordinates.utm import metric_crs
+from termsel.measurements.coordinates.utm import metric_crs, polar_crs
 from termsel.measurements.features import FeatureSet, Lines, Points
 from termsel.measurements.scaling import Scaling, scaling_of
 from termsel.models.polynomial import Affine, Polynomial3D
@@ -249,3 +249,53 @@ def test_places_beyond_a_projection_are_seen_nowhere(scene: FeatureSet) -> None:
     away = fitted.project(np.array([[48.5, 200.0, 0.0]]))
     assert np.isfinite(away).all()
     assert np.abs(away).max() > 1e6
+
+
+def around_pole(crs: str, middle: tuple[float, float], size: float = 400_000.0, count: int = 30,
+                ) -> FeatureSet:
+    """An affine view of a polar area, its control in degrees."""
+    rng = np.random.default_rng(7)
+    plan = rng.uniform(-size, size, (count, 2))
+    turn = pyproj.Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
+    lon, lat = turn.transform(*(plan + middle).T)
+    image = plan @ np.array([[0.0, 0.001], [-0.001, 0.0]]) + [500.0, 500.0]
+    return FeatureSet(Points(tuple(f"P{i}" for i in range(count)), image,
+                             np.column_stack([lon, lat, np.full(count, np.nan)])), crs="EPSG:4326")
+
+
+@pytest.mark.parametrize(("crs", "middle"), [
+    ("EPSG:3031", (0.0, 0.0)), ("EPSG:3031", (600_000.0, 300_000.0)), ("EPSG:3413", (0.0, 0.0)),
+    ("EPSG:3413", (-900_000.0, 700_000.0))])
+def test_auto_fits_in_a_polar_projection_around_a_pole(
+        crs: str, middle: tuple[float, float], tmp_path: Path) -> None:
+    features = around_pole(crs, middle)
+    result = termsel.run(features=features, out=tmp_path)
+    assert result.fit.control.fit_crs == crs
+    assert result.data.crs == "EPSG:4326"
+    assert result.predicted is not None
+    assert result.predicted.rmse < 0.01
+    predicted = termsel.read_result(tmp_path).project(features.points.ground)
+    assert np.abs(predicted - features.points.image).max() < 0.01
+
+
+def test_the_search_for_a_crs_leaves_out_what_does_not_hold_there() -> None:
+    features = around_pole("EPSG:3031", (600_000.0, 300_000.0))  # without a zone of UTM
+    result = termsel.run(features=features, options={"fit_crs": "auto"})
+    assert result.fit.control.fit_crs == "EPSG:3031"
+
+
+def test_a_method_that_is_asked_for_stays_in_degrees_and_says_so() -> None:
+    features = around_pole("EPSG:3031", (600_000.0, 300_000.0))
+    result = termsel.run("poly-terms", features=features, solver="all-terms")
+    assert not result.fit.control.fit_crs
+    assert any("--fit-crs polar (EPSG:3031)" in note for note in result.notes)
+
+
+def test_elsewhere_no_polar_projection_is_tried(scene: FeatureSet) -> None:
+    result = termsel.run("rfm-terms", features=scene)
+    assert not result.fit.control.fit_crs
+    assert not any("pole" in note for note in result.notes)
+
+
+def test_the_moon_has_poles_too() -> None:
+    assert "Polar stereographic at -90" in polar_crs("IAU_2015:30100", -85.0)

@@ -34,6 +34,7 @@ from termsel.results.result import Result
 from termsel.runs.auto.strategy import LEAST, choose_for, wanted
 from termsel.runs.notebook import notebook_observer
 from termsel.runs.task.blank_heights import to_leave_out
+from termsel.runs.task.fit_crs import with_polar
 from termsel.runs.task.request import Request, loaded
 from termsel.runs.task.rpc_given import part_of_rpc, with_part
 from termsel.runs.task.task import Task, observe, prepared, with_shares
@@ -218,6 +219,7 @@ def _chosen(request: Request, seed: int, observers: Iterable[Observer], out: Pat
     if part is not None:
         setup = with_part(setup, part)
         observations = observe(setup, least)
+    observations = with_polar(observations)
     # Whether a search of lines follows, which compiles more, is not known yet.
     compiles = held_out.needs_compilation(len(observations.together.points))
     return _written(lambda: choose_for(setup, observations, seed, observers), out, overwrite,

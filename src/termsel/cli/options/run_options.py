@@ -58,8 +58,9 @@ _OPTIONS = (
                  help="CRS of the ground coordinates: EPSG:4979 for longitude, latitude and "
                       "ellipsoidal height; `local` for plane coordinates without a CRS."),
     click.option("--fit-crs", metavar="CRS",
-                 help="Coordinates the model is fitted in: geodetic, projected (UTM), geocentric "
-                      "or EPSG:n. auto takes the one of the first three that predicts best."),
+                 help="Coordinates the model is fitted in: geodetic, projected (UTM), geocentric, "
+                      "polar (stereographic) or EPSG:n. auto takes the one of the first four that "
+                      "predicts best."),
     click.option("--off", metavar="IDS", multiple=True,
                  help="Leave out these points and lines, such as P07,P12."),
     click.option("--role", metavar="ID=ROLE", multiple=True,

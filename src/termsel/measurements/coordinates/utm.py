@@ -18,6 +18,12 @@ from termsel.measurements.coordinates.crs import (
 )
 from termsel.measurements.features import FloatArray
 
+SOUTH_POLAR, NORTH_POLAR = "EPSG:3031", "EPSG:3413"
+"""Polar stereographic projections in metres of the Antarctic and the Arctic."""
+
+POLAR, TURNING = 60.0, 10.0
+"""Latitude beyond which, and difference of longitudes [deg] from which on, a scene is polar."""
+
 
 def metric_crs(crs: str, lon: float, lat: float) -> str:
     """Return a CRS in metres around a place [deg], whose longitude may go on beyond 180 degrees.
@@ -45,6 +51,42 @@ def _transverse_mercator(crs: str, lon: int, lat: int) -> str:
     return str(ProjectedCRS(
         TransverseMercatorConversion(lat, lon), name=f"Transverse Mercator about {lat}, {lon}",
         geodetic_crs=CRS(geodetic_of(crs)).to_2d()).to_wkt())
+
+
+def polar_crs(crs: str, lat: float) -> str:
+    """Return a polar stereographic CRS in metres for the pole next to a place [deg].
+
+    On the Earth those of the Antarctic and the Arctic; on another body one with true scale at the
+    pole, of its geographic CRS.
+    """
+    if body_of(crs) == EARTH:
+        return SOUTH_POLAR if lat < 0 else NORTH_POLAR
+    return _polar_stereographic(crs, 90 if lat >= 0 else -90)
+
+
+@lru_cache
+def _polar_stereographic(crs: str, latitude: int) -> str:
+    from pyproj import CRS
+    from pyproj.crs import ProjectedCRS
+    from pyproj.crs.coordinate_operation import PolarStereographicAConversion
+
+    return str(ProjectedCRS(
+        PolarStereographicAConversion(latitude, 0.0), name=f"Polar stereographic at {latitude}",
+        geodetic_crs=CRS(geodetic_of(crs)).to_2d()).to_wkt())
+
+
+def is_polar(places: FloatArray) -> bool:
+    """Return whether places, as longitudes and latitudes [deg], lie around a pole.
+
+    There meridians turn by much within a scene, so that degrees are no plane coordinates: by more
+    than `TURNING` from one end to the other, next to a pole (beyond `POLAR`); or UTM has no zone.
+    """
+    lon, lat = places[:, 0], places[:, 1]
+    if not len(lat) or lat.min() * lat.max() <= 0:
+        return False
+    nearest = np.abs(lat).min()
+    turning = np.ptp(lon) > TURNING
+    return bool(nearest > POLAR and turning) or bool(lat.max() > 84.0 or lat.min() < -80.0)
 
 
 def for_warping(ground: FloatArray, crs: str) -> tuple[FloatArray, str]:

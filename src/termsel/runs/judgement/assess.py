@@ -34,6 +34,7 @@ from termsel.results.result import Result
 from termsel.results.same_fit import has_pole, least_squares_of
 from termsel.runs.judgement.judge import judge, name_conventional, notes_on
 from termsel.runs.task.data_notes import notes_on_data, notes_on_dem
+from termsel.runs.task.fit_crs import note_on_pole
 from termsel.runs.task.provenance import data_of, notes_on_sessions, plugins_of, versions
 from termsel.runs.task.task import Task
 from termsel.runs.task.verdict import Verdict, judge_features, judge_independent
@@ -138,6 +139,7 @@ def assessed(task: Task, found: Search, verdict: Verdict | None = None) -> Resul
         notes=(*notes_on_dem(task.features, chosen),
                *notes_on_data(task.features, observations, task.model.uses_height,
                               task.blank, observations.control),
+               *filter(None, [note_on_pole(observations.features, observations.control)]),
                *verdict.notes, *contradicting.notes,
                *notes_on(agreeing, task.criterion, found, chosen),
                *_on_replaced(task.model, selection), *notes_on_sessions(plugins_of(task))),

@@ -17,12 +17,14 @@ from termsel.measurements.coordinates.crs import (
     body_of,
     geodetic_of,
     is_geocentric,
+    kind_of,
     normalise,
     transformation,
 )
 from termsel.measurements.coordinates.longitudes import continuous
-from termsel.measurements.coordinates.utm import metric_crs
-from termsel.measurements.features import FeatureSet
+from termsel.measurements.coordinates.metres import is_in_degrees
+from termsel.measurements.coordinates.utm import is_polar, metric_crs, polar_crs
+from termsel.measurements.features import FeatureSet, FloatArray
 from termsel.measurements.roles import Observations
 from termsel.models.base import SensorModel
 from termsel.options import Option
@@ -30,15 +32,20 @@ from termsel.options import Option
 log = logging.getLogger(__name__)
 
 AUTO = "auto"
-SYSTEMS = ("geodetic", "projected", "geocentric")
+LONG = 40
+"""Characters from which on the name of a CRS does not fit into a sentence."""
+
+POLAR = "polar"
+SYSTEMS = ("geodetic", "projected", "geocentric", POLAR)
 """Kinds of coordinates."""
 
 FIT_CRS = Option(
     "fit_crs", None, "CRS the model is fitted in; by default that of the ground coordinates. "
     "geodetic is WGS84 longitude, latitude and ellipsoidal height; projected is the UTM zone of "
     "the control (on another body than the Earth a transverse Mercator projection); geocentric is "
-    "WGS84 X, Y, Z; EPSG:n is any other. auto takes the one of the "
-    "first three that predicts best by leave-one-out. Coordinates of files and results stay in "
+    "WGS84 X, Y, Z; polar a polar stereographic projection; EPSG:n is any other. auto takes the "
+    "one of these that predicts best by leave-one-out, a polar one where the control lies around a "
+    "pole. Coordinates of files and results stay in "
     "their own CRS.")
 
 
@@ -94,6 +101,8 @@ def fit_crs_of(choice: str, control: FeatureSet) -> str:
         return geodetic_of(control.crs)
     if choice == "projected":
         return _around(control)
+    if choice == POLAR:
+        return polar_crs(control.crs, float(np.median(_places(control)[:, 1])))
     if (body := body_of(control.crs)) != EARTH:
         raise TermselError(f"geocentric coordinates are known of {EARTH} alone, and the control "
                            f"is on {body}", hint="Fit in geodetic or projected coordinates.")
@@ -102,9 +111,46 @@ def fit_crs_of(choice: str, control: FeatureSet) -> str:
 
 def _around(control: FeatureSet) -> str:
     """Return the CRS in metres around the middle of the control."""
-    place = transformation(control.crs, geodetic_of(control.crs))(control.ground_vertices())
-    lon, lat = continuous(place[:, 0]), place[:, 1]
+    lon, lat = _places(control)[:, :2].T
     return metric_crs(control.crs, *(float(part.min() + part.max()) / 2 for part in (lon, lat)))
+
+
+def _places(control: FeatureSet) -> FloatArray:
+    """Return longitudes without a jump, latitudes and heights of the control."""
+    place = transformation(control.crs, geodetic_of(control.crs))(control.ground_vertices())
+    return np.column_stack([continuous(place[:, 0]), place[:, 1:]])
+
+
+def note_on_pole(features: FeatureSet, control: FeatureSet) -> str:
+    """Return that control lies around a pole, and how it is fitted better; "" elsewhere."""
+    crs = normalise(features.crs)
+    if features.fit_crs or not is_in_degrees(features.crs) or kind_of(crs) != "geographic":
+        return ""
+    places = _places(control)
+    if not is_polar(places):
+        return ""
+    polar = polar_crs(features.crs, float(np.median(places[:, 1])))
+    name = f" ({polar})" if len(polar) < LONG else ""
+    return ("The control lies around a pole, where degrees of longitude are no plane coordinates: "
+            f"--fit-crs polar{name} or --fit-crs auto fits in metres.")
+
+
+def with_polar(observations: Observations) -> Observations:
+    """Return observations to be fitted in a polar projection where control is around a pole.
+
+    Only where no CRS is asked for, and the best of the plain and shrunken models predicts better
+    there, by leave-one-out over control and check, than in the coordinates as they are.
+    """
+    both = observations.together
+    if both.fit_crs or both.rpc is not None or not note_on_pole(both, observations.control):
+        return observations
+    polar = fit_crs_of(POLAR, observations.control)
+    as_given = choose(Control.of(both, observations.heights))
+    in_polar = choose(Control.of(replace(both, fit_crs=polar), observations.heights))
+    if in_polar is None or (as_given is not None
+                            and as_given.chosen.predicted <= in_polar.chosen.predicted):
+        return observations
+    return observations.fitted_in(polar)
 
 
 def _best(observations: Observations, spatial: bool) -> str:
@@ -114,9 +160,17 @@ def _best(observations: Observations, spatial: bool) -> str:
     for system in SYSTEMS:
         if system == "geocentric" and not (spatial and body_of(both.crs) == EARTH):
             continue
-        fit_crs = fit_crs_of(system, observations.control)
-        choice = choose(Control.of(replace(both, fit_crs=fit_crs), observations.heights))
+        if system == POLAR and not is_polar(_places(observations.control)):
+            continue
+        try:
+            fit_crs = fit_crs_of(system, observations.control)
+            choice = choose(Control.of(replace(both, fit_crs=fit_crs), observations.heights))
+        except TermselError as error:  # such as no zone of UTM: it is no candidate here
+            log.info("%s coordinates are left out: %s.", system, error.what)
+            continue
         predicted[fit_crs] = np.inf if choice is None else choice.chosen.predicted
+    if not predicted:
+        return normalise(both.crs)
     best = min(predicted, key=lambda crs: predicted[crs])
     if not np.isfinite(predicted[best]):
         return normalise(both.crs)
