@@ -86,13 +86,6 @@ def test_a_crs_that_is_named_is_taken(tmp_path: Path, caplog: pytest.LogCaptureF
     assert "UTM" not in caplog.text
 
 
-def test_near_the_poles_the_crs_must_be_named(tmp_path: Path) -> None:
-    with pytest.raises(termsel.TermselError, match="no CRS: no UTM zone") as caught:
-        made(scene("EPSG:4979", -45.0, 86.0), tmp_path)
-    assert "--crs" in str(caught.value)
-    assert "--fit-crs" not in str(caught.value)
-
-
 @pytest.mark.parametrize(("options", "lines", "unit", "right"), [
     ({"resolution": 10.0, "crs": "EPSG:4326"}, 2, "degree", "1.8e-05"),  # metres are meant
     ({"resolution": 2e-5}, 30_000_000, "metre", "2"),                    # degrees are meant
@@ -130,3 +123,22 @@ def test_an_image_of_which_single_places_are_known_has_no_map(
     monkeypatch.setattr(module, "_ground", lambda *_: outline)
     with pytest.raises(termsel.TermselError, match="outside the raster of heights"):
         module.grid_of_image(scene("EPSG:25832", 11.0, 47.4), "EPSG:25832", dem=None, height=110.0)
+
+
+def test_a_continent_is_not_put_into_one_zone_of_utm_without_a_word(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    wide = scene("EPSG:4979", 15.0, 48.0, gsd=8000.0)
+    made(wide, tmp_path)
+    said = [one for one in caplog.messages if "zone of UTM shows distances" in one]
+    assert len(said) == 1
+    assert "spans 36 degrees" in said[0]
+    caplog.clear()
+    made(scene("EPSG:4979", 15.0, 48.0), tmp_path, overwrite=True)
+    made(wide, tmp_path, overwrite=True, crs="EPSG:3035")
+    assert not [one for one in caplog.messages if "zone of UTM shows distances" in one]
+
+
+@pytest.mark.parametrize(("lat", "expected"), [(-78.0, 3031), (86.0, 3413), (-84.0, 3031)])
+def test_control_around_a_pole_is_mapped_in_a_polar_projection(
+        lat: float, expected: int, tmp_path: Path) -> None:
+    assert made(scene("EPSG:4979", 160.0, lat, gsd=1600.0), tmp_path)[0] == expected

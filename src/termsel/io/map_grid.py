@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,11 +22,16 @@ from termsel.measurements.coordinates.crs import (
     transformation,
 )
 from termsel.measurements.coordinates.longitudes import continuous
-from termsel.measurements.coordinates.utm import metric_crs
+from termsel.measurements.coordinates.utm import is_polar, metric_crs, polar_crs
 from termsel.measurements.features import FloatArray
 
 if TYPE_CHECKING:
     from termsel.results.result import Result
+
+log = logging.getLogger(__name__)
+
+WIDE = 0.01
+"""Error of distances beyond which an area is too wide for a zone of UTM."""
 
 _OUTLINE = 33  # places along either side of the image its extent on the map is found by
 _UNEVEN = 3.0  # largest pixel on the ground by the smallest, beyond which a view is oblique
@@ -92,17 +98,30 @@ def map_crs(result: Result, crs: str | None) -> str:
 
 
 def _in_metres(result: Result) -> str:
-    """Return the CRS of the control if it is in metres, else the zone of UTM."""
+    """Return the CRS of the control if it is in metres, else the zone of UTM, or a polar one."""
     own = result.features.crs
     if not is_geographic(own) and metres_per_unit(own) in (1.0, None):  # None: nobody knows it
         return horizontal(own)
-    lon, lat, _ = transformation(own, geodetic_of(own))(result.fit.ground_box()[0][None])[0]
-    try:
-        return metric_crs(own, float(lon), float(lat))
-    except TermselError as error:
-        raise TermselError(f"the map has no CRS: {error.what}",
-                           hint="Give --crs with a projected CRS in metres, such as EPSG:3413."
-                           ) from error
+    geodetic = transformation(own, geodetic_of(own))
+    places = geodetic(result.fit.control.ground_vertices())
+    places[:, 0] = continuous(places[:, 0])
+    if is_polar(places):
+        return polar_crs(own, float(np.median(places[:, 1])))
+    _say_wide(places)
+    lon, lat, _ = geodetic(result.fit.ground_box()[0][None])[0]
+    return metric_crs(own, float(lon), float(lat))
+
+
+def _say_wide(places: FloatArray) -> None:
+    """Warn where an area is too wide for a zone of UTM, given longitudes and latitudes [deg]."""
+    # The scale of a transverse Mercator projection grows from its meridian as 1 + d^2 / 2, where d
+    # is the distance from it in radii of the Earth: difference of longitudes times cos(latitude).
+    lon = np.radians(places[:, 0] - (places[:, 0].min() + places[:, 0].max()) / 2)
+    scale = float(((lon * np.cos(np.radians(places[:, 1]))) ** 2 / 2).max())
+    if scale > WIDE:
+        log.warning("Warning: the control spans %.0f degrees of longitude. One zone of UTM shows "
+                    "distances at its edges %.2g %% too long: --crs names a projection for such an "
+                    "area, such as that of an atlas.", float(np.ptp(places[:, 0])), 100 * scale)
 
 
 def _unit(crs: str) -> str:
