@@ -64,6 +64,7 @@ def clean_environment():
     """Return the environment variables without those of QGIS's Python."""
     kept = {name: value for name, value in os.environ.items() if name not in _REMOVED}
     kept["PYTHONIOENCODING"] = "utf-8"
+    kept["PYTHONSAFEPATH"] = "1"  # modules of the folder of a project are not Python's own
     kept["NO_COLOR"] = "1"
     kept["COLUMNS"] = "100"
     return kept
