@@ -56,10 +56,11 @@ def read_toml(file: Path, kind: str, hint: str) -> tuple[dict[str, Any], str]:
         raise endless from error
     for key, value in _values(table, endless):
         if isinstance(value, str) and "\0" in value:
-            raise TermselError(f"the text of {key!r:.60} has a NUL character", file=file, hint=hint)
+            raise TermselError(f"this is not {kind}: the text of {key!r:.60} has a NUL character",
+                               file=file, hint=hint)
         if isinstance(value, int) and abs(value) > _LARGEST:
-            raise TermselError(f"the number of {key!r:.60} has more than 64 bits", file=file,
-                               hint=hint)
+            raise TermselError(f"this is not {kind}: the number of {key!r:.60} has more than 64 "
+                               "bits", file=file, hint=hint)
     return table, text
 
 
