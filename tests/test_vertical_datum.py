@@ -15,6 +15,7 @@ import pytest
 import termsel
 from termsel.errors import TermselError
 from termsel.formats.heights import open_dem, with_heights
+from termsel.io.project import project_table
 from termsel.measurements.coordinates import crs as crs_module
 from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.models.rpc import Rpc
@@ -275,3 +276,24 @@ def test_rectify_says_by_how_much_a_map_is_off(tmp_path: Path, image: Path,
         termsel.rectify(result, image, tmp_path / "map2.tif", resolution=20,
                         dem=dem(tmp_path / "dem2.tif", above=0.3))
     assert "the control" not in caplog.text
+
+
+@pytest.mark.parametrize("verb", ["project", "gcp-grid-vrt", "sigma"])
+@pytest.mark.parametrize("above", [-48.6, 0.3])
+def test_whatever_takes_a_dem_holds_it_against_the_control(
+        tmp_path: Path, image: Path, verb: str, above: float,
+        caplog: pytest.LogCaptureFixture) -> None:
+    result = termsel.run("poly-terms", features=small(control(30, sigma=0.3)), model="poly3d",
+                         solver="all-terms", options={"degree": 1})
+    path = dem(tmp_path / "dem.tif", above=above)
+    caplog.clear()
+    with caplog.at_level(logging.WARNING, "termsel"):
+        if verb == "project":
+            (tmp_path / "pixels.csv").write_text("id,line,sample\na,200,200\n")
+            project_table(result, tmp_path / "pixels.csv", inverse=True, dem=path)
+        elif verb == "sigma":
+            pytest.importorskip("termsel_standards").write_sigma(result, tmp_path / "sigma.tif",
+                                                                 dem=path)
+        else:
+            termsel.export(result, verb, tmp_path / "grid.vrt", image=str(image), dem=str(path))
+    assert caplog.text.count("geoid and ellipsoid?") == (1 if above < -1 else 0)
