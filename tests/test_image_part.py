@@ -37,6 +37,14 @@ def test_the_rpc_of_a_part_sees_what_is_in_the_part(name: str) -> None:
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
+def test_a_pixel_of_a_part_is_where_its_own_pixels_are() -> None:
+    """The first pixel of a halved image covers lines 0 and 1, so its middle is at line 0.5."""
+    halved = ImagePart(scale=2.0).places(np.array([[0.5, 2.5]]))
+    np.testing.assert_allclose(halved, [[0.0, 1.0]])
+    cut = ImagePart((700.0, 900.0)).places(np.array([[700.0, 905.0]]))
+    np.testing.assert_allclose(cut, [[0.0, 5.0]])
+
+
 @needs_rpc
 @pytest.mark.parametrize("count", [3, 5])
 @pytest.mark.parametrize("name", PARTS)

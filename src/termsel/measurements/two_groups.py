@@ -134,7 +134,7 @@ def two_groups(features: FeatureSet) -> TwoGroups | None:
 
 def _residuals(design: FloatArray, image: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the coefficients and the residuals of a least-squares fit."""
-    coefficients = np.linalg.lstsq(design, image, rcond=None)[0]
+    coefficients = np.asarray(np.linalg.lstsq(design, image, rcond=None)[0], dtype=np.float64)
     return coefficients, image - design @ coefficients
 
 
