@@ -19,7 +19,7 @@ from qgis.PyQt.QtWidgets import (
     QWidget,
 )
 
-from .algorithms.georeference import INPUTS, model_named
+from .algorithms.georeference import inputs_of, model_named
 from .layers import blunder_style
 
 CHECKED, UNCHECKED = Qt.CheckState.Checked, Qt.CheckState.Unchecked
@@ -147,8 +147,7 @@ class ResultDock(QDockWidget):
         """Return the algorithm and the parameters of another run."""
         files = {"FILE": self.folder / "points.csv", "LINES": self.folder / "lines.csv"}
         parameters = {name: str(file) for name, file in files.items() if file.exists()}
-        if (self.folder / INPUTS).exists():
-            parameters.update(json.loads((self.folder / INPUTS).read_text(encoding="utf-8")))
+        parameters.update(inputs_of(self.folder))
         parameters["OFF"] = ",".join(self.left_out())
         if self.problem == "owdis-lines":
             return "termsel:selectlines", parameters

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Literal
 
 from termsel.errors import TermselError
+from termsel.files.names import inside, open_inside, refuse_links
 
 LOCK = ".lock"
 
@@ -25,8 +26,10 @@ _HELD = (errno.EACCES, errno.EAGAIN, errno.EDEADLK)
 def locked(folder: Path, hint: str = "Wait for it, or choose another --out.") -> Iterator[None]:
     """Hold the lock of a folder; the system takes it away from a process that ends.
 
-    Raises TermselError if another process holds it: which one, on which machine and since when.
+    Raises TermselError if another process holds it: which one, on which machine and since when; if
+    there is a link anywhere in the folder, which nobody follows.
     """
+    refuse_links(folder)
     with _held(folder, hint) as file:
         try:
             file.truncate(0)
@@ -82,7 +85,7 @@ def end_turn(file: FileIO) -> None:
 
 def holder(folder: Path) -> str | None:
     """Return who is at work in a folder: process, machine and since when; None if nobody is."""
-    if not (folder / LOCK).exists():
+    if not inside(folder, LOCK).exists():
         return None
     with _opened(folder, "r+b") as file:
         if _free(file, folder):
@@ -94,7 +97,8 @@ def holder(folder: Path) -> str | None:
 @contextmanager
 def _opened(folder: Path, mode: Literal["a+b", "r+b"]) -> Iterator[FileIO]:
     try:
-        file = open(folder / LOCK, mode, buffering=0)  # noqa: SIM115 (closed below)
+        file = open(folder / LOCK, mode, buffering=0,  # noqa: SIM115 (closed below)
+                    opener=open_inside)
     except OSError as error:
         raise _unwritable(folder, error) from error
     try:

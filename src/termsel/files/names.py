@@ -63,6 +63,51 @@ def _kind(path: Path) -> int | None:
         return None
 
 
+def inside(folder: Path, name: str) -> Path:
+    """Return a file in a folder of a result, study or block, which is no link and no pipe.
+
+    Only a name that the user types is followed to where it leads: a folder may have come with data.
+    """
+    path = folder / name
+    refuse_link(path)
+    require_regular(path)
+    return path
+
+
+def refuse_link(path: Path) -> None:
+    """Refuse a link in a folder that may have come with data."""
+    if os.path.islink(path):
+        raise _linked(path)
+
+
+def refuse_links(folder: Path) -> None:
+    """Refuse a folder to write results into that has links anywhere, or pipes by their names."""
+    waiting = [folder]
+    while waiting:
+        try:
+            with os.scandir(waiting.pop()) as entries:
+                for entry in entries:
+                    refuse_link(Path(entry.path))
+                    if entry.is_dir(follow_symlinks=False):
+                        waiting.append(Path(entry.path))
+                    elif not entry.is_file(follow_symlinks=False):
+                        require_regular(Path(entry.path))
+        except OSError:  # whoever writes there says why that is not possible
+            continue
+
+
+def _linked(path: Path) -> TermselError:
+    return TermselError("this is a link, and in the folder of a result, study or block no link is "
+                        "followed", file=path,
+                        hint="Remove it, or choose another --out. Where you type the name of a "
+                             "link yourself, it is followed.")
+
+
+def open_inside(name: str, flags: int) -> int:
+    """Open a file as `os.open` does, and fail where it is a link."""
+    return os.open(name, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
+
+
 @contextmanager
 def utf8_name(path: Path | str) -> Iterator[Path | str]:
     """Yield a name for libraries that take only UTF-8: the path, or that of a link to it."""

@@ -11,9 +11,16 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from termsel.errors import TermselError
-from termsel.files.atomic import encoded, private_folder, put_in_place, sync, write_bytes
+from termsel.files.atomic import encoded, private_folder, put_in_place, sync
 from termsel.files.lock import locked
-from termsel.files.names import CERTIFICATE, JOURNAL, STABILITY, is_there
+from termsel.files.names import (
+    CERTIFICATE,
+    JOURNAL,
+    STABILITY,
+    inside,
+    is_there,
+    refuse_link,
+)
 from termsel.formats.base import located, parse_json, read_text
 from termsel.formats.readers.csv_tables import LinesCsv, PointsCsv, lines_text, points_text
 from termsel.formats.readers.table import guarded
@@ -29,6 +36,7 @@ from termsel.results.result import Result
 
 RECORD, POINTS, LINES = "result.json", "points.csv", "lines.csv"
 RESIDUALS, SUMMARY = "residuals.csv", "summary.txt"
+FILES = (RECORD, POINTS, LINES, RESIDUALS, SUMMARY, CERTIFICATE, STABILITY)
 _PENDING = ".termsel-pending"
 """Folder in that of a result, complete or not there: files that are newer than those next to it."""
 
@@ -39,7 +47,7 @@ RESIDUAL_COLUMNS = ("id", "kind", "role", "used", "residual_line", "residual_sam
 def files_of_result(folder: Path) -> list[Path]:
     """Return all files that a result in this folder may have."""
     return [place / name for place in (folder, folder / _PENDING)
-            for name in (RECORD, POINTS, LINES, RESIDUALS, SUMMARY, CERTIFICATE, STABILITY)]
+            for name in FILES]
 
 
 def names_of(features: FeatureSet) -> tuple[str, ...]:
@@ -116,16 +124,15 @@ def _files(result: Result) -> dict[str, str]:
 
 def _put_in_place(folder: Path) -> None:
     """Replace the files of a folder by those that are pending, if any."""
-    pending = folder / _PENDING
+    pending = _pending(folder)
     if not pending.is_dir():
         return
     try:
         for file in sorted(pending.iterdir()):
-            if (folder / file.name).is_symlink():  # what it points to may be on another disk
-                write_bytes(folder / file.name, file.read_bytes())
-                file.unlink()
-            else:
-                put_in_place(file, folder / file.name)
+            if file.name not in FILES:
+                raise TermselError("this file is not part of a result, and stays where it is",
+                                   file=file, hint="Remove it, or choose another --out.")
+            put_in_place(inside(pending, file.name), inside(folder, file.name))
         sync(folder)
         pending.rmdir()
     except OSError as error:
@@ -140,8 +147,14 @@ def _cannot_write(folder: Path, error: OSError) -> TermselError:
 
 def _place(folder: Path, name: str) -> Path:
     """Return where a file of the result is: pending, if that is not yet put in place."""
-    pending = folder / _PENDING / name
-    return pending if is_there(pending) else folder / name
+    pending = inside(_pending(folder), name)
+    return pending if is_there(pending) else inside(folder, name)
+
+
+def _pending(folder: Path) -> Path:
+    """Return the folder of files that are pending, which is no link."""
+    refuse_link(folder / _PENDING)
+    return folder / _PENDING
 
 
 def read_result(folder: Path | str) -> Result:

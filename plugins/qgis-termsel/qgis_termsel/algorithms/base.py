@@ -92,6 +92,8 @@ def in_place(made, target):
     target = Path(target)
     target.mkdir(parents=True, exist_ok=True)
     for file in sorted(Path(made).iterdir(), key=lambda path: path.name == "result.json"):
+        if (target / file.name).is_symlink():  # which a copy to another disk would follow
+            (target / file.name).unlink()
         shutil.move(str(file), str(target / file.name))
 
 

@@ -36,6 +36,16 @@ _WITHOUT_CHECK = "--criterion press"
 _DEGREES = {"linear": 1, "quadratic": 2, "cubic": 3}
 
 
+def inputs_of(folder):
+    """Return the RPC of a result, as a parameter; no other parameter is taken from its folder."""
+    try:
+        stated = json.loads((Path(folder) / INPUTS).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    rpc = stated.get("RPC") if isinstance(stated, dict) else None
+    return {"RPC": rpc} if isinstance(rpc, str) else {}
+
+
 def model_named(candidate, model):
     """Return what the parameter MODEL says for a candidate of auto; "" if only auto can fit it."""
     if model in ("poly2d", "poly3d"):
@@ -157,6 +167,7 @@ class Georeference(Algorithm):
         for note in record.get("notes", []):
             feedback.pushWarning(note)
         page = target / "summary.html"
+        page.unlink(missing_ok=True)  # it may be a link to a file of somebody else
         page.write_text("<!doctype html><meta charset='utf-8'><pre>" + html.escape(summary)
                         + "</pre>", encoding="utf-8")
         add_blunders(target, record, target / _RESIDUALS)

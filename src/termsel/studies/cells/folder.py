@@ -12,6 +12,7 @@ from msgspec import ValidationError, convert
 from termsel.errors import TermselError
 from termsel.files.atomic import write_text
 from termsel.files.lock import holder
+from termsel.files.names import inside
 from termsel.formats.base import located, parse_json, read_text
 from termsel.studies.cells.cell import Cell
 from termsel.studies.cells.journal import read_journal
@@ -33,7 +34,8 @@ def write_plan(spec: Spec, cells: Sequence[Cell], workers: int, folder: Path) ->
 
 def _read_plan(folder: Path) -> tuple[Spec, int, dict[str, dict[str, Any]]]:
     """Return what was asked for, workers, and labels of all cells by key; refuse damage."""
-    file, repeat = folder / PLAN, "Repeat the command that began the study."
+    file = inside(folder, PLAN)
+    repeat = "Repeat the command that began the study."
     if not file.is_file():
         raise TermselError("there is no study in this folder", file=folder,
                            hint="Give the folder of --out.")

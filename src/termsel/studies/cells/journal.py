@@ -18,7 +18,7 @@ from typing import Annotated, Any, BinaryIO, Literal
 from msgspec import Meta, ValidationError, convert
 
 from termsel.errors import TermselError, counted
-from termsel.files.names import JOURNAL
+from termsel.files.names import JOURNAL, inside, open_inside
 from termsel.record.base import RecordPart, plain
 
 SCHEMA = "termsel-study-1"
@@ -117,7 +117,8 @@ class Journal:
                                hint="Results may differ between versions. Use those versions, or "
                                     "choose another --out.")
         try:
-            self._file = open(self.path, "ab")  # noqa: SIM115 (closed by `close`)
+            self._file = open(self.path, "ab",  # noqa: SIM115 (closed by `close`)
+                              opener=open_inside)
             self._file.truncate(self._end)
         except OSError as error:
             raise self._unwritable(error) from error
@@ -162,7 +163,7 @@ class Journal:
 
 def read_journal(folder: Path) -> Journal:
     """Return the journal of a folder, empty if there is none; nothing is changed on the disk."""
-    journal = Journal(folder / JOURNAL)
+    journal = Journal(inside(folder, JOURNAL))
     try:
         content = journal.path.read_bytes()
     except FileNotFoundError:

@@ -1,0 +1,122 @@
+"""In the folder of a result, study or block nothing follows a link; only a typed name is followed."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+import termsel
+from termsel import TermselError
+
+POINTS = "id,line,sample,x,y,z\n" + "".join(
+    f"P{i},{(i * 37) % 50},{(i * 23) % 50},{(i * 23) % 50 / 100},{-((i * 37) % 50) / 100},0\n"
+    for i in range(30))
+STUDY = 'problems = ["poly-terms"]\nsolvers = ["random"]\nmodels = [{name = "poly2d", degree = 1}]\n' \
+        'seeds = 1\n[[data]]\npoints = "points.csv"\ncrs = "local"\n[budget]\nevaluations = 20\n'
+NAMES = (".lock", "points.csv", "lines.csv", "residuals.csv", "summary.txt", "result.json",
+         "certificate.json", ".termsel-pending", ".termsel-pending/points.csv", "deeper/a.csv")
+OF_STUDIES = (".lock", "journal.jsonl", "plan.json", "study.csv", "study.parquet", "summary.md",
+              "summary.tex", "report.html", "images", "images/a", "figures", "ioh", "figures/a.svg")
+
+
+@pytest.fixture
+def control(folder: Path) -> Path:
+    (folder / "points.csv").write_text(POINTS)
+    (folder / "study.toml").write_text(STUDY)
+    return folder / "points.csv"
+
+
+def linked(folder: Path, name: str, target: Path) -> Path:
+    """Make a folder with a link in it."""
+    place = folder / "out" / name
+    place.parent.mkdir(parents=True)
+    place.symlink_to(target)
+    return folder / "out"
+
+
+@pytest.mark.parametrize("target", ["kept.txt", "made.txt", "empty"])
+@pytest.mark.parametrize("name", NAMES)
+def test_results(name: str, target: str, control: Path, folder: Path, victim: Path) -> None:
+    out = linked(folder, name, victim / target)
+    with pytest.raises(TermselError, match=r"this is a link|replace this file|cannot write"):
+        termsel.run("poly-terms", features=termsel.read(control, crs="local"), out=out,
+                    options={"degree": 1}, evaluations=20, overwrite=True)
+
+
+@pytest.mark.parametrize("name", OF_STUDIES)
+def test_studies(name: str, control: Path, folder: Path, victim: Path) -> None:
+    for number, target in enumerate(("kept.txt", "made.txt", "empty")):
+        place = folder / str(number)
+        place.mkdir()
+        out = linked(place, name, victim / target)
+        with pytest.raises(TermselError, match=r"this is a link|no journal of a study"):
+            termsel.compare("study.toml", out=out)
+
+
+def test_a_block(folder: Path, victim: Path, call) -> None:
+    pytest.importorskip("termsel_block")
+    assert call("block-example", "made", "--images", 3).exit_code == 0
+    for number, name in enumerate((".lock", "block.json", "ties.csv", "summary.txt", "report.html",
+                                   "a/points.csv")):
+        place = folder / str(number)
+        place.mkdir()
+        out = linked(place, name, victim / "made.txt")
+        done = call("block", "made/block.toml", "--out", out, "--overwrite")
+        assert done.exit_code == 2
+        assert "link" in done.stderr
+
+
+def test_what_is_pending(control: Path, folder: Path, victim: Path) -> None:
+    """Only the names of a result are taken from there."""
+    pending = folder / "out" / ".termsel-pending"
+    pending.mkdir(parents=True)
+    (pending / "notes.md").write_text("from a stranger")
+    (folder / "out" / "notes.md").write_text("mine")
+    with pytest.raises(TermselError, match="not part of a result"):
+        termsel.run("poly-terms", features=termsel.read(control, crs="local"), out=folder / "out",
+                    options={"degree": 1}, evaluations=20)
+    assert (folder / "out" / "notes.md").read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", ["result.json", "points.csv"])
+def test_results_that_are_read(name: str, made_result: Path, folder: Path, victim: Path) -> None:
+    (folder / "r").mkdir()
+    for file in made_result.iterdir():
+        (folder / "r" / file.name).write_bytes(file.read_bytes())
+    (folder / "r" / name).unlink()
+    (folder / "r" / name).symlink_to(made_result / name)
+    with pytest.raises(TermselError, match="this is a link"):
+        termsel.read_result(folder / "r")
+
+
+def test_studies_that_are_read(folder: Path, victim: Path, call) -> None:
+    for name in ("journal.jsonl", "plan.json", ".lock"):
+        out = linked(folder / name, name, victim / "kept.txt")
+        (out / "plan.json").touch()
+        assert call("compare", "--status", out).exit_code == 2
+
+
+def test_names_that_the_user_types_are_followed(control: Path, folder: Path, call) -> None:
+    (folder / "elsewhere").mkdir()
+    (folder / "out").symlink_to("elsewhere")
+    (folder / "link.csv").symlink_to("points.csv")
+    (folder / "page.html").symlink_to("elsewhere/page.html")
+    done = call("run", "--problem", "poly-terms", "--points", "link.csv", "--crs", "local",
+                "--set", "degree=1", "--evaluations", 20, "--out", "out")
+    assert done.exit_code == 0, done.stderr
+    assert (folder / "elsewhere" / "result.json").is_file()
+    assert call("report", "out", "-o", "page.html").exit_code == 0
+    assert (folder / "elsewhere" / "page.html").is_file()
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes by name")
+@pytest.mark.parametrize("name", [".lock", "journal.jsonl", "result.json", "points.csv"])
+def test_pipes(name: str, control: Path, folder: Path, typed) -> None:
+    (folder / "out").mkdir()
+    os.mkfifo(folder / "out" / name)
+    done = typed("run", "--problem", "poly-terms", "--points", control, "--crs", "local",
+                 "--set", "degree=1", "--evaluations", 20, "--out", "out", "--overwrite")
+    assert done.returncode == 2
+    assert typed("report", "out", "-o", "a.html").returncode == 2
