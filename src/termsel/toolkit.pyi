@@ -41,9 +41,18 @@ from .files.cog import write_cog as write_cog
 from .files.drivers import program_environment as program_environment
 from .files.lock import locked as locked
 from .files.names import STABILITY as STABILITY
+from .files.names import inside as inside
+from .files.names import refuse_links as refuse_links
+from .files.names import require_regular as require_regular
 from .files.rasters import refuse_empty_giant as refuse_empty_giant
 from .files.rasters import require_rasterio as require_rasterio
 from .files.reasons import reason_of as reason_of
+from .files.texts import csv_table as csv_table
+from .files.texts import is_number as is_number
+from .files.texts import markdown_text as markdown_text
+from .files.texts import unguarded as unguarded
+from .files.texts import xml_attribute as xml_attribute
+from .files.texts import xml_characters as xml_characters
 from .fits.accuracy import ASPRS_POINTS as ASPRS_POINTS
 from .fits.accuracy import NSSDA_POINTS as NSSDA_POINTS
 from .fits.accuracy import distances as distances
@@ -59,6 +68,7 @@ from .fits.scene import errors_on_ground as errors_on_ground
 from .formats.base import IMAGE_NAME as IMAGE_NAME
 from .formats.base import image_of as image_of
 from .formats.base import located as located
+from .formats.base import read_data as read_data
 from .formats.base import read_head as read_head
 from .formats.base import read_text as read_text
 from .formats.deviation import GDALWARP as GDALWARP
@@ -69,7 +79,6 @@ from .formats.deviation import say_nearest as say_nearest
 from .formats.heights import say_difference as say_difference
 from .formats.heights import surface_of as surface_of
 from .formats.readers.table import Table as Table
-from .formats.readers.table import is_number as is_number
 from .formats.readers.vector import open_layer as open_layer
 from .formats.rpc_files import rpb_text as rpb_text
 from .formats.rpc_files import rpc_items as rpc_items

@@ -1,4 +1,4 @@
-"""In the folder of a result, study or block nothing follows a link; only a typed name is followed."""
+"""In folders of results nothing follows a link; only a name that the user types is followed."""
 
 from __future__ import annotations
 
@@ -13,8 +13,16 @@ from termsel import TermselError
 POINTS = "id,line,sample,x,y,z\n" + "".join(
     f"P{i},{(i * 37) % 50},{(i * 23) % 50},{(i * 23) % 50 / 100},{-((i * 37) % 50) / 100},0\n"
     for i in range(30))
-STUDY = 'problems = ["poly-terms"]\nsolvers = ["random"]\nmodels = [{name = "poly2d", degree = 1}]\n' \
-        'seeds = 1\n[[data]]\npoints = "points.csv"\ncrs = "local"\n[budget]\nevaluations = 20\n'
+STUDY = """problems = ["poly-terms"]
+solvers = ["random"]
+models = [{name = "poly2d", degree = 1}]
+seeds = 1
+[[data]]
+points = "points.csv"
+crs = "local"
+[budget]
+evaluations = 20
+"""
 NAMES = (".lock", "points.csv", "lines.csv", "residuals.csv", "summary.txt", "result.json",
          "certificate.json", ".termsel-pending", ".termsel-pending/points.csv", "deeper/a.csv")
 OF_STUDIES = (".lock", "journal.jsonl", "plan.json", "study.csv", "study.parquet", "summary.md",

@@ -35,11 +35,14 @@ _CHILD = "from termsel.files.apart import serve; serve()"
 _MEMORY = 600 << 20
 """Bytes for a small file."""
 _MEMORY_A_BYTE = 60
-_SECONDS = 4.0
+_SECONDS = 3.0
 """CPU time for a small file."""
 _SECONDS_A_BYTE = 2e-6
 
 Answer = TypeVar("Answer")
+
+HELPERS: list[Helper] = []
+"""Processes that were started."""
 
 _too_much: dict[tuple[object, ...], TermselError] = {}
 """Files, as they were, that took too much."""
@@ -62,7 +65,7 @@ def apart(work: Callable[..., Answer], path: Path, *more: Any) -> Answer:
     helper = _helper(allowed_drivers(), remote_allowed())
     question = (work.__module__, work.__name__, (path, *more), memory, seconds)
     # Several readers look at a file before one reads it.
-    known = (str(path.absolute()), size, state and state.st_mtime_ns, work.__name__, str(more))
+    known = (str(path.absolute()), size, state and state.st_mtime_ns)
     if known in _too_much:
         raise _too_much[known]
     try:
@@ -90,6 +93,7 @@ def _helper(drivers: tuple[str, ...], remote: bool) -> Helper:
         helper = Helper(f"{_CHILD.removesuffix('()')}({drivers!r}, {remote!r})",
                         program_environment(os.environ))
     atexit.register(helper.end)
+    HELPERS.append(helper)
     return helper
 
 

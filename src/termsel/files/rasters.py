@@ -33,8 +33,9 @@ LARGEST_BLOCK = 2**29
 SMALL = 2**28
 """Bytes of pixels that are read whatever the size of the file."""
 
-_DENSEST = 1100
-"""Bytes of pixels that a byte of a file can hold: 1,032 by deflate."""
+_DENSEST = 500
+"""Bytes of pixels that a byte of a file may hold; images have fewer, but some compressors can more.
+"""
 
 _BYTES = {"complex_int16": "complex64"}
 """Types of rasterio that NumPy has not."""
@@ -168,7 +169,7 @@ def _refuse_large_blocks(path: Path | str, raster: Any) -> None:
 
 
 def refuse_empty_giant(raster: Any) -> None:
-    """Refuse to read a raster whose pixels are a thousand times what its files can hold.
+    """Refuse to read a raster whose pixels are hundreds of times what its files hold.
 
     A small file can claim to have any size. Where GDAL is asked for all of its pixels, that takes
     hours.

@@ -23,6 +23,9 @@ from termsel.options import Configurable, Option
 if TYPE_CHECKING:
     from termsel.results.result import Result
 
+LARGEST = 512 << 20
+"""Bytes of a file that is read at once; a sparse file can claim any size."""
+
 _HEAD = 65536  # bytes shown to sniff(): room for a long comment before a header
 _Image = TypeVar("_Image", str, float)
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
@@ -203,9 +206,13 @@ def read_text(path: Path) -> str:
 
 
 def read_data(path: Path) -> bytes:
-    """Return what a file holds; raises TermselError if it cannot be read."""
+    """Return what a file holds; raises TermselError if it is no regular file or cannot be read."""
     refuse_pipe(path)
     try:
+        if path.stat().st_size > LARGEST:
+            raise TermselError(f"this file has more than {LARGEST >> 20} MiB, too many for a text "
+                               "or table that is read at once", file=path,
+                               hint="Divide it, or give a raster as a raster.")
         return path.read_bytes()
     except OSError as error:
         raise _unreadable(path, error) from error
@@ -256,7 +263,12 @@ def read_once(path: Path) -> Iterator[Path]:
     with private_folder() as folder:
         copy = folder / path.name
         try:
-            copy.write_bytes(path.read_bytes())
+            with path.open("rb") as pipe:
+                content = pipe.read(LARGEST + 1)
+            if len(content) > LARGEST:
+                raise TermselError(f"this pipe carries more than {LARGEST >> 20} MiB", file=path,
+                                   hint="Save what it carries to a file, and give that.")
+            copy.write_bytes(content)
         except OSError as error:
             raise _unreadable(path, error) from error
         try:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from termsel.errors import GIS, TermselError, first_of, printable, requires
-from termsel.files.rasters import open_raster, positions
+from termsel.files.rasters import open_raster, positions, refuse_empty_giant
 from termsel.formats.vertical import (
     Heights,
     metres_of_band,
@@ -158,6 +158,7 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
                            "CRS", file=path,
                            hint="State the CRS of the ground coordinates instead of local.")
     with open_raster(path) as raster:
+        refuse_empty_giant(raster)
         with requires("heights require", "pyproj", GIS):
             from pyproj import CRS, Transformer
             from pyproj.exceptions import CRSError, ProjError

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 from termsel.errors import TermselError
 from termsel.files.atomic import write_text
 from termsel.files.rasters import open_raster
-from termsel.formats.base import is_utf16, located, read_head, read_text
+from termsel.formats.base import is_utf16, located, read_data, read_head, read_text
 from termsel.measurements.features import FeatureSet
 from termsel.models.image_part import ImagePart
 from termsel.models.rpc import N_COEFFICIENTS, Rpc
@@ -182,7 +182,7 @@ def _number(text: str, name: str, line: int | None = None) -> float:
 
 
 def _from_xml(path: Path) -> Rpc:
-    content = path.read_bytes()
+    content = read_data(path)
     # Without a declaration it is GDAL's, which writes names of files with the bytes they have.
     declared = content.lstrip().startswith(b"<?xml")
     try:

@@ -7,12 +7,12 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 
 from termsel.errors import TermselError
 from termsel.files.rasters import open_raster
+from termsel.files.texts import is_xml_text, xml_attribute, xml_text
 from termsel.measurements.features import Points
 from termsel.options import Option
 from termsel.results.result import Result
@@ -91,14 +91,14 @@ def vrt_text(
     lines, samples = picture.size
     parts = [f'<VRTDataset rasterXSize="{samples}" rasterYSize="{lines}">']
     for domain, items in (domains or {}).items():
-        parts.append(f"  <Metadata domain={quoteattr(domain)}>" if domain else "  <Metadata>")
-        parts += [f"    <MDI key={quoteattr(key)}>{escape(value)}</MDI>"
+        parts.append(f"  <Metadata domain={xml_attribute(domain)}>" if domain else "  <Metadata>")
+        parts += [f"    <MDI key={xml_attribute(key)}>{xml_text(value)}</MDI>"
                   for key, value in items.items()]
         parts.append("  </Metadata>")
     if gcps:
-        parts.append(f"  <GCPList Projection={quoteattr(crs)}>")
+        parts.append(f"  <GCPList Projection={xml_attribute(crs)}>")
         parts += [
-            f'    <GCP Id={quoteattr(name)} Info="" Pixel="{sample + 0.5!r}" '
+            f'    <GCP Id={xml_attribute(name)} Info="" Pixel="{sample + 0.5!r}" '
             f'Line="{line + 0.5!r}" X="{x!r}" Y="{y!r}" Z="{z!r}"/>'
             for name, (line, sample), (x, y, z) in zip(
                 gcps.ids, gcps.image.tolist(), gcps.ground.tolist(), strict=True)]
@@ -111,11 +111,15 @@ def vrt_text(
         parts.append(f"    <ColorInterp>{colour}</ColorInterp>")
         if picture.path is not None:
             name = relative(picture.path, folder)
+            if not is_xml_text(name.encode(errors="ignore").decode()):
+                raise TermselError("the name of this image has control characters, which no "
+                                   "virtual raster can hold", file=picture.path,
+                                   hint="Rename it.")
             size = f'xSize="{samples}" ySize="{lines}"'
             parts += [
                 "    <SimpleSource>",
                 f'      <SourceFilename relativeToVRT="{int(not os.path.isabs(name))}">'
-                f"{escape(name)}</SourceFilename>",
+                f"{xml_text(name)}</SourceFilename>",
                 f"      <SourceBand>{band}</SourceBand>",
                 f'      <SrcRect xOff="0" yOff="0" {size}/>',
                 f'      <DstRect xOff="0" yOff="0" {size}/>',

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import os
 import shutil
 from collections.abc import Iterator
@@ -21,9 +19,9 @@ from termsel.files.names import (
     is_there,
     refuse_link,
 )
+from termsel.files.texts import csv_table
 from termsel.formats.base import located, parse_json, read_text
 from termsel.formats.readers.csv_tables import LinesCsv, PointsCsv, lines_text, points_text
-from termsel.formats.readers.table import guarded
 from termsel.io.result_of_record import AGAIN, record_from, result_from
 from termsel.measurements.coordinates.crs import normalise
 from termsel.measurements.features import FeatureSet, no_lines, no_points
@@ -230,10 +228,6 @@ def _refuse_changed(changed: bool, path: Path) -> None:
 
 def residuals_csv(result: Result) -> str:
     """Return the residuals of all features [px] as CSV."""
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(RESIDUAL_COLUMNS)
-    for r in result.residuals:
-        table.writerow([guarded(r.id), r.kind, r.role, "yes" if r.used else "no", f"{r.line:.6g}",
-                        f"{r.sample:.6g}", f"{r.distance:.6g}", r.blunder])
-    return text.getvalue()
+    rows = [(r.id, r.kind, r.role, "yes" if r.used else "no", f"{r.line:.6g}", f"{r.sample:.6g}",
+             f"{r.distance:.6g}", r.blunder) for r in result.residuals]
+    return csv_table([RESIDUAL_COLUMNS, *rows])

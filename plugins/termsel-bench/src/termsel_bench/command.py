@@ -142,12 +142,13 @@ def _run(methods: Sequence[Method], names: Sequence[str], real: Path | None, pro
 
 
 def _write(found: Sequence[Score], out: Path, title: str) -> None:
-    from termsel.toolkit import page, write_text
+    from termsel.toolkit import page, refuse_links, write_text
     from termsel_bench.page import document
     from termsel_bench.submitted import texts_of
     from termsel_bench.tables import csv_text
 
     out.mkdir(parents=True, exist_ok=True)
+    refuse_links(out)
     texts = {"table.csv": csv_text(found), "index.html": page(document(found, title)),
              **texts_of(found)}
     for name, text in texts.items():
@@ -157,13 +158,14 @@ def _write(found: Sequence[Score], out: Path, title: str) -> None:
 
 def _write_files(folder: Path, names: Sequence[str], *, overwrite: bool) -> None:
     from termsel import require_replaceable
-    from termsel.toolkit import write_text
+    from termsel.toolkit import refuse_links, write_text
     from termsel_bench.scenes.catalogue import METADATA, simulated
     from termsel_bench.scenes.croissant import described
 
     require_replaceable([folder / METADATA], reads=[], overwrite=overwrite, makes_folder=True)
     sets = [simulated(name) for name in names]
     folder.mkdir(parents=True, exist_ok=True)
+    refuse_links(folder)
     for one in sets:
         for file, text in one.files().items():
             write_text(folder / file, text)

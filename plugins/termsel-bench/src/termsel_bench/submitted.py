@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from termsel import TermselError, __version__
-from termsel.toolkit import raised
+from termsel.toolkit import raised, read_text
 from termsel_bench.methods.base import KINDS, Method
 from termsel_bench.protocol import Score, scores
 from termsel_bench.scenes.catalogue import SETS, checksums
@@ -88,7 +88,7 @@ def _read(path: Path, packages: Sequence[str]) -> Submitted:
         return TermselError(f"{path} {what}", hint="Write it again with `termsel bench --out DIR`.")
 
     try:
-        said: Any = json.loads(path.read_text("utf-8"))
+        said: Any = json.loads(read_text(path))
         if said["schema"] != SCHEMA:
             raise refused(f"has the schema {said['schema']!r}, expected {SCHEMA!r}")
         asked, sets = said["method"], said["sets"]

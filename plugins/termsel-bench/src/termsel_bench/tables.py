@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Sequence
 from statistics import median
 
+from termsel.toolkit import csv_table
 from termsel_bench.protocol import Score
 
 COLUMNS = ("set", "kind", "method", "points", "independent", "rmse", "low", "high", "ratio",
@@ -34,15 +33,14 @@ def ratio(one: Score, best: dict[str, float]) -> float:
 
 def csv_text(scores: Sequence[Score]) -> str:
     """Return table.csv."""
-    best, text = best_of(scores), io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
+    best = best_of(scores)
+    rows: list[Sequence[object]] = [COLUMNS]
     for one in scores:
         figures = [f"{value:.4f}" if math.isfinite(value) else "" for value in (
             one.rmse, one.low, one.high, ratio(one, best))]
-        writer.writerow([one.set_name, one.kind, one.method.title, one.control, one.independent,
+        rows.append([one.set_name, one.kind, one.method.title, one.control, one.independent,
                          *figures, f"{one.seconds:.2f}", one.why])
-    return text.getvalue()
+    return csv_table(rows)
 
 
 def by_kind(scores: Sequence[Score]) -> tuple[list[str], list[list[str]]]:

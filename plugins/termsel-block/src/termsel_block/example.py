@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from pathlib import Path
 
 from termsel import TermselError, write_points_csv, write_rpc
-from termsel.toolkit import write_text
+from termsel.toolkit import csv_table, write_text
 from termsel_block.simulated import simulate_block
 
 _LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
@@ -41,12 +39,10 @@ def write_example(folder: Path, n_images: int = 3, seed: int = 1,
         write_points_csv(image.features.points, folder / f"{name}_points.csv", block.crs)
         text += ["[[image]]", f'name = "{name}"', f'rpc = "{name}.RPB"',
                  f'points = "{name}_points.csv"', ""]
-    out = io.StringIO()
-    table = csv.writer(out, lineterminator="\n")
-    table.writerow(["id", "image", "line", "sample"])
+    rows = [["id", "image", "line", "sample"]]
     ties = block.ties
     for tie, image_index, (line, sample) in zip(ties.tie, ties.image, ties.place.tolist(),
                                                 strict=True):
-        table.writerow([ties.names[tie], names[image_index], f"{line:.3f}", f"{sample:.3f}"])
-    write_text(folder / "ties.csv", out.getvalue())
+        rows.append([ties.names[tie], names[image_index], f"{line:.3f}", f"{sample:.3f}"])
+    write_text(folder / "ties.csv", csv_table(rows))
     write_text(folder / "block.toml", "\n".join(text))

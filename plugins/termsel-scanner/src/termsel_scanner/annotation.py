@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from termsel import TermselError
+from termsel.toolkit import read_data
 
 FloatArray = NDArray[np.float64]
 
@@ -126,7 +127,7 @@ def _read(path: Path, _changed: int) -> Annotation:
 
 def _root(path: Path) -> ElementTree.Element:
     try:
-        return ElementTree.fromstring(path.read_bytes())
+        return ElementTree.fromstring(read_data(path))
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise TermselError(f"{path} cannot be read as XML: {error}", hint=_HINT) from error
 

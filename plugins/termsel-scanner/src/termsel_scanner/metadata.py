@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from termsel import TermselError
+from termsel.toolkit import read_data
 
 FloatArray = NDArray[np.float64]
 
@@ -85,7 +86,7 @@ def metadata_of(given: str) -> Metadata:
 def _read(path: Path, _changed: int) -> Metadata:
     """Return the metadata of a file, which was changed then: a candidate asks many times."""
     try:
-        root = ElementTree.fromstring(path.read_bytes())
+        root = ElementTree.fromstring(read_data(path))
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise TermselError(f"{path} cannot be read as XML: {error}", hint=_HINT) from error
     try:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from termsel import TermselError
+from termsel.toolkit import read_text
 
 SPOT = "Spot Image, Spot satellite technical data: 822 km at the equator, 98.7 deg; to 27 deg"
 ESA_IRS = "ESA, IRS-1C mission: 817 km, 98.69 deg, to 26 deg; ISRO, 30 December 2005: 5.8 m"
@@ -106,7 +107,7 @@ def sensor_named(name: str) -> Sensor:
         raise TermselError(f"there is no sensor {name!r}",
                            hint=f"Choose one of {', '.join(SENSORS)}, or name a JSON file.")
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(read_text(path))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
         raise TermselError(f"{path} cannot be read as JSON: {error}",
                            hint="Give a file with the fields of a sensor.") from error

@@ -8,7 +8,7 @@ from collections.abc import Container
 from typing import Any
 
 from termsel import Study, TableBlock
-from termsel.toolkit import Row, counted
+from termsel.toolkit import Row, counted, markdown_text, printable
 from termsel_studies.claims import claims
 from termsel_studies.fronts import front_figures
 from termsel_studies.groups import Groups, group
@@ -135,14 +135,14 @@ def shown(value: float | None, digits: int) -> str:
 def markdown(study: Study) -> str:
     """Return all tables of a study, and what may be claimed, as Markdown."""
     tables, said = tables_of(study)
-    remarks = [f"- {_escaped(remark)}" for remark in remarks_of(study)]
-    parts = [f"# {study.spec.title or 'Study'}\n"]
+    remarks = [f"- {markdown_text(remark)}" for remark in remarks_of(study)]
+    parts = [f"# {markdown_text(study.spec.title or 'Study')}\n"]
     if remarks:
         parts.append("\n".join(remarks) + "\n")
     parts += map(section, tables)
     if said:
         parts.append("## What may be claimed\n")
-        parts.append("\n".join(f"- {_escaped(sentence)}" for sentence in said) + "\n")
+        parts.append("\n".join(f"- {markdown_text(sentence)}" for sentence in said) + "\n")
     return "\n".join(parts)
 
 
@@ -150,15 +150,10 @@ def section(table: TableBlock, depth: int = 2) -> str:
     """Return a table with its heading as Markdown."""
     marks = ["---", *("---:" if _numeric(table, i) else "---"
                       for i in range(1, len(table.columns)))]
-    lines = ["| " + " | ".join(map(_escaped, row)) + " |" for row in (table.columns, *table.rows)]
-    return "\n".join([f"{'#' * depth} {_escaped(table.caption)}\n", lines[0],
+    lines = ["| " + " | ".join(map(markdown_text, row)) + " |"
+             for row in (table.columns, *table.rows)]
+    return "\n".join([f"{'#' * depth} {markdown_text(table.caption)}\n", lines[0],
                       f"|{'|'.join(marks)}|", *lines[1:], ""])
-
-
-def _escaped(text: str) -> str:
-    for sign, written in (("&", "&amp;"), ("<", "&lt;"), ("|", r"\|")):
-        text = text.replace(sign, written)
-    return " ".join(text.split())
 
 
 def _numeric(table: TableBlock, column: int) -> bool:
@@ -186,4 +181,5 @@ def latex(study: Study) -> str:
 
 
 def _tex(text: Any) -> str:
-    return "".join(_LATEX.get(sign, sign) for sign in " ".join(str(text).split()))
+    words = printable(" ".join(str(text).split()))
+    return "".join(_LATEX.get(sign, sign) for sign in words)

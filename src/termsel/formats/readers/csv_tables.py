@@ -14,7 +14,8 @@ import numpy as np
 
 from termsel.errors import TermselError
 from termsel.files.atomic import write_text
-from termsel.formats.readers.table import Table, guarded, points_of
+from termsel.files.texts import guarded
+from termsel.formats.readers.table import Table, points_of
 from termsel.formats.readers.tables import TableReader
 from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points
 from termsel.measurements.tables.attributes import Attributes

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from termsel.errors import TermselError
+from termsel.files.texts import unguarded
 from termsel.formats.base import located
 from termsel.formats.repeated import averaged, is_averaging
 from termsel.measurements.features import ROLES, FeatureSet, FloatArray, Points
@@ -17,7 +17,6 @@ from termsel.measurements.tables.attributes import Attributes, rows_at
 from termsel.measurements.tables.numbers import POINT, BadCell, read_numbers
 from termsel.measurements.values import refused
 
-_FORMULA = re.compile(r"'*[=+\-@]")
 _ENABLED = {"": True, "1": True, "true": True, "yes": True, "on": True,
             "0": False, "false": False, "no": False, "off": False}
 
@@ -155,23 +154,3 @@ def points_of(table: Table, crs: str) -> FeatureSet:
     image, ground = table.stack("line", "sample"), table.stack("x", "y", "z")
     sigma = table.sigma("sigma_line", "sigma_sample")
     return FeatureSet(table.points(image, ground, sigma, table.roles()), crs=crs)
-
-
-def guarded(text: str) -> str:
-    """Return a cell that no spreadsheet takes for a formula, as `unguarded` takes it back."""
-    # A spreadsheet runs text that begins with = + - or @, unless an apostrophe is in front of it.
-    return f"'{text}" if _FORMULA.match(text) and not is_number(text) else text
-
-
-def unguarded(text: str) -> str:
-    """Return a cell without the apostrophe that guards it."""
-    return text[1:] if text[:1] == "'" and _FORMULA.match(text) else text
-
-
-def is_number(text: str) -> bool:
-    """Return True for text that Python reads as a number."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from termsel.errors import TermselError
+from termsel.files.texts import unguarded
 from termsel.formats.base import Reader, located
 from termsel.formats.readers.advice import with_advice
 from termsel.formats.readers.cells import (
@@ -25,7 +26,7 @@ from termsel.formats.readers.cells import (
     sniffed,
     without_header,
 )
-from termsel.formats.readers.table import Table, unguarded
+from termsel.formats.readers.table import Table
 from termsel.measurements.coordinates.crs import normalise
 from termsel.measurements.features import FeatureSet
 from termsel.measurements.tables.attributes import is_free, text_array

@@ -7,7 +7,6 @@ from abc import abstractmethod
 from contextlib import suppress
 from pathlib import Path
 from typing import ClassVar
-from xml.sax.saxutils import escape
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from termsel.errors import TermselError
 from termsel.files.atomic import atomic_path, encoded, write_bytes, write_text
 from termsel.files.names import is_there
 from termsel.files.rasters import require_rasterio, tiff_bytes
+from termsel.files.texts import xml_text
 from termsel.fits.fit import Fit
 from termsel.formats.base import Writer
 from termsel.formats.deviation import by_splines, places_of, say_deviation
@@ -194,7 +194,7 @@ def _named(array: Path, path: Path) -> bool:
     if not path.is_file():
         return False
     with path.open("rb") as file:
-        return b">%b<" % encoded(escape(array.name)) in file.read(65536)
+        return b">%b<" % encoded(xml_text(array.name)) in file.read(65536)
 
 
 _NODATA = -1e10

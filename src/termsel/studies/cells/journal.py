@@ -18,7 +18,8 @@ from typing import Annotated, Any, BinaryIO, Literal
 from msgspec import Meta, ValidationError, convert
 
 from termsel.errors import TermselError, counted
-from termsel.files.names import JOURNAL, inside, open_inside
+from termsel.files.names import JOURNAL, inside, is_there, open_inside
+from termsel.formats.base import read_data
 from termsel.record.base import RecordPart, plain
 
 SCHEMA = "termsel-study-1"
@@ -165,12 +166,11 @@ def read_journal(folder: Path) -> Journal:
     """Return the journal of a folder, empty if there is none; nothing is changed on the disk."""
     journal = Journal(inside(folder, JOURNAL))
     try:
-        content = journal.path.read_bytes()
-    except FileNotFoundError:
-        return journal
-    except OSError as error:
-        raise TermselError(f"cannot read the journal: {error.strerror}", file=journal.path
-                           ) from error
+        content = read_data(journal.path)
+    except TermselError:
+        if not is_there(journal.path):
+            return journal
+        raise
     lines = content.splitlines(keepends=True)
     damaged = []
     for number, line in enumerate(lines, 1):

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from termsel.files.texts import csv_table
 from termsel.measurements.coordinates.earth import in_words
 from termsel.studies.cells.journal import CellRecord
 from termsel.studies.cells.neighbours import Batch, batch_of
@@ -73,11 +72,7 @@ def _badness(row: Row) -> tuple[int, float]:
 
 def csv_of(rows: Sequence[Row], columns: Sequence[str]) -> str:
     """Return rows as CSV; lists have semicolons, and what is not known is blank."""
-    page = io.StringIO()
-    writer = csv.writer(page, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows([_cell(row[name]) for name in columns] for row in rows)
-    return page.getvalue()
+    return csv_table([columns, *([_cell(row[name]) for name in columns] for row in rows)])
 
 
 def _cell(value: Any) -> Any:

@@ -22,6 +22,7 @@ import numpy as np
 
 import termsel
 from termsel import Points, TermselError
+from termsel.toolkit import read_data, read_text
 from termsel_bench.scenes.base import BenchSet
 
 DECLARATION = "set.json"
@@ -89,7 +90,7 @@ def real_set(folder: Path) -> BenchSet:
 
 def _declared(file: Path) -> dict[str, str]:
     try:
-        said: Any = json.loads(file.read_text("utf-8"))
+        said: Any = json.loads(read_text(file))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
         raise TermselError(f"{file} cannot be read: {error}", hint="It has to be JSON.") from error
     for name in NEEDED:
@@ -104,4 +105,4 @@ def _inside(folder: Path, name: str, file: Path) -> bytes:
     if not path.resolve().is_relative_to(folder.resolve()) or not path.is_file():
         raise TermselError(f"there is no file {name} in the folder of the set", file=str(file),
                            hint="Put it there.")
-    return path.read_bytes()
+    return read_data(path)

@@ -7,6 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from termsel import TermselError
+from termsel.toolkit import require_regular
 
 _HEAD = 4096  # bytes by which a file is known
 
@@ -31,6 +32,7 @@ def is_asp(file: Path) -> bool:
     from termsel_match.asp import is_matches
 
     try:
+        require_regular(file)
         with file.open("rb") as opened:
             return file.suffix == ".match" or is_matches(opened.read(_HEAD))
     except OSError:

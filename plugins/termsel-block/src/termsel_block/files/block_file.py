@@ -17,7 +17,14 @@ import msgspec
 import numpy as np
 
 from termsel import FeatureSet, TermselError, get, open_raster, read, read_rpc
-from termsel.toolkit import LOCAL, normalise, options_of_file, read_toml
+from termsel.toolkit import (
+    LOCAL,
+    normalise,
+    options_of_file,
+    read_toml,
+    require_regular,
+    unguarded,
+)
 from termsel_block.block import CORRECTIONS, Block, BlockImage, Ties
 from termsel_block.estimation.equations import pairs
 from termsel_block.files.asp import asp_rows, is_asp
@@ -367,6 +374,7 @@ def _refuse_far(seen: Mapping[tuple[str, int], tuple[Path, int]],
 def _rows(file: Path) -> list[tuple[int, dict[str, str]]]:
     """Return the rows of a table of ties, each with the number of its line."""
     try:
+        require_regular(file)
         with file.open(newline="", encoding="utf-8-sig") as opened:
             reader = csv.reader(opened)
             header = [cell.strip().lower() for cell in next(reader, [])]
@@ -390,7 +398,8 @@ def _rows(file: Path) -> list[tuple[int, dict[str, str]]]:
                                        hint="Complete the row, or remove it." if len(cells)
                                        < len(header) else "Write decimal points, not commas, and "
                                        "put text with commas in quotes.")
-                rows.append((reader.line_num, {name: cells[i].strip() for name, i in at.items()}))
+                rows.append((reader.line_num, {name: unguarded(cells[i].strip())
+                                               for name, i in at.items()}))
             return rows
     except OSError as error:
         raise TermselError(f"cannot read the ties: {error.strerror}", file=file,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import logging
 import os
@@ -15,7 +13,7 @@ import msgspec
 import numpy as np
 
 from termsel import FeatureSet, Points, Result, TermselError, require_replaceable, run
-from termsel.toolkit import one_blas_thread, write_result, write_text
+from termsel.toolkit import csv_table, one_blas_thread, write_result, write_text
 from termsel_block.block import BlockImage
 from termsel_block.files.placing import together
 from termsel_block.geometry.physical import PhysicalCamera
@@ -198,13 +196,12 @@ def _features(result: BlockResult, i: int, image: BlockImage) -> FeatureSet:
 
 def ties_csv(result: BlockResult) -> str:
     """Return the places of ties with their standard deviations [m] as a table."""
-    out = io.StringIO()
-    table = csv.writer(out, lineterminator="\n")
-    table.writerow(["id", "x", "y", "z", "sigma_east", "sigma_north", "sigma_up", "images"])
+    rows: list[list[object]] = [["id", "x", "y", "z", "sigma_east", "sigma_north", "sigma_up",
+                                 "images"]]
     for name, place, sigma, n in zip(
             result.block.ties.names, result.ties.tolist(), result.sigma_ties.tolist(),
             times_seen(result).tolist(), strict=True):
         if n > 1:
-            table.writerow([name, *(f"{value:.10g}" for value in place),
-                            *(f"{value:.4g}" for value in sigma), n])
-    return out.getvalue()
+            rows.append([name, *(f"{value:.10g}" for value in place),
+                         *(f"{value:.4g}" for value in sigma), n])
+    return csv_table(rows)

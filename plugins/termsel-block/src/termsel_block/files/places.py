@@ -13,7 +13,16 @@ import msgspec
 import numpy as np
 
 from termsel import TermselError, require_replaceable
-from termsel.toolkit import LOCAL, horizontal, private_folder, write_bytes
+from termsel.toolkit import (
+    LOCAL,
+    horizontal,
+    inside,
+    private_folder,
+    read_data,
+    read_text,
+    unguarded,
+    write_bytes,
+)
 from termsel_block.files.folders import RECORD, TIES
 from termsel_block.geometry.frame import FloatArray
 
@@ -57,17 +66,15 @@ def write_places(folder: Path | str, target: Path | str, *, overwrite: bool = Fa
 
 def _read(folder: Path) -> tuple[list[str], FloatArray, str]:
     """Return names, the other columns (n, 7) of ties.csv, and the CRS of a block."""
+    for name in (RECORD, TIES):
+        if not inside(folder, name).is_file():
+            raise TermselError(f"there is no block in this folder: it has no {name}", file=folder,
+                               hint="Name the folder that termsel block --out wrote.")
     try:
-        record = msgspec.json.decode((folder / RECORD).read_bytes(), type=dict[str, Any])
-        text = (folder / TIES).read_text(encoding="utf-8")
-    except OSError as error:
-        raise TermselError(f"there is no block in this folder: {error.strerror}", file=folder,
-                           hint="Name the folder that termsel block --out wrote.") from error
+        record = msgspec.json.decode(read_data(folder / RECORD), type=dict[str, Any])
+        text = read_text(folder / TIES)
     except (msgspec.DecodeError, RecursionError) as error:
         raise TermselError(f"this is not the file of a block: {error}", file=folder / RECORD,
-                           hint="Run termsel block again.") from error
-    except UnicodeDecodeError as error:
-        raise TermselError("the text of this file is not UTF-8", file=folder / TIES,
                            hint="Run termsel block again.") from error
     try:
         rows = list(csv.reader(io.StringIO(text)))[1:]
@@ -75,7 +82,7 @@ def _read(folder: Path) -> tuple[list[str], FloatArray, str]:
     except (ValueError, csv.Error) as error:
         raise TermselError("this is not the table of ties that termsel block wrote",
                            file=folder / TIES, hint="Run termsel block again.") from error
-    return [row[0] for row in rows], values, str(record.get("crs") or LOCAL)
+    return [unguarded(row[0]) for row in rows], values, str(record.get("crs") or LOCAL)
 
 
 def _geopackage(whole: Path, target: Path, ids: list[str], values: FloatArray, crs: str) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from termsel import FeatureSet, Reader, Result, TermselError
-from termsel.toolkit import Table, chosen_points, read_text, write_text
+from termsel.toolkit import Table, chosen_points, read_data, read_text, write_text
 from termsel_formats.points.written import PointsWriter, say_points
 
 _COLUMNS = {"point id": "id", "x input": "sample", "y input": "line", "x ref": "x", "y ref": "y",
@@ -40,7 +40,7 @@ class ErdasGcps(Reader):
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file, line and column."""
-        if path.suffix.lower() == ".gcc" and path.read_bytes().startswith(_BINARY):
+        if path.suffix.lower() == ".gcc" and read_data(path).startswith(_BINARY):
             raise TermselError("this .gcc file of ERDAS IMAGINE is binary", file=path,
                                hint="Export the points from IMAGINE's table of points as text.")
         text = read_text(path).lstrip("\n\r ")

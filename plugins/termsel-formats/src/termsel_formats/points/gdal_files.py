@@ -10,7 +10,6 @@ import shutil
 from pathlib import Path
 from typing import ClassVar
 from xml.etree import ElementTree
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from termsel.toolkit import (
     reason_of,
     vrt_text,
     write_text,
+    xml_attribute,
 )
 from termsel_formats.points.common import CORNER, points_of, what_lacks, xml_root
 from termsel_formats.points.written import IMAGE, PointsWriter, say_by_gdal
@@ -107,12 +107,12 @@ class PamGcpsWriter(PointsWriter):
         """Write the points."""
         self.require(result, path)
         used, gcps, crs = gcps_of(result)
-        rows = [f'    <GCP Id={quoteattr(name)} Info="" Pixel="{sample + CORNER!r}" '
+        rows = [f'    <GCP Id={xml_attribute(name)} Info="" Pixel="{sample + CORNER!r}" '
                 f'Line="{line + CORNER!r}" X="{x!r}" Y="{y!r}" Z="{z!r}"/>'
                 for name, (line, sample), (x, y, z) in zip(
                     gcps.ids, gcps.image.tolist(), gcps.ground.tolist(), strict=True)]
         write_text(path, "\n".join([
-            "<PAMDataset>", f"  <GCPList Projection={quoteattr(crs)}>", *rows, "  </GCPList>",
+            "<PAMDataset>", f"  <GCPList Projection={xml_attribute(crs)}>", *rows, "  </GCPList>",
             "</PAMDataset>", ""]))
         say_by_gdal(self.name, result, used)
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from termsel import Points, TermselError, open_raster, read
+from termsel.toolkit import require_regular
 from termsel_match.asp import AspMatches
 from termsel_match.images.rasters import open_picture
 from termsel_match.images.starts import start_of
@@ -82,6 +83,7 @@ def read_candidates(path: Path | str, image: Path | str, reference: Path | str |
 def _in_pixels(path: Path) -> bool:
     """Return whether a file has pixels of two images, which only a reference turns into ground."""
     try:
+        require_regular(path)
         with path.open("rb") as file:
             head = file.read(_HEAD)
     except OSError:  # which `read` says

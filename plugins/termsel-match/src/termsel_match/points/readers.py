@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from termsel import FeatureSet, Option, Points, Reader, TermselError
+from termsel.toolkit import read_data
 from termsel_match.images.rasters import FloatArray, open_picture
 from termsel_match.images.warps import crs_of
 
@@ -123,7 +124,7 @@ def text_of(path: Path) -> str:
 def bytes_of(path: Path) -> bytes:
     """Return the content of a file."""
     try:
-        return path.read_bytes()
+        return read_data(path)
     except OSError as error:
         raise TermselError(f"cannot read this file: {error.strerror}", file=path,
                            hint="Check the name and the folder.") from error

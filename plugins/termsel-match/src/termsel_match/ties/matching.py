@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import csv
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from io import StringIO
 from itertools import combinations
 from pathlib import Path
 from time import monotonic
@@ -15,7 +13,7 @@ from time import monotonic
 import numpy as np
 
 from termsel import TermselError, get, open_dem
-from termsel.toolkit import write_text
+from termsel.toolkit import csv_table, write_text
 from termsel_match.images.masks import open_masked, tell_of_idle
 from termsel_match.images.rasters import FloatArray, grid
 from termsel_match.images.starts import Start, start_of, turned
@@ -80,12 +78,9 @@ class MatchedTies:
 
     def write(self, path: Path | str) -> None:
         """Write a table id,image,line,sample, as `termsel block` reads it."""
-        text = StringIO()
-        table = csv.writer(text, lineterminator="\n")
-        table.writerow(("id", "image", "line", "sample"))
-        table.writerows((name, image, f"{line:.3f}", f"{sample:.3f}")
-                        for name, image, line, sample in self.rows)
-        write_text(Path(path), text.getvalue())
+        rows = [(name, image, f"{line:.3f}", f"{sample:.3f}")
+                for name, image, line, sample in self.rows]
+        write_text(Path(path), csv_table([("id", "image", "line", "sample"), *rows]))
 
     def text(self) -> str:
         """Return a table of the pairs."""

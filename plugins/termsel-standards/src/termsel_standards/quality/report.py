@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from termsel import Option, Result, TermselError
-from termsel.toolkit import LOCAL, horizontal, plain
+from termsel.toolkit import LOCAL, horizontal, plain, require_regular
 from termsel_standards.outline import outline_of
 
 RMSEP = "47"
@@ -202,6 +202,7 @@ def file_sha256(path: Path) -> str:
     """Return the checksum of a file."""
     digest = hashlib.sha256()
     try:
+        require_regular(path)
         with path.open("rb") as file:
             while block := file.read(_CHUNK):
                 digest.update(block)
