@@ -18,7 +18,8 @@ def import_numba() -> None:
     imported = "numba.core.config" in sys.modules
     before = sys.modules.get("yaml")
     if not imported:
-        sys.modules["yaml"] = None  # type: ignore[assignment] - then numba reads no file at all
+        # Then numba reads no file at all.
+        sys.modules["yaml"] = None  # type: ignore[assignment]
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "A Numba config file is found")

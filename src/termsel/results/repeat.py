@@ -51,6 +51,7 @@ def _parts(record: Record) -> Iterator[str]:
     for part, options in each.items():
         for name, value in options.items():
             if value is not None and not (part == "data" and name in _SETTLED) \
+                    and (part, name) != _OF_PROOF \
                     and not (record.strategy and part != "data"):
                 # A name that two parts have must say which.
                 key = f"{part}.{name}" if names.count(name) > 1 else name
@@ -65,6 +66,9 @@ def _full_name(record: Record, part: str) -> str:
     plugin = record.plugins.get(part)
     return str(getattr(record, part)) if plugin is None else plugin.name
 
+
+_OF_PROOF = ("solver", "certificate")
+"""Option that changes nothing of the run, and needs a folder."""
 
 _SETTLED = ("roles", "off", "role", "fractions", "split")
 """Options of data that the roles in points.csv have settled."""
