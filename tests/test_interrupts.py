@@ -354,6 +354,8 @@ def test_a_map_that_gdal_did_not_write_whole_is_refused(
 
     def loses(source: Path, target: Path, **how: Any) -> None:
         copied(source, target, **how)
+        if how["driver"] != "COG":
+            return
         with rasterio.open(target, "r+", IGNORE_COG_LAYOUT_BREAK="YES") as raster:
             raster.write(raster.read() // 2)
 

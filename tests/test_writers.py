@@ -364,14 +364,17 @@ def test_an_image_holds_all_features_or_is_refused(geographic: Result, tmp_path:
     (tmp_path / "small.tif").write_bytes(empty_tiff())
     unknown = replace(geographic, features=replace(geographic.features, image_size=None))
     image = np.zeros_like(geographic.features.points.image)
-    for most, fits in ((1.0, True), (1.01, False)):  # beyond the edge of the only pixel
-        image[3, axis] = most
+    # The edges of the only pixel are at -0.5 and 0.5; 5 px beyond is an error of measuring.
+    for place, fits, message in (
+            (5.5, True, ""), (5.6, False, "lines and 1 samples, but features extend to line"),
+            (-5.5, True, ""), (-5.6, False, "before the first pixel of the image")):
+        image[3, axis] = place
         within = replace(unknown, features=replace(unknown.features, points=replace(
             unknown.features.points, image=image)))
         if fits:
             assert picture_for(within, tmp_path / "small.tif").size == (1, 1)
             continue
-        with pytest.raises(TermselError, match="lines and 1 samples, but features extend to line"):
+        with pytest.raises(TermselError, match=message):
             picture_for(within, tmp_path / "small.tif")
     assert picture_for(geographic, None).size == geographic.features.image_size
 

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 from zlib import crc32
 
+import numpy as np
+
 from termsel.errors import TermselError
 from termsel.files.atomic import atomic_path
 from termsel.files.names import utf8_folder
@@ -36,6 +38,12 @@ def require_tiff_name(path: Path) -> None:
                                 "converts it to other formats.")
 
 
+def _tile(made: Any) -> tuple[Any, Any]:
+    """Return pixels in the order of memory, and where they show something, if that is said."""
+    values, shown = made if isinstance(made, tuple) else (made, None)
+    return np.ascontiguousarray(values), shown
+
+
 def write_cog(
     path: Path,
     profile: dict[str, Any],
@@ -44,6 +52,9 @@ def write_cog(
     describe: Callable[[Any], None],
     across: int = TILE,
     statistics: bool = False,
+    masked: bool = False,
+    nearest: bool = False,
+    bits: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> None:
     """Write a cloud-optimised GeoTIFF, completely or not at all, and read it back.
@@ -55,13 +66,20 @@ def write_cog(
     profile : dict
         Height, width, count, dtype, crs, transform and nodata, as rasterio.open takes them.
     pixels : callable
-        Returns the pixels (bands, lines, samples) of a rasterio Window with its affine.Affine.
+        Returns the pixels (bands, lines, samples) of a rasterio Window with its affine.Affine, and
+        where they show something (lines, samples), which counts if `masked`; or the pixels alone.
     describe : callable
         Called with the dataset before the first tile: its tags, colours and names of bands.
     across : int
         Width of the tiles [px].
     statistics : bool
         Whether to keep minimum, maximum, mean and standard deviation of each band in the file.
+    masked : bool
+        Whether the file has a mask.
+    nearest : bool
+        Whether overviews have values of the map alone, not means.
+    bits : int, optional
+        Of a pixel, where it has fewer than 8.
     progress : callable, optional
         Called with the fraction that is done, 0 to 1.
 
@@ -80,26 +98,40 @@ def write_cog(
     lines, samples = profile["height"], profile["width"]
     tiles = [Window(column, row, min(across, samples - column), min(TILE, lines - row))
              for row in range(0, lines, TILE) for column in range(0, samples, across)]
-    options = {"STATISTICS": "YES"} if statistics else {}
+    options: dict[str, Any] = {"STATISTICS": "YES"} if statistics else {}
+    if nearest:
+        options["OVERVIEW_RESAMPLING"] = "NEAREST"
+    if bits is not None:
+        options["NBITS"] = profile["nbits"] = bits
     checksums = []
+
+    def checksum(raster: Any, window: Window) -> int:
+        values = crc32(raster.read(window=window).data)
+        return crc32(raster.read_masks(1, window=window).data, values) if masked else values
+
     try:
         with atomic_path(path) as temporary, utf8_folder(temporary.parent) as folder, \
-                warnings.catch_warnings():
+                warnings.catch_warnings(), rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True):
             warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
             plain, made = folder / "tiles.tif", folder / "made.tif"
             with rasterio.open(plain, "w", driver="GTiff", tiled=True, compress="deflate",
                                bigtiff="if_safer", **profile) as raster:
                 describe(raster)
                 for done, window in enumerate(tiles):
-                    tile = pixels(window, raster.window_transform(window))
-                    raster.write(tile, window=window)
-                    checksums.append(crc32(tile.data))
+                    values, shown = _tile(pixels(window, raster.window_transform(window)))
+                    raster.write(values, window=window)
+                    written = crc32(values.data)
+                    if masked:
+                        mask = np.where(shown, np.uint8(255), np.uint8(0))
+                        raster.write_mask(mask, window=window)
+                        written = crc32(mask.data, written)
+                    checksums.append(written)
                     if progress is not None:
                         progress((done + 1) / len(tiles))
             copy(plain, made, driver="COG", compress="deflate", bigtiff="if_safer", **options)
             # GDAL does not report that a disk is full when it closes a file.
             with rasterio.open(made) as raster:
-                if [crc32(raster.read(window=window).data) for window in tiles] != checksums:
+                if [checksum(raster, window) for window in tiles] != checksums:
                     raise TermselError("the map that is read back is not the one that was written",
                                        file=path, hint="Check the free space on the disk.")
             made.replace(folder / temporary.name)

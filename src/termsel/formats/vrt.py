@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from termsel.errors import TermselError
-from termsel.files.rasters import open_raster
 from termsel.files.texts import is_xml_text, xml_attribute, xml_text
+from termsel.formats.pictures import Band, Picture, picture_of
 from termsel.measurements.features import Points
 from termsel.options import Option
 from termsel.results.result import Result
@@ -22,31 +21,15 @@ log = logging.getLogger(__name__)
 IMAGE = Option("image", None, "The image; if not given, the VRT has a size but no pixels.")
 """Option of every writer of a VRT."""
 
-_DATA_TYPES = {
-    "uint8": "Byte", "int8": "Int8", "uint16": "UInt16", "int16": "Int16", "uint32": "UInt32",
-    "int32": "Int32", "uint64": "UInt64", "int64": "Int64", "float32": "Float32",
-    "float64": "Float64", "complex64": "CFloat32", "complex128": "CFloat64",
-    "complex_int16": "CInt16"}
-
-
-@dataclass(frozen=True)
-class Picture:
-    """What a VRT must know of an image of `size` lines and samples.
-
-    A VRT without `path` has no pixels. Data type, nodata value and colour are those of each band.
-    """
-
-    size: tuple[int, int]
-    path: Path | None = None
-    types: tuple[str, ...] = ("Byte",)
-    nodata: tuple[float | None, ...] = (None,)
-    colours: tuple[str, ...] = ("Gray",)
+_MARGIN = 5.0
+"""How far a feature may lie beyond the edge of the image it was measured in [px]."""
 
 
 def picture_for(result: Result, image: Path | str | None) -> Picture:
     """Return what a VRT must know of the image of a result, by default of a size that holds all."""
     known = result.features.image_size
     if image is None:
+        _require_inside(result, known, None)
         bottom, right = np.maximum(result.fit.image_box()[1],
                                    result.features.image_vertices().max(axis=0))
         size = known or (max(1, int(bottom) + 1), max(1, int(right) + 1))
@@ -55,24 +38,39 @@ def picture_for(result: Result, image: Path | str | None) -> Picture:
                         "all features. Give --image FILE.", *size)
         return Picture(size)
     picture = picture_of(Path(image))
-    bottom, right = result.features.image_vertices().max(axis=0)
-    if known is None and (bottom > picture.size[0] or right > picture.size[1]):
-        what = f"but features extend to line {bottom:g} and sample {right:g}"
-    elif known is not None and picture.size != known:
-        what = f"the image of the result {known[0]} and {known[1]}"
-    else:
-        return picture
-    raise TermselError(f"the image has {picture.size[0]} lines and {picture.size[1]} samples, "
-                       f"{what}", file=image,
-                       hint="Give the image in which the features were measured.")
+    if known is not None and picture.size != known:
+        raise _other_image(picture.size, f"the image of the result {known[0]} and {known[1]}",
+                           image)
+    _require_inside(result, picture.size, image)
+    return picture
 
 
-def picture_of(image: Path) -> Picture:
-    """Return what a VRT must know of an image; raises TermselError if GDAL cannot read it."""
-    with open_raster(image) as raster:
-        return Picture(raster.shape, image, tuple(_DATA_TYPES[t] for t in raster.dtypes),
-                       tuple(raster.nodatavals),
-                       tuple(colour.name.capitalize() for colour in raster.colorinterp))
+def _other_image(size: tuple[int, int], reason: str, image: Path | str | None) -> TermselError:
+    return TermselError(f"the image has {size[0]} lines and {size[1]} samples, {reason}",
+                        file=image, hint="Give the image in which the features were measured.")
+
+
+def _require_inside(result: Result, size: tuple[int, int] | None, image: Path | str | None) -> None:
+    """Refuse features before the first or after the last pixel of their image.
+
+    Without a size only those before the first pixel are known to be outside. Points that are off
+    take no part.
+    """
+    features = result.features
+    away = [role == "off" for role in features.points.roles]
+    places = features.with_(points=features.points.take(~np.array(away, dtype=bool))) \
+        .image_vertices()
+    least, most = places.min(axis=0), places.max(axis=0)
+    if size is not None and (most > np.array(size) - 0.5 + _MARGIN).any():
+        raise _other_image(size, f"but features extend to line {most[0]:g} and sample {most[1]:g}",
+                           image)
+    if (least < -0.5 - _MARGIN).any():
+        raise TermselError(
+            f"features extend to line {least[0]:g} and sample {least[1]:g}, before the first pixel "
+            "of the image", file=image,
+            hint="Lines are counted downwards from the upper-left pixel: run again with --set "
+                 "image_origin=y-up, bottom-left or another of termsel describe csv, or with the "
+                 "image in which the features were measured.")
 
 
 def vrt_text(
@@ -103,29 +101,64 @@ def vrt_text(
             for name, (line, sample), (x, y, z) in zip(
                 gcps.ids, gcps.image.tolist(), gcps.ground.tolist(), strict=True)]
         parts.append("  </GCPList>")
-    for band, (kind, nodata, colour) in enumerate(
-            zip(picture.types, picture.nodata, picture.colours, strict=True), 1):
-        parts.append(f'  <VRTRasterBand dataType="{kind}" band="{band}">')
-        if nodata is not None:
-            parts.append(f"    <NoDataValue>{nodata!r}</NoDataValue>")
-        parts.append(f"    <ColorInterp>{colour}</ColorInterp>")
-        if picture.path is not None:
-            name = relative(picture.path, folder)
-            if not is_xml_text(name.encode(errors="ignore").decode()):
-                raise TermselError("the name of this image has control characters, which no "
-                                   "virtual raster can hold", file=picture.path,
-                                   hint="Rename it.")
-            size = f'xSize="{samples}" ySize="{lines}"'
-            parts += [
-                "    <SimpleSource>",
-                f'      <SourceFilename relativeToVRT="{int(not os.path.isabs(name))}">'
-                f"{xml_text(name)}</SourceFilename>",
-                f"      <SourceBand>{band}</SourceBand>",
-                f'      <SrcRect xOff="0" yOff="0" {size}/>',
-                f'      <DstRect xOff="0" yOff="0" {size}/>',
-                "    </SimpleSource>"]
+    source = None if picture.path is None else _name_in_vrt(picture.path, folder)
+    for number, band in enumerate(picture.bands, 1):
+        parts.append(f'  <VRTRasterBand dataType="{band.type}" band="{number}">')
+        parts += [f"    {line}" for line in _said_of(band)]
+        if source is not None:
+            parts += _pixels_of(source, str(band.source), picture.size, band.lookup)
         parts.append("  </VRTRasterBand>")
+    if picture.masked and source is not None:
+        parts += ["  <MaskBand>", '  <VRTRasterBand dataType="Byte">',
+                  *_pixels_of(source, "mask,1", picture.size),
+                  "  </VRTRasterBand>", "  </MaskBand>"]
     return "\n".join([*parts, "</VRTDataset>", ""])
+
+
+def _name_in_vrt(image: Path, folder: Path) -> str:
+    """Return the name of an image as seen from the folder of a VRT, if that can hold it."""
+    name = relative(image, folder)
+    if not is_xml_text(name.encode(errors="ignore").decode()):
+        raise TermselError("the name of this image has control characters, which no virtual "
+                           "raster can hold", file=image, hint="Rename it.")
+    return name
+
+
+def _said_of(band: Band) -> list[str]:
+    """Return the elements that describe a band."""
+    elements = {"Description": band.description, "UnitType": band.unit}
+    lines = [f"<{name}>{xml_text(value)}</{name}>" for name, value in elements.items() if value]
+    if band.nodata is not None:
+        lines.append(f"<NoDataValue>{band.nodata!r}</NoDataValue>")
+    if (band.scale, band.offset) != (1.0, 0.0):
+        lines += [f"<Offset>{band.offset!r}</Offset>", f"<Scale>{band.scale!r}</Scale>"]
+    lines.append(f"<ColorInterp>{band.colour_in_vrt}</ColorInterp>")
+    if band.categories:
+        lines += ["<CategoryNames>",
+                  *(f"  <Category>{xml_text(name)}</Category>" for name in band.categories),
+                  "</CategoryNames>"]
+    if band.table:
+        lines += ["<ColorTable>",
+                  *(f'  <Entry c1="{red}" c2="{green}" c3="{blue}" c4="{alpha}"/>'
+                    for red, green, blue, alpha in band.table), "</ColorTable>"]
+    return lines
+
+
+def _pixels_of(name: str, number: str, size: tuple[int, int], lookup: Sequence[int] = (),
+               ) -> list[str]:
+    """Return the elements of where a band takes its pixels from, and what values become."""
+    kind = "ComplexSource" if lookup else "SimpleSource"
+    extent = f'xSize="{size[1]}" ySize="{size[0]}"'
+    table = ",".join(f"{value}:{result}" for value, result in enumerate(lookup))
+    return [
+        f"    <{kind}>",
+        f'      <SourceFilename relativeToVRT="{int(not os.path.isabs(name))}">'
+        f"{xml_text(name)}</SourceFilename>",
+        f"      <SourceBand>{number}</SourceBand>",
+        f'      <SrcRect xOff="0" yOff="0" {extent}/>',
+        f'      <DstRect xOff="0" yOff="0" {extent}/>',
+        *([f"      <LUT>{table}</LUT>"] if lookup else []),
+        f"    </{kind}>"]
 
 
 def relative(path: Path, folder: Path) -> str:

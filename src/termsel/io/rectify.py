@@ -12,16 +12,18 @@ import numpy as np
 
 from termsel.errors import TermselError
 from termsel.files.atomic import private_folder, write_text
-from termsel.files.cog import TILE, require_tiff_name, write_cog
+from termsel.files.cog import require_tiff_name
 from termsel.files.names import utf8_name
 from termsel.files.rasters import open_raster, refuse_empty_giant, require_rasterio
 from termsel.formats.heights import Dem, say_difference, surface_of, write_ellipsoidal
+from termsel.formats.pictures import Picture
 from termsel.formats.rpc_files import rpc_items
-from termsel.formats.vrt import Picture, picture_for, vrt_text
+from termsel.formats.vrt import picture_for, vrt_text
 from termsel.formats.writers.grids import GeolocationVrt
 from termsel.io.accuracy_tags import accuracy_tags
 from termsel.io.export import as_exported
 from termsel.io.map_grid import MapGrid, grid_of_image, map_crs, sees_all, within
+from termsel.io.map_pixels import map_pixels, warp
 from termsel.io.replacing import require_replaceable
 from termsel.measurements.coordinates.crs import (
     UTM,
@@ -37,10 +39,6 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-RESAMPLING = ("nearest", "bilinear", "cubic", "cubic_spline", "lanczos", "average")
-
-_NARROW = 128  # across, where GDAL interpolates places along lines between ends and middle
-
 
 def rectify(
     result: Result,
@@ -51,7 +49,7 @@ def rectify(
     height: float | None = None,
     crs: str | None = None,
     resolution: float | None = None,
-    resampling: str = "bilinear",
+    resampling: str | None = None,
     nodata: float | None = None,
     bounds: tuple[float, float, float, float] | None = None,
     overwrite: bool = False,
@@ -81,11 +79,13 @@ def rectify(
         on another body than the Earth a transverse Mercator projection.
     resolution : float, optional
         Size of a pixel of the map [units of its CRS]; that of the image on the ground by default.
-    resampling : str
-        One of `RESAMPLING`.
+    resampling : str, optional
+        nearest, bilinear, cubic, cubic_spline, lanczos or average. By default nearest where
+        pixels are categories (indices of a colour table, bits, classes), else bilinear.
     nodata : float, optional
-        Where the image shows nothing; that of the image by default, else 0, or NaN for numbers
-        with a fraction.
+        Value of the map where it does not show the image; that of the image by default, or NaN for
+        numbers with a fraction. Else the image's alpha band, or a mask inside the file, says where
+        that is, and no value is taken for it.
     bounds : tuple of float, optional
         Least x and y and largest x and y of the map, in the CRS of the control, where only a part
         of the image is wanted.
@@ -108,9 +108,6 @@ def rectify(
     image, output = Path(image), Path(output)
     require_tiff_name(output)
     require_replaceable([output], reads=[image, dem], overwrite=overwrite)
-    if resampling not in RESAMPLING:
-        raise TermselError(f"unknown resampling {resampling!r}",
-                           hint=f"Known: {', '.join(RESAMPLING)}.")
     for name, value in (("height", height), ("resolution", resolution)):
         if value is not None and not np.isfinite(value):
             raise TermselError(f"the {name} of a map cannot be {value}", hint="Give a number.")
@@ -119,6 +116,7 @@ def rectify(
     picture = picture_for(result, image)
     with open_raster(image) as raster:
         refuse_empty_giant(raster)
+    pixels = map_pixels(picture, resampling, nodata)
     result = result.of_image(picture.size)
     level = float(result.fit.ground_box()[0][2]) if height is None else height
     with ExitStack() as stack:
@@ -127,17 +125,16 @@ def rectify(
         if bounds is not None:
             grid = within(grid, bounds, result.features.crs)
         surface = stack.enter_context(surface_of(dem, result.features.crs, level))
-        source, options = _source(result, picture, folder / "scene.vrt", surface, grid)
+        source, options = _source(result, pixels.picture, folder / "scene.vrt", surface, grid)
         if "RPC_DEM" in options:
             options["RPC_DEM"] = str(stack.enter_context(utf8_name(options["RPC_DEM"])))
         with open_raster(source) as raster:
-            empty = _nodata(raster) if nodata is None else _held(nodata, raster.dtypes[0])
             zone = "the zone of UTM, " if UTM.fullmatch(target) else ""
             chosen = "" if crs is not None or target == horizontal(result.features.crs) else \
                 f" ({zone}as the control is not in metres; --crs names another)"
             _say(result, grid, chosen, share, dem)
-            _warp(raster, output, grid, empty, progress, accuracy_tags(result),
-                  resampling=resampling, **options)
+            warp(raster, output, grid, pixels, tags=accuracy_tags(result), progress=progress,
+                 **options)
 
 
 def _source(result: Result, picture: Picture, vrt: Path, surface: Dem | float, grid: MapGrid,
@@ -150,7 +147,7 @@ def _source(result: Result, picture: Picture, vrt: Path, surface: Dem | float, g
         log.info("Warping by a geolocation array.")
         writer = GeolocationVrt(image=str(picture.path), **(
             {"dem": str(surface.path)} if isinstance(surface, Dem) else {"height": surface}))
-        writer.write(result, vrt)
+        writer.write_picture(result, vrt, picture)
         return vrt, {}
     say_difference(result.features, result.project, surface)
     write_text(vrt, vrt_text(picture, vrt.parent, domains={"RPC": rpc_items(found.rpc)}))
@@ -198,49 +195,3 @@ def _why_not(result: Result, dem: Path | str | None) -> str:
         return "it is much nearer or farther away than any control"
     return "the model has no ground position there" if dem is None \
         else f"{dem} has no heights there"
-
-
-def _held(nodata: float, dtype: str) -> float:
-    """Return a value for empty pixels; refuse what pixels of this type cannot hold."""
-    from rasterio.dtypes import in_dtype_range
-
-    if not in_dtype_range(nodata, dtype) or (np.dtype(dtype).kind in "iu"
-                                             and nodata != int(nodata)):
-        raise TermselError(f"pixels of the type {dtype} cannot hold the value {nodata:g}",
-                           hint="Give another --nodata.")
-    return nodata
-
-
-def _nodata(raster: Any) -> float:
-    if raster.nodata is not None:
-        return float(raster.nodata)
-    return float("nan") if raster.dtypes[0].startswith(("float", "complex")) else 0.0
-
-
-def _warp(raster: Any, output: Path, grid: MapGrid, nodata: float,
-          progress: Callable[[float], None] | None, tags: dict[str, str], *, resampling: str,
-          **options: Any) -> None:
-    """Warp tile by tile into a cloud-optimised GeoTIFF."""
-    import rasterio
-    from rasterio.enums import Resampling
-    from rasterio.warp import reproject
-
-    bands, dtype = list(range(1, raster.count + 1)), raster.dtypes[0]
-
-    def pixels(window: Any, transform: Any) -> Any:
-        empty = np.full((raster.count, window.height, window.width), nodata, dtype=dtype)
-        # Only where RPCs are named here does rasterio let GDAL compute every pixel's place
-        # rather than interpolate along lines, which does not hold in relief.
-        reproject(rasterio.band(raster, bands), empty, dst_crs=grid.crs, dst_nodata=nodata,
-                  dst_transform=transform, rpcs=raster.rpcs, resampling=Resampling[resampling],
-                  **options)
-        return empty
-
-    def describe(tiled: Any) -> None:
-        tiled.colorinterp = raster.colorinterp
-        tiled.update_tags(**tags)
-
-    write_cog(output, {"height": grid.lines, "width": grid.samples, "count": raster.count,
-                       "dtype": dtype, "crs": grid.crs, "transform": grid.transform,
-                       "nodata": nodata}, pixels, describe=describe, progress=progress,
-              across=TILE if raster.rpcs else _NARROW)

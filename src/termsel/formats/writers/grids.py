@@ -19,6 +19,7 @@ from termsel.fits.fit import Fit
 from termsel.formats.base import Writer
 from termsel.formats.deviation import by_splines, places_of, say_deviation
 from termsel.formats.heights import Dem, say_difference, surface_of
+from termsel.formats.pictures import Picture
 from termsel.formats.vrt import IMAGE, picture_for, vrt_text
 from termsel.measurements.coordinates.utm import for_warping
 from termsel.measurements.features import FloatArray, Points
@@ -139,8 +140,11 @@ class GeolocationVrt(GridWriter):
 
     def write(self, result: Result, path: Path) -> None:
         """Write a VRT and, next to it, FILE_xy.tif with longitudes or eastings and so on."""
+        self.write_picture(result, path, picture_for(result, self.options["image"]))
+
+    def write_picture(self, result: Result, path: Path, picture: Picture) -> None:
+        """Write the VRT of a picture, whose bands need not be those of the image."""
         rasterio = require_rasterio()
-        picture = picture_for(result, self.options["image"])
         step = self.options["step"] or max(1, round(max(picture.size) / 500))
         # Places beyond the edges, so that the outermost half pixels are inside.
         lines, samples = (np.arange(-step, size + 2 * step, step, dtype=np.float64)

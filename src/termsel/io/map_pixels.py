@@ -1,0 +1,308 @@
+"""The pixels of a map: their colours, what lies outside the image, and how they are resampled."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from termsel.errors import TermselError
+from termsel.files.cog import TILE, write_cog
+from termsel.formats.pictures import Band, Colour, Picture, expanded
+from termsel.io.map_grid import MapGrid
+
+log = logging.getLogger(__name__)
+
+RESAMPLING = ("nearest", "bilinear", "cubic", "cubic_spline", "lanczos", "average")
+
+Pixels = NDArray[Any]
+Mask = NDArray[np.bool_]
+
+_NARROW = 128  # across, where GDAL interpolates places along lines between ends and middle
+_WITH_TABLE = ("Byte", "UInt16")  # types whose colours a GeoTIFF holds
+_TYPES = {"Byte": "uint8", "CFloat32": "complex64", "CFloat64": "complex128", "CInt16": "complex64"}
+
+
+@dataclass(frozen=True)
+class MapPixels:
+    """What the pixels of a map are made of.
+
+    `picture` is the image as it is warped, its alpha band, if any, last; `order` are its bands in
+    the order of the map, counted from 0. `empty` is the value of each band but alpha for no data in
+    the image. Where the image shows nothing, the map has the value `nodata`; without one its alpha
+    band says so, or else a mask, and pixels have the value `fill` there.
+    """
+
+    picture: Picture
+    order: tuple[int, ...]
+    resampling: str
+    empty: tuple[float | None, ...]
+    nodata: float | None
+    fill: float | None
+
+    @property
+    def bands(self) -> list[Band]:
+        """Bands in the order of the map."""
+        return [self.picture.bands[index] for index in self.order]
+
+    @property
+    def alpha(self) -> bool:
+        """Whether the last band as it is warped is alpha."""
+        return self.picture.bands[-1].alpha
+
+    @property
+    def masked(self) -> bool:
+        """Whether a mask says where the map shows nothing."""
+        # GDAL takes alpha for the mask of two or four bands alone, and of the last band.
+        usual = self.alpha and len(self.order) in (2, 4) and self.bands[-1].alpha
+        return self.nodata is None and not usual
+
+    @property
+    def category(self) -> bool:
+        """Whether values are categories."""
+        return self.picture.category
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type that holds the values of every band."""
+        return np.result_type(*(_TYPES.get(band.type, band.type.lower())
+                                for band in self.picture.bands))
+
+    @property
+    def table(self) -> tuple[Colour, ...]:
+        """Colours of the values of the only band that is no alpha."""
+        return self.picture.bands[0].table if len(self.empty) == 1 else ()
+
+    @property
+    def bits(self) -> int | None:
+        """Bits of a pixel where several are held in a byte."""
+        if len(self.picture.bands) > 1 or not self.category:
+            return None
+        bits = self.picture.bands[0].bits
+        return bits if bits in (1, 2, 4) and (self.nodata or 0) < 2 ** bits else None
+
+
+def map_pixels(picture: Picture, resampling: str | None, nodata: float | None) -> MapPixels:
+    """Return what the pixels of a map of a picture are made of.
+
+    Parameters
+    ----------
+    picture : Picture
+    resampling : str, optional
+        By default nearest for categories, else bilinear.
+    nodata : float, optional
+        The value of pixels that show nothing; see `termsel.rectify`.
+
+    Raises
+    ------
+    TermselError
+        If the resampling is not known or would mix classes, or if pixels cannot hold the value.
+    """
+    picture, resampling = _resampled(picture, resampling)
+    alpha = [index for index, band in enumerate(picture.bands) if band.alpha][-1:]
+    colours = [index for index in range(len(picture.bands)) if index not in alpha]
+    if not colours:
+        raise TermselError("the image has a band of transparency alone", file=picture.path,
+                           hint="Give an image with colours or values.")
+    bands = [picture.bands[index] for index in colours + alpha]
+    empty = tuple(band.nodata for band in bands[:len(colours)])
+    common, alike = _common(empty)
+    # The warper takes one value for all bands; where there are several it takes bands one by one.
+    warped = replace(picture, masked=picture.masked and not alpha, bands=tuple(
+        band if alike and not band.alpha else replace(band, nodata=None) for band in bands))
+    made = MapPixels(warped, tuple(int(place) for place in np.argsort(colours + alpha)), resampling,
+                     empty, None, None)
+    if nodata is not None:
+        _require_held(nodata, made.dtype)
+        if alpha:
+            log.warning("Warning: the map has an alpha band, which says what lies outside; the "
+                        "value %g of --nodata is written there, and not declared.", nodata)
+        return replace(made, nodata=None if alpha else nodata, fill=nodata)
+    if alpha:
+        return made
+    if not alike:
+        log.warning("Note: the bands of the image have different values for no data, of which a "
+                    "GeoTIFF holds one: a mask says what lies outside.")
+    elif common is None and made.dtype.kind in "fc":
+        common = float("nan")
+    return replace(made, nodata=common, fill=common)
+
+
+def _common(values: tuple[float | None, ...]) -> tuple[float | None, bool]:
+    """Return the value that all bands have for no data, and whether they have the same or none."""
+    first = values[0]
+    alike = all(value == first or (value is not None and first is not None
+                                   and np.isnan(value) and np.isnan(first)) for value in values)
+    return (first, True) if alike else (None, False)
+
+
+def _resampled(picture: Picture, resampling: str | None) -> tuple[Picture, str]:
+    """Return a picture whose values may be resampled as is asked for, and the resampling.
+
+    Colours are resampled instead of the indices of a table, and grey instead of bits; so are
+    tables with colours that are partly transparent, which a GeoTIFF does not hold.
+    """
+    if resampling is not None and resampling not in RESAMPLING:
+        raise TermselError(f"unknown resampling {resampling!r}",
+                           hint=f"Known: {', '.join(RESAMPLING)}.")
+    if not picture.category:
+        return picture, resampling or "bilinear"
+    mixed = (resampling or "nearest") != "nearest"
+    bands = [band for band in picture.bands if band.category]
+    if mixed and any(band.thematic for band in bands):
+        raise TermselError(f"the pixels of this image are classes, which {resampling} would mix",
+                           file=picture.path, hint="Leave --resampling out, for nearest.")
+    if mixed:
+        log.warning("Note: the map has the colours of the image's table instead of its indices, as "
+                    "%s mixes pixels; without --resampling it keeps them.", resampling)
+        return expanded(picture), str(resampling)
+    if any(0 < alpha < 255 for band in bands for *_, alpha in band.table):
+        log.warning("Note: the map has red, green, blue and alpha instead of the image's table, "
+                    "as colours of that are partly transparent.")
+        return expanded(picture), "nearest"
+    if resampling is None:
+        log.info("Resampling: nearest, as the pixels are %s.",
+                 "bits" if any(band.bits == 1 for band in bands) else "indices or classes")
+    return picture, "nearest"
+
+
+def _require_held(nodata: float, dtype: np.dtype[Any]) -> None:
+    """Refuse a value that pixels of this type cannot hold."""
+    from rasterio.dtypes import in_dtype_range
+
+    if not in_dtype_range(nodata, dtype.name) or (dtype.kind in "iu" and nodata != int(nodata)):
+        raise TermselError(f"pixels of the type {dtype} cannot hold the value {nodata:g}",
+                           hint="Give another --nodata.")
+
+
+def warp(raster: Any, output: Path, grid: MapGrid, made: MapPixels, *, tags: Mapping[str, str],
+         progress: Callable[[float], None] | None, **options: Any) -> None:
+    """Warp a picture, tile by tile, into a cloud-optimised GeoTIFF.
+
+    Parameters
+    ----------
+    raster : rasterio.DatasetReader
+        The VRT of `made.picture`, with georeferencing.
+    output : pathlib.Path
+    grid : MapGrid
+    made : MapPixels
+    tags : mapping
+        Of the map.
+    progress : callable, optional
+    **options
+        Of GDAL's transformer.
+    """
+    lost = 0
+
+    def pixels(window: Any, transform: Any) -> tuple[Pixels, Mask]:
+        nonlocal lost
+        tile, shown = _warped(raster, made, (window.height, window.width), grid.crs, transform,
+                              options)
+        if made.table:
+            opaque = np.ones(max(len(made.table), int(tile[0].max()) + 1), dtype=bool)
+            opaque[:len(made.table)] = [alpha > 0 for *_, alpha in made.table]
+            shown &= opaque[tile[0]]
+        if made.fill is not None:
+            if made.nodata is not None:
+                lost += _kept_apart(tile[:len(made.empty)], shown, made)
+            tile[:len(made.empty), ~shown] = made.fill
+        return tile[list(made.order)], shown
+
+    write_cog(output, _profile(grid, made), pixels, describe=lambda tiled: _describe(
+        tiled, made, tags), progress=progress, across=TILE if raster.rpcs else _NARROW,
+        masked=made.masked, nearest=made.category, bits=made.bits)
+    if lost:
+        log.warning("Warning: %d px of the map have the value %g of --nodata in the image itself; "
+                    "they are empty on the map. Give another value, or none.", lost, made.nodata)
+
+
+def _warped(raster: Any, made: MapPixels, shape: tuple[int, int], crs: str, transform: Any,
+            options: Mapping[str, Any]) -> tuple[Pixels, Mask]:
+    """Return a tile of the map, alpha last, and where it shows the image."""
+    import rasterio
+    from rasterio.enums import Resampling
+    from rasterio.warp import reproject
+
+    colours = len(made.empty)
+    tile = np.zeros((colours + 1, *shape), dtype=made.dtype)
+    # As gdalwarp has it: what is no data in some bands counts in the others. Only where RPCs are
+    # named does rasterio let GDAL compute every pixel's place rather than interpolate along lines,
+    # which does not hold in relief.
+    given = {"dst_crs": crs, "dst_transform": transform, "dst_alpha": colours + 1,
+             "src_alpha": colours + 1 if made.alpha else 0, "rpcs": raster.rpcs,
+             "resampling": Resampling[made.resampling], "UNIFIED_SRC_NODATA": "PARTIAL", **options}
+    if len(set(map(str, made.empty))) == 1:
+        empty = made.empty[0]
+        if empty is None and made.dtype.kind in "fc":
+            empty = float("nan")
+        reproject(rasterio.band(raster, list(range(1, colours + 1))), tile, src_nodata=empty,
+                  **given)
+        shown = tile[-1] != 0
+    else:
+        shown = np.zeros(shape, dtype=bool)
+        for number, empty in enumerate(made.empty, 1):
+            tile[-1] = 0
+            reproject(rasterio.band(raster, [number]), tile, src_nodata=empty, **given)
+            shown |= tile[-1] != 0
+    return (tile if made.alpha else tile[:-1]), shown
+
+
+def _kept_apart(tile: Pixels, shown: Mask, made: MapPixels) -> int:
+    """Move values that are shown away from that of what is not, by the least step.
+
+    Of categories, which cannot be moved, the number that is lost is returned.
+    """
+    if made.nodata is None or np.isnan(made.nodata):
+        return 0
+    same = shown & (tile == made.nodata)
+    if made.empty[0] is not None:
+        # In the image, a pixel that has data may have none in some of its bands.
+        same &= same.all(axis=0)
+    if made.category:
+        return int(same.any(axis=0).sum())
+    if same.any():
+        value = tile.dtype.type(made.nodata)
+        if tile.dtype.kind in "iu":
+            tile[same] = value - 1 if value == np.iinfo(tile.dtype).max else value + 1
+        else:
+            tile[same] = np.nextafter(value.real, value.real + 1)
+    return 0
+
+
+def _profile(grid: MapGrid, made: MapPixels) -> dict[str, Any]:
+    """Return what rasterio needs to know of the map."""
+    return {"height": grid.lines, "width": grid.samples, "count": len(made.order),
+            "dtype": made.dtype.name, "crs": grid.crs, "transform": grid.transform,
+            "nodata": made.nodata, **({"alpha": "YES"} if made.alpha else {}),
+            **({"nbits": made.bits} if made.bits else {})}
+
+
+def _describe(tiled: Any, made: MapPixels, tags: Mapping[str, str]) -> None:
+    """Set the colours of the map, and what it says of its bands."""
+    from rasterio.enums import ColorInterp
+
+    bands = made.bands
+    colours = [ColorInterp[band.colour] for band in bands]
+    tables = [number for number, band in enumerate(bands, 1) if band.table]
+    if made.table and made.picture.bands[0].type in _WITH_TABLE and tables[0] == 1:
+        tiled.write_colormap(1, dict(enumerate(made.table)))
+    elif tables:
+        log.warning("Warning: a GeoTIFF holds the colour table of one band of 8 or 16 bits alone; "
+                    "the map has the values without colours. gdal_translate -expand rgb makes an "
+                    "image with colours.")
+        colours = [ColorInterp.undefined if colour == ColorInterp.palette else colour
+                   for colour in colours]
+    tiled.colorinterp = colours
+    for number, band in enumerate(bands, 1):
+        if band.description:
+            tiled.set_band_description(number, band.description)
+        if band.unit:
+            tiled.set_band_unit(number, band.unit)
+    tiled.scales = [band.scale for band in bands]
+    tiled.offsets = [band.offset for band in bands]
+    tiled.update_tags(**tags)
