@@ -24,10 +24,13 @@ from termsel.errors import TermselError
                                            "it is in metres, else UTM.")
 @click.option("--res", "resolution", type=click.FloatRange(min=0, min_open=True),
               help="Pixel size in units of the CRS; by default that of the image.")
-@click.option("--resampling", default="bilinear", show_default=True, metavar="METHOD",
-              help="nearest, bilinear, cubic, cubic_spline, lanczos or average.")
-@click.option("--nodata", type=float, help="Value where the image has no data; by default that of "
-                                           "the image, else 0.")
+@click.option("--resampling", metavar="METHOD",
+              help="nearest, bilinear, cubic, cubic_spline, lanczos or average. By default nearest "
+                   "where pixels are categories (a colour table, bits, classes), else bilinear.")
+@click.option("--nodata", type=float,
+              help="Value where the map shows nothing; by default that of the image. Without one "
+                   "the image's alpha band, or else a mask inside the file, says where that is "
+                   "(NaN does for numbers with a fraction).")
 @click.option("--sigma", metavar="FILE", type=click.Path(path_type=Path),
               help="Raster of the uncertainty to write, too (termsel-standards).")
 @final_option
@@ -37,9 +40,9 @@ from termsel.errors import TermselError
 @remote_option
 @click.pass_context
 def rectify(context: click.Context, folder: Path, image: Path, output: Path, dem: Path | None,
-            height: float | None, crs: str | None, resolution: float | None, resampling: str,
-            nodata: float | None, sigma: Path | None, final: bool | None, overwrite: bool,
-            quiet: bool) -> None:
+            height: float | None, crs: str | None, resolution: float | None,
+            resampling: str | None, nodata: float | None, sigma: Path | None, final: bool | None,
+            overwrite: bool, quiet: bool) -> None:
     """Resample an image to a map, by GDAL's warper through the fitted model.
 
     DIR is the folder that a run wrote with --out.

@@ -32,6 +32,8 @@ _CONTROL = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f]")  # characters that XML doe
 _TABLE_OF_ATTRIBUTES = re.compile(rb"<GDALRasterAttributeTable([^>]*)>")
 _SIDECAR = 4_000_000  # bytes of a file next to an image that are looked at
 
+_BLACK: Colour = (0, 0, 0, 255)
+
 GREY_OF_BITS: tuple[Colour, Colour] = ((0, 0, 0, 255), (255, 255, 255, 255))
 """What a bit without a colour table looks like."""
 
@@ -124,7 +126,7 @@ def _band(raster: Any, number: int, element: ElementTree.Element, thematic: bool
     def said(name: str, default: str) -> str:
         return element.findtext(name) or default
 
-    table = tuple(_colour(entry) for entry in element.findall("ColorTable/Entry"))
+    table = _table(element.findall("ColorTable/Entry"))
     names = tuple(name.text or "" for name in element.findall("CategoryNames/Category"))
     bits = raster.tags(number, ns="IMAGE_STRUCTURE").get("NBITS", "")
     classes = thematic or any(names) or raster.tags(number).get("LAYER_TYPE") == "thematic"
@@ -133,6 +135,14 @@ def _band(raster: Any, number: int, element: ElementTree.Element, thematic: bool
         raster.colorinterp[number - 1].name, number, table, names, classes,
         said("Description", ""), said("UnitType", ""), float(said("Scale", "1")),
         float(said("Offset", "0")), int(bits) if bits.isdecimal() else None)
+
+
+def _table(entries: Sequence[ElementTree.Element]) -> tuple[Colour, ...]:
+    """Return the colours of a table without the black ones that GDAL fills it up with, but one."""
+    used = len(entries)
+    while used > 1 and _colour(entries[used - 2]) == _colour(entries[used - 1]) == _BLACK:
+        used -= 1
+    return tuple(_colour(entry) for entry in entries[:used])
 
 
 def _colour(entry: ElementTree.Element) -> Colour:

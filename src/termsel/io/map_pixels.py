@@ -51,6 +51,12 @@ class MapPixels:
         return [self.picture.bands[index] for index in self.order]
 
     @property
+    def plain(self) -> Picture:
+        """The picture without what the warper does not need."""
+        return replace(self.picture, bands=tuple(
+            replace(band, table=(), categories=()) for band in self.picture.bands))
+
+    @property
     def alpha(self) -> bool:
         """Whether the last band as it is warped is alpha."""
         return self.picture.bands[-1].alpha

@@ -125,7 +125,7 @@ def rectify(
         if bounds is not None:
             grid = within(grid, bounds, result.features.crs)
         surface = stack.enter_context(surface_of(dem, result.features.crs, level))
-        source, options = _source(result, pixels.picture, folder / "scene.vrt", surface, grid)
+        source, options = _source(result, pixels.plain, folder / "scene.vrt", surface, grid)
         if "RPC_DEM" in options:
             options["RPC_DEM"] = str(stack.enter_context(utf8_name(options["RPC_DEM"])))
         with open_raster(source) as raster:
