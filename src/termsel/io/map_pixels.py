@@ -20,7 +20,7 @@ log = logging.getLogger(__name__)
 
 RESAMPLING = ("nearest", "bilinear", "cubic", "cubic_spline", "lanczos", "average")
 
-Pixels = NDArray[Any]
+Values = NDArray[Any]
 Mask = NDArray[np.bool_]
 
 _NARROW = 128  # across, where GDAL interpolates places along lines between ends and middle
@@ -205,7 +205,7 @@ def warp(raster: Any, output: Path, grid: MapGrid, made: MapPixels, *, tags: Map
     """
     lost = 0
 
-    def pixels(window: Any, transform: Any) -> tuple[Pixels, Mask]:
+    def pixels(window: Any, transform: Any) -> tuple[Values, Mask]:
         nonlocal lost
         tile, shown = _warped(raster, made, (window.height, window.width), grid.crs, transform,
                               options)
@@ -228,7 +228,7 @@ def warp(raster: Any, output: Path, grid: MapGrid, made: MapPixels, *, tags: Map
 
 
 def _warped(raster: Any, made: MapPixels, shape: tuple[int, int], crs: str, transform: Any,
-            options: Mapping[str, Any]) -> tuple[Pixels, Mask]:
+            options: Mapping[str, Any]) -> tuple[Values, Mask]:
     """Return a tile of the map, alpha last, and where it shows the image."""
     import rasterio
     from rasterio.enums import Resampling
@@ -258,7 +258,7 @@ def _warped(raster: Any, made: MapPixels, shape: tuple[int, int], crs: str, tran
     return (tile if made.alpha else tile[:-1]), shown
 
 
-def _kept_apart(tile: Pixels, shown: Mask, made: MapPixels) -> int:
+def _kept_apart(tile: Values, shown: Mask, made: MapPixels) -> int:
     """Move values that are shown away from that of what is not, by the least step.
 
     Of categories, which cannot be moved, the number that is lost is returned.
