@@ -70,15 +70,9 @@ def left_out_words(path: Path, text: str) -> Iterator[tuple[int, str]]:
             yield line_at(prose, match.start()), f"{match[0]!r}: write local refinement"
 
 
-def _expected(path: Path, text: str) -> str:
-    """Return the part of a file that keeps to the words: no history of changes before 0.2.0."""
-    known = re.search(r"^## \[?0\.2\.0.*?(?=^## |\Z)", text, re.MULTILINE | re.DOTALL)
-    return text[:known.end()] if known and path.stem.lower() == "changelog" else text
-
-
 def violations(root: Path) -> Iterator[Violation]:
     """Yield every left-out word below a root."""
     for path in (*code_files(root), *pages(root)):
         text = path.read_text(encoding="utf-8")
-        for line, message in left_out_words(path, _expected(path, text)):
+        for line, message in left_out_words(path, text):
             yield Violation(path, line, message)
