@@ -31,8 +31,8 @@ from termsel.report.pictures import picture
 from termsel.results.checksums import SEALS, of_record
 from termsel.runs.task.request import DATA_OPTIONS
 from termsel.simulate import read_geometry
+from tests.fuzz import readers, surfaces
 from tests.fuzz import seeds as formats
-from tests.fuzz import surfaces
 from tests.fuzz.mutate import NUMBERS, TEXTS, mutated
 from tests.fuzz.seeds import Seed
 
@@ -51,7 +51,7 @@ def seeds() -> tuple[Seed, ...]:
     """Return all valid files."""
     of_formats = formats.seeds()
     points = next(seed.content for seed in of_formats if seed.name == "points.csv")
-    return (*of_formats, *surfaces.surfaces(points))
+    return (*of_formats, *surfaces.surfaces(points), *readers.reader_seeds())
 
 
 @cache
@@ -98,6 +98,7 @@ def run_case(seed: int) -> Outcome:
     random = Random(seed)
     if pictures._helper()._child is None:  # begun outside of the limits, which V8 cannot keep
         picture(_chart(), ".svg")
+        readers.start_helper()
     chosen = None if random.random() < 0.15 else random.choice(_drawn())
     _prepare("points" if chosen is None else chosen.kind)
     start = time.process_time()
@@ -108,7 +109,7 @@ def run_case(seed: int) -> Outcome:
             label, use = "options", lambda: _options(folder, random)
         else:
             path = _laid(chosen, folder, random)
-            label, use = f"{chosen.kind}:{chosen.name}", lambda: USES[chosen.kind](path, random)
+            label, use = f"{chosen.kind}:{chosen.name}", lambda: _use_of(chosen.kind)(path, random)
         before = _contents(folder)
         code, fault = _ended(use)
         after = _contents(folder)
@@ -363,6 +364,10 @@ USES: dict[str, Callable[[Path, Random], int]] = {
 """What is done with a file, by the kind of its seed."""
 
 
+def _use_of(kind: str) -> Callable[[Path, Random], int]:
+    return USES[kind] if kind in USES else readers.reader_uses()[kind]
+
+
 class _Fixed(Random):
     """Takes the first of all choices."""
 
@@ -383,7 +388,7 @@ def used_as_it_is(seed: Seed) -> None:
         with TemporaryDirectory() as name:
             for file, content in (*seed.others, (seed.name, seed.content)):
                 (Path(name) / file).write_bytes(content)
-            code = USES[seed.kind](Path(name) / seed.name, random)
+            code = _use_of(seed.kind)(Path(name) / seed.name, random)
             assert code == 0, (seed.name, random.random())
 
 
