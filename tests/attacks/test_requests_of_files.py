@@ -115,8 +115,8 @@ def test_an_index_of_tiles(folder: Path, server) -> None:
     ("rectify", "@R", "x.vrt", "--height", "3", "-o", "map.tif"),
     ("report", "@R", "--image", "x.vrt", "-o", "page.html"),
     ("check", "x.vrt"), ("check", "blanks.vrt"), ("check", "plain.tif"),
-    ("match-points", "plain.tif", "--reference", "x.vrt", "--start", "corners", "-o", "a.csv"),
-    ("match-ties", "plain.tif", "x.vrt", "--dem", "x.vrt", "-o", "a.csv")], ids=" ".join)
+    ("match-points", "plain.tif", "--reference", "x.vrt", "--start", "corners", "-o", "a.csv")],
+    ids=" ".join)
 def test_commands(words: tuple[str, ...], folder: Path, server, made_result: Path, typed) -> None:
     """Each in a process of its own, and with the programs that it starts."""
     image(folder / "plain.tif")
