@@ -149,6 +149,7 @@ from .problems.segments import AnySegment as AnySegment
 from .problems.segments import Genes as Genes
 from .record.base import plain as plain
 from .record.figures import OnGround as OnGround
+from .record.figures import Predicted as Predicted
 from .record.search import TermFrequencies as TermFrequencies
 from .report.blocks import Document as Document
 from .report.blocks import Figure as Figure

@@ -19,6 +19,7 @@ from termsel.errors import TermselError
 from termsel.fits.extrapolation import by_heights
 from termsel.fits.fittable import Fittable
 from termsel.fits.locate import Surface, locate
+from termsel.fits.misfit import Misfit, misfit_of
 from termsel.fits.residuals import Residuals, Rmse, control_residuals, rmse_of
 from termsel.fits.uncertainty import Spread, spread_of
 from termsel.measurements.extent import image_extent, reach
@@ -27,6 +28,10 @@ from termsel.measurements.scaling import Scaling, scaling_of
 from termsel.measurements.view import View, view_of
 from termsel.record.base import Settings
 from termsel.threads import one_blas_thread
+
+
+AT_ONCE = 2000
+"""Places whose covariances are held in memory."""
 
 
 class Undetermined(TermselError):
@@ -347,11 +352,38 @@ class Fit(Glance):
         """
         made, places = self.made or self, self._places(ground)
         found = made.estimator.spread(made, made.scaling.ground(places))
-        variance = (found.variance + found.noise * measured) * self.scaling.image_scale**2
+        missed = made.missed_at(places)
+        variance = (found.variance + missed + found.noise * measured) * self.scaling.image_scale**2
         variance += by_heights(made.control.take(made.used), made.scaling, made.project, places)
         sigma = self._known(np.sqrt(variance), places)
         sigma[self.unseen(places)] = np.nan
         return sigma
+
+    def missed_at(self, ground: FloatArray) -> FloatArray:
+        """Return the mean square of what the model does not fit at places (m, 3), scaled (m, 2)."""
+        if self.misfit is None:
+            return np.zeros((len(ground), 2))
+        image = self.scaling.image(self._computed(ground))
+        known = np.isfinite(image).all(axis=1)
+        squares = np.full(image.shape, np.nan)
+        for some in np.array_split(np.flatnonzero(known), len(ground) // AT_ONCE + 1):
+            squares[some] = self.misfit.squares(image[some])
+        return squares
+
+    @cached_property
+    def misfit(self) -> Misfit | None:
+        """What the residuals of control points tell that the model does not fit, or None.
+
+        A local model fits it itself, and lines tell too little of it.
+        """
+        control = self._scaled_used
+        if len(control.lines) or self.model.interpolation(control) is not None \
+                or self.adjustment.redundancy <= 0:
+            return None
+        points = control.points
+        image = self.scaling.image(self._computed(
+            self.control.take(self.used).points.ground))
+        return misfit_of(image, points.image - image, points.sigma, self.effective)
 
     def _places(self, ground: ArrayLike) -> FloatArray:
         """Return ground points (n, 3); a plane model also takes them without heights."""

@@ -27,6 +27,10 @@ APART = 0.2
 """Least distance of two places in the image, as a share of its longer side."""
 
 
+FAINT = 1e-3
+"""Part of the largest variance of a misfit below which a direction is left out."""
+
+
 @dataclass(frozen=True, eq=False)
 class Ranking:
     """Places in the order in which they should be measured.
@@ -88,8 +92,25 @@ def covariances(made: Fit, ground: FloatArray) -> Spread | None:
     if spread is not None and spread.factors is None:  # a local model, which tells no covariances
         spread = believed_spread(made.model, made.scaled_control.take(made.used), places,
                                  np.zeros((len(places), 2)))
-    return spread if spread is not None and spread.factors is not None \
-        and np.isfinite(spread.factors).all() else None
+    if spread is None or spread.factors is None or not np.isfinite(spread.factors).all():
+        return None
+    return spread if made.misfit is None else _with_misfit(spread, made, ground)
+
+
+def _with_misfit(spread: Spread, made: Fit, ground: FloatArray) -> Spread:
+    """Return a spread whose factors span what the model does not fit, too (see `Misfit`)."""
+    assert made.misfit is not None
+    assert spread.factors is not None
+    image, spans = made.scaling.image(made.project(ground)), [spread.factors]
+    seen = np.isfinite(image).all(axis=1)
+    for axis in (0, 1):
+        values, vectors = np.linalg.eigh(made.misfit.covariance(image[seen], axis))
+        strong = values > FAINT * max(float(values[-1]), np.finfo(float).tiny)
+        span = np.zeros((len(ground), 2, int(strong.sum())))
+        span[seen, axis] = vectors[:, strong] * np.sqrt(values[strong])
+        spans.append(span)
+    factors = np.concatenate(spans, axis=2)
+    return Spread(spread.variance + made.missed_at(ground), spread.noise, factors)
 
 
 def share_left(fitted: Fit, ground: FloatArray) -> float:

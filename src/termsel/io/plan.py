@@ -78,8 +78,10 @@ def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
                            hint="Give places in the CRS of the control, inside the scene.")
     numbers = np.flatnonzero(known)
     found = rank_places(fitted, places[numbers], scene, count)
+    shared = float(np.linalg.norm(result.shared_sigma or 0.0))
     chosen = places[numbers[found.order]]
     if np.isnan(fitted.control.ground_vertices()[:, 2]).any():
         chosen[:, 2] = np.nan  # the grid of a plane model has a height for the sake of arithmetic
     return Plan(tuple(ids[i] for i in numbers[found.order]), np.column_stack(
-        [fitted.project(chosen), chosen, found.sigma]), found.now, fitted.control.crs)
+        [fitted.project(chosen), chosen, np.hypot(found.sigma, shared)]),
+        float(np.hypot(found.now, shared)), fitted.control.crs)

@@ -324,6 +324,9 @@ class Record(RecordPart, frozen=True, kw_only=True):
     final: FinalFit | None
     """The chosen structure fitted to all points, independent ones included, or null. The figures of
     the record are those of the fit without them."""
+    shared_sigma: tuple[Size, Size] | None = None
+    """Standard deviations of line and sample [px] that all places have in common and the control
+    does not show, such as what the ties of a block share; absent where nothing is known of any."""
     exported: Literal["final", "selection"]
     """The fit that is exported unless another is asked for: `final`, or `selection`, that of the
     record's figures."""

@@ -65,7 +65,7 @@ CARRIED = (
     "problem", "model", "solver", "criterion", "seed", "data", "feasible", "judgement", "notes",
     "outliers", "blunder_test", "predicted", "accuracy", "accuracy_without", "objectives", "front",
     "certificate", "strategy", "evaluations", "lookups", "generations", "seconds", "history",
-    "budget", "stability", "by_size", "interrupted", "polish", "versions")
+    "budget", "stability", "by_size", "interrupted", "polish", "versions", "shared_sigma")
 """What a result and its record hold alike."""
 
 _SHORTENED = "All tables, terms and proofs: --verbose, in Python summary(verbose=True)."
@@ -148,6 +148,9 @@ class Result(Glance):
         Limits of each search.
     stability : TermFrequencies, optional
         Of a fit of the stable terms: how often each term was selected.
+    shared_sigma : tuple of float, optional
+        Standard deviations of line and sample [px] that all places have in common and the control
+        does not show, such as what the ties of a block share. `sigma` includes them.
     files : mapping of str to str
         Further files that the folder of the result gets, by name: certificate.json of a proof.
         Empty for a result that was read.
@@ -193,6 +196,7 @@ class Result(Glance):
     budget: SearchLimits = field(default_factory=SearchLimits)
     stability: TermFrequencies | None = None
     by_size: tuple[SizeRow, ...] = ()
+    shared_sigma: tuple[float, float] | None = None
     files: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -297,8 +301,11 @@ class Result(Glance):
         return self.exported.project(ground)
 
     def sigma(self, ground: ArrayLike, *, measured: bool = False) -> FloatArray:
-        """Return the standard deviation of the error of `project` (see `termsel.Fit.sigma`)."""
-        return self.exported.sigma(ground, measured=measured)
+        """Return the standard deviation of the error of `project` (see `termsel.Fit.sigma`).
+
+        It includes what all places have in common, where that is known (`shared_sigma`).
+        """
+        return np.hypot(self.exported.sigma(ground, measured=measured), self.shared_sigma or 0.0)
 
     def locate(self, image: ArrayLike, height: ArrayLike | Surface) -> FloatArray:
         """Return the ground points seen at image points, by the exported fit.

@@ -129,7 +129,8 @@ class Shown:
     def sigma(self) -> list[Row]:
         """Standard deviation of the fit in cells of the image: its ends and sigma [px]."""
         image, ground = scene_grid(self.fit, SIGMA_SIDE, SMOOTH, self.image_box)
-        sigma = np.linalg.norm(self.fit.sigma(ground), axis=1)
+        sigma = np.linalg.norm(np.hypot(self.fit.sigma(ground),
+                                        self.record.shared_sigma or 0.0), axis=1)
         half_line, half_sample = ((image[-1] - image[0]) / (SIGMA_SIDE - 1) / 2).tolist()
         return [{"line": _short(line - half_line), "line2": _short(line + half_line),
                  "sample": _short(sample - half_sample), "sample2": _short(sample + half_sample),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel import Points
+from termsel import FeatureSet, Points
 from termsel_block.estimation.adjustment import MEDIAN
 from termsel_block.estimation.starts import intersect
 from termsel_block.evidence.variances import TAIL
@@ -70,8 +70,7 @@ def predicted(result: BlockResult, i: int, seed: int = 0, *, anywhere: bool = Fa
         places = result.frame.local(features.points.ground)
     rows = result.rows(i, places)
     rng = np.random.default_rng([seed, i])
-    drawn = result.adjusted.draws
-    draws = drawn[i].T if drawn else _normal(result, i, rng)
+    draws = _drawn(result, i, rng)
     squares = ((rows @ draws) ** 2).sum(axis=1).mean(axis=0)
     # The variance of control is known from few measurements; the state has its median.
     known = state.freedom_control
@@ -81,6 +80,29 @@ def predicted(result: BlockResult, i: int, seed: int = 0, *, anywhere: bool = Fa
     errors = np.sqrt(squares + 2 * noise)
     low, high = np.quantile(errors, [(1 - _LEVEL) / 2, (1 + _LEVEL) / 2])
     return Spread(float(np.sqrt((errors**2).mean())), float(low), float(high))
+
+
+def shared_sigma(result: BlockResult, i: int, features: FeatureSet, own: FloatArray,
+                 seed: int = 0) -> tuple[float, float]:
+    """Return what the block knows an image's model to be off by, beyond what its own fit tells.
+
+    Standard deviations of line and sample [px], over places of features: the mean squares of the
+    block's draws, less the squares `own` (n, 2) of the image's own fit there. Places of ties are
+    off together, which no fit to them alone can see.
+    """
+    rows = result.rows(i, result.frame.local(features.points.ground))
+    draws = _drawn(result, i, np.random.default_rng([seed, i]))
+    squares = ((rows @ draws) ** 2).mean(axis=2)
+    known = np.isfinite(own).all(axis=1)
+    beyond = (squares - own**2)[known].mean(axis=0) if known.any() else squares.mean(axis=0)
+    line, sample = np.sqrt(np.maximum(beyond, 0.0)).tolist()
+    return line, sample
+
+
+def _drawn(result: BlockResult, i: int, rng: np.random.Generator) -> FloatArray:
+    """Return draws (2m, draws) of an image's errors from the posterior of its parameters."""
+    drawn = result.adjusted.draws
+    return drawn[i].T if drawn else _normal(result, i, rng)
 
 
 def _normal(result: BlockResult, i: int, rng: np.random.Generator) -> FloatArray:

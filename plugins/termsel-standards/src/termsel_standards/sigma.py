@@ -38,6 +38,9 @@ BANDS = (("line", "px"), ("sample", "px"), ("east", "m"), ("north", "m"), ("outs
 TOLERANCE = 0.01
 """Relative error of the interpolation below which the grid is made no finer."""
 
+_INCLUDED = ("the model's coefficients and of what it does not fit, without the errors of heights "
+             "and of control on the ground")
+
 _FIRST, _FINEST = 9, 129  # intervals along either side
 _LEVELS = 12  # intervals between the least and the largest height
 _AROUND = 4  # further nodes on each side: at its ends a spline is less exact
@@ -127,7 +130,7 @@ def write_sigma(
                         "up to %.0f %%. Give smaller --bounds.", 100 * nodes.error)
 
         def describe(raster: Any) -> None:
-            raster.update_tags(**tags, UNCERTAINTY=f"standard deviations, {told}")
+            raster.update_tags(**tags, UNCERTAINTY=f"standard deviations of {_INCLUDED}; {told}")
             for band, (name, unit) in enumerate(BANDS, 1):
                 raster.set_band_description(band, name)
                 raster.set_band_unit(band, unit)

@@ -13,7 +13,8 @@ import msgspec
 import numpy as np
 
 from termsel import FeatureSet, Points, Result, TermselError, require_replaceable, run
-from termsel.toolkit import csv_table, one_blas_thread, write_result, write_text
+from termsel.toolkit import Predicted, csv_table, one_blas_thread, write_result, write_text
+from termsel_block.accuracy import shared_sigma
 from termsel_block.block import BlockImage
 from termsel_block.files.placing import together
 from termsel_block.geometry.physical import PhysicalCamera
@@ -163,9 +164,11 @@ def image_result(result: BlockResult, i: int, record: BlockRecord) -> Result:
     note = (f"The places of {int(state.in_use[i].sum())} ties come from a block of "
             f"{len(record.images)} images. By the block points in this image have an RMSE of "
             f"{mine.predicted:.2f} px, with an interval of 90 % from {mine.low:.2f} to "
-            f"{mine.high:.2f} px; figures from this image alone know nothing of what the ties "
-            "have in common. Blunders among control and ties are named by the block.")
-    return replace(found, notes=(note, *found.notes))
+            f"{mine.high:.2f} px. What the ties have in common is part of that and of the "
+            "uncertainty, not of the residuals. Blunders among control and ties are named by the block.")
+    shared = shared_sigma(result, i, features, found.sigma(features.points.ground))
+    return replace(found, notes=(note, *found.notes), shared_sigma=shared,
+                   predicted=Predicted(mine.predicted, mine.low, mine.high))
 
 
 def _features(result: BlockResult, i: int, image: BlockImage) -> FeatureSet:
