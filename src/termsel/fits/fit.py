@@ -29,7 +29,6 @@ from termsel.measurements.view import View, view_of
 from termsel.record.base import Settings
 from termsel.threads import one_blas_thread
 
-
 AT_ONCE = 2000
 """Places whose covariances are held in memory."""
 
@@ -329,9 +328,10 @@ class Fit(Glance):
     def sigma(self, ground: ArrayLike, *, measured: bool = False) -> FloatArray:
         """Return the standard deviation of the error of `project`.
 
-        Of the model alone, not of the control's ground coordinates. For control points it holds
-        what other models they leave open, and what they do not tell of heights: see
-        `termsel.fits.uncertainty`. For lines and few points the model's form is taken for true.
+        Not of the control's ground coordinates. For control points it holds
+        what other models they leave open, what they do not tell of heights, and what the model
+        does not fit: see `termsel.fits.uncertainty` and `termsel.fits.misfit`. For lines and few
+        points the model's form is taken for true.
 
         Parameters
         ----------

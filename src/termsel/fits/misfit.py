@@ -37,7 +37,7 @@ RATIOS = (0.4, 0.8, 1.6)
 FIELD = 0.12
 """Probability of a field before the residuals are looked at. Few residuals do not tell a field of
 short length from noise, so that this is what they add then: tuned on simulated sheets, photos and
-scanners (docs/explanation/uncertainty.md)."""
+scanners (docs/explanation/judgement.md)."""
 
 MOST = 200
 """Points by which the field is found; of more, such as are spread over the image."""

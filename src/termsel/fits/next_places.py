@@ -45,16 +45,17 @@ class Ranking:
 
 
 def rank_places(fitted: Fit, candidates: FloatArray, scene: FloatArray, count: int,
-                apart: float = APART) -> Ranking:
+                apart: float = APART, *, misfit: bool = False) -> Ranking:
     """Return the best places to measure next, at most `count` of the candidates.
 
     Candidates (c, 3) and the scene where the model is to be good (m, 3) are on the ground. A spline
     or a field is taken for the shrunken cubic polynomial of its control. Two places are `apart` in
     the image, as a share of its longer side; where no candidate is as far from all places before
-    it, any may follow. Raises TermselError if the uncertainty of the fit is not known.
+    it, any may follow. With `misfit` the uncertainty holds what the model does not fit, too, as
+    that of `Fit.sigma` does. Raises TermselError if the uncertainty of the fit is not known.
     """
     made = fitted.made or fitted
-    both = covariances(made, np.concatenate([candidates, scene]))
+    both = covariances(made, np.concatenate([candidates, scene]), misfit=misfit)
     if both is None or both.factors is None:
         raise TermselError("the uncertainty of this model is not known",
                            hint="Plan with 4 or more control points alone; with lines, by a model "
@@ -85,8 +86,11 @@ def rank_places(fitted: Fit, candidates: FloatArray, scene: FloatArray, count: i
                    float(np.sqrt(np.trace(over))) * scale)
 
 
-def covariances(made: Fit, ground: FloatArray) -> Spread | None:
-    """Return the mean square errors of a fit at places (m, 3), with factors; None if not known."""
+def covariances(made: Fit, ground: FloatArray, *, misfit: bool) -> Spread | None:
+    """Return the mean square errors of a fit at places (m, 3), with factors; None if not known.
+
+    With `misfit` they hold what the model does not fit.
+    """
     places = made.scaling.ground(ground)
     spread: Spread | None = made.estimator.spread(made, places)
     if spread is not None and spread.factors is None:  # a local model, which tells no covariances
@@ -94,7 +98,7 @@ def covariances(made: Fit, ground: FloatArray) -> Spread | None:
                                  np.zeros((len(places), 2)))
     if spread is None or spread.factors is None or not np.isfinite(spread.factors).all():
         return None
-    return spread if made.misfit is None else _with_misfit(spread, made, ground)
+    return _with_misfit(spread, made, ground) if misfit and made.misfit is not None else spread
 
 
 def _with_misfit(spread: Spread, made: Fit, ground: FloatArray) -> Spread:
@@ -121,7 +125,7 @@ def share_left(fitted: Fit, ground: FloatArray) -> float:
     1 / (C^-1)_ii, and C_ii without them. The measurements themselves are not looked at. 1 where the
     covariances are not known.
     """
-    spread = covariances(fitted.made or fitted, ground)
+    spread = covariances(fitted.made or fitted, ground, misfit=True)
     if spread is None or spread.factors is None or not (spread.noise > 0).all():
         return 1.0
     alone, among = np.zeros(2), np.zeros(2)

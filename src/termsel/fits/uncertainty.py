@@ -7,7 +7,8 @@ posterior there, and the square of the distance of the fit from its mean. A mode
 the polynomial does not contain, and that predicts left-out control no worse than by a standard
 error, is judged by the propagation of the noise through its own adjustment, as is one of lines or
 of few points. A spline
-or a random field has a variance of its own. Where the control does not tell what a height does, the
+or a random field has a variance of its own. To all others comes what the model does not fit
+(`termsel.fits.misfit`). Where the control does not tell what a height does, the
 effect of views in general is added (`termsel.fits.extrapolation.by_heights`).
 """
 

@@ -77,7 +77,7 @@ def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
         raise TermselError("the model sees none of the places", file=candidates,
                            hint="Give places in the CRS of the control, inside the scene.")
     numbers = np.flatnonzero(known)
-    found = rank_places(fitted, places[numbers], scene, count)
+    found = rank_places(fitted, places[numbers], scene, count, misfit=True)
     shared = float(np.linalg.norm(result.shared_sigma or 0.0))
     chosen = places[numbers[found.order]]
     if np.isnan(fitted.control.ground_vertices()[:, 2]).any():

@@ -164,8 +164,9 @@ def image_result(result: BlockResult, i: int, record: BlockRecord) -> Result:
     note = (f"The places of {int(state.in_use[i].sum())} ties come from a block of "
             f"{len(record.images)} images. By the block points in this image have an RMSE of "
             f"{mine.predicted:.2f} px, with an interval of 90 % from {mine.low:.2f} to "
-            f"{mine.high:.2f} px. What the ties have in common is part of that and of the "
-            "uncertainty, not of the residuals. Blunders among control and ties are named by the block.")
+            f"{mine.high:.2f} px. What the ties have in common is part of that, and of the "
+            "uncertainty, not of the residuals. Blunders among control and ties are named by the "
+            "block.")
     shared = shared_sigma(result, i, features, found.sigma(features.points.ground))
     return replace(found, notes=(note, *found.notes), shared_sigma=shared,
                    predicted=Predicted(mine.predicted, mine.low, mine.high))

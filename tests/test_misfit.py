@@ -1,0 +1,112 @@
+"""The uncertainty of a model holds what it does not fit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import termsel
+from termsel.fits.misfit import misfit_of
+from termsel.fits.next_places import rank_places
+from termsel.fits.scene import scene_grid
+from termsel.io.plan import plan
+from termsel.io.result_folder import write_result
+from termsel.measurements.features import FeatureSet, FloatArray, Points
+
+NOISE, SIZE = 0.5, np.array([4000.0, 5000.0])
+
+
+def bend(share: FloatArray, amplitude: float, rng: np.random.Generator) -> FloatArray:
+    """Return smooth local shifts at places in shares of the image (n, 2) [px]."""
+    waves = rng.normal(0.0, 4.0, (2, 40, 2))
+    phases = rng.uniform(0.0, 2 * np.pi, (2, 40))
+    return amplitude * np.sqrt(2 / 40) * np.stack([
+        np.cos(share @ wave.T + phase).sum(axis=1)
+        for wave, phase in zip(waves, phases, strict=True)], axis=1)
+
+
+def sheet(n: int, amplitude: float, seed: int) -> tuple[FeatureSet, FloatArray, FloatArray]:
+    """Return control points of a sheet, and places of it with where they are in the image."""
+    rng = np.random.default_rng([seed, n])
+    share = rng.uniform(0.02, 0.98, (n + 300, 2))
+    inside = (np.abs(share - 0.5) < 0.42).all(axis=1)
+    image = share * SIZE + bend(share, amplitude, rng)
+    ground = np.column_stack([500_000 + 3 * SIZE[1] * share[:, 1], 5e6 - 3 * SIZE[0] * share[:, 0],
+                              np.full(len(share), np.nan)])
+    measured = image[:n] + rng.normal(0.0, NOISE, (n, 2))
+    features = FeatureSet(Points(tuple(f"P{i}" for i in range(n)), measured, ground[:n]),
+                          crs="EPSG:32633", image_size=(4000, 5000))
+    dense = np.flatnonzero(inside[n:]) + n
+    return features, ground[dense], image[dense]
+
+
+def ratio(model: str, n: int, amplitude: float, seeds: range) -> float:
+    """Return the root mean square of errors by their standard deviations."""
+    squares = []
+    for seed in seeds:
+        features, ground, truth = sheet(n, amplitude, seed)
+        fitted = termsel.fit(features, model)
+        squares.append((((fitted.project(ground) - truth) / fitted.sigma(ground))**2).mean())
+    return float(np.sqrt(np.mean(squares)))
+
+
+@pytest.mark.parametrize(("model", "n", "amplitude"), [
+    ("projective", 30, 1.5), ("projective", 60, 2.5), ("projective", 40, 0.0)])
+def test_errors_are_of_the_size_that_is_stated(model: str, n: int, amplitude: float) -> None:
+    assert 0.75 < ratio(model, n, amplitude, range(6)) < 1.3
+
+
+def test_the_uncertainty_is_less_where_the_control_shows_the_misfit() -> None:
+    features, _, _ = sheet(60, 3.0, 1)
+    fitted = termsel.fit(features, "projective")
+    assert fitted.misfit is not None
+    assert fitted.misfit.probability > 0.95
+    near = features.points.image[:1]
+    far = near + 1e6
+    scaled = fitted.scaling.image(np.concatenate([near, far]))
+    covariance = fitted.misfit.covariance(scaled, 0)
+    assert covariance[0, 0] < 0.5 * covariance[1, 1]
+
+
+def test_noise_alone_has_no_misfit() -> None:
+    rng = np.random.default_rng(3)
+    image = rng.uniform(-1.0, 1.0, (120, 2))
+    found = misfit_of(image, rng.normal(0.0, 1.0, (120, 2)), None, 6.0)
+    assert found is not None
+    assert found.probability < 0.1
+    assert misfit_of(image[:5], image[:5], None, 6.0) is None
+    assert misfit_of(image, np.zeros((120, 2)), None, 6.0) is None
+
+
+def test_a_thousand_points_are_enough_to_know_it() -> None:
+    features, ground, truth = sheet(1000, 2.0, 2)
+    fitted = termsel.fit(features, "projective")
+    sigma = fitted.sigma(ground)
+    assert np.isfinite(sigma).all()
+    assert 0.55 < np.sqrt((((fitted.project(ground) - truth) / sigma)**2).mean()) < 1.2
+
+
+def test_a_plan_counts_what_the_model_does_not_fit(tmp_path: Path) -> None:
+    features, _, _ = sheet(40, 2.5, 3)
+    result = termsel.run("poly-terms", features=features, model="projective2d", solver="all-terms",
+                         criterion="press", options={"fractions": "1:0:0"})
+    assert result.fit.misfit is not None
+    planned = plan(result, 3)
+    scene = scene_grid(result.fit, 20)[1]
+    assert planned.now > 1.2 * rank_places(result.fit, scene, scene, 1).now
+    assert (np.diff([planned.now, *planned.values[:, 5]]) < 0).all()
+
+
+def test_what_all_places_share_is_part_of_the_uncertainty(tmp_path: Path) -> None:
+    features, ground, _ = sheet(20, 0.0, 4)
+    result = termsel.run(features=features)
+    shared = replace(result, shared_sigma=(3.0, 4.0))
+    np.testing.assert_allclose(shared.sigma(ground), np.hypot(result.sigma(ground), [3.0, 4.0]))
+    assert plan(shared, 1).now == pytest.approx(np.hypot(plan(result, 1).now, 5.0))
+    assert min(row["sigma"] for row in shared.view.sigma) > 5.0
+    (tmp_path / "r").mkdir()
+    write_result(shared, tmp_path / "r")
+    assert termsel.read_result(tmp_path / "r").shared_sigma == (3.0, 4.0)
