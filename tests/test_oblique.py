@@ -166,3 +166,64 @@ def test_project_names_places_behind_the_camera(tmp_path: Path,
     table.write_text("id,line,sample\nsky,20,2000\nground,2900,2000\n")
     _, warnings = project_table(result, table, inverse=True)
     assert "1 point shows no ground, as above the horizon: sky" in warnings
+
+
+# Four corners, and points that are exchanged
+
+CORNERS = np.array([(0, 0), (0, 3840), (2160, 3840), (2160, 0)], dtype=float)
+PLACES = np.array([(0, 2000), (3000, 2400), (1900, 300), (700, 0)], dtype=float)
+"""Of the corners on the ground: a view to the north."""
+
+
+def corners(image: FloatArray = CORNERS, places: FloatArray = PLACES) -> termsel.FeatureSet:
+    ground = np.column_stack([places + [500_000.0, 5_000_000.0], np.full(len(places), np.nan)])
+    return termsel.FeatureSet(termsel.Points(tuple("ABCDEFG"[:len(places)]), image, ground),
+                              crs="EPSG:32633", image_size=(2161, 3841))
+
+
+def line_on_blunders(result: termsel.Result) -> str:
+    return next(line for line in result.summary().splitlines() if line.startswith("Blunders:"))
+
+
+def test_four_sound_corners_of_an_oblique_view_get_a_projective_transformation() -> None:
+    result = termsel.run(features=corners())
+    assert result.strategy.chosen == "projective"
+    np.testing.assert_allclose(result.project(corners().points.ground[:, :2]), CORNERS, atol=1e-6)
+    assert any("determine the model exactly" in note for note in result.notes)
+    assert result.predicted is None
+
+
+def test_four_corners_of_a_map_keep_a_plain_model() -> None:
+    square = np.array([(0, 2160), (3840, 2160), (3840, 0), (0, 0)], dtype=float)
+    noise = np.random.default_rng(0).normal(0, 8.0, (4, 2))
+    assert termsel.run(features=corners(places=square + noise)).strategy.chosen != "projective"
+
+
+@pytest.mark.parametrize("pair", [(0, 1), (1, 2), (2, 3), (0, 3)])
+def test_exchanged_corners_are_named(pair: tuple[int, int]) -> None:
+    order = np.arange(4)
+    order[list(pair)] = pair[::-1]
+    result = termsel.run(features=corners(CORNERS[order]))
+    assert result.strategy.chosen != "projective"
+    assert "none" not in line_on_blunders(result)
+    likely = [note for note in result.notes if "exchanged" in note]
+    assert len(likely) == 1
+    # Of four corners another pair explains it as well, as a view that is turned.
+    assert sum(name in likely[0] for name in (" A and ", " B and ", " C and ")) == 1
+
+
+def test_two_exchanged_points_of_six_are_named() -> None:
+    rng = np.random.default_rng(3)
+    image = np.concatenate([CORNERS, [(700.0, 900.0), (1500.0, 2800.0)]])
+    matrix = np.array([[0.9, 0.2, 100.0], [-0.3, 1.1, 50.0], [1e-5, 2e-5, 1.0]])
+    places = np.column_stack([image[:, 1], -image[:, 0], np.ones(6)]) @ matrix.T
+    ground = places[:, :2] / places[:, 2:] + rng.normal(0, 1.0, (6, 2))
+    assert not termsel.run(features=corners(image, ground)).outliers
+    image[[0, 4]] = image[[4, 0]]
+    result = termsel.run(features=corners(image, ground))
+    assert {one.id for one in result.outliers} == {"A", "E"}
+
+
+def test_a_mirrored_image_reverses_all_triangles_and_is_no_exchange() -> None:
+    result = termsel.run(features=corners(CORNERS[:, :] * [1.0, -1.0] + [0.0, 3840.0]))
+    assert not result.outliers

@@ -32,6 +32,13 @@ prior than of the one before it, of a central projection, and of any other that 
 LEAST = "It has the smallest leave-one-out RMSE."
 """Why a candidate is chosen where none has a prior."""
 
+CORNERS = 4
+"""Number of points that a projective transformation fits exactly."""
+
+OBLIQUE = 0.02
+"""RMSE of an affine transformation of four points, by the half extent of the image, from which on
+they show an oblique view."""
+
 EXACT = 3
 """Number of points up to which a model fits them exactly, and none is chosen."""
 
@@ -223,6 +230,36 @@ def exact(control: Control) -> Choice:
     chosen = Judged(candidate, candidate.fit_control(plane), np.full(n, np.nan))
     return Choice(chosen, (*_few(plane, Portfolio()), chosen),
                   f"{n} {control.features.word} determine it exactly.")
+
+
+def exact_view(control: Control, choice: Choice) -> Choice:
+    """Return the projective transformation that four points determine, where nothing else fits.
+
+    An affine transformation of four points leaves what a map or a vertical photo may leave; where
+    it leaves more, and no point would be behind the camera, they show an oblique view. Otherwise
+    the choice is returned.
+    """
+    plane = replace(control, heights=False)
+    affine, projective = named("affine"), named("projective")
+    if len(control) != CORNERS or len(control.features.points) != CORNERS \
+            or choice.chosen.candidate.from_one:
+        return choice
+    assert affine is not None
+    assert projective is not None
+    try:
+        left = affine.fit_control(plane).control_rmse()
+        fitted = projective.fit_control(plane)
+    except Undetermined:
+        return choice
+    assert left is not None
+    below = fitted.model.denominators(fitted.adjustment.coefficients,
+                                      fitted.scaled_control.points.ground)
+    assert below is not None
+    if left.total < OBLIQUE * control.scaling.image_scale or (below <= 0.0).any():
+        return choice
+    return Choice(Judged(projective, fitted, np.full(CORNERS, np.nan)), choice.judged,
+                  f"{CORNERS} points determine it exactly. An affine polynomial leaves "
+                  f"{left.total:.3g} px of them, more than a map or a vertical photo does.")
 
 
 def best_of(candidates: Iterable[Judged], portfolio: Portfolio | None = None) -> Choice | None:

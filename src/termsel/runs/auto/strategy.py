@@ -9,7 +9,14 @@ import numpy as np
 
 from termsel.candidates.base import Judged, has_pole
 from termsel.candidates.compare import compare
-from termsel.candidates.portfolio import Portfolio, best_of, choose_features, exact
+from termsel.candidates.portfolio import (
+    EXACT,
+    Portfolio,
+    best_of,
+    choose_features,
+    exact,
+    exact_view,
+)
 from termsel.candidates.repetition import folds_of, repeated
 from termsel.errors import TermselError, counted
 from termsel.fits.accuracy import accuracy_of, predicted_by, predicted_of_all
@@ -134,6 +141,9 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
                 f"one point is not enough for a model. {_unused_rpc(control, portfolio)}".strip(),
                 hint="Measure more.")
         choice = choose_features(control, portfolio, watch.candidate) if enough else exact(control)
+        if choice and enough and len(both) > EXACT:
+            view = exact_view(control, choice)
+            enough, choice = view is choice, view
         if choice and len(both.lines):
             from termsel.runs.auto.owdis import with_selected_lines  # it searches
 

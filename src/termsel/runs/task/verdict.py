@@ -18,6 +18,7 @@ from termsel.candidates.contradictions import Division
 from termsel.candidates.portfolio import Choice, Portfolio
 from termsel.fits.figures import finite_or_none
 from termsel.measurements.control import MEASURED, Control, off_plane
+from termsel.measurements.exchanged import Exchange, errors_by_others, exchange_of
 from termsel.measurements.features import FeatureSet, Points, select
 from termsel.measurements.roles import Observations, leave_out
 from termsel.measurements.twins import with_twins
@@ -68,12 +69,39 @@ def judge_features(observations: Observations, portfolio: Portfolio,
     limit = None if found is None else finite_or_none(float(np.median(found.limits)))
     verdict = replace(verdict, test=BlunderTest(
         len(both), limit, float(np.ptp(both.image_vertices(), axis=0).max())))
+    if found is None or not (found.blunders | found.undecided).any():
+        exchange = exchange_of(pool)
+        if exchange is not None:
+            return replace(verdict, outliers=(*held, *_unlike_any_view(pool, exchange, roles)),
+                           notes=(_on_exchange(both, exchange),))
     if found is None:
         return verdict
     wrong = select(both.ids, found.blunders)
     return replace(verdict, outliers=(*held, *_outliers(both, roles, found)),
                    blunders=with_twins(points, wrong).union(wrong),
                    notes=tuple(_limits(both, found)))
+
+
+def _unlike_any_view(pool: Control, exchange: Exchange,
+                     roles: dict[str, Role]) -> tuple[Outlier, ...]:
+    """Return the points that reverse triangles, or are exchanged, as possible blunders."""
+    errors = errors_by_others(pool)
+    which, nothing = np.zeros(len(pool), dtype=bool), np.zeros(len(pool), dtype=bool)
+    which[list(exchange.points)] = True
+    return _outliers(pool.features, roles, Suspects(nothing, nothing, which, errors, errors))
+
+
+def _on_exchange(both: FeatureSet, exchange: Exchange) -> str:
+    """Return what tells that points are wrong, and which."""
+    named = [both.ids[i] for i in exchange.points]
+    said = "No view of a plane reverses some triangles of points and others not, as these do"
+    if exchange.is_pair:
+        return (f"{said}. {named[0]} and {named[1]} are likely exchanged: with the image place of "
+                "each at the other one, all triangles agree. Exchange them, and run again.")
+    if len(named) == 1:
+        return f"{said}, but for {named[0]}: look at it in the image."
+    return (f"{said}. At least one of {', '.join(named)} is wrong, or two are exchanged: look at "
+            "them in the image.")
 
 
 def _held_against_others(observations: Observations, roles: dict[str, Role],
