@@ -174,9 +174,11 @@ CORNERS = np.array([(0, 0), (0, 3840), (2160, 3840), (2160, 0)], dtype=float)
 PLACES = np.array([(0, 2000), (3000, 2400), (1900, 300), (700, 0)], dtype=float)
 """Of the corners on the ground: a view to the north."""
 
+ORIGIN = np.array([500_000.0, 5_000_000.0])
+
 
 def corners(image: FloatArray = CORNERS, places: FloatArray = PLACES) -> termsel.FeatureSet:
-    ground = np.column_stack([places + [500_000.0, 5_000_000.0], np.full(len(places), np.nan)])
+    ground = np.column_stack([places + ORIGIN, np.full(len(places), np.nan)])
     return termsel.FeatureSet(termsel.Points(tuple("ABCDEFG"[:len(places)]), image, ground),
                               crs="EPSG:32633", image_size=(2161, 3841))
 

@@ -127,7 +127,9 @@ from .measurements.scaling import scaling_of as scaling_of
 from .measurements.tables.attributes import TextArray as TextArray
 from .measurements.tables.attributes import distinct as distinct
 from .measurements.twins import twins as twins
+from .measurements.view import view_of as view_of
 from .models.poles import guard_points as guard_points
+from .models.poles import pole_margin as pole_margin
 from .models.poles import pole_violation as pole_violation
 from .options import options_of_file as options_of_file
 from .plugins.kinds import KINDS as KINDS

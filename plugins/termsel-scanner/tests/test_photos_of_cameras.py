@@ -7,9 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 pytest.importorskip("termsel_scanner", reason="termsel-scanner is not installed: "
                     "pip install -e plugins/termsel-scanner")
+
 
 import termsel
 from termsel import FeatureSet, Points
@@ -18,6 +20,8 @@ from termsel_scanner import Frame
 from termsel_scanner.photos import CANDIDATES
 
 HIGH, FOCAL = 3000.0, 6000.0
+
+FloatArray = NDArray[np.float64]
 
 
 def photo(kind: str, count: int, seed: int = 0, noise: float = 0.5,
@@ -125,3 +129,37 @@ def test_flat_control_calls_for_no_camera() -> None:
     result = termsel.run(features=replace(scene, points=replace(scene.points, ground=flat)))
     assert result.strategy is not None
     assert not result.strategy.chosen.endswith("-camera")
+
+
+def oblique(seed: int, count: int = 8) -> tuple[FeatureSet, FloatArray, FloatArray]:
+    """Return control of a camera 15 degrees below the horizon over hills, other ground, its image.
+    """
+    rng = np.random.default_rng(seed)
+    down, turn = np.radians(15.0), rng.uniform(0, 2 * np.pi)
+    ahead = np.array([np.sin(turn), np.cos(turn), 0.0])
+    right = np.array([np.cos(turn), -np.sin(turn), 0.0])
+    view = np.cos(down) * ahead - np.sin(down) * np.array([0.0, 0.0, 1.0])
+    axes = np.stack([np.cross(view, right), right, view])
+    far, aside = rng.uniform(800.0, 4000.0, 200), rng.uniform(-0.4, 0.4, 200)
+    ground = far[:, None] * (ahead + aside[:, None] * right)
+    ground[:, 2] = 30.0 * (np.sin(ground[:, 0] / 400.0) + np.cos(ground[:, 1] / 500.0))
+    seen = (ground - [0.0, 0.0, 500.0]) @ axes.T
+    image = 3500.0 * seen[:, :2] / seen[:, 2:] + [1500.0, 2000.0]
+    origin = np.array([400_000.0, 5_000_000.0, 300.0])
+    points = Points(tuple(f"P{i}" for i in range(count)),
+                    image[:count] + 0.5 * rng.standard_normal((count, 2)),
+                    ground[:count] + origin)
+    return (FeatureSet(points, crs="EPSG:32633", image_size=(3000, 4000)),
+            ground[count:] + origin, image[count:])
+
+
+def test_a_camera_is_offered_for_few_points_of_an_oblique_view() -> None:
+    frame, errors = CANDIDATES[0], []
+    for seed in range(4):
+        control, ground, image = oblique(seed)
+        judged = frame.judge(termsel.Control.of(control))
+        if judged is not None:
+            errors.append(np.sqrt(((judged.fit.project(ground) - image)**2).sum(axis=1).mean()))
+    assert len(errors) >= 3
+    assert np.median(errors) < 3.0
+    assert frame.judge(termsel.Control.of(photo("frame", 8))) is not None  # by its column

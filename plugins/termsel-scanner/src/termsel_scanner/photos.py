@@ -17,6 +17,7 @@ from termsel import (
     SensorModel,
     Undetermined,
 )
+from termsel.toolkit import view_of
 from termsel_scanner.candidate import sensor_of
 from termsel_scanner.orbit import axes_at, geocentric
 from termsel_scanner.physical import FloatArray, Physical, RobustFit, known
@@ -28,6 +29,13 @@ those of an affine transformation: as good as nothing is known."""
 TILT = 0.1
 """Standard deviation of the camera's tilts [rad]: vertical photos are tilted by 3 deg at most
 (Manual of Photogrammetry), those of the war and of small aircraft by more."""
+
+OBLIQUE_TILT = 1.0
+"""The same of oblique photos, whose tilt is not known beforehand."""
+
+OBLIQUE = 0.6
+"""Distance of the nearest point from the camera, by that of the middle, up to which a view is
+oblique."""
 
 FOCAL, FOCAL_SPREAD = 2.0, 0.6
 """Focal length by the half extent of the control in the image, and the standard deviation of its
@@ -54,6 +62,13 @@ tell nothing: half of it, by the spread in the image, is as much as can be measu
 FEWEST, MOST = 6, 20
 """Numbers of points for which the candidates are: more tell as much as the physics."""
 
+MOST_OBLIQUE = 9
+"""Number of points up to which a camera of which nobody said that it is one is tried in an oblique
+view: a DLT of more tells as much."""
+
+FOCALS = (0.5, 8.0)
+"""Least and largest focal length that a fit to an oblique view begins at, by the half extent."""
+
 
 AMISS = 2.0
 """Misfit of points and priors together, by what it is expected to be, beyond which a camera is not
@@ -65,7 +80,14 @@ class Photo(Physical):
 
     free = 2
     declared_options = (
-        Option("mirrored", False, "Whether the scan is mirrored, as of a negative.", bool),)
+        Option("mirrored", False, "Whether the scan is mirrored, as of a negative.", bool),
+        Option("oblique", False, "Whether the camera looks towards the horizon rather than down.",
+               bool))
+
+    @property
+    def tilt(self) -> float:
+        """Standard deviation of the camera's tilts [rad]."""
+        return OBLIQUE_TILT if self.options["oblique"] else TILT
 
     def local(self, ground: FloatArray) -> FloatArray:
         """Return scaled places in metres east, north and up of the control's middle, (n, 3)."""
@@ -84,7 +106,49 @@ class Photo(Physical):
         some[:, self.terms.index("scale")] = np.log(
             np.sqrt(np.abs(np.linalg.det(slopes)) + 1e-12) * self._extent()) / SCALE
         some[:, self.terms.index("focal")] = (-1.0, 0.0, 1.0)
-        return some
+        of_view = self.starts_of_view(features) if self.options["oblique"] else some[:0]
+        return of_view if len(of_view) else some
+
+    def starts_of_view(self, features: FeatureSet) -> FloatArray:
+        """Return the values of terms of the view that points call for, (s, k), or none, (0, k).
+
+        On level ground a pinhole camera with the focal length f and the principal point in the
+        middle sees (f l, f s, w) = K [r_E r_N t] (E, N, 1): two columns of a rotation give f.
+        """
+        view = view_of(features.points)
+        none = np.zeros((0, len(self.terms)))
+        if view is None:
+            return none
+        steps = self.local(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]))[:, :2]
+        plane = view.matrix[:, 1:3] @ np.linalg.inv((steps[:2] - steps[2]).T)
+        middle = view.matrix[:, 0]
+        if not middle[2] > 0.0:
+            return none
+        # r_E r_N = 0 and r_E^2 = r_N^2 are linear in 1 / f^2.
+        (east, north), (w_east, w_north) = plane[:2].T, plane[2]
+        by = np.array([east @ north, east @ east - north @ north])
+        free = np.array([w_east * w_north, w_east**2 - w_north**2])
+        inverse = -(by @ free) / (by @ by)
+        found = float(np.clip(inverse**-0.5 if inverse > 0.0 else FOCAL, *FOCALS))
+        return np.array([self._start_of(plane, middle, focal)
+                         for focal in (found, FOCAL, FOCAL * np.exp(FOCAL_SPREAD))])
+
+    def _start_of(self, plane: FloatArray, middle: FloatArray, focal: float) -> list[float]:
+        """Return the values of terms of a camera of some focal length, by what it sees.
+
+        `plane`, (3, 2), and `middle`, (3,), are of east, north and the middle of the ground.
+        """
+        columns = plane / np.array([[focal], [focal], [1.0]])
+        size = float(np.linalg.norm(columns, axis=0).mean())
+        turn, tilts = _angles(columns, mirrored=bool(self.options["mirrored"]))
+        seen = middle[:2] / middle[2]
+        values = dict.fromkeys(self.terms, 0.0) | {
+            "line": seen[0], "sample": seen[1], "turn": turn / TURN,
+            "scale": np.log(focal * size / middle[2] * self._extent()) / SCALE,
+            "focal": np.log(focal / FOCAL) / FOCAL_SPREAD,
+            "tilt-line": tilts[0] / self.tilt, "tilt-sample": tilts[1] / self.tilt,
+            "middle-line": seen[0] / MIDDLE, "middle-sample": seen[1] / MIDDLE}
+        return [values[name] for name in self.terms]
 
     def slopes_of(self, features: FeatureSet) -> FloatArray:
         """Return the slopes of scaled image positions by metres east and north, shape (2, 2).
@@ -114,7 +178,7 @@ class Photo(Physical):
                           np.stack([none, none, none - 1.0], axis=1)], axis=1)
         turned = level
         for i, name in enumerate(("tilt-line", "tilt-sample")):
-            s, c = np.sin(TILT * x[name])[:, None], np.cos(TILT * x[name])[:, None]
+            s, c = np.sin(self.tilt * x[name])[:, None], np.cos(self.tilt * x[name])[:, None]
             one, view = turned[:, i], turned[:, 2]
             turned = turned.copy()
             turned[:, i], turned[:, 2] = c * one - s * view, s * one + c * view
@@ -132,6 +196,25 @@ class Photo(Physical):
     def film(self, x: dict[str, FloatArray], ground: FloatArray) -> FloatArray:
         """Return scaled positions on the film (p, n, 2), about where the middle is seen."""
         raise NotImplementedError
+
+
+def _angles(columns: FloatArray, *, mirrored: bool) -> tuple[float, tuple[float, float]]:
+    """Return the turn and the tilts [rad] of a camera, by where it sees east and north, (3, 2).
+
+    They are those that `Photo.seen` turns the level axes by: lines about samples, then samples
+    about what results.
+    """
+    u, _, v = np.linalg.svd(columns, full_matrices=False)
+    east, north = (u @ v).T
+    up = np.cross(east, north) * (1.0 if mirrored else -1.0)
+    line, sample, view = np.column_stack([east, north, up])
+    if view[2] > 0.0:  # a camera looks down
+        line, sample, view = (axis * [1.0, 1.0, -1.0] for axis in (line, sample, view))
+    second = float(np.arctan(-sample[2] / min(view[2], -1e-9)))
+    level = np.cos(second) * sample + np.sin(second) * view
+    between = np.cos(second) * view - np.sin(second) * sample
+    first = float(np.arctan(-line[2] / min(between[2], -1e-9)))
+    return float(np.arctan2(level[1], level[0])), (first, second)
 
 
 _COMMON = ("line", "sample", "turn", "scale", "focal", "tilt-line", "tilt-sample", "middle-line",
@@ -231,15 +314,25 @@ class FewOfPhoto(Candidate):
     def judge(self, control: Control) -> Judged | None:
         """Return the candidate fitted and judged where the points say that they are of a photo.
 
-        To try cameras on every image would take auto several times as long.
+        To try cameras on every image would take auto several times as long. A frame camera is tried
+        on few points of an oblique view, too.
         """
-        return super().judge(control) if sensor_of(control) == self.camera.name else None
+        named = sensor_of(control) == self.camera.name
+        few = len(control) <= MOST_OBLIQUE and self.camera is Frame and not sensor_of(control)
+        return super().judge(control) if named or (few and self._is_oblique(control)) else None
+
+    @staticmethod
+    def _is_oblique(control: Control) -> bool:
+        """Return whether the points call for a view of unlike distances from the camera."""
+        view = view_of(control.scaled.points)
+        return view is not None and view.depth < OBLIQUE
 
     def fit_control(self, control: Control) -> Fit:
         """Fit the camera by all features."""
         model = self.camera().prepared(control.scaling, control.features.crs)
         assert isinstance(model, Photo)
-        model = self.camera(mirrored=bool(np.linalg.det(model.slopes_of(control.scaled)) < 0))
+        model = self.camera(mirrored=bool(np.linalg.det(model.slopes_of(control.scaled)) < 0),
+                            oblique=self._is_oblique(control))
         fitted = self.estimator.fit(model, control.features, control.scaling,
                                     np.ones(len(model.terms), dtype=bool),
                                     np.ones(len(control), dtype=bool))
@@ -266,7 +359,9 @@ class FewOfPhoto(Candidate):
         """Return that the fit converged, and what it took the camera for."""
         values: dict[str, Any] = fitted.coefficients
         focal = FOCAL * np.exp(FOCAL_SPREAD * values["focal"])
-        tilt = np.degrees(TILT * np.hypot(values["tilt-line"], values["tilt-sample"]))
+        assert isinstance(fitted.model, Photo)
+        tilt = np.degrees(np.arccos(np.prod(np.cos(fitted.model.tilt * np.array(
+            [values["tilt-line"], values["tilt-sample"]])))))
         return (f"The points call for {self.title}. The fit converged in "
                 f"{fitted.adjustment.steps} steps, with a focal length of {focal:.1f} half "
                 f"extents of the control and a tilt of {tilt:.1f} deg.")

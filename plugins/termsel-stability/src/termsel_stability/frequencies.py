@@ -25,6 +25,7 @@ from termsel.toolkit import (
     notebook_observer,
     one_blas_thread,
     plain,
+    pole_margin,
     pole_violation,
     prepared,
     recommended,
@@ -238,6 +239,7 @@ def _fitted(task: Task, chosen: BoolArray) -> tuple[bool, dict[str, Rmse | None]
                                 np.ones(len(both), dtype=bool))
     guard = guard_points(scaling.features(both), scaling.points(both.points))
     if not fitted.adjustment.feasible or pole_violation(
-            task.model, fitted.adjustment.coefficients[None], guard).any():
+            task.model, fitted.adjustment.coefficients[None], guard,
+            pole_margin(scaling.points(both.points))).any():
         return False, {}
     return True, figures(in_role(fitted, task.observations), task.observations)
