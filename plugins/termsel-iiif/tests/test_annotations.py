@@ -19,7 +19,7 @@ import termsel
 from termsel import FeatureSet, Points, Result, TermselError, export, read
 from termsel.testing import check, checks, invoke
 from termsel_iiif.annotation import MASK, SOURCE, TRANSFORMATION, corners, maps_of
-from termsel_iiif.reader import AnnotationReader
+from termsel_iiif.reader import ALL_POINTS, AnnotationReader
 from termsel_iiif.viewer import KINDS, degrees, forward, kind_of, mercator
 from termsel_iiif.writer import AnnotationWriter
 
@@ -329,16 +329,24 @@ def test_an_image_without_an_address_is_asked_for(tmp_path: Path) -> None:
     assert 50 < again.points.ground[0, 0] < 52
 
 
-def test_what_reading_says_of_a_map_of_few_points_is_a_command_that_works(
-        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+@pytest.mark.parametrize(("count", "kind", "model"), [
+    (4, {"type": "thinPlateSpline"}, ["tps"]),
+    (30, {"type": "polynomial", "options": {"order": 2}}, ["poly2d", "--set", "degree=2"])])
+def test_what_reading_says_of_a_map_is_a_command_that_fits_it_to_all_points(
+        count: int, kind: dict, model: list[str], tmp_path: Path,
+        caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO", logger="termsel")
-    path = write(tmp_path, annotation(4, type="thinPlateSpline"))
+    path = write(tmp_path, annotation(count, **kind))
     read(path)
-    words = caplog.text.split("; ")[1].split(" fits the same")[0].split()
-    assert words == ["--model", "tps", "--criterion", "press"]
-    done = invoke("run", "--points", path, *words)
+    words = caplog.text.split("; ")[1].split(" fits that kind")[0].split()
+    assert words == ["--model", *model, *ALL_POINTS.split()]
+    done = invoke("run", "--points", path, *words, "--out", tmp_path / "out")
     assert done.exit_code == 0, done.output
-    assert "all 4 points" in done.output
+    result = termsel.read_result(tmp_path / "out")
+    assert result.data.counts.control == count
+    assert len(result.selection.features) == count
+    assert result.fit.terms.all()
+    assert result.fit.control.fit_crs == "EPSG:3857"
 
 
 def test_corners_are_numbers_in_pairs() -> None:

@@ -18,6 +18,9 @@ log = logging.getLogger("termsel.iiif")
 CENTRE = 0.5
 """Columns and rows of the IIIF count from the corner of a pixel, termsel's from its centre."""
 
+ALL_POINTS = "--solver all-terms --criterion press --set fractions=1:0:0 --fit-crs EPSG:3857"
+"""Options by which a model has all its terms and all points, in the coordinates of viewers."""
+
 _MAP = Option("map", "", "Which map of a page: its number, from 1, or its id.")
 
 
@@ -58,8 +61,9 @@ class AnnotationReader(Reader):
         if kind is not None:
             options = "".join(f" --set {name}={value}" for name, value in kind.options.items()
                               if value)
-            log.info("The map is drawn with %s; --model %s%s --criterion press fits the same to "
-                     "all points, from the ground to the image.", kind.label, kind.model, options)
+            log.info("The map is drawn with %s; --model %s%s %s fits that kind to all points in "
+                     "Web Mercator, as viewers do, but from the ground to the image.", kind.label,
+                     kind.model, options, ALL_POINTS)
         width, height = chosen.resource["width"], chosen.resource["height"]
         size = (height, width) if width and height else None
         return FeatureSet(points, crs="EPSG:4326", image_size=size)
