@@ -23,6 +23,7 @@ from termsel.formats.z_unit import Z_UNIT, with_z_unit
 from termsel.guard.faults import PluginFault, is_own, name_of
 from termsel.measurements.coordinates.crs import normalise
 from termsel.measurements.coordinates.earth import say_turned, unknown_crs
+from termsel.measurements.coordinates.mixed import note_on_mixed
 from termsel.measurements.coordinates.plausible import check_ground
 from termsel.measurements.features import FeatureSet, no_lines, no_points
 from termsel.measurements.tables.columns import LINES, OPTIONAL, POINTS, columns_text
@@ -194,7 +195,7 @@ def _read_frame(frame: Any, crs: str | None, options: Mapping[str, Any]) -> Feat
     _require_crs(measured, [place], "columns" not in options)
     _say_misspelt(place, measured)
     check_ground(measured)
-    say_turned(measured)
+    _say_doubts(measured)
     return measured
 
 
@@ -336,8 +337,15 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
     except TermselError as error:
         place = next(path for path, one in sets.items() if error.ids[0] in one.ids)
         raise chosen[place].placed(error, place) from error
-    say_turned(measured)
+    _say_doubts(measured)
     return measured
+
+
+def _say_doubts(features: FeatureSet) -> None:
+    """Warn of axes that look swapped, and of coordinates that are not all of one kind."""
+    say_turned(features)
+    if mixed := note_on_mixed(features):
+        log.warning("Warning: %s", mixed)
 
 
 def _say_misspelt(path: Path, features: FeatureSet) -> None:

@@ -14,6 +14,7 @@ from termsel.measurements.coordinates.crs import EARTH, body_of
 from termsel.measurements.coordinates.earth import note_on_turned
 from termsel.measurements.coordinates.longitudes import jumps
 from termsel.measurements.coordinates.metres import height_unit, is_in_degrees, plan_of
+from termsel.measurements.coordinates.mixed import note_on_mixed
 from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.measurements.roles import Observations
 from termsel.measurements.twins import groups, twins
@@ -45,6 +46,8 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
         yield note_on_blank(blank, read)
     if turned := note_on_turned(read):
         yield f"{turned[0].upper()}{turned[1:]}"
+    if mixed := note_on_mixed(read):
+        yield mixed
     if jumps(read):
         yield ("The longitudes jump by a full turn between points. They were made continuous: on "
                "one side they go on beyond 180 degrees.")

@@ -1,0 +1,110 @@
+"""Files whose ground coordinates are not all of one kind, of which the image tells."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import termsel
+from termsel.measurements.coordinates.mixed import note_on_mixed
+from termsel.measurements.features import FeatureSet, Points
+
+pyproj = pytest.importorskip("pyproj")
+
+
+def seen(lon: np.ndarray, lat: np.ndarray, noise: float = 0.5) -> np.ndarray:
+    """Line and sample of places, north up."""
+    rng = np.random.default_rng(5)
+    image = np.column_stack([(lat.max() - lat) * 9000.0, (lon - lon.min()) * 6500.0])
+    return image + rng.normal(0, noise, image.shape)
+
+
+def places(west: float, south: float, width: float, height: float, count: int = 14,
+           ) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(9)
+    return west + width * rng.uniform(size=count), south + height * rng.uniform(size=count)
+
+
+def features(image: np.ndarray, x: np.ndarray, y: np.ndarray, crs: str) -> FeatureSet:
+    ground = np.column_stack([x, y, np.full(len(x), np.nan)])
+    return FeatureSet(Points(tuple(f"P{i}" for i in range(len(x))), image, ground), crs=crs)
+
+
+def in_zones(lon: np.ndarray, lat: np.ndarray, zones: list[int], base: int = 32600,
+             ) -> tuple[np.ndarray, np.ndarray]:
+    x, y = np.empty_like(lon), np.empty_like(lat)
+    for zone in set(zones):
+        here = np.array(zones) == zone
+        turn = pyproj.Transformer.from_crs("EPSG:4326", f"EPSG:{base + zone}", always_xy=True)
+        x[here], y[here] = turn.transform(lon[here], lat[here])
+    return x, y
+
+
+@pytest.mark.parametrize("stated", [32, 33])
+def test_points_of_the_next_zone_of_utm_are_named(stated: int) -> None:
+    lon, lat = places(11.6, 47.0, 0.8, 0.5)
+    zones = [33 if one > 12 else 32 for one in lon]
+    note = note_on_mixed(features(seen(lon, lat), *in_zones(lon, lat, zones),
+                                  f"EPSG:{32600 + stated}"))
+    fewer = min((32, 33), key=zones.count)
+    assert note.startswith(f"{zones.count(fewer)} of 14 points look as if they were in the zone of "
+                           f"UTM {'west' if fewer == 32 else 'east'} of that of the others")
+    assert f"P{zones.index(fewer)}" in note
+
+
+def test_one_zone_has_no_note_in_either_hemisphere_nor_beyond_its_border() -> None:
+    lon, lat = places(11.6, 47.0, 0.8, 0.5)
+    assert note_on_mixed(features(seen(lon, lat), *in_zones(lon, lat, [32] * 14),
+                                  "EPSG:32632")) == ""
+    lon, lat = places(-70.5, -33.5, 5.0, 0.5)  # wide, with gaps
+    assert note_on_mixed(features(seen(lon, lat), *in_zones(lon, lat, [19] * 14, 32700),
+                                  "EPSG:32719")) == ""
+
+
+def test_a_blunder_is_no_other_zone() -> None:
+    lon, lat = places(11.6, 47.0, 0.3, 0.3)
+    x, y = in_zones(lon, lat, [32] * 14)
+    x[3] += 300_000.0
+    assert note_on_mixed(features(seen(lon, lat), x, y, "EPSG:32632")) == ""
+
+
+def typed(angle: np.ndarray, *, seconds: bool = False) -> np.ndarray:
+    """Degrees with minutes, and seconds, as decimals."""
+    size = np.abs(angle)
+    minutes = (size % 1) * 60
+    part = np.floor(minutes) / 100 + (minutes % 1) * 60 / 10_000 if seconds else minutes / 100
+    return np.sign(angle) * np.round(np.floor(size) + part, 6)
+
+
+@pytest.mark.parametrize(("west", "south"), [(10.6, 48.1), (-71.3, -33.8)])
+@pytest.mark.parametrize("seconds", [False, True])
+def test_minutes_typed_as_decimals_are_named(west: float, south: float, seconds: bool) -> None:
+    lon, lat = places(west, south, 0.8, 0.6)
+    note = note_on_mixed(features(seen(lon, lat), typed(lon, seconds=seconds),
+                                  typed(lat, seconds=seconds), "EPSG:4326"))
+    words = "degrees, minutes and seconds" if seconds else "degrees and minutes"
+    assert note.startswith(f"Coordinates look like {words} typed as decimals: ")
+
+
+def test_decimal_degrees_have_no_note() -> None:
+    for seed_west in (10.6, 10.05, -71.3):
+        lon, lat = places(seed_west, 48.05, 0.8, 0.4)
+        assert note_on_mixed(features(seen(lon, lat), lon, lat, "EPSG:4326")) == ""
+    few = slice(0, 5)
+    lon, lat = places(10.6, 48.1, 0.8, 0.6)
+    assert note_on_mixed(features(seen(lon, lat)[few], typed(lon)[few], typed(lat)[few],
+                                  "EPSG:4326")) == ""
+
+
+def test_a_run_says_so_and_keeps_it(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    lon, lat = places(10.6, 48.1, 0.8, 0.6)
+    image = seen(lon, lat)
+    rows = ["# crs: EPSG:4326", "id,line,sample,x,y"]
+    rows += [f"P{i},{line:.2f},{sample:.2f},{x:.6f},{y:.6f}" for i, (line, sample, x, y)
+             in enumerate(zip(*image.T, typed(lon), typed(lat), strict=True))]
+    (tmp_path / "points.csv").write_text("\n".join(rows))
+    result = termsel.run(features=tmp_path / "points.csv")
+    assert any("typed as decimals" in note for note in result.notes)
+    assert any(one.startswith("Warning: Coordinates look like") for one in caplog.messages)
