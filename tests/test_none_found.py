@@ -53,9 +53,13 @@ def test_many_points_find_none_plainly() -> None:
     assert result.blunder_test.limit < 10
 
 
-def test_points_of_which_a_third_is_wrong_are_not_called_free_of_blunders() -> None:
-    said = line_on_blunders(termsel.run(features=photograph(12, wrong=4)))
-    assert said == "none can be found with 8 points; any may be one."
+@pytest.mark.parametrize(("count", "wrong", "said"), [
+    (8, 3, "none can be found with 8 points; any may be one."),
+    (11, 4, "none can be told, as no model agrees with the points better than 128 px: several are "
+            "wrong, or no model holds.")])
+def test_points_of_which_a_third_is_wrong_are_not_called_free_of_blunders(
+        count: int, wrong: int, said: str) -> None:
+    assert line_on_blunders(termsel.run(features=photograph(count, wrong))) == said
 
 
 def test_points_that_agree_with_no_model_are_not_called_free_of_blunders() -> None:

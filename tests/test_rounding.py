@@ -114,3 +114,17 @@ def test_of_values_that_are_equal_but_for_rounding_the_first_is_the_largest() ->
 def test_figures_that_are_rounding_are_by_the_size_of_the_selection() -> None:
     figures = by_size(np.array([1e-12, 5.0, 1e-13]), 1e-9, np.array([0.5, 0.1, 1.0]))
     np.testing.assert_allclose(figures, [5e-10, 5.0, 1e-9])
+
+
+def test_a_fit_through_all_points_is_called_exact() -> None:
+    features = computed("quadratic", 12)
+    roles = tuple("control" if i < 10 else "check" for i in range(12))
+    points = features.points
+    rng = np.random.default_rng(0)
+    noisy = Points(points.ids, points.image + rng.normal(0, 1, (12, 2)), points.ground, None, roles)
+    result = termsel.run("rfm-terms", features=features.with_(points=noisy), model="poly3d",
+                         solver="stepwise", criterion="check-rmse", strategy="as-asked",
+                         options={"degree": 2})
+    row = next(line for line in result.summary(verbose=True).splitlines()
+               if line.strip().startswith("all terms"))
+    assert row.split()[3] == "exact"

@@ -40,6 +40,9 @@ from termsel.report.tables import sigma_table
 from termsel.report.verdict import contradicting, verdict_table
 from termsel.report.view import View
 
+EXACT_BELOW = 1e-9
+"""RMSE [px] that is rounding of the computation alone."""
+
 _UNLIKELY, _FAR = 0.01, 2.576
 """Chance below which a mean error or a shape is no accident, and how many standard deviations."""
 
@@ -255,6 +258,8 @@ def _figure(rmse: RoleRmse) -> str:
     total = rmse.total
     if total is None:
         return "-"
+    if total < EXACT_BELOW:  # what is left of points that a fit goes through
+        return "exact"
     return f"{total:.3f}" if 0.01 <= total < 1e5 else f"{total:.2e}"
 
 
