@@ -75,8 +75,8 @@ def _far_group(eastings: FloatArray) -> BoolArray | None:
     widest = int(np.argmax(gaps))
     if gaps[widest] < APART:
         return None
-    above = eastings > order[widest]
-    return above if above.sum() <= len(above) / 2 else ~above
+    above = np.asarray(eastings > order[widest])
+    return np.asarray(above if above.sum() <= len(above) / 2 else ~above)
 
 
 def _minutes(features: FeatureSet) -> str:
