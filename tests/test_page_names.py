@@ -12,6 +12,7 @@ import click
 import pytest
 
 from termsel.cli.main import cli
+from termsel.io.read import READ_OPTIONS
 from termsel.plugins.commands import COMMANDS
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.registry import registry
@@ -46,7 +47,8 @@ def names(*kinds: str) -> set[str]:
 def options() -> dict[str, tuple[str, ...]]:
     """Return all options by name, with their choices."""
     found: dict[str, tuple[str, ...]] = {
-        option.name: () for option in (*DATA_OPTIONS, *SEARCH_OPTIONS)}
+        option.name: tuple(map(str, option.choices or ()))
+        for option in (*DATA_OPTIONS, *SEARCH_OPTIONS, *READ_OPTIONS)}
     for kind in KINDS:
         for entry in registry().entries(kind):
             declared = entry.object.options if kind == "problems" else getattr(

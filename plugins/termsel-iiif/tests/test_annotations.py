@@ -333,7 +333,7 @@ def test_an_image_without_an_address_is_asked_for(tmp_path: Path) -> None:
     (4, {"type": "thinPlateSpline"}, ["tps"]),
     (30, {"type": "polynomial", "options": {"order": 2}}, ["poly2d", "--set", "degree=2"])])
 def test_what_reading_says_of_a_map_is_a_command_that_fits_it_to_all_points(
-        count: int, kind: dict, model: list[str], tmp_path: Path,
+        count: int, kind: dict[str, Any], model: list[str], tmp_path: Path,
         caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO", logger="termsel")
     path = write(tmp_path, annotation(count, **kind))

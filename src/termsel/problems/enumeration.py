@@ -89,7 +89,7 @@ def _cost_by_size(scores: FloatArray, cost: Callable[[FloatArray], FloatArray], 
     Scores up to `rounding` count by their size, each term as a share, as where `SelectionProblem`
     evaluates them: there roots of sums over the parts are judged.
     """
-    return cost(by_size(scores, rounding, share * np.arange(len(scores))))
+    return cost(by_size(scores, rounding, share * np.arange(len(scores), dtype=np.float64)))
 
 
 def _refuse_other_errors(inputs: Inputs) -> None:

@@ -214,8 +214,11 @@ def _none_found(record: Record) -> str:
 
 def _size_of_errors(record: Record) -> float:
     """Return the RMSE that features which took no part have, or are predicted to have [px]."""
-    known = [one for one in (record.predicted and record.predicted.rmse,
-                             record.accuracy and record.accuracy.image.total) if one is not None]
+    known = []
+    if record.predicted:
+        known.append(record.predicted.rmse)
+    if record.accuracy:
+        known.append(record.accuracy.image.total)
     return min(known, default=0.0)
 
 

@@ -91,9 +91,9 @@ class Table:
         more = self.more
         try:
             if is_averaging():
-                first, image, sigma = averaged(ids, image, ground, sigma, roles)
-                ids, roles = [ids[row] for row in first], [roles[row] for row in first]
-                ground, more = ground[first], rows_at(more, first)
+                kept, image, sigma = averaged(ids, image, ground, sigma, roles)
+                ids, roles = [ids[row] for row in kept], [roles[row] for row in kept]
+                ground, more = ground[kept], rows_at(more, kept)
             return Points(tuple(ids), image, ground, sigma, tuple(roles), more)
         except TermselError as error:
             raise self.placed(error) from error
