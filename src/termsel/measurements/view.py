@@ -13,7 +13,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from termsel.measurements.coordinates.places import spatial_order
-from termsel.measurements.features import FloatArray, Points
+from termsel.measurements.features import BoolArray, FloatArray, Points
 
 CLEARER = 0.5
 """What a central projection leaves of the image coordinates, by what an affine transformation
@@ -75,16 +75,16 @@ class View:
         middle = float(self.matrix[2, 0])
         return self.nearest / middle if middle > 0.0 else 0.0
 
-    def shows(self, ground: FloatArray) -> FloatArray:
+    def shows(self, ground: FloatArray) -> BoolArray:
         """Return whether places are in front of the camera, and not much nearer than the points."""
         return np.asarray(self.distances(ground) >= NEARER * self.nearest)
 
-    def holds(self, ground: FloatArray) -> FloatArray:
+    def holds(self, ground: FloatArray) -> BoolArray:
         """Return whether places are about as far from the camera as some points are."""
         far = self.distances(ground) <= FARTHER * self.distances(self.ground).max()
         return np.asarray(self.shows(ground) & far)
 
-    def above_horizon(self, image: FloatArray) -> FloatArray:
+    def above_horizon(self, image: FloatArray) -> BoolArray:
         """Return whether the rays of scaled image places (n, 2) lead away from the ground.
 
         A level place X, Y seen at an image place is that of the homogeneous solution of H (1, X, Y)
@@ -207,4 +207,4 @@ def _step(matrix: FloatArray, columns: FloatArray, left: FloatArray) -> FloatArr
 
 def _seen(matrix: FloatArray, columns: FloatArray) -> FloatArray:
     line, sample, below = matrix @ columns.T
-    return np.column_stack([line, sample]) / below[:, None]
+    return np.asarray(np.column_stack([line, sample]) / below[:, None])
