@@ -22,8 +22,8 @@ from scipy.stats import binom
 import termsel
 from benchmarks.new_points import correlation_interval, rmse_interval, scene
 from benchmarks.sets import ROOT, put
-from termsel.enumeration.columns.system import Piece
-from termsel.enumeration.stack import Stack, stack
+from termsel.enumeration.columns.system import SubtreeNode
+from termsel.enumeration.score_systems import ScoreSystems, score_systems
 from termsel.fits.residuals import Rmse
 from termsel.measurements.features import FloatArray, no_lines
 from termsel.report.theme import BLUNDER, CONTROL, INDEPENDENT, UNUSED, data, require_altair, styled
@@ -199,10 +199,11 @@ def carried(proof: termsel.Result) -> Iterator[str]:
     names = [str(term) for term in termsel.RationalFunctions().terms]
     means, variances = np.zeros((2, len(SHARES)))
     for part in problem.parts():
-        whole = stack(part.system, part.score, part.folds, limits_of(problem, part, None)[1])
+        whole = score_systems(part.system, part.score, part.folds,
+                              limits_of(problem, part, None)[1])
         chosen = [j for j, gene in enumerate(part.genes) if names[gene] in proof.selection.terms]
         nothing = np.full(whole.k + 1, np.inf), np.zeros(whole.k + 1, dtype=np.uint64)
-        alone = Piece(np.array(chosen), whole.everything.rest[:0], 0)
+        alone = SubtreeNode(np.array(chosen), whole.everything.candidates[:0], 0)
         optimum = float(whole.walk(alone, *nothing).best.min())
         for i, seconds in enumerate(sampled(whole, optimum)):
             means[i] += seconds.mean()
@@ -216,7 +217,7 @@ def carried(proof: termsel.Result) -> Iterator[str]:
     yield ""
 
 
-def sampled(whole: Stack, optimum: float) -> Iterator[FloatArray]:
+def sampled(whole: ScoreSystems, optimum: float) -> Iterator[FloatArray]:
     """Yield, for every share, estimates of the processor time to rule out what scores less.
 
     Each is the time of one piece over the probability of drawing it. All shares have the same

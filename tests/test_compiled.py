@@ -67,7 +67,7 @@ from own import kernel
 from termsel.adjustment.compiled import is_compiled
 told = is_compiled(kernel)
 kernel(1.0)
-print(told, bool(kernel.made.stats.cache_hits))
+print(told, bool(kernel.dispatcher.stats.cache_hits))
 """
 
 
@@ -134,7 +134,7 @@ def test_a_counter_that_begins_with_a_constant_is_any_integer(
     monkeypatch.syspath_prepend(tmp_path)
     counting = importlib.import_module("counting")
     assert counting.counts(3) == 6
-    assert len(counting.more.part.signatures) == 1
+    assert len(counting.more.inner_dispatcher.signatures) == 1
 
 
 def test_a_part_of_kernels_is_compiled_again_where_python_calls_it(
@@ -178,7 +178,7 @@ from own import kernel
 print("ready", flush=True)
 sys.stdin.readline()
 kernel(1.0)
-print(bool(kernel.made.stats.cache_hits))
+print(bool(kernel.dispatcher.stats.cache_hits))
 """
 
 LONG = """

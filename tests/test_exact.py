@@ -116,7 +116,7 @@ def test_a_large_space_is_not_cut_and_ends_with_a_certificate(
 @pytest.mark.parametrize("criterion", ["check-rmse", "ebic"])
 def test_at_any_time_the_bound_holds_and_rises(criterion: str,
                                                monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(subsets, "_BRANCH", 1 << 9)
+    monkeypatch.setattr(subsets, "_BOUNDED_SUBSETS", 1 << 9)
     problem = termsel.prepare("poly-terms", criterion=criterion, options={"degree": 4}).problem
     states = list(prove(problem))
     found = problem.evaluate(np.array([state.front()[-1] for state in states[1:]]))
@@ -130,12 +130,12 @@ def test_at_any_time_the_bound_holds_and_rises(criterion: str,
 @pytest.mark.parametrize("criterion", ["check-rmse", "ebic", "press"])
 def test_at_any_time_every_size_has_a_bound_that_holds(criterion: str,
                                                        monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(subsets, "_BRANCH", 1 << 9)
-    monkeypatch.setattr(subsets, "_PIECE", 1 << 9)
+    monkeypatch.setattr(subsets, "_BOUNDED_SUBSETS", 1 << 9)
+    monkeypatch.setattr(subsets, "_NODE_SUBSETS", 1 << 9)
     if criterion == "ebic":
-        monkeypatch.setattr(subsets, "_BRANCH", 1 << 6)
+        monkeypatch.setattr(subsets, "_BOUNDED_SUBSETS", 1 << 6)
     monkeypatch.setattr(subsets, "_DESCEND_FROM", 1)
-    monkeypatch.setattr(subsets, "_SMALL", 1 << 9)
+    monkeypatch.setattr(subsets, "_SMALL_SIZES", 1 << 9)
     monkeypatch.setattr(subset_descents, "_RESTARTS", 1)
     monkeypatch.setattr(subset_descents, "_KICKS", 1)
     problem = termsel.prepare("poly-terms", criterion=criterion, options={"degree": 3}).problem
@@ -162,7 +162,7 @@ def test_of_many_selections_those_that_beat_all_smaller_ones_are_proven(
     *_, proof = prove(problem)
     whole = {one.genes.sum(): one for one in proof.by_size(problem)}
     monkeypatch.setattr(subsets, "_DESCEND_FROM", 1)
-    monkeypatch.setattr(subsets, "_SMALL", 1)
+    monkeypatch.setattr(subsets, "_SMALL_SIZES", 1)
     monkeypatch.setattr(subset_descents, "_RESTARTS", 0)
     *_, proof = prove(problem)
     assert proof.complete
@@ -306,7 +306,7 @@ def test_the_number_of_evaluations_is_the_same_on_a_slow_machine(
         monkeypatch: pytest.MonkeyPatch) -> None:
     task = termsel.prepare("poly-terms", solver="exact", criterion="kfold",
                            options={"degree": 4, "workers": 1})
-    monkeypatch.setattr(subsets, "_BRANCH", 1 << 10)
+    monkeypatch.setattr(subsets, "_BOUNDED_SUBSETS", 1 << 10)
     found = [termsel.search(task.problem, task.solver,
                             observers=[lambda _, wait=wait: time.sleep(wait)])
              for wait in (0.0, 0.01)]

@@ -8,13 +8,12 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from termsel.enumeration import rungs as subset_rungs
-from termsel.enumeration import subsets
+from termsel.enumeration import rising_bound, subsets
 from termsel.enumeration.bounds import held_out as subset_held_out
 from termsel.enumeration.bounds.closed import first_closed
 from termsel.enumeration.columns.kernels import LINEAR, RATIONAL
-from termsel.enumeration.columns.system import SCORES, Masks, Piece, SubsetSystem
-from termsel.enumeration.stack import Stack, stack
+from termsel.enumeration.columns.system import SCORES, Masks, SubsetSystem, SubtreeNode
+from termsel.enumeration.score_systems import ScoreSystems, score_systems
 from termsel.measurements.features import FloatArray
 
 pytestmark = pytest.mark.usefixtures("bounds_of_few")
@@ -31,7 +30,8 @@ def test_a_limit_that_a_subset_scores_never_rules_it_out() -> None:
         C, dc = rng.normal(size=(2, c, k)) * np.array([1, 0.1])[:, None, None]
         x = rng.normal(size=k) * (rng.random(k) < 0.4)
         b, f = A @ x + rng.normal(size=m) / 100, C @ x + rng.normal(size=c) / 100
-        systems = stack(SubsetSystem(A, b[:, None], C, f[:, None], d, dc), "check", (), None)
+        systems = score_systems(SubsetSystem(A, b[:, None], C, f[:, None], d, dc), "check", (),
+                                None)
         for _ in range(8):
             size = int(rng.integers(1, min(m, k) + 1))
             chosen = rng.permutation(k)[:size]
@@ -42,7 +42,7 @@ def test_a_limit_that_a_subset_scores_never_rules_it_out() -> None:
             score = float((((f - C[:, chosen] @ x) / below) ** 2).sum())
             used = chosen[:rng.integers(0, size)]
             rest = rng.permutation(np.setdiff1d(np.arange(k), used))
-            vectors, limits, _ = systems._prepared(Piece(used, rest, len(rest)))
+            vectors, limits, _ = systems._prepared(SubtreeNode(used, rest, len(rest)))
             first = int(np.flatnonzero(np.isin(rest, chosen))[0])
             upper = np.append(np.ones(c), 1 / (limits.margin * c))
             end = first_closed(vectors.top[0, 0], vectors.extra[0, 0], first, len(rest),
@@ -78,7 +78,7 @@ def test_a_held_out_bound_keeps_its_digits_where_targets_are_long() -> None:
 def test_subsets_of_few_columns_are_decided_before_all_others(
         score: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is decided of them holds, though the rest is walked without a look at their sizes."""
-    def nothing(systems: Stack) -> Iterator[tuple[FloatArray, Masks]]:
+    def nothing(systems: ScoreSystems) -> Iterator[tuple[FloatArray, Masks]]:
         yield np.full(systems.k + 1, np.inf), np.zeros(systems.k + 1, dtype=np.uint64)
 
     rng = np.random.default_rng(3)
@@ -86,7 +86,7 @@ def test_subsets_of_few_columns_are_decided_before_all_others(
     system = SubsetSystem(A[:12], b[:12], A[12:], b[12:])
     *_, plain = subsets.search(system, score)
     monkeypatch.setattr(subsets, "descents", nothing)
-    for name in ("_SMALL", "_PIECE", "_BRANCH"):
+    for name in ("_SMALL_SIZES", "_NODE_SUBSETS", "_BOUNDED_SUBSETS"):
         monkeypatch.setattr(subsets, name, 100)
     monkeypatch.setattr(subsets, "_DESCEND_FROM", 1)
     states = list(subsets.search(system, score))
@@ -103,7 +103,7 @@ def test_subsets_of_few_columns_are_decided_before_all_others(
 def test_a_bound_of_all_scores_comes_before_any_is_decided(
         rational: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where no good subset is known: a rung then finds those below it."""
-    monkeypatch.setattr(subset_rungs, "_SHARES", dict.fromkeys((LINEAR, RATIONAL), (0.5, 0.9)))
+    monkeypatch.setattr(rising_bound, "_SHARES", dict.fromkeys((LINEAR, RATIONAL), (0.5, 0.9)))
     rng = np.random.default_rng(5)
     for _ in range(20):
         A, C = rng.normal(size=(2, 14, 9))
@@ -111,10 +111,10 @@ def test_a_bound_of_all_scores_comes_before_any_is_decided(
         below = rng.normal(size=(2, 14, 9)) / 50 if rational else (None, None)
         system = SubsetSystem(A, b[:, None], C, f[:, None], *below)
         *_, proof = subsets.search(system, "check", max_terms=6)
-        systems = stack(system, "check", (), 6)
+        systems = score_systems(system, "check", (), 6)
         for share, least in ((1.0, 0.81), (8.0, 2.0)):  # of the optimum, as the best known
             known = np.full(10, share * proof.best.min())
-            *_, (best, masks, level) = subset_rungs.rungs(
+            *_, (best, masks, level) = rising_bound.rising_bounds(
                 systems, known, np.zeros(10, dtype=np.uint64), 1 << 6, 1)
             assert level == pytest.approx(least * proof.best.min())
             assert (proof.best >= np.minimum(best, level) * (1 - 1e-9)).all()
@@ -133,7 +133,7 @@ def test_few_subsets_are_enumerated_without_bounds(score: str,
     system = SubsetSystem(rows[:24, :13], rows[:24, 13:], rows[24:, :13], rows[24:, 13:])
     folds = [np.arange(i, 24, 5) for i in range(5)] if score == "kfold" else ()
     bounded = deque(subsets.search(system, score, folds=folds), maxlen=1).pop()
-    monkeypatch.setattr("termsel.enumeration.stack.WALKED", 1 << 13)
+    monkeypatch.setattr("termsel.enumeration.score_systems.WALKED", 1 << 13)
     walked = deque(subsets.search(system, score, folds=folds), maxlen=1).pop()
     assert walked.pruned == 0 < bounded.pruned
     np.testing.assert_allclose(walked.best, bounded.best, rtol=1e-9)

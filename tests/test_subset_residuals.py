@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from termsel.enumeration import stack as subset_stack
+from termsel.enumeration import score_systems as score_systems_module
 from termsel.enumeration import subsets
 from termsel.enumeration.bounds.poles import node_bound, order_columns
-from termsel.enumeration.columns.system import Piece, SubsetSystem
-from termsel.enumeration.stack import Stack, stack
+from termsel.enumeration.columns.system import SubsetSystem, SubtreeNode
+from termsel.enumeration.score_systems import ScoreSystems, score_systems
 from termsel.enumeration.subsets import SubsetResult, search
 from termsel.measurements.features import FloatArray
 
@@ -26,8 +26,8 @@ def last(system: SubsetSystem, **options: object) -> SubsetResult:
 def one_by_one(system: SubsetSystem, most: int | None,
                monkeypatch: pytest.MonkeyPatch) -> SubsetResult:
     with monkeypatch.context() as patch:
-        patch.setattr(Stack, "branches", False)
-        patch.setattr(Stack, "holds_out", False)
+        patch.setattr(ScoreSystems, "branches", False)
+        patch.setattr(ScoreSystems, "holds_out", False)
         return last(system, max_terms=most)
 
 
@@ -35,7 +35,8 @@ def quotient(rng: np.random.Generator, k: int) -> SubsetSystem:
     """Return a quotient that was multiplied out: columns alike, and poles between the points."""
     m, g = int(rng.integers(6, 20)), int(rng.integers(1, 12))
     x = rng.uniform(-1, 1, size=(m + g, 2))
-    powers = np.stack([x[:, 0] ** i * x[:, 1] ** j for i in range(4) for j in range(4)], axis=1)
+    powers = np.stack([x[:, 0] ** i * x[:, 1] ** j for i in range(4) for j in range(4)],
+                              axis=1)
     above, below = powers[:, :k // 2], powers[:, 1:1 + k - k // 2]
     with np.errstate(divide="ignore"):
         target = (above @ rng.normal(size=k // 2)
@@ -69,7 +70,7 @@ def problem(rng: np.random.Generator) -> SubsetSystem:
 
 @pytest.mark.parametrize("problems", [120, 5000])
 def test_no_best_subset_is_lost(problems: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(subset_stack, "_ENUMERATED", 3)
+    monkeypatch.setattr(score_systems_module, "_ENUMERATED", 3)
     pruned = poles = 0
     for seed in range(problems):
         rng = np.random.default_rng([seed, problems])
@@ -92,10 +93,10 @@ def test_guard_points_raise_the_bound() -> None:
     for seed in range(150):
         rng = np.random.default_rng([seed, 7])
         system = quotient(rng, 8)
-        ready = stack(system, "rss", (), None)
+        ready = score_systems(system, "rss", (), None)
         order = rng.permutation(8)
         used, rest = order[:rng.integers(0, 3)], order[3:]
-        piece = Piece(used, rest, len(rest))
+        piece = SubtreeNode(used, rest, len(rest))
         inside = ready.walk(piece, np.full(9, np.inf), np.zeros(9, dtype=np.uint64)).best.min()
         columns = np.concatenate([used, rest])
         fit = np.linalg.lstsq(system.design[:, columns], system.target)[0]
@@ -112,9 +113,9 @@ def test_bounds_without_a_column_hold_whatever_weights_a_node_inherits() -> None
     for seed in range(60):
         rng = np.random.default_rng([seed, 8])
         system, k = quotient(rng, 8), 8
-        ready = stack(system, "rss", (), None)
-        tree = ready._tree(Piece(np.arange(0), np.arange(k), k))[0]
-        m = min(len(tree.least), 12)
+        ready = score_systems(system, "rss", (), None)
+        tree = ready._tree(SubtreeNode(np.arange(0), np.arange(k), k))[0]
+        m = min(len(tree.required), 12)
         tree.weights[0], tree.point[0, :m] = m, np.arange(m)
         tree.weight[0, :m] = tree.rss[0] * 10.0 ** rng.uniform(-2, 3, size=m)
         bound = node_bound(tree, 0, 1.0)
@@ -122,7 +123,7 @@ def test_bounds_without_a_column_hold_whatever_weights_a_node_inherits() -> None
         lowered += tree.weights[0] == 0
         order_columns(tree, 0, bound)
         for i, value in zip(tree.order[0, :k], tree.bound[0, :k], strict=True):
-            piece = Piece(np.arange(0), np.delete(np.arange(k), i), k - 1)
+            piece = SubtreeNode(np.arange(0), np.delete(np.arange(k), i), k - 1)
             least = ready.walk(piece, np.full(9, np.inf), np.zeros(9, dtype=np.uint64)).best.min()
             assert value <= least * (1 + 1e-6) + 1e-12 * (system.target**2).sum(), seed
     assert lowered > 5
@@ -132,11 +133,11 @@ def test_a_bound_is_not_below_what_all_columns_leave_after_few_sweeps() -> None:
     """A limit that is far off ends the sweeps early, so that inherited weights stay too high."""
     columns = np.arange(8)
     for seed in range(60):
-        ready = stack(quotient(np.random.default_rng([seed, 8]), 8), "rss", (), None)
+        ready = score_systems(quotient(np.random.default_rng([seed, 8]), 8), "rss", (), None)
         for limit in (1.0, 1e9):
             for scale in (0.1, 1.0, 10.0):
-                tree = ready._tree(Piece(columns[:0], columns, 8))[0]
-                m = min(len(tree.least), 12)
+                tree = ready._tree(SubtreeNode(columns[:0], columns, 8))[0]
+                m = min(len(tree.required), 12)
                 tree.weights[0], tree.point[0, :m] = m, np.arange(m)
                 tree.weight[0, :m] = tree.rss[0] * scale * np.linspace(0.5, 1.0, m)
                 assert node_bound(tree, 0, limit) >= tree.rss[0]
@@ -144,7 +145,7 @@ def test_a_bound_is_not_below_what_all_columns_leave_after_few_sweeps() -> None:
 
 def test_what_few_columns_can_do_stays_proven(monkeypatch: pytest.MonkeyPatch) -> None:
     beaten = 0
-    for name, value in (("_DESCEND_FROM", 1), ("_SMALL", 600)):
+    for name, value in (("_DESCEND_FROM", 1), ("_SMALL_SIZES", 600)):
         monkeypatch.setattr(subsets, name, value)
     for seed in range(10):
         system = quotient(np.random.default_rng([seed, 9]), 11)
@@ -159,7 +160,7 @@ def test_what_few_columns_can_do_stays_proven(monkeypatch: pytest.MonkeyPatch) -
 def test_with_figures_the_sizes_that_smaller_ones_beat_stay_unknown(
         monkeypatch: pytest.MonkeyPatch) -> None:
     spared = 0
-    for name, value in (("_DESCEND_FROM", 1), ("_SMALL", 1), ("_BRANCH", 64)):
+    for name, value in (("_DESCEND_FROM", 1), ("_SMALL_SIZES", 1), ("_BOUNDED_SUBSETS", 64)):
         monkeypatch.setattr(subsets, name, value)
     for seed in range(25):
         rng = np.random.default_rng([seed, 9])

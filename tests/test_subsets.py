@@ -14,8 +14,14 @@ from hypothesis import strategies as st
 from termsel.adjustment.equations import Equations
 from termsel.adjustment.solve import solve
 from termsel.enumeration import subsets
-from termsel.enumeration.columns.system import SCORES, Piece, SubsetSystem, better, count_subsets
-from termsel.enumeration.stack import Stack, stack
+from termsel.enumeration.columns.system import (
+    SCORES,
+    SubsetSystem,
+    SubtreeNode,
+    better,
+    count_subsets,
+)
+from termsel.enumeration.score_systems import ScoreSystems, score_systems
 from termsel.enumeration.subsets import SubsetResult, estimate_seconds, search
 from termsel.errors import TermselError
 
@@ -240,7 +246,7 @@ def test_workers_and_pieces_do_not_matter(score: str, monkeypatch: pytest.Monkey
     system = polynomial(np.random.default_rng(8), k=11, m=16)
     folds = folds_of(16) if score == "kfold" else ()
     whole = last(system, score, folds=folds, max_terms=9)
-    for name in ("_PIECE", "_BRANCH"):
+    for name in ("_NODE_SUBSETS", "_BOUNDED_SUBSETS"):
         monkeypatch.setattr(subsets, name, 20)
     one, two = (list(search(system, score, folds=folds, max_terms=9, workers=w)) for w in (1, 2))
     assert len(one) == len(two) > 50
@@ -259,7 +265,7 @@ def test_the_bound_never_exceeds_what_it_bounds() -> None:
     rng = np.random.default_rng(9)
     k = 8
     system = polynomial(rng, k=k, m=12)
-    ready = stack(system, "rss", (), None)
+    ready = score_systems(system, "rss", (), None)
     exact = last(system, "rss").best
     all_masks = np.array(list(masks_of(system, None)))
     residuals = np.array([score_of(system, "rss", columns, ()) for columns in all_masks])
@@ -271,8 +277,8 @@ def test_the_bound_never_exceeds_what_it_bounds() -> None:
         bound = score_of(system, "rss", everything, ())
         assert bound <= residuals[inside].min() * (1 + 1e-12)
         # What is trimmed off holds nothing as good as the best.
-        piece = ready.bounded(Piece(used, rest, len(rest)), exact)
-        assert piece.least == pytest.approx(bound, rel=1e-5)
+        piece = ready.bounded(SubtreeNode(used, rest, len(rest)), exact)
+        assert piece.lower_bound == pytest.approx(bound, rel=1e-5)
         largest = len(used) + ready.trimmed(piece, exact).room
         sizes = all_masks[inside].sum(axis=1)
         beyond = sizes > largest
@@ -298,7 +304,7 @@ def test_the_bound_spares_work_and_changes_nothing(max_terms: int | None) -> Non
 
 
 def test_interrupted_search_leaves_the_best_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(subsets, "_BRANCH", 64)
+    monkeypatch.setattr(subsets, "_BOUNDED_SUBSETS", 64)
     system = polynomial(np.random.default_rng(11), k=12, m=14)
     running = search(system, "check", workers=2)
     states = [next(running) for _ in range(3)]
@@ -358,8 +364,8 @@ def decided_without_bounds(system: SubsetSystem, score: str, max_terms: int | No
                            folds: Sequence[np.ndarray]) -> SubsetResult:
     """Look at every subset, as for scores that have no bound."""
     with monkeypatch.context() as patch:
-        patch.setattr(Stack, "branches", False)
-        patch.setattr(Stack, "holds_out", False)
+        patch.setattr(ScoreSystems, "branches", False)
+        patch.setattr(ScoreSystems, "holds_out", False)
         return last(system, score, max_terms=max_terms, folds=folds)
 
 
@@ -413,7 +419,8 @@ def test_bounds_lose_no_best_subset(kind: str, problems: int,
             folds = [fold for _ in range(rng.integers(1, 3)) for fold in np.array_split(
                 rng.permutation(len(system.design)), rng.integers(2, 6))] * (kind == "kfold")
         most = None if rng.random() < 0.5 else int(rng.integers(1, 8))
-        monkeypatch.setattr("termsel.enumeration.stack.PROGRAMMED", 1 << 62 if seed % 8 else 0)
+        monkeypatch.setattr("termsel.enumeration.score_systems.PROGRAMMED", 1 << 62 if seed % 8
+                            else 0)
         plain = decided_without_bounds(system, score, most, monkeypatch, folds)
         bounded = last(system, score, max_terms=most, folds=folds)
         # A score of rounding error alone is anyone's; held-out errors of nearly dependent columns
@@ -432,19 +439,19 @@ def test_a_bound_holds_for_every_piece_and_rises() -> None:
     found = wide = 0
     for _ in range(40):
         system = random_system(rng, True)
-        ready = stack(system, "check", (), None)
+        ready = score_systems(system, "check", (), None)
         best = last(system, "check").best
         if not 0 < best.min() < np.inf:
             continue
         order = rng.permutation(system.design.shape[1])
         used, rest = order[:rng.integers(1, 4)], order[4:]
-        piece = ready.bounded(Piece(used, rest, len(rest)), best)
+        piece = ready.bounded(SubtreeNode(used, rest, len(rest)), best)
         half = ready.bounded(piece.halves()[0], best)
         k = len(order)
         inside = ready.walk(piece, np.full(k + 1, np.inf), np.zeros(k + 1, dtype=np.uint64))
-        assert piece.least <= inside.best.min() * (1 + 1e-9)
-        assert piece.least <= half.least <= best.min()
-        found += piece.least > 0
-        wide += piece.least > 0 and len(rest) > len(system.design) - len(used)
+        assert piece.lower_bound <= inside.best.min() * (1 + 1e-9)
+        assert piece.lower_bound <= half.lower_bound <= best.min()
+        found += piece.lower_bound > 0
+        wide += piece.lower_bound > 0 and len(rest) > len(system.design) - len(used)
     assert found > 10
     assert wide > 2  # denominators are bounded where columns are more than rows

@@ -12,31 +12,37 @@ from typing import Any, TypeVar, cast
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
-class Later:
-    """What stands for a kernel, or a part of kernels, until it is called or compiled."""
+class LazyKernel:
+    """What stands for a kernel, or a part of kernels, until it is called or compiled.
 
-    def __init__(self, made: Callable[[], Any], part: Callable[[], Any] | None = None) -> None:
-        self._make, self._make_part = made, part
+    A kernel that Python calls and one that only other kernels call are compiled apart: the wrapper
+    for Python takes long.
+    """
+
+    def __init__(self, make: Callable[[], Any],
+                 make_inner: Callable[[], Any] | None = None) -> None:
+        self._make = make
+        self._make_inner = make_inner
 
     @cached_property
-    def made(self) -> Any:
-        """What numba knows."""
+    def dispatcher(self) -> Any:
+        """Numba's dispatcher of the function, made when first needed: it imports numba."""
         return self._make()
 
     @cached_property
-    def part(self) -> Any:
-        """The same as a part of kernels, without what Python calls it by: that takes long."""
-        return self._make_part() if self._make_part else self.made
+    def inner_dispatcher(self) -> Any:
+        """The dispatcher that other kernels use, without a wrapper for Python."""
+        return self._make_inner() if self._make_inner else self.dispatcher
 
     @cached_property
     def _numba_type_(self) -> Any:
         """What numba asks for where a kernel that it compiles uses this."""
         from termsel.adjustment.dispatchers import type_of
 
-        return type_of(self.part)
+        return type_of(self.inner_dispatcher)
 
-    def __call__(self, *args: Any) -> Any:
-        return self.made(*args)
+    def __call__(self, *args: Any, **keywords: Any) -> Any:
+        return self.dispatcher(*args, **keywords)
 
 
 def compiled(function: _Function, **flags: Any) -> _Function:
@@ -45,9 +51,9 @@ def compiled(function: _Function, **flags: Any) -> _Function:
     Flags are those of `numba.njit`. The first call raises TermselError where numba is to compile
     nothing.
     """
-    made = Later(partial(_dispatcher, function, flags),
+    kernel = LazyKernel(partial(_dispatcher, function, flags),
                  partial(_dispatcher, function, {**flags, "no_cpython_wrapper": True}))
-    return cast(_Function, update_wrapper(made, function))
+    return cast(_Function, update_wrapper(kernel, function))
 
 
 def _dispatcher(function: Callable[..., Any], flags: dict[str, Any]) -> Any:
@@ -60,4 +66,4 @@ def is_compiled(function: Callable[..., Any]) -> bool:
     """Return whether a function that `compiled` returned can be called at once."""
     from termsel.adjustment.dispatchers import has_code
 
-    return has_code(cast(Later, function).made)
+    return has_code(cast(LazyKernel, function).dispatcher)

@@ -27,21 +27,30 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from termsel.enumeration.columns.system import Masks, Piece, SubsetSystem, Walked, better
+from termsel.enumeration.columns.system import (
+    Masks,
+    NodeResult,
+    SubsetSystem,
+    SubtreeNode,
+    better,
+)
 from termsel.enumeration.descents import descents
-from termsel.enumeration.rungs import rungs
-from termsel.enumeration.stack import Stack, stack
+from termsel.enumeration.rising_bound import rising_bounds
+from termsel.enumeration.score_systems import ScoreSystems, score_systems
 from termsel.measurements.features import BoolArray, FloatArray, IntArray
 
 log = logging.getLogger(__name__)
 
-_PIECE = 1 << 16  # subsets enumerated between two checks for interruption: some milliseconds
-_BRANCH = 1 << 25  # the same, where bounds rule out most of them: a fraction of a second
+Cost = Callable[[FloatArray], FloatArray]
+"""Turns the scores of all sizes (k + 1,) into figures to compare, each rising with its score."""
+
+_NODE_SUBSETS = 1 << 16  # subsets enumerated between two checks for interruption: some milliseconds
+_BOUNDED_SUBSETS = 1 << 25  # the same, where bounds rule out most of them: a fraction of a second
 _LOOSER = 8  # times fewer of them for held-out errors, whose bounds rule out less
 _DESCEND_FROM = 1 << 24  # subsets from which good ones are sought before any proof
-_SMALL = 1 << 27  # subsets up to which those of few columns are decided before all others
+_SMALL_SIZES = 1 << 27  # subsets up to which those of few columns are decided before all others
 _BISECTIONS = 60  # of the logarithm of 1e30, to all digits
-_AHEAD = 16  # pieces in progress at once, whatever the number of workers
+_NODES_IN_PROGRESS = 16  # at once, whatever the number of workers
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,9 +86,9 @@ def search(
     folds: Sequence[IntArray] = (),
     max_terms: int | None = None,
     workers: int = 1,
-    cost: Callable[[FloatArray], FloatArray] | None = None,
+    cost: Cost | None = None,
 ) -> Iterator[SubsetResult]:
-    """Decide every subset of the columns, piece by piece.
+    """Decide every subset of the columns, node by node.
 
     The score is a sum of squares: "check" of the errors of the check points, "rss" of the residuals
     of the control rows, "press" of their leave-one-out errors, "kfold" of the errors of the rows of
@@ -91,7 +100,7 @@ def search(
     than all smaller sizes, the optimum included. Of other sizes it proves that they have not: their
     best may stay unknown.
 
-    Yielded is the state after each piece of about 65,000 subsets; the last one is complete. To stop
+    Yielded is the state after each node of about 65,000 subsets; the last one is complete. To stop
     early close the iterator, or let KeyboardInterrupt pass: the last state holds. Workers are
     threads; neither the result depends on them, nor the memory on the number of subsets.
 
@@ -100,80 +109,127 @@ def search(
     if a column is within a small factor of the tolerance. Raises TermselError for an unknown score,
     or more forced columns than `max_terms`; ValueError for a score whose rows the system lacks.
     """
-    systems = stack(system, score, folds, max_terms)
+    systems = score_systems(system, score, folds, max_terms)
     if systems.needs_compilation:
         log.info("Compiling: the first proof on this machine takes some 15 s longer.")
-    total = systems.everything.count
-    best, masks = _nothing(systems.k)
-    settled = 0
-    if total > _DESCEND_FROM:
-        for i, at in enumerate(descents(systems)):
-            best, masks = better(best, masks, *at)
-            yield SubsetResult(best, masks, 0, total, 0,
-                               _floor(best, [systems.everything], settled))
-            # Those of few columns take a second, the descents several, and all of them hours.
-            for piece in () if i else _small(systems):
-                walked = systems.walk(piece, best, masks)
-                best, masks, settled = walked.best, walked.masks, len(piece.used) + piece.room + 1
-                yield SubsetResult(best, masks, 0, total, 0,
-                                   _floor(best, [systems.everything], settled))
-    for start in systems.starts:
-        walked = systems.walk(start, best, masks)
-        best, masks = walked.best, walked.masks
-    scored = pruned = 0
-    branch = _BRANCH if score in ("check", "rss") else _BRANCH // _LOOSER
-    largest = branch if systems.branches else _PIECE
-    if score != "rss" or total <= _DESCEND_FROM:
-        cost = None
-    todo = [systems.everything]
-    climbs = score == "check" and total > _DESCEND_FROM
-    for rung in rungs(systems, best, masks, largest, workers) if climbs else ():
-        best, masks, least = rung
-        todo = [replace(systems.everything, least=least)]
-        yield SubsetResult(best, masks, 0, total, 0, _floor(best, todo, settled))
-    limits = _limits(cost, best, systems.largest, settled)
-    waiting: deque[tuple[Piece, Future[Walked]]] = deque()
+    root = systems.everything
+    # A search of hours begins with good subsets: the better they are, the more bounds rule out.
+    long_search = root.count > _DESCEND_FROM
+    incumbents = _Incumbents(systems)
+    if long_search:
+        yield from _descend(incumbents)
+    for node in systems.starts:
+        incumbents.replace(systems.walk(node, incumbents.best, incumbents.masks))
+    node_subsets = _NODE_SUBSETS
+    if systems.branches:
+        tight = score in ("check", "rss")
+        node_subsets = _BOUNDED_SUBSETS if tight else _BOUNDED_SUBSETS // _LOOSER
+    if long_search and score == "check":
+        for best, masks, lower_bound in rising_bounds(systems, incumbents.best, incumbents.masks,
+                                                      node_subsets, workers):
+            incumbents.best = best
+            incumbents.masks = masks
+            root = replace(systems.everything, lower_bound=lower_bound)
+            yield incumbents.result([root])
+    if not (long_search and score == "rss"):
+        cost = None  # every size is proven
+    yield from _branch_and_bound(incumbents, root, cost, node_subsets, workers)
+
+
+class _Incumbents:
+    """The best subset of each size so far, and how many subsets are decided."""
+
+    def __init__(self, systems: ScoreSystems) -> None:
+        self.systems = systems
+        self.best, self.masks = _no_subsets(systems.k)
+        self.closed_sizes = 0  # all subsets with fewer columns are decided
+        self.scored = 0
+        self.pruned = 0
+
+    def replace(self, result: NodeResult) -> None:
+        """Take over what a walk that started from these found, which is no worse."""
+        self.best = result.best
+        self.masks = result.masks
+
+    def result(self, open_nodes: Sequence[SubtreeNode],
+               limits: FloatArray | float = np.inf) -> SubsetResult:
+        """Return the state with these nodes still to be decided."""
+        lower_bounds = _lower_bounds(self.best, open_nodes, self.closed_sizes, limits)
+        return SubsetResult(self.best, self.masks, self.scored + self.pruned,
+                            self.systems.everything.count, self.pruned, lower_bounds)
+
+
+def _descend(incumbents: _Incumbents) -> Iterator[SubsetResult]:
+    """Improve the incumbents by descents, and decide the sizes of few columns after the first."""
+    systems = incumbents.systems
+    for descent, (best, masks) in enumerate(descents(systems)):
+        incumbents.best, incumbents.masks = better(incumbents.best, incumbents.masks, best, masks)
+        yield incumbents.result([systems.everything])
+        if descent > 0:
+            continue
+        # Those of few columns take a second, the descents several, and all of them hours.
+        for node in _small_sizes(systems):
+            incumbents.replace(systems.walk(node, incumbents.best, incumbents.masks))
+            incumbents.closed_sizes = len(node.used) + node.room + 1
+            yield incumbents.result([systems.everything])
+
+
+def _branch_and_bound(incumbents: _Incumbents, root: SubtreeNode, cost: Cost | None,
+                      node_subsets: int, workers: int) -> Iterator[SubsetResult]:
+    """Split the tree into nodes of at most so many subsets, bound each, and decide it by a worker.
+
+    Results are taken in the order in which nodes were given out, and at fixed points of it. A
+    node thus starts from the same incumbents, and a bound spares the same work, with any number
+    of workers.
+    """
+    systems = incumbents.systems
+    limits = _limits(cost, incumbents.best, systems.largest, incumbents.closed_sizes)
+    open_nodes = [root]
+    in_progress: deque[tuple[SubtreeNode, Future[NodeResult]]] = deque()
     pool = ThreadPoolExecutor(workers)
     try:
-        while todo or waiting:
-            # Results are taken in order and at fixed points of it. A piece thus starts from the
-            # same best subsets, and a bound spares the same work, with any number of workers.
-            if todo and len(waiting) < _AHEAD:
-                whole = todo.pop()
-                piece = systems.trimmed(whole, limits)
-                pruned += whole.count - piece.count
-                if piece.count > largest:
+        while open_nodes or in_progress:
+            if open_nodes and len(in_progress) < _NODES_IN_PROGRESS:
+                whole_node = open_nodes.pop()
+                node = systems.trimmed(whole_node, limits)
+                incumbents.pruned += whole_node.count - node.count
+                if node.count > node_subsets:
                     # No bound is asked for of sizes that are decided.
-                    open_sizes = np.where(limits > 0.0, limits, np.inf)
-                    todo += [systems.bounded(half, open_sizes) for half in piece.halves()]
-                elif piece.count:
-                    known = np.where(limits < best, np.uint64(0), masks)
-                    waiting.append((piece, pool.submit(systems.walk, piece, limits, known)))
-                if piece.count == whole.count:  # nothing is decided yet
+                    open_limits = np.where(limits > 0.0, limits, np.inf)
+                    open_nodes += [systems.bounded(half, open_limits) for half in node.halves()]
+                elif node.count:
+                    # A limit below the best of its size is the score of no subset.
+                    masks = np.where(limits < incumbents.best, np.uint64(0), incumbents.masks)
+                    in_progress.append((node, pool.submit(systems.walk, node, limits, masks)))
+                if node.count == whole_node.count:  # nothing is decided yet
                     continue
             else:
-                piece, future = waiting.popleft()
-                walked = future.result()
-                # A limit that no subset reached is none's score.
-                scores = np.where(walked.masks > 0, walked.best, np.inf)
-                scores[0] = walked.best[0]
-                scores[:settled] = np.inf
-                improves = bool((scores < best).any())
-                best, masks = better(best, masks, scores, walked.masks)
-                if improves:
-                    limits = _limits(cost, best, systems.largest, settled)
-                scored += piece.count - walked.pruned
-                pruned += walked.pruned
-            open_ = (*todo, *(piece for piece, _ in waiting))
-            yield SubsetResult(best, masks, scored + pruned, total, pruned,
-                               _floor(best, open_, settled, limits))
+                node, future = in_progress.popleft()
+                if _improved(incumbents, node, future.result()):
+                    limits = _limits(cost, incumbents.best, systems.largest,
+                                     incumbents.closed_sizes)
+            yield incumbents.result([*open_nodes, *(node for node, _ in in_progress)], limits)
     finally:
         pool.shutdown(cancel_futures=True)
 
 
+def _improved(incumbents: _Incumbents, node: SubtreeNode, result: NodeResult) -> bool:
+    """Count a decided node, and take over what is better in it; return whether anything is."""
+    # A limit that no subset reached is no subset's score. The empty subset has the mask 0 too.
+    scores = np.where(result.masks > 0, result.best, np.inf)
+    scores[0] = result.best[0]
+    scores[:incumbents.closed_sizes] = np.inf
+    improved = bool((scores < incumbents.best).any())
+    incumbents.best, incumbents.masks = better(incumbents.best, incumbents.masks, scores,
+                                               result.masks)
+    incumbents.scored += node.count - result.pruned
+    incumbents.pruned += result.pruned
+    return improved
+
+
 def is_bounded(system: SubsetSystem, score: str, folds: Sequence[IntArray] = ()) -> bool:
     """Return whether bounds rule subsets out, so that no time can be estimated."""
-    return stack(system, score, folds, None).branches
+    return score_systems(system, score, folds, None).branches
 
 
 def estimate_seconds(
@@ -184,74 +240,79 @@ def estimate_seconds(
     max_terms: int | None = None,
     workers: int = 1,
 ) -> float:
-    """Return the estimated time of `search` [s], which takes the same, from the time of one piece.
+    """Return the estimated time of `search` [s], which takes the same, from the time of one node.
 
     Where bounds rule subsets out (`is_bounded`), this is the time without them.
     """
-    systems = stack(system, score, folds, max_terms)
-    piece = systems.everything
-    while piece.count > _PIECE:
-        piece = replace(piece, rest=piece.rest[1:])
+    systems = score_systems(system, score, folds, max_terms)
+    node = systems.everything
+    while node.count > _NODE_SUBSETS:
+        node = replace(node, candidates=node.candidates[1:])
     seconds = []
     for _ in range(2):  # the first may have to compile
         start = time.perf_counter()
-        systems.walk(piece, *_nothing(systems.k))
+        systems.walk(node, *_no_subsets(systems.k))
         seconds.append(time.perf_counter() - start)
-    return min(seconds) / piece.count * systems.everything.count / workers
+    return min(seconds) / node.count * systems.everything.count / workers
 
 
-def _small(systems: Stack) -> Iterator[Piece]:
+def _small_sizes(systems: ScoreSystems) -> Iterator[SubtreeNode]:
     """Yield the subsets of at most 1, 2 and so on columns, as long as they are few."""
     for room in range(1, systems.everything.room):
-        piece = replace(systems.everything, room=room)
-        if piece.count > (_SMALL if systems.branches else _PIECE):
+        node = replace(systems.everything, room=room)
+        if node.count > (_SMALL_SIZES if systems.branches else _NODE_SUBSETS):
             return
-        yield piece
+        yield node
 
 
-def _floor(best: FloatArray, pieces: Sequence[Piece], settled: int,
-           limits: FloatArray | float = np.inf) -> FloatArray:
-    """Return lower bounds of the scores of every size, given the pieces still to be decided.
+def _lower_bounds(best: FloatArray, open_nodes: Sequence[SubtreeNode], closed_sizes: int,
+                  limits: FloatArray | float) -> FloatArray:
+    """Return lower bounds of the scores of every size, given the nodes still to be decided.
 
-    All subsets with less than `settled` columns are decided; others only below the limits.
+    All subsets with less than `closed_sizes` columns are decided; others only below the limits.
     """
     # A subset that was ruled out scores no less than the limit or the best of its size.
-    floor = np.minimum(best, limits)
-    floor[:settled] = best[:settled]
-    for piece in pieces:
-        sizes = slice(max(len(piece.used), settled),
-                      len(piece.used) + min(piece.room, len(piece.rest)) + 1)
-        np.minimum(floor[sizes], piece.least, out=floor[sizes])
-    return floor
+    lower_bounds = np.minimum(best, limits)
+    lower_bounds[:closed_sizes] = best[:closed_sizes]
+    for node in open_nodes:
+        smallest = max(len(node.used), closed_sizes)
+        largest = len(node.used) + min(node.room, len(node.candidates))
+        sizes = slice(smallest, largest + 1)
+        np.minimum(lower_bounds[sizes], node.lower_bound, out=lower_bounds[sizes])
+    return lower_bounds
 
 
-def _limits(cost: Callable[[FloatArray], FloatArray] | None, best: FloatArray,
-            largest: float, settled: int) -> FloatArray:
+def _limits(cost: Cost | None, best: FloatArray, largest: float, closed_sizes: int) -> FloatArray:
     """Return the score of each size above which no subset is of interest.
 
     Below, it may have a lower figure than all smaller sizes, or be the best of its size. No score
-    is above `largest`. Sizes below `settled` are decided, and theirs is 0: their best are many
+    is above `largest`. Sizes below `closed_sizes` are decided, and theirs is 0: their best are many
     times worse, and bounds that need not rule those out close more.
     """
-    limits = best.copy() if cost is None else _of_interest(cost, best, largest)
-    limits[:settled] = 0.0
+    limits = best.copy() if cost is None else _competitive_scores(cost, best, largest)
+    limits[:closed_sizes] = 0.0
     return limits
 
 
-def _of_interest(cost: Callable[[FloatArray], FloatArray], best: FloatArray,
-                 largest: float) -> FloatArray:
-    """Return the score that each size needs for the lowest figure, or its best if it has that."""
-    known = cost(best)
+def _competitive_scores(cost: Cost, best: FloatArray, largest: float) -> FloatArray:
+    """Return the score that each size needs for the lowest figure, or its best if it has that.
+
+    A figure rises with the score of its size, so that bisection finds the score.
+    """
+    figures = cost(best)
     # The lowest figure up to each size; NaN where no subset is feasible.
-    least = np.minimum.accumulate(np.where(np.isnan(known), np.inf, known))
-    low, high = np.full_like(best, largest * 1e-30), np.minimum(best, largest)
+    lowest_figures = np.minimum.accumulate(np.where(np.isnan(figures), np.inf, figures))
+    low = np.full_like(best, largest * 1e-30)
+    high = np.minimum(best, largest)
     for _ in range(_BISECTIONS):
         middle = np.sqrt(low * high)  # half of the interval in logarithms
-        above = cost(middle) > least
-        low, high = np.where(above, low, middle), np.where(above, middle, high)
-    return np.where(known > least, high, best)
+        too_high = cost(middle) > lowest_figures
+        # Both are of this step's interval, whichever end moves.
+        low = np.where(too_high, low, middle)
+        high = np.where(too_high, middle, high)
+    return np.where(figures > lowest_figures, high, best)
 
 
-def _nothing(k: int) -> tuple[FloatArray, Masks]:
+def _no_subsets(k: int) -> tuple[FloatArray, Masks]:
     """Return the best of every size before anything is decided."""
     return np.full(k + 1, np.inf), np.zeros(k + 1, dtype=np.uint64)

@@ -14,7 +14,7 @@ import numpy as np
 
 from termsel.adjustment.compiled import compiled
 from termsel.enumeration.bounds import check_errors, held_out
-from termsel.enumeration.columns.arrays import CheckSpace, Limits, Place, Records, Vectors
+from termsel.enumeration.columns.arrays import CheckSpace, Limits, Records, Vectors, WalkPosition
 from termsel.enumeration.columns.kernels import record
 from termsel.measurements.features import FloatArray
 
@@ -22,7 +22,7 @@ _compiled = partial(compiled, _nrt=False, fastmath={"reassoc", "contract", "arcp
 
 
 @_compiled
-def branch(kind: int, vectors: Vectors, limits: Limits, records: Records, place: Place,
+def branch(kind: int, vectors: Vectors, limits: Limits, records: Records, position: WalkPosition,
            check: CheckSpace | None, work: FloatArray | None) -> int:
     """Decide all subsets of n columns in addition to those in use already.
 
@@ -33,66 +33,80 @@ def branch(kind: int, vectors: Vectors, limits: Limits, records: Records, place:
     """
     systems, r = 1, 1
     if work is not None:
-        systems, r = vectors.top.shape[1], vectors.share.shape[3]
+        systems = vectors.top.shape[1]
+        r = vectors.share.shape[3]
     n = vectors.top.shape[2] - r
-    size, most = limits.size, limits.room
-    cursor, ends, mask, counts = place.cursor, place.ends, place.mask, place.counts
+    size = limits.size
+    room = limits.room
+    cursor = position.cursor
+    ends = position.ends
+    mask = position.mask
+    counts = position.counts
     pruned, depth, first = 0, 0, 0
-    i, joined = n, mask[0]  # column n is none: first comes the subset in use already
+    joining = n  # column n is none: first comes the subset in use already
+    joined_mask = mask[0]
     while True:
-        score, new = np.inf, size + depth + (i < n)
+        # The subset with the joining column is scored before anything below it is looked at.
+        score = np.inf
+        new = size + depth + (joining < n)
         if work is not None:
-            score = held_out.score(kind, vectors, depth, i, limits)
+            score = held_out.score(kind, vectors, depth, joining, limits)
         if check is not None:
-            score = check_errors.score(kind, vectors, depth, i, limits)
+            score = check_errors.score(kind, vectors, depth, joining, limits)
         if score <= records.best[new]:
-            cursor[depth] = i
-            record(score, new, joined, vectors, depth, cursor, records, limits.margin)
-        entering = n > 0 and most > 0 and i == n
-        if most - depth > 1 and i < n - 1:
+            cursor[depth] = joining
+            record(score, new, joined_mask, vectors=vectors, depth=depth, cursor=cursor,
+                   records=records, margin=limits.margin)
+        entering = n > 0 and room > 0 and joining == n
+        # Below it are subsets with further columns to the right, if there is room for one.
+        if room - depth > 1 and joining < n - 1:
             if work is not None:
-                held_out.descend(kind, vectors, depth, i)
+                held_out.descend(kind, vectors, depth, joining)
             if check is not None:
-                check_errors.descend(vectors, depth, i, check.upper)
-            mask[depth + 1] = joined
+                check_errors.descend(vectors, depth, joining, check.upper)
+            mask[depth + 1] = joined_mask
             depth += 1
-            first = i + 1
+            first = joining + 1
             entering = True
         # On to the next column that is open and independent of those in use.
         while True:
-            left = most - depth
+            room_below = room - depth
             if entering:
                 entering = False
-                end, open_ = n, counts[n - first, left]
+                end = n
+                open_subsets = counts[n - first, room_below]
                 # A bound has to be above the best of every size that is still possible.
                 worst = 0.0
-                for new in range(size + depth + 1, size + depth + min(left, n - first) + 1):
+                for new in range(size + depth + 1, size + depth + min(room_below, n - first) + 1):
                     worst = max(worst, records.best[new])
-                if work is not None and open_ > held_out.ENUMERATED and 0.0 < worst < np.inf:
+                if work is not None and open_subsets > held_out.ENUMERATED and 0.0 < worst < np.inf:
                     end = held_out.first_closed(vectors.top[depth, 0], vectors.leverage[depth],
                                                 first, n, worst, work)
-                if check is not None and open_ > check_errors.BLOCK:
-                    end = check_errors.closed_from(kind, vectors, limits, depth, first, worst,
-                                                   check.upper[depth], check.bound)
-                pruned += counts[n - end, left] - 1  # but for the node itself, without any of them
-                if check is not None and left > 1 and open_ <= check_errors.BLOCK:
-                    decided = check_errors.decide_block(
-                        kind, vectors, limits, records, depth, first, cursor, mask[depth],
-                        check.upper[depth], check.block)
+                if check is not None and open_subsets > check_errors.BLOCK:
+                    end = check_errors.closed_from(kind, vectors, limits, depth=depth, first=first,
+                                                   worst=worst, upper=check.upper[depth],
+                                                   space=check.bound)
+                # All subsets of closed columns alone, but for the node itself, without any of them.
+                pruned += counts[n - end, room_below] - 1
+                if check is not None and room_below > 1 and open_subsets <= check_errors.BLOCK:
+                    decided = check_errors.decide_block(kind, vectors, limits, records=records,
+                                                        depth=depth, first=first, cursor=cursor,
+                                                        mask=mask[depth], upper=check.upper[depth],
+                                                        b=check.block)
                     end = first if decided else end
                 ends[depth] = end
                 cursor[depth] = first
             else:
                 cursor[depth] += 1
-            i = cursor[depth]
-            if i >= ends[depth]:
+            joining = cursor[depth]
+            if joining >= ends[depth]:
                 if depth == 0:
                     return pruned
                 depth -= 1
                 continue
             dependent = False
             for f in range(systems):
-                dependent |= vectors.square[depth, f, i] <= vectors.floor[f, i]
+                dependent |= vectors.square[depth, f, joining] <= vectors.floor[f, joining]
             if not dependent:  # else all subsets below have no score
                 break
-        joined = mask[depth] | records.bits[i]
+        joined_mask = mask[depth] | records.bits[joining]

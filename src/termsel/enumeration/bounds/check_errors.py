@@ -38,8 +38,8 @@ def closed_from(kind: int, vectors: Vectors, limits: Limits, depth: int, first: 
         return int(n)
     if limit < 0.0:  # what no column can change is already more
         return first
-    return int(first_closed(vectors.top[depth, 0], vectors.extra[depth, 0], first, n, limit,
-                            upper, kind == RATIONAL, space))
+    return int(first_closed(vectors.top[depth, 0], vectors.extra[depth, 0], first, n=n, limit=limit,
+                            upper=upper, rational=kind == RATIONAL, space=space))
 
 
 @_compiled
@@ -53,7 +53,7 @@ def descend(vectors: Vectors, depth: int, i: int, upper: FloatArray) -> None:
 
 @_compiled
 def _remove(vectors: Vectors, depth: int, i: int, c: int) -> None:
-    remove(vectors, depth, 0, i, c, vectors.top.shape[2] - 1, 1)
+    remove(vectors, depth, 0, i=i, c=c, n=vectors.top.shape[2] - 1, r=1)
 
 
 @_compiled
@@ -71,9 +71,13 @@ def decide_block(kind: int, vectors: Vectors, limits: Limits, records: Records, 
     Return False if inner products are too inaccurate, so that the vectors must decide.
     """
     n = vectors.top.shape[2] - 1
-    count, left, best = n - first, limits.room - depth, records.best
-    lost, below = prepare(vectors.top[depth, 0], vectors.extra[depth, 0], first, n,
-                          upper, vectors.floor[0], b)
+    count = n - first
+    room_below = limits.room - depth
+    best = records.best
+    error_accuracy, sum_accuracy = prepare(vectors.top[depth, 0], vectors.extra[depth, 0], first,
+                                           n=n, upper=upper, floor=vectors.floor[0], b=b)
+    # A walk over the tree of the block: at each level the column that joined, its share of length
+    # the product of those before it (see `columns.blocks`), which bounds the condition.
     level = 0
     b.share[0] = 1.0
     b.cursor[0] = -1
@@ -85,22 +89,26 @@ def decide_block(kind: int, vectors: Vectors, limits: Limits, records: Records, 
                 return True
             level -= 1
             continue
-        share = b.share[level] * b.control.own[level, i] * b.inverse[i]
+        share = b.share[level] * b.control.diagonal[level, i] * b.inverse[i]
         if not share > SHARE:
             return False
-        new = limits.size + depth + level + 1
-        if not single(i, level, _root(best[new], limits), lost, below, b):
-            _exactly(kind, vectors, limits, records, depth, first, level + 1, cursor, mask, b)
+        size = limits.size + depth + level + 1
+        # What cannot be ruled out by inner products is scored from the vectors.
+        if not single(i, level, _root(best[size], limits), error_accuracy, sum_accuracy, b):
+            _exactly(kind, vectors, limits, records=records, depth=depth, first=first,
+                     count=level + 1, cursor=cursor, mask=mask, b=b)
         if i == count - 1:
             continue
-        if left - level == 2:  # nothing is below pairs: they need no elimination of their own
-            least = _root(best[new + 1], limits)
-            if pairs(i, level, count, share, least, lost, below, b):
+        # Nothing is below pairs: they need no elimination of their own.
+        if room_below - level == 2:
+            root_limit = _root(best[size + 1], limits)
+            if pairs(i, level, count, share=share, root_limit=root_limit,
+                     error_accuracy=error_accuracy, sum_accuracy=sum_accuracy, b=b):
                 for c in range(i + 1, count):
                     if not b.row[c] > 0.0:  # NaN rules nothing out
                         b.cursor[level + 1] = c
-                        _exactly(kind, vectors, limits, records, depth, first, level + 2, cursor,
-                                 mask, b)
+                        _exactly(kind, vectors, limits, records=records, depth=depth, first=first,
+                                 count=level + 2, cursor=cursor, mask=mask, b=b)
         else:
             eliminate(i, level, count, b)
             b.share[level + 1] = share
@@ -131,8 +139,9 @@ def _exactly(kind: int, vectors: Vectors, limits: Limits, records: Records, dept
             _remove(vectors, depth + level, i, n)
             for later in range(level + 1, count):
                 _remove(vectors, depth + level, i, first + b.cursor[later])
-    at = depth + count - 1
-    value = score(kind, vectors, at, cursor[at], limits)
-    new = limits.size + at + 1
-    if value <= records.best[new]:
-        record(value, new, mask, vectors, at, cursor, records, limits.margin)
+    last_depth = depth + count - 1
+    subset_score = score(kind, vectors, last_depth, cursor[last_depth], limits)
+    size = limits.size + last_depth + 1
+    if subset_score <= records.best[size]:
+        record(subset_score, size, mask, vectors=vectors, depth=last_depth, cursor=cursor,
+               records=records, margin=limits.margin)

@@ -56,8 +56,14 @@ def first_closed(top: FloatArray, extra: FloatArray, first: int, n: int, limit: 
     columns in use. `upper` (c + 1,), U and tau, is lowered in place; it is 1 for scores without
     denominators.
     """
-    count, c = n - first + 1, len(upper) - 1
-    gram, triangle, weight, h, y = space.gram, space.triangle, space.x[0], space.x[1], space.x[2]
+    count = n - first + 1
+    c = len(upper) - 1
+    gram = space.gram
+    triangle = space.triangle
+    weight = space.x[0]
+    h = space.x[1]
+    y = space.x[2]
+    # |r|^2: without a target in the control rows the sphere of fact 2 is a point.
     square = 0.0
     for k in range(top.shape[1]):
         square += top[n, k] * top[n, k]
@@ -74,9 +80,11 @@ def first_closed(top: FloatArray, extra: FloatArray, first: int, n: int, limit: 
     closed = 0  # last columns of which no subset scores that little
     for _ in range(_STEPS):
         tau = upper[c]
-        sphere, scale = _SPHERE / (tau * tau), _SCALE / (tau * tau)
+        sphere = _SPHERE / (tau * tau)
+        scale = _SCALE / (tau * tau)
         if not rational:  # t is 1, so that fact 1 says nothing
             sphere, scale = 0.5, 0.0
+        # Weights of facts 3 and 1, whose limits are 1 at t = tau; fact 4 has the rest of 1.
         for k in range(c):
             weight[k] = (1.0 - (sphere + scale) * tau * tau) / (limit * upper[k] * upper[k])
         # Cholesky's triangle L of the quadratic, vector by vector. With the sums s of the
@@ -91,6 +99,7 @@ def first_closed(top: FloatArray, extra: FloatArray, first: int, n: int, limit: 
                 for k in range(c):
                     total += y[k] * extra[n - j, k]
                 triangle[i, j] = total
+            # s_i, the sum of the denominators' column: the constraint is s'(-t, x) = 1.
             total = 0.0
             for k in range(c, extra.shape[1]):
                 total += extra[n - i, k]
@@ -98,8 +107,9 @@ def first_closed(top: FloatArray, extra: FloatArray, first: int, n: int, limit: 
                 total = 1.0 if i == 0 else 0.0
             if i == 0:
                 triangle[0, 0] += scale  # fact 1: of t alone
+            # Row i of L by the rows above it, and h = L^-1 s along with it.
             pivot = triangle[i, i]
-            least = _PIVOT * pivot
+            least_pivot = _PIVOT * pivot
             for j in range(i):
                 ratio = triangle[i, j]
                 for k in range(j):
@@ -108,7 +118,7 @@ def first_closed(top: FloatArray, extra: FloatArray, first: int, n: int, limit: 
                 triangle[i, j] = ratio
                 pivot -= ratio * ratio
                 total -= ratio * h[j]
-            if not pivot > least:
+            if not pivot > least_pivot:
                 failed = True  # the minimum has no digits left from here on
                 break
             triangle[i, i] = np.sqrt(pivot)
@@ -135,14 +145,19 @@ def _lowered(extra: FloatArray, n: int, count: int, upper: FloatArray, inverse: 
     function a'z is a'h / |h|^2 + ((1 - 1 / |h|^2) (|a|^2 - (a'h)^2 / |h|^2))^1/2. Return 1 if a
     limit is lower by some share, 0 if none is, -1 if one is negative.
     """
-    c, triangle, rows = len(upper) - 1, space.triangle, space.rows
-    along, h, length = space.x[0], space.x[1], space.x[2]
+    c = len(upper) - 1
+    triangle = space.triangle
+    rows = space.rows
+    along_h = space.x[0]
+    h = space.x[1]
+    length = space.x[2]
     for k in range(c + 1):
-        along[k] = length[k] = 0.0
+        along_h[k] = length[k] = 0.0
     for i in range(count):
         for k in range(c):
             rows[i, k] = extra[n - i, c + k]
         rows[i, c] = 0.0 if i > 0 else -1.0  # t is a function to maximise as well
+        # a in the basis of L, by forward substitution; along with it a'h and |a|^2.
         for j in range(i):
             ratio = triangle[i, j]
             for k in range(c + 1):
@@ -150,14 +165,14 @@ def _lowered(extra: FloatArray, n: int, count: int, upper: FloatArray, inverse: 
         ratio = 1.0 / triangle[i, i]
         for k in range(c + 1):
             rows[i, k] *= ratio
-            along[k] += rows[i, k] * h[i]
+            along_h[k] += rows[i, k] * h[i]
             length[k] += rows[i, k] * rows[i, k]
     # Rounding may make either factor a little negative; limits are a little too high instead.
     radius = max(0.0, 1.0 - 1.0 / inverse) + _ROUNDING
     gained = 0
     for k in range(c + 1):
-        across = max(0.0, length[k] - along[k] * along[k] / inverse) + _ROUNDING * length[k]
-        largest = along[k] / inverse + np.sqrt(radius * across)
+        across_h = max(0.0, length[k] - along_h[k] * along_h[k] / inverse) + _ROUNDING * length[k]
+        largest = along_h[k] / inverse + np.sqrt(radius * across_h)
         if largest < 0.0:
             return -1
         if largest < _GAIN * upper[k]:

@@ -29,7 +29,7 @@ import numpy as np
 
 from termsel.adjustment.compiled import compiled
 from termsel.enumeration.columns.arrays import Limits, Vectors
-from termsel.enumeration.columns.kernels import PRESS, dot, less, remove, squares
+from termsel.enumeration.columns.kernels import PRESS, dot, remove, squares, subtract
 from termsel.measurements.features import FloatArray
 
 _compiled = partial(compiled, _nrt=False, fastmath={"reassoc", "contract", "arcp", "nsz"})
@@ -44,37 +44,43 @@ _ROUNDING = 1e-6  # of a minimum, relative
 @_inlined
 def score(kind: int, vectors: Vectors, depth: int, c: int, limits: Limits) -> float:
     """Return the sum of squared held-out errors with column c, or infinity without any."""
-    n, r = vectors.square.shape[2] - 1, vectors.share.shape[3]
-    total, bad = limits.offset, 0
+    n = vectors.square.shape[2] - 1
+    r = vectors.share.shape[3]
+    total = limits.offset
+    without_error = 0
     if kind != PRESS:
         for f in range(vectors.share.shape[1]):
             for j in range(r):
                 total += squares(vectors.extra[depth, f, n + j], vectors.extra[depth, f, c],
                                  vectors.share[depth, f, c, j])
         return total
-    v, leverage = vectors.top[depth, 0, c], vectors.leverage[depth]
+    v = vectors.top[depth, 0, c]
+    leverage = vectors.leverage[depth]
     per_square = 1.0 / vectors.square[depth, 0, c]
     for j in range(r):
-        t, ratio = vectors.top[depth, 0, n + j], vectors.share[depth, 0, c, j]
+        t = vectors.top[depth, 0, n + j]
+        ratio = vectors.share[depth, 0, c, j]
         for row in range(len(t)):
             value = v[row] if c < n else 0.0
             # Leverages of orthogonal columns add up.
-            rest = 1.0 - leverage[row] - per_square * value * value
-            error = (t[row] - ratio * value) / rest
-            bad += rest <= limits.tolerance
+            redundancy = 1.0 - leverage[row] - per_square * value * value
+            error = (t[row] - ratio * value) / redundancy
+            without_error += redundancy <= limits.tolerance
             total += error * error
-    return np.inf if bad else total
+    return np.inf if without_error else total
 
 
 @_inlined
 def descend(kind: int, vectors: Vectors, depth: int, i: int) -> None:
     """Remove column i from those to its right and the targets, from one depth to the next."""
-    n, r = vectors.square.shape[2] - 1, vectors.share.shape[3]
+    n = vectors.square.shape[2] - 1
+    r = vectors.share.shape[3]
     for f in range(vectors.square.shape[1]):
         for c in range(n + r - 1, i, -1):  # targets first: columns need their products with them
-            remove(vectors, depth, f, i, c, n, r)
+            remove(vectors, depth, f, i=i, c=c, n=n, r=r)
     if kind == PRESS:
-        v, square = vectors.top[depth, 0, i], vectors.square[depth, 0, i]
+        v = vectors.top[depth, 0, i]
+        square = vectors.square[depth, 0, i]
         for row in range(len(v)):
             vectors.leverage[depth + 1, row] = (vectors.leverage[depth, row]
                                                 + v[row] * v[row] / square)
@@ -93,16 +99,17 @@ def first_closed(top: FloatArray, leverage: FloatArray, first: int, n: int, limi
     for i in range(first, vectors):
         for k in range(rows):
             work[i, k] = top[i, k] / (1.0 - leverage[k])  # the weights of the bound
+    # From the last column up: after column i the targets lack all of i, ..., n - 1.
     for i in range(n - 1, first - 1, -1):
         for later in range(n - 1, i, -1):
-            less(work[i], work[i], work[later], dot(work[i], work[later]))
+            subtract(work[i], work[i], work[later], dot(work[i], work[later]))
         length = np.sqrt(dot(work[i], work[i]))
         if length > 0.0:  # however short: one direction more leaves no more of the targets
             for k in range(rows):
                 work[i, k] /= length
         total = 0.0
         for j in range(n, vectors):
-            less(work[j], work[j], work[i], dot(work[j], work[i]))
+            subtract(work[j], work[j], work[i], dot(work[j], work[i]))
             total += dot(work[j], work[j])
         if not total > limit * (1.0 + _ROUNDING):
             return i + 1
@@ -110,10 +117,13 @@ def first_closed(top: FloatArray, leverage: FloatArray, first: int, n: int, limi
 
 
 def least_held_out(vectors: Vectors) -> float:
-    """Return a lower bound of the scores of all subsets of a piece."""
-    rows, leverage = vectors.top[0, 0].T, vectors.leverage[0]
+    """Return a lower bound of the scores of all subsets of a node."""
+    rows = vectors.top[0, 0].T
+    leverage = vectors.leverage[0]
     r = vectors.share.shape[3]
     # A leverage of 1 has no weight: a lower one gives a bound as well.
     rows = rows / (1.0 - np.minimum(leverage, 1.0 - 1e-9))[:, None]
-    q, targets = np.linalg.qr(rows[:, :-r])[0], rows[:, -r:]
+    # What all columns leave of the weighted targets: |(1 - Q Q') y|^2.
+    q = np.linalg.qr(rows[:, :-r])[0]
+    targets = rows[:, -r:]
     return float(((targets - q @ (q.T @ targets)) ** 2).sum())

@@ -39,27 +39,33 @@ def node_bound(tree: Tree, d: int, limit: float) -> float:
     Weights are raised until it is above the limit, and stay in `tree.weight`. `tree.shifted` is
     q + W u.
     """
-    n, m = tree.count[d], tree.weights[d]
-    R, guard, q, W, weight = tree.triangle, tree.guard, tree.target, tree.W, tree.weight
+    n = tree.count[d]
+    m = tree.weights[d]
+    R = tree.triangle
+    guard = tree.guard
+    q = tree.target
+    W = tree.W
+    weight = tree.weight
     # W and R^-1 have no digits left where columns depend on each other.
     for i in range(n):
         if not abs(R[d, i, i]) > DEPENDENT:
             tree.weights[d] = -1
             return float(_dependent(tree, d))
-    # A child begins with its parent's weights.
+    # A child begins with its parent's weights u: shifted = q + sum of u_a w_a.
     for i in range(n):
         tree.shifted[i] = q[d, 0, i]
     for a in range(m):
         _solve_guard(tree, d, a, n)
         for i in range(n):
             tree.shifted[i] += weight[d, a] * W[a, i]
-    bound, before = tree.rss[d], 0.0
+    bound = tree.rss[d]
+    before = 0.0
     for step in range(_ROUNDS):
         for _ in range(_SWEEPS):
             gained = 0.0
             for a in range(m):
                 # Derivative of the bound by this weight, halved: h - G b.
-                slope = tree.least[tree.point[d, a]]
+                slope = tree.required[tree.point[d, a]]
                 for i in range(n):
                     slope -= W[a, i] * tree.shifted[i]
                 # The bound is quadratic in the weight, highest there; no weight is negative.
@@ -73,28 +79,28 @@ def node_bound(tree: Tree, d: int, limit: float) -> float:
         # RSS + 2 u'(h - W'q) - |W u|^2
         bound = tree.rss[d]
         for a in range(m):
-            slope = tree.least[tree.point[d, a]]
+            slope = tree.required[tree.point[d, a]]
             for i in range(n):
                 slope -= W[a, i] * q[d, 0, i]
             bound += 2.0 * weight[d, a] * slope
         for i in range(n):
             shift = tree.shifted[i] - q[d, 0, i]
             bound -= shift * shift
-        if (bound > limit or step == _ROUNDS - 1 or len(tree.least) == 0
+        if (bound > limit or step == _ROUNDS - 1 or len(tree.required) == 0
                 or (step > 0 and bound < before + _GAIN * limit)):
             break
         before = bound
         # The guard point that the minimum violates most is next to get a weight.
         _coefficients(tree, d, n)
-        for g in range(len(tree.least)):
-            tree.below[g] = -tree.least[g]
+        for g in range(len(tree.required)):
+            tree.below[g] = -tree.required[g]
         for i in range(n):
-            for g in range(len(tree.least)):
+            for g in range(len(tree.required)):
                 tree.below[g] += tree.b[i] * guard[tree.column[d, i], g]
         for a in range(m):
             tree.below[tree.point[d, a]] = 0.0  # has one already
         worst = 0
-        for g in range(len(tree.least)):
+        for g in range(len(tree.required)):
             if tree.below[g] < tree.below[worst]:
                 worst = g
         if not tree.below[worst] < 0.0:
@@ -106,10 +112,12 @@ def node_bound(tree: Tree, d: int, limit: float) -> float:
         if slot == len(tree.square):
             break
         m = max(m, slot + 1)
-        tree.point[d, slot], weight[d, slot] = worst, 0.0
+        tree.point[d, slot] = worst
+        weight[d, slot] = 0.0
         _solve_guard(tree, d, slot, n)
     if bound < tree.rss[d]:  # the parent's weights are too high; `_order` needs those of the bound
-        bound, m = tree.rss[d], 0
+        bound = tree.rss[d]
+        m = 0
         for i in range(n):
             tree.shifted[i] = q[d, 0, i]
     tree.weights[d] = m
@@ -124,6 +132,7 @@ def _solve_guard(tree: Tree, d: int, a: int, n: int) -> None:
         value = tree.guard[tree.column[d, i], tree.point[d, a]]
         for t in range(i):
             value -= tree.triangle[d, t, i] * tree.W[a, t]
+        # The diagonal is not 0 here: `node_bound` has looked.
         value /= tree.triangle[d, i, i]
         tree.W[a, i] = value
         total += value * value
@@ -133,6 +142,7 @@ def _solve_guard(tree: Tree, d: int, a: int, n: int) -> None:
 @_compiled
 def _coefficients(tree: Tree, d: int, n: int) -> None:
     """Solve R b = q + W u."""
+    # Back substitution, from the last row up.
     for i in range(n - 1, -1, -1):
         value = tree.shifted[i]
         for t in range(i + 1, n):
@@ -146,7 +156,9 @@ def _dependent(tree: Tree, d: int) -> float:
 
     Modified Gram-Schmidt; no other column is too small to count.
     """
-    n, r, work = tree.count[d], tree.target.shape[1], tree.work
+    n = tree.count[d]
+    r = tree.target.shape[1]
+    work = tree.work
     write(tree, d, False)
     for i in range(n):
         length = square(work, i, n)
@@ -163,8 +175,11 @@ def _dependent(tree: Tree, d: int) -> float:
 @_compiled
 def order_columns(tree: Tree, d: int, bound: float) -> None:
     """Sort the columns not in use by the bound without each, the highest first."""
-    n, r, inverse = tree.count[d], tree.target.shape[1], tree.inverse
-    count, independent = 0, tree.weights[d] >= 0
+    n = tree.count[d]
+    r = tree.target.shape[1]
+    inverse = tree.inverse
+    count = 0
+    independent = tree.weights[d] >= 0
     if independent:
         # R^-1 from the last row up.
         for i in range(n - 1, -1, -1):
@@ -192,7 +207,9 @@ def order_columns(tree: Tree, d: int, bound: float) -> None:
             value += gain / length * (1.0 - ROUNDING)
         x = count  # insertion into the sorted columns
         while x > 0 and tree.bound[d, x - 1] < value:
-            tree.bound[d, x], tree.order[d, x] = tree.bound[d, x - 1], tree.order[d, x - 1]
+            tree.bound[d, x] = tree.bound[d, x - 1]
+            tree.order[d, x] = tree.order[d, x - 1]
             x -= 1
-        tree.bound[d, x], tree.order[d, x] = value, i
+        tree.bound[d, x] = value
+        tree.order[d, x] = i
         count += 1

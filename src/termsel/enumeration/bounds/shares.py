@@ -37,14 +37,17 @@ def largest_shares(denominators: FloatArray, guard: FloatArray, margin: float) -
     rows = np.column_stack([np.ones(c + len(guard)),
                             np.vstack([denominators, guard])[:, columns]])
     rows /= np.abs(rows).max(axis=0)  # the tolerances are absolute
-    sums, least = rows[:c].sum(axis=0), rows.copy()
-    least[:, 0] -= margin * (1.0 - _ROUNDING)
+    sums = rows[:c].sum(axis=0)
+    lowest = rows.copy()
+    lowest[:, 0] -= margin * (1.0 - _ROUNDING)
     largest = np.append(np.ones(c), 1.0 / (margin * c))
+    # Of each check point, then t itself: the maximum over all b that keep every denominator at the
+    # margin or above, where t times the sum of the check points' denominators is 1.
     for i, row in enumerate(np.vstack([rows[:c], np.eye(1, rows.shape[1])])):
-        found = linprog(-row, A_ub=-least, b_ub=np.zeros(len(rows)), A_eq=sums[None], b_eq=[1.0],
+        optimum = linprog(-row, A_ub=-lowest, b_ub=np.zeros(len(rows)), A_eq=sums[None], b_eq=[1.0],
                         bounds=(None, None), method="highs",
                         options={"primal_feasibility_tolerance": _TOLERANCE,
                                  "dual_feasibility_tolerance": _TOLERANCE})
-        if found.status == 0:
-            largest[i] = min(largest[i], -found.fun * (1.0 + _ROUNDING))
+        if optimum.status == 0:
+            largest[i] = min(largest[i], -optimum.fun * (1.0 + _ROUNDING))
     return largest

@@ -40,7 +40,7 @@ class Tree(NamedTuple):
     ceiling: FloatArray  # (depths, k + 1): largest score of interest of each size and above
     # Of the whole tree.
     guard: FloatArray  # (k, g): G'
-    least: FloatArray  # (g,): h
+    required: FloatArray  # (g,): h
     floors: FloatArray  # (1, k + 1): a column whose squared length is at most this is dependent
     # Space.
     W: FloatArray  # (a, k): R^-T G' of the guard points with a weight
@@ -65,44 +65,56 @@ def tree_of(control: FloatArray, guard: FloatArray, lengths: FloatArray, margin:
     long from their lengths (k,); the margin is the least denominator; the first columns are in use
     for good.
     """
-    k, g = guard.shape[1] - 1, len(guard)
-    r, depths = control.shape[1] - k, k + 1
+    k = guard.shape[1] - 1
+    g = len(guard)
+    r = control.shape[1] - k
+    depths = k + 1
     lengths = np.append(np.where(lengths > 0.0, lengths, 1.0), np.ones(r))
+    # Scaled columns have scaled coefficients: their denominators are scaled with them.
     guard = np.ascontiguousarray((guard / lengths[:k + 1]).T)
-    factor, triangle = np.linalg.qr(control / lengths, mode="r"), np.zeros((k + r, k + r))
+    factor = np.linalg.qr(control / lengths, mode="r")
+    triangle = np.zeros((k + r, k + r))
     triangle[:len(factor)] = factor
-    R, target = np.zeros((depths, k, k)), np.zeros((depths, r, k))
-    R[0], target[0] = triangle[:k, :k], triangle[:k, k:].T
+    R = np.zeros((depths, k, k))
+    target = np.zeros((depths, r, k))
+    R[0] = triangle[:k, :k]
+    target[0] = triangle[:k, k:].T
     rss = np.full(depths, (triangle[k:, k:] ** 2).sum())
     count, in_use, child, largest, weights = np.zeros((5, depths), dtype=np.intp)
-    column, fixed = np.tile(np.arange(k), (depths, 1)), np.tile(np.arange(k) < used, (depths, 1))
-    count[0], in_use[0] = k, used
+    column = np.tile(np.arange(k), (depths, 1))
+    fixed = np.tile(np.arange(k) < used, (depths, 1))
+    count[0] = k
+    in_use[0] = used
     floors = np.full((1, k + 1), TOLERANCE**2)
-    least = margin + guard[k]
-    least -= ROUNDING * (1.0 + abs(least))  # those that a rounding error keeps out may pass
+    required = margin + guard[k]
+    required -= ROUNDING * (1.0 + abs(required))  # those that a rounding error keeps out may pass
     point, order = (np.zeros((depths, n), dtype=np.intp) for n in (_POINTS, k + 1))
     bound, ceiling = np.zeros((2, depths, k + 1))
     shifted, b = np.zeros((2, k))
-    tree = Tree(
-        R, target, rss, column, fixed, count, in_use, child, largest, weights, point,
-        np.zeros((depths, _POINTS)), order, bound, ceiling, guard[:k].copy(), least, floors,
-        np.zeros((_POINTS, k)), np.zeros(_POINTS), shifted, b, np.zeros(g), np.zeros((k, k)),
-        np.zeros((k + r, k + 1)), np.zeros((k + 1, g)), np.zeros(r), np.zeros(k + 1, dtype=np.intp),
-        np.zeros(k + 1, dtype=np.uint64))
+    tree = Tree(triangle=R, target=target, rss=rss, column=column, fixed=fixed, count=count,
+                used=in_use, child=child, largest=largest, weights=weights, point=point,
+                weight=np.zeros((depths, _POINTS)), order=order, bound=bound, ceiling=ceiling,
+                guard=guard[:k].copy(), required=required, floors=floors, W=np.zeros((_POINTS, k)),
+                square=np.zeros(_POINTS), shifted=shifted, b=b, below=np.zeros(g),
+                inverse=np.zeros((k, k)), work=np.zeros((k + r, k + 1)),
+                eliminated=np.zeros((k + 1, g)), last=np.zeros(r),
+                cursor=np.zeros(k + 1, dtype=np.intp), mask=np.zeros(k + 1, dtype=np.uint64))
     return tree, guard
 
 
 @_compiled
 def write(tree: Tree, d: int, all_in_use: bool) -> None:
     """Write the columns to `tree.work`, those in use first, then targets; order in `cursor`."""
-    n, place = tree.count[d], 0
+    n = tree.count[d]
+    written = 0
+    # Two passes keep the order within those in use, and within the others.
     for fixed in (True, False):
         for i in range(n):
             if (all_in_use or tree.fixed[d, i]) == fixed:
                 for t in range(n):
-                    tree.work[place, t] = tree.triangle[d, t, i] if t <= i else 0.0
-                tree.cursor[place] = i
-                place += 1
+                    tree.work[written, t] = tree.triangle[d, t, i] if t <= i else 0.0
+                tree.cursor[written] = i
+                written += 1
     for j in range(tree.target.shape[1]):
         for t in range(n):
             tree.work[n + j, t] = tree.target[d, j, t]

@@ -40,7 +40,7 @@ class Depth(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """Constants of a piece."""
+    """Constants of a node."""
 
     margin: float  # least denominator
     tolerance: float  # least 1 - leverage
@@ -50,7 +50,7 @@ class Limits(NamedTuple):
     room: int  # most columns to add
 
 
-class Place(NamedTuple):
+class WalkPosition(NamedTuple):
     """Where a walk over the tree is; `mask[0]` and `counts` are filled in, the rest is space."""
 
     cursor: Any  # (depths,) of int: the column at each depth, the next to join
@@ -76,7 +76,7 @@ class Products(NamedTuple):
     """Inner products of few columns and the target, at every level of their elimination."""
 
     M: FloatArray  # (levels, n, n): of the columns; only above the diagonal
-    own: FloatArray  # (levels, n): the diagonal
+    diagonal: FloatArray  # (levels, n): of each column with itself
     f: FloatArray  # (levels, n): of the columns with the target
     total: FloatArray  # (levels,): of the target with itself
 
@@ -87,7 +87,7 @@ class SubsetBlock(NamedTuple):
     control: Products  # in the control rows
     errors: Products  # of the errors of the score
     sums: FloatArray  # (levels, n): minus the sums of a column over the denominators' rows
-    whole: FloatArray  # (levels,): the same of the target, that is of the denominators themselves
+    target_sum: FloatArray  # (levels,): the same of the target: of the denominators themselves
     inverse: FloatArray  # (n,): inverse squared lengths before any elimination; 0 if dependent
     a: FloatArray  # (n,): space for shares of a column
     u: FloatArray  # (n,): space for products less a share
@@ -121,26 +121,30 @@ def vectors_of(tops: list[FloatArray], extras: list[FloatArray], floor: FloatArr
     # Systems of fewer rows are filled up with zeros, which change no inner product.
     top, extra = (np.zeros((depths, len(blocks), blocks[0].shape[1], max(map(len, blocks))))
                   for blocks in (tops, extras))
-    for room, blocks in ((top, tops), (extra, extras)):
+    # Rows become the last axis: the kernels run along it.
+    for space, blocks in ((top, tops), (extra, extras)):
         for f, block in enumerate(blocks):
-            room[0, f, :, :len(block)] = block.T
+            space[0, f, :, :len(block)] = block.T
     square = np.full((depths, *floor.shape), np.inf)
+    # Column n is none: of infinite length, its coefficient and its share are 0.
     square[0, :, :n] = (top[0, :, :n] ** 2).sum(axis=2)
     share = np.zeros((*square.shape, top.shape[2] - n))
     products = top[0, :, :n] @ top[0, :, n:].swapaxes(1, 2)
+    # Column lengths may be 0: such a column has no share, and is dependent anyway.
     np.divide(products, square[0, :, :n, None], out=share[0, :, :n],
               where=square[0, :, :n, None] > 0)
-    grown = np.zeros((2, depths, len(leverage)))
-    grown[:, 0] = leverage, cross
-    return Vectors(top, extra, square, share, floor, grown[0], grown[1])
+    leverages = np.zeros((2, depths, len(leverage)))
+    leverages[:, 0] = leverage, cross
+    return Vectors(top=top, extra=extra, square=square, share=share, floor=floor,
+                   leverage=leverages[0], cross=leverages[1])
 
 
-def place_of(depths: int, used: np.uint64, counts: Any) -> Place:
+def position_of(depths: int, used: np.uint64, counts: Any) -> WalkPosition:
     """Return the beginning of a walk from the columns in use."""
     cursor, ends = np.zeros((2, depths), dtype=np.intp)
     mask = np.zeros(depths, dtype=np.uint64)
     mask[0] = used
-    return Place(cursor, ends, mask, counts)
+    return WalkPosition(cursor, ends, mask, counts)
 
 
 def check_space(depths: int, n: int, largest: FloatArray) -> CheckSpace:
@@ -148,13 +152,15 @@ def check_space(depths: int, n: int, largest: FloatArray) -> CheckSpace:
     e = len(largest) - 1
 
     def products() -> Products:
-        own, f = np.empty((2, depths, n))
-        return Products(np.empty((depths, n, n)), own, f, np.empty(depths))
+        diagonal, f = np.empty((2, depths, n))
+        return Products(np.empty((depths, n, n)), diagonal, f, np.empty(depths))
 
-    sums, whole = np.empty((depths, n)), np.empty(depths)
+    sums = np.empty((depths, n))
+    target_sum = np.empty(depths)
     inverse, a, u = np.empty((3, n))
-    block = SubsetBlock(products(), products(), sums, whole, inverse, a, u, np.empty(max(n, e)),
-                        np.empty(e), np.empty(depths), np.empty(depths, dtype=np.intp))
+    block = SubsetBlock(control=products(), errors=products(), sums=sums, target_sum=target_sum,
+                        inverse=inverse, a=a, u=u, row=np.empty(max(n, e)), weight=np.empty(e),
+                        share=np.empty(depths), cursor=np.empty(depths, dtype=np.intp))
     gram, triangle = np.empty((2, n + 1, n + 1))
     upper = np.ones((depths, e + 1))
     upper[0] = largest

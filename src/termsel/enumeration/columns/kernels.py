@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from termsel.adjustment.compiled import compiled
-from termsel.enumeration.columns.arrays import Depth, Limits, Place, Records, Vectors
+from termsel.enumeration.columns.arrays import Depth, Limits, Records, Vectors, WalkPosition
 from termsel.measurements.features import FloatArray, IntArray
 
 LINEAR, RATIONAL, PRESS, RSS = range(4)
@@ -27,8 +27,10 @@ leave-one-out errors, or of residuals."""
 _compiled = partial(compiled, _nrt=False, forceinline=True,
                     fastmath={"reassoc", "contract", "arcp", "nsz"})
 
+
 @_compiled
 def dot(a: FloatArray, b: FloatArray) -> float:
+    """Return a'b."""
     total = 0.0
     for row in range(len(a)):
         total += a[row] * b[row]
@@ -36,21 +38,21 @@ def dot(a: FloatArray, b: FloatArray) -> float:
 
 
 @_compiled
-def less(out: FloatArray, a: FloatArray, b: FloatArray, ratio: float) -> None:
-    """Write a - ratio b."""
-    for row in range(len(out)):
-        out[row] = a[row] - ratio * b[row]
+def subtract(difference: FloatArray, a: FloatArray, b: FloatArray, ratio: float) -> None:
+    """Write a - ratio b, also over a or b themselves."""
+    for row in range(len(difference)):
+        difference[row] = a[row] - ratio * b[row]
 
 
 @_compiled
-def less_measured(out: FloatArray, a: FloatArray, b: FloatArray, ratio: float,
+def subtract_measured(difference: FloatArray, a: FloatArray, b: FloatArray, ratio: float,
                    t: FloatArray) -> tuple[float, float]:
     """Write a - ratio b; return its squared length and its product with t."""
     square = 0.0
     product = 0.0
-    for row in range(len(out)):
+    for row in range(len(difference)):
         value = a[row] - ratio * b[row]
-        out[row] = value
+        difference[row] = value
         square += value * value
         product += value * t[row]
     return square, product
@@ -87,25 +89,31 @@ def _press_squares(at: Depth, n: int, c: int, j: int, limits: Limits) -> float:
     With residual e, leverage h and the denominator's cross-leverage g, a row's leave-one-out
     error is e / (1 - h), and its denominator is lower by g e / (1 - h).
     """
-    t, v, t_below, v_below = at.top[0, n + j], at.top[0, c], at.extra[0, n + j], at.extra[0, c]
-    ratio, per_square = at.share[0, c, j], 1.0 / at.square[0, c]
+    t = at.top[0, n + j]
+    v = at.top[0, c]
+    t_below = at.extra[0, n + j]
+    v_below = at.extra[0, c]
+    ratio = at.share[0, c, j]
+    per_square = 1.0 / at.square[0, c]
     total = 0.0
-    bad = 0
+    without_error = 0
     for row in range(len(t)):
         residual = t[row] - ratio * v[row]
         # The column's own part of h and g is added here; the depth holds that of those in use.
-        rest = 1.0 - at.leverage[row] - per_square * v[row] * v[row]
+        redundancy = 1.0 - at.leverage[row] - per_square * v[row] * v[row]
         # Error and denominator are both taken times 1 - h, which may be 0.
-        denominator = ((ratio * v_below[row] - t_below[row]) * rest
+        denominator = ((ratio * v_below[row] - t_below[row]) * redundancy
                        - (at.cross[row] + per_square * v[row] * v_below[row]) * residual)
         error = residual / denominator
-        bad += (rest <= limits.tolerance) | (denominator < limits.margin * rest)
+        too_small = denominator < limits.margin * redundancy
+        without_error += (redundancy <= limits.tolerance) | too_small
         total += error * error
-    return np.inf if bad else total
+    return np.inf if without_error else total
 
 
 @_compiled
 def at_depth(vectors: Vectors, depth: int) -> Depth:
+    """Return views of the arrays at a depth."""
     return Depth(vectors.top[depth], vectors.extra[depth], vectors.square[depth],
                  vectors.share[depth], vectors.leverage[depth], vectors.cross[depth])
 
@@ -137,18 +145,22 @@ def _keeps_guard(vectors: Vectors, depth: int, cursor: IntArray, records: Record
     Column cursor[q] joined at depth q; it is still there as it was then, so that the
     triangular system is found row by row.
     """
-    guard, x, sums = records.guard, records.x, records.sums
+    guard = records.guard
+    x = records.x
+    sums = records.sums
     n = len(guard) - 1
     for i in range(len(sums)):
         sums[i] = -guard[n, i]
     for q in range(depth, -1, -1):
+        # Back substitution: v_q is orthogonal to all columns that joined before it, so that
+        # v_q'y = |v_q|^2 x_q + sum over later s of (v_q'a_s) x_s.
         v = vectors.top[q, 0, cursor[q]]
         product = dot(v, vectors.top[q, 0, n])
         for s in range(q + 1, depth + 1):
             product -= dot(v, vectors.top[q, 0, cursor[s]]) * x[s]
         # No column, n, is of infinite length: its coefficient is 0.
         x[q] = product / vectors.square[q, 0, cursor[q]]
-        less(sums, sums, guard[cursor[q]], -x[q])
+        subtract(sums, sums, guard[cursor[q]], -x[q])
     poles = 0
     for i in range(len(sums)):
         poles += not sums[i] >= margin  # NaN is a pole, too
@@ -158,9 +170,10 @@ def _keeps_guard(vectors: Vectors, depth: int, cursor: IntArray, records: Record
 @_compiled
 def _has_parents(mask: Any, parents: Any) -> bool:
     """Return whether a subset has the parents of all its columns."""
-    one = np.uint64(1)
+    lowest_bit = np.uint64(1)
+    # Column j may be in the subset only if all of parents[j] are in it as well.
     for j in range(len(parents)):
-        if (mask >> np.uint64(j)) & one != 0 and (parents[j] & ~mask) != 0:
+        if (mask >> np.uint64(j)) & lowest_bit != 0 and (parents[j] & ~mask) != 0:
             return False
     return True
 
@@ -169,7 +182,9 @@ def _has_parents(mask: Any, parents: Any) -> bool:
 def record(score: float, size: int, mask: Any, vectors: Vectors, depth: int, cursor: IntArray,
            records: Records, margin: float) -> None:
     """Keep a subset that is the best of its size; in a tie the smaller mask."""
-    best, masks, some_of = records.best, records.masks, records.some_of[0]
+    best = records.best
+    masks = records.masks
+    some_of = records.some_of[0]
     # The guard costs most and comes last: few subsets are that good.
     if (
         (score < best[size] or (score == best[size] and mask < masks[size]))
@@ -184,35 +199,39 @@ def record(score: float, size: int, mask: Any, vectors: Vectors, depth: int, cur
 @_compiled
 def remove(vectors: Vectors, depth: int, f: int, i: int, c: int, n: int, r: int) -> None:
     """Remove column i from vector c of system f, from one depth to the next; the target n first."""
-    top, extra = vectors.top, vectors.extra
+    top = vectors.top
+    extra = vectors.extra
     if c >= n:
         ratio = vectors.share[depth, f, i, c - n]
-        less(top[depth + 1, f, c], top[depth, f, c], top[depth, f, i], ratio)
+        subtract(top[depth + 1, f, c], top[depth, f, c], top[depth, f, i], ratio)
     else:
         ratio = dot(top[depth, f, i], top[depth, f, c]) / vectors.square[depth, f, i]
-        length, product = less_measured(top[depth + 1, f, c], top[depth, f, c], top[depth, f, i],
-                                        ratio, top[depth + 1, f, n])
+        length, product = subtract_measured(top[depth + 1, f, c], top[depth, f, c],
+                                            top[depth, f, i], ratio, top[depth + 1, f, n])
         vectors.square[depth + 1, f, c] = length
         vectors.share[depth + 1, f, c, 0] = product / length
         for j in range(1, r):
             vectors.share[depth + 1, f, c, j] = dot(top[depth + 1, f, c],
                                                     top[depth + 1, f, n + j]) / length
-    less(extra[depth + 1, f, c], extra[depth, f, c], extra[depth, f, i], ratio)
+    subtract(extra[depth + 1, f, c], extra[depth, f, c], extra[depth, f, i], ratio)
 
 
 @_compiled
 def _open_leverage(vectors: Vectors, depth: int, i: int) -> None:
     """Add the part of column i to the leverages, from one depth to the next."""
-    v, w, square = vectors.top[depth, 0, i], vectors.extra[depth, 0, i], vectors.square[depth, 0, i]
-    leverage, cross = vectors.leverage, vectors.cross
+    v = vectors.top[depth, 0, i]
+    w = vectors.extra[depth, 0, i]
+    square = vectors.square[depth, 0, i]
+    leverage = vectors.leverage
+    cross = vectors.cross
     for row in range(len(v)):
-        part = v[row] / square
-        leverage[depth + 1, row] = leverage[depth, row] + part * v[row]
-        cross[depth + 1, row] = cross[depth, row] + part * w[row]
+        coefficient = v[row] / square
+        leverage[depth + 1, row] = leverage[depth, row] + coefficient * v[row]
+        cross[depth + 1, row] = cross[depth, row] + coefficient * w[row]
 
 
 @_compiled
-def walk(kind: int, vectors: Vectors, limits: Limits, records: Records, place: Place,
+def walk(kind: int, vectors: Vectors, limits: Limits, records: Records, position: WalkPosition,
          single: bool | None, press: bool | None) -> None:
     """Enumerate all subsets of n columns in addition to those in use already.
 
@@ -223,52 +242,65 @@ def walk(kind: int, vectors: Vectors, limits: Limits, records: Records, place: P
     if single is None:
         systems, r = 1, 1
     else:
-        systems, r = vectors.top.shape[1], vectors.share.shape[3]
+        systems = vectors.top.shape[1]
+        r = vectors.share.shape[3]
     n = vectors.top.shape[2] - r
-    size, room = limits.size, limits.room
-    cursor, mask, depth = place.cursor, place.mask, 0
+    size = limits.size
+    room = limits.room
+    cursor = position.cursor
+    mask = position.mask
+    depth = 0
     # At depth 0 column n is scored as well, which is none: the subset in use already.
-    first, last = 0 if room > 0 else n, n + 1
+    first = 0 if room > 0 else n
+    last = n + 1
     while True:
-        here, before = at_depth(vectors, depth), at_depth(vectors, max(depth - 1, 0))
+        level = at_depth(vectors, depth)
+        level_above = at_depth(vectors, max(depth - 1, 0))
         i = first - 1  # the column that joined last
         if depth > 0:
             for f in range(systems):
                 for j in range(r):
-                    less(here.top[f, n + j], before.top[f, n + j], before.top[f, i],
-                         before.share[f, i, j])
-                    less(here.extra[f, n + j], before.extra[f, n + j], before.extra[f, i],
-                         before.share[f, i, j])
+                    # Targets first: each column below needs its product with the new residuals.
+                    subtract(level.top[f, n + j], level_above.top[f, n + j], level_above.top[f, i],
+                             level_above.share[f, i, j])
+                    subtract(level.extra[f, n + j], level_above.extra[f, n + j],
+                             level_above.extra[f, i], level_above.share[f, i, j])
         # Each column is freed of the one that joined and scored at once, while it is in the cache.
         for c in range(first, last):
             dependent = False
             for f in range(systems):
                 if depth > 0:
-                    ratio = dot(before.top[f, i], before.top[f, c]) / before.square[f, i]
-                    length, product = less_measured(here.top[f, c], before.top[f, c],
-                                                    before.top[f, i], ratio, here.top[f, n])
-                    less(here.extra[f, c], before.extra[f, c], before.extra[f, i], ratio)
-                    here.square[f, c] = length
-                    here.share[f, c, 0] = product / length
+                    # v_c - (v_i'v_c / v_i'v_i) v_i: one step of modified Gram-Schmidt.
+                    product = dot(level_above.top[f, i], level_above.top[f, c])
+                    ratio = product / level_above.square[f, i]
+                    length, product = subtract_measured(
+                        level.top[f, c], level_above.top[f, c], level_above.top[f, i], ratio,
+                        level.top[f, n])
+                    subtract(level.extra[f, c], level_above.extra[f, c], level_above.extra[f, i],
+                             ratio)
+                    level.square[f, c] = length
+                    level.share[f, c, 0] = product / length
                     for j in range(1, r):
-                        here.share[f, c, j] = dot(here.top[f, c], here.top[f, n + j]) / length
-                dependent |= here.square[f, c] <= vectors.floor[f, c]
+                        level.share[f, c, j] = dot(level.top[f, c], level.top[f, n + j]) / length
+                dependent |= level.square[f, c] <= vectors.floor[f, c]
             if dependent:
-                here.square[0, c] = 0.0  # a mark not to descend
+                level.square[0, c] = 0.0  # a mark not to descend
                 continue
             if press is None:
-                score = score_of(kind, here, c, systems, r, limits)
+                score = score_of(kind, level, c, systems, r, limits)
             else:  # of one system
                 score = limits.offset
                 for j in range(r):
-                    score += _press_squares(here, n, c, j, limits)
-            new = size + depth + (c < n)
-            if score <= records.best[new]:
+                    score += _press_squares(level, n, c, j, limits)
+            new_size = size + depth + (c < n)  # column n adds none
+            if score <= records.best[new_size]:
                 cursor[depth] = c
-                record(score, new, mask[depth] | records.bits[c], vectors, depth, cursor, records,
-                       limits.margin)
+                record(score, new_size, mask[depth] | records.bits[c], vectors=vectors, depth=depth,
+                       cursor=cursor, records=records, margin=limits.margin)
         cursor[depth] = first
+        # Column n, the subset in use itself, was scored above: below depth 0 it comes no more.
         last = n
+        # On to the next column with others to its right, upwards where a depth has no further one.
         while True:
             i = cursor[depth]
             if i >= n - 1 or depth + 1 >= room:

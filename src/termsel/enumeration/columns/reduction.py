@@ -29,19 +29,21 @@ def by_gain(control: FloatArray, forced: IntArray, free: IntArray, k: int) -> In
 
     Subsets that lack the first of them then have a high bound.
     """
-    rest = control
-    # A column that depends on those chosen explains nothing, whatever is left of it by rounding.
-    least = (TOLERANCE * np.linalg.norm(control, axis=0)) ** 2
+    remainders = control
+    # A column that depends on those before it explains nothing, whatever rounding leaves of it.
+    least_squares = (TOLERANCE * np.linalg.norm(control, axis=0)) ** 2
     for j in forced:
-        rest = _without(rest, j)
-    waiting = free.tolist()
+        remainders = _without(remainders, j)
+    unordered = free.tolist()
     order: list[int] = []
-    while waiting:
-        squares = (rest[:, waiting] ** 2).sum(axis=0)
-        gains = ((rest[:, waiting].T @ rest[:, k:]) ** 2).sum(axis=1)
-        gains = np.divide(gains, squares, out=np.zeros_like(gains), where=squares > least[waiting])
-        order.append(waiting.pop(int(gains.argmax())))
-        rest = _without(rest, order[-1])
+    while unordered:
+        squares = (remainders[:, unordered] ** 2).sum(axis=0)
+        # With the column a and the residuals r the sum of squares falls by (a'r)^2 / a'a.
+        gains = ((remainders[:, unordered].T @ remainders[:, k:]) ** 2).sum(axis=1)
+        gains = np.divide(gains, squares, out=np.zeros_like(gains), where=squares
+                          > least_squares[unordered])
+        order.append(unordered.pop(int(gains.argmax())))
+        remainders = _without(remainders, order[-1])
     return np.array(order, dtype=np.intp)
 
 
@@ -52,8 +54,10 @@ def by_halves(free: IntArray, below: BoolArray) -> IntArray:
     so that a bound soon closes them, whatever is in use. `below` (k,) tells columns of the
     denominator.
     """
-    above, below_ = free[~below[free]], free[below[free]]
-    a, b = len(above) // 2, len(below_) // 2
+    above = free[~below[free]]
+    below_ = free[below[free]]
+    a = len(above) // 2
+    b = len(below_) // 2
     return np.concatenate([above[:a], below_[:b], above[a:], below_[b:]])
 
 

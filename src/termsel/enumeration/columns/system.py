@@ -17,6 +17,7 @@ MAX_COLUMNS = 62
 
 Masks = NDArray[np.uint64]
 
+# Bit j of a mask is column j.
 BITS: Masks = np.uint64(1) << np.arange(MAX_COLUMNS, dtype=np.uint64)
 
 
@@ -99,43 +100,46 @@ class SubsetSystem:
 
 def count_subsets(columns: int, max_terms: int | None = None) -> int:
     """Return the number of subsets of so many columns, with at most `max_terms` members."""
-    most = columns if max_terms is None else min(columns, max_terms)
-    return sum(comb(columns, size) for size in range(most + 1))
+    max_size = columns if max_terms is None else min(columns, max_terms)
+    return sum(comb(columns, size) for size in range(max_size + 1))
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
+class SubtreeNode:
     """Subsets that are decided together."""
 
     used: IntArray  # columns that all of them hold
-    rest: IntArray  # columns that they may hold, in the order of the tree
+    candidates: IntArray  # columns that they may hold, in the order of the tree
     room: int  # how many of these at most
-    least: float = 0.0  # none that is still to be decided scores less
+    lower_bound: float = 0.0  # none that is still to be decided scores less
 
-    def halves(self) -> list[Piece]:
-        """Return the subsets without the first of the rest, and those with it."""
-        first, rest = self.rest[:1], self.rest[1:]
-        return [Piece(self.used, rest, self.room, self.least),
-                Piece(np.concatenate([self.used, first]), rest, self.room - 1, self.least)]
+    def halves(self) -> list[SubtreeNode]:
+        """Return the subsets without the first candidate, and those with it."""
+        first = self.candidates[:1]
+        later = self.candidates[1:]
+        # The bound of a node holds for all its subsets, and so for each half.
+        return [SubtreeNode(self.used, later, self.room, self.lower_bound),
+                SubtreeNode(np.concatenate([self.used, first]), later, self.room - 1,
+                            self.lower_bound)]
 
     @cached_property
     def count(self) -> int:
         """Number of subsets; 0 if the room is negative."""
-        return count_subsets(len(self.rest), self.room)
+        return count_subsets(len(self.candidates), self.room)
 
 
 @dataclass(frozen=True, eq=False)
-class Walked:
-    """Result of a piece, as in `SubsetResult`."""
+class NodeResult:
+    """Result of a node, as in `SubsetResult`."""
 
     best: FloatArray
     masks: Masks
     pruned: int
 
 
-def better(best: FloatArray, masks: Masks, other: FloatArray,
-           at: Masks) -> tuple[FloatArray, Masks]:
+def better(best: FloatArray, masks: Masks, other_best: FloatArray,
+           other_masks: Masks) -> tuple[FloatArray, Masks]:
     """Return the better subset of each size; of equal scores the smallest mask."""
-    # The order of pieces must not matter, so that ties have to be broken by the subset itself.
-    wins = (other < best) | ((other == best) & (at < masks))
-    return np.where(wins, other, best), np.where(wins, at, masks)
+    # The order of nodes must not matter, so that ties have to be broken by the subset itself.
+    wins = (other_best < best) | ((other_best == best) & (other_masks < masks))
+    return np.where(wins, other_best, best), np.where(wins, other_masks, masks)

@@ -14,12 +14,12 @@ class FeatureRows(NamedTuple):
     target: FloatArray  # (parts, rows)
     start: IntArray  # (parts, n + 1): where the rows of each feature begin
     columns: IntArray  # (parts,): unknowns of each part
-    needed: IntArray  # (parts,): fewest equations of a selection
+    min_equations: IntArray  # (parts,): fewest equations of a selection
     single: Any  # (parts,) of bool: whether each feature has one row
     bits: Any  # (n, words) of uint64: mask of each feature
 
 
-class Carried(NamedTuple):
+class WalkState(NamedTuple):
     """What is known of the selection at every depth; `normal` to `mask` are filled in at depth 0.
 
     Of h, q, e and g see `termsel.enumeration.features.kernels`.
@@ -30,26 +30,26 @@ class Carried(NamedTuple):
     equations: IntArray  # (depths, parts): how many of features
     mask: Any  # (depths, words) of uint64
     cursor: IntArray  # (depths,): the feature that enters next
-    state: IntArray  # (depths,): OPEN, UNKNOWN, SCORED or CARRIED
+    status: IntArray  # (depths,): OPEN, UNKNOWN, SCORED or CARRIED
     h: FloatArray  # (depths, parts, rows, rows): upper triangle
     q: FloatArray  # (depths, parts, rows, rows): upper triangle
-    own_h: FloatArray  # (depths, parts, rows): the diagonal of h
-    own_q: FloatArray  # (depths, parts, rows): the diagonal of q
+    diagonal_h: FloatArray  # (depths, parts, rows): the diagonal of h
+    diagonal_q: FloatArray  # (depths, parts, rows): the diagonal of q
     e: FloatArray  # (depths, parts, rows): misfits
     g: FloatArray  # (depths, parts, rows)
     square: FloatArray  # (depths, parts): y'y
 
 
-class Wanted(NamedTuple):
+class SelectionLimits(NamedTuple):
     """Which selections remain."""
 
-    least: int  # features of a selection
-    most: int
-    limits: FloatArray  # (n + 1,): y'y up to which selections of each size remain
+    min_size: int  # features of a selection
+    max_size: int
+    squares: FloatArray  # (n + 1,): y'y up to which selections of each size remain
     floor: float  # squared errors that no selection is below
 
 
-class Kept(NamedTuple):
+class RemainingSelections(NamedTuple):
     """Selections that remain, with y'y; minus infinity where that is not known."""
 
     masks: Any  # (selections, words) of uint64
@@ -71,4 +71,4 @@ class EntrySpace(NamedTuple):
     small_h: FloatArray  # (most rows of a feature, most rows of a feature)
     small_q: FloatArray
     small: FloatArray  # (4, most rows of a feature)
-    total: FloatArray  # (n,): y'y with each feature as the next
+    totals: FloatArray  # (n,): y'y with each feature as the next

@@ -17,7 +17,13 @@ from typing import Any
 import numpy as np
 
 from termsel.adjustment.compiled import compiled
-from termsel.enumeration.features.arrays import Carried, EntrySpace, FeatureRows, Kept, Wanted
+from termsel.enumeration.features.arrays import (
+    EntrySpace,
+    FeatureRows,
+    RemainingSelections,
+    SelectionLimits,
+    WalkState,
+)
 from termsel.measurements.features import FloatArray
 
 _compiled = partial(compiled, _nrt=False)
@@ -36,54 +42,66 @@ FAR = 1e6
 
 
 @_compiled
-def walk(rows: FeatureRows, carried: Carried, space: EntrySpace, first: int, size: int,
-         wanted: Wanted, kept: Kept) -> int:
+def walk(rows: FeatureRows, state: WalkState, space: EntrySpace, first: int, size: int,
+         limits: SelectionLimits, remaining: RemainingSelections) -> int:
     """Decide a selection of some size and all with features from `first` on in addition.
 
-    Return how many remain: so many first places of `kept` are filled.
+    Return how many remain: so many first rows of `remaining` are filled.
     """
-    n, mask, cursor, state = len(rows.bits), carried.mask, carried.cursor, carried.state
-    least, most, limits = wanted.least, wanted.most, wanted.limits
+    n = len(rows.bits)
+    mask = state.mask
+    cursor = state.cursor
+    status = state.status
+    min_size = limits.min_size
+    max_size = limits.max_size
+    square_limits = limits.squares
     # With plain numbers everything below would be compiled for these constants too.
-    depth, count, nothing = int(np.intp(0)), int(np.intp(0)), int(np.intp(-1))
-    entering = size < most and first < n
-    state[0] = _open(rows, carried, space, depth, first, entering, wanted.floor, limits[size])
-    count = _keep(carried, depth, size, wanted, kept, count)
+    depth = int(np.intp(0))
+    count = int(np.intp(0))
+    nothing = int(np.intp(-1))
+    entering = size < max_size and first < n
+    status[0] = _open(rows, state, space, depth=depth, first=first, further=entering,
+                     floor=limits.floor, limit=square_limits[size])
+    count = _keep(state, depth, size, limits, remaining, count)
     cursor[0] = first
     while True:
-        here = size + depth
+        current_size = size + depth
         # A selection that is carried scores all with one more feature at once.
-        if entering and state[depth] == CARRIED and here + 1 >= least:
-            _scan(rows, carried, space, depth, nothing, cursor[depth])
-            count = _keep_all(rows, space, cursor[depth], mask[depth], limits[here + 1], kept,
-                              count)
+        if entering and status[depth] == CARRIED and current_size + 1 >= min_size:
+            _scan(rows, state, space, depth, nothing, cursor[depth])
+            count = _keep_all(rows, space, cursor[depth], mask=mask[depth],
+                              limit=square_limits[current_size + 1], remaining=remaining,
+                              count=count)
         entering = False
         i = cursor[depth]
-        if i >= n or here >= most or here + n - i < least:  # too few are left to reach the least
+        # Upwards where no feature follows, none has room, or too few follow to reach `min_size`.
+        if i >= n or current_size >= max_size or current_size + n - i < min_size:
             if depth == 0:
                 return count
             depth -= 1
             continue
         cursor[depth] = i + 1
-        further = here + 1 < most and i + 1 < n
-        for word in range(mask.shape[1]):
-            mask[depth + 1, word] = mask[depth, word] | rows.bits[i, word]
-        if state[depth] == CARRIED:
+        further = current_size + 1 < max_size and i + 1 < n
+        for w in range(mask.shape[1]):
+            mask[depth + 1, w] = mask[depth, w] | rows.bits[i, w]
+        if status[depth] == CARRIED:
             if not further:  # `_scan` has scored it
                 continue
-            if here + 2 == most or i + 2 == n:  # nothing is below those with two more
-                if here + 2 >= least:
-                    _scan(rows, carried, space, depth, i, i + 1)
-                    count = _keep_all(rows, space, i + 1, mask[depth + 1], limits[here + 2], kept,
-                                      count)
+            if current_size + 2 == max_size or i + 2 == n:  # nothing is below those with two more
+                if current_size + 2 >= min_size:
+                    _scan(rows, state, space, depth, i, i + 1)
+                    count = _keep_all(rows, space, i + 1, mask=mask[depth + 1],
+                                      limit=square_limits[current_size + 2], remaining=remaining,
+                                      count=count)
                 continue
-            _carry(rows, carried, space, depth, i)
-            state[depth + 1] = CARRIED
+            _carry(rows, state, space, depth, i)
+            status[depth + 1] = CARRIED
         else:
-            _add(rows, carried, depth, i)
-            state[depth + 1] = _open(rows, carried, space, depth + 1, i + 1, further,
-                                     wanted.floor, limits[here + 1])
-            count = _keep(carried, depth + 1, here + 1, wanted, kept, count)
+            _add(rows, state, depth, i)
+            status[depth + 1] = _open(rows, state, space, depth=depth + 1, first=i + 1,
+                                     further=further, floor=limits.floor,
+                                     limit=square_limits[current_size + 1])
+            count = _keep(state, depth + 1, current_size + 1, limits, remaining, count)
         if further:
             depth += 1
             cursor[depth] = i + 1
@@ -91,88 +109,93 @@ def walk(rows: FeatureRows, carried: Carried, space: EntrySpace, first: int, siz
 
 
 @_compiled
-def _keep(carried: Carried, depth: int, size: int, wanted: Wanted, kept: Kept, count: int) -> int:
+def _keep(state: WalkState, depth: int, size: int, limits: SelectionLimits,
+          remaining: RemainingSelections, count: int) -> int:
     """Take down a selection that is within its limit, or has no score; return the number."""
-    state = carried.state[depth]
-    if state == OPEN or size < wanted.least:
+    status = state.status[depth]
+    if status == OPEN or size < limits.min_size:
         return count
     score = -np.inf
-    if state != UNKNOWN:
+    if status != UNKNOWN:
         score = 0.0
-        for p in range(carried.square.shape[1]):
-            score += carried.square[depth, p]
-        if score > wanted.limits[size]:
+        for p in range(state.square.shape[1]):
+            score += state.square[depth, p]
+        if score > limits.squares[size]:
             return count
-    for word in range(carried.mask.shape[1]):
-        kept.masks[count, word] = carried.mask[depth, word]
-    kept.scores[count] = score
+    for w in range(state.mask.shape[1]):
+        remaining.masks[count, w] = state.mask[depth, w]
+    remaining.scores[count] = score
     return count + 1
 
 
 @_compiled
-def _keep_all(rows: FeatureRows, space: EntrySpace, first: int, mask: Any, limit: float, kept: Kept,
-              count: int) -> int:
+def _keep_all(rows: FeatureRows, space: EntrySpace, first: int, mask: Any, limit: float,
+              remaining: RemainingSelections, count: int) -> int:
     """Take down what is within its limit of a selection with each feature from `first` on."""
     for j in range(first, len(rows.bits)):
-        if space.total[j] <= limit:
-            for word in range(len(mask)):
-                kept.masks[count, word] = mask[word] | rows.bits[j, word]
-            kept.scores[count] = space.total[j]
+        if space.totals[j] <= limit:
+            for w in range(len(mask)):
+                remaining.masks[count, w] = mask[w] | rows.bits[j, w]
+            remaining.scores[count] = space.totals[j]
             count += 1
     return count
 
 
 @_compiled
-def _add(rows: FeatureRows, carried: Carried, depth: int, i: int) -> None:
+def _add(rows: FeatureRows, state: WalkState, depth: int, i: int) -> None:
     """Add the rows of a feature to the normal equations."""
     for p in range(len(rows.columns)):
         k = rows.columns[p]
-        normal, right = carried.normal[depth + 1, p], carried.right[depth + 1, p]
+        normal = state.normal[depth + 1, p]
+        right = state.right[depth + 1, p]
         for x in range(k):
-            right[x] = carried.right[depth, p, x]
+            right[x] = state.right[depth, p, x]
             for z in range(x + 1):
-                normal[x, z] = carried.normal[depth, p, x, z]
+                normal[x, z] = state.normal[depth, p, x, z]
         for t in range(rows.start[p, i], rows.start[p, i + 1]):
             a = rows.design[p, t]
             for x in range(k):
                 right[x] += a[x] * rows.target[p, t]
                 for z in range(x + 1):
                     normal[x, z] += a[x] * a[z]
-        carried.equations[depth + 1, p] = (carried.equations[depth, p]
+        state.equations[depth + 1, p] = (state.equations[depth, p]
                                            + rows.start[p, i + 1] - rows.start[p, i])
 
 
 @_compiled
-def _open(rows: FeatureRows, carried: Carried, space: EntrySpace, depth: int, first: int,
+def _open(rows: FeatureRows, state: WalkState, space: EntrySpace, depth: int, first: int,
           further: bool, floor: float, limit: float) -> int:
     """Solve the selection at a depth by Cholesky; return OPEN, UNKNOWN, SCORED or CARRIED."""
     worst, total, pivot = 0.0, 0.0, 1.0
+    # Each part of the unknowns needs its own equations.
     for p in range(len(rows.columns)):
-        if carried.equations[depth, p] < rows.needed[p]:
+        if state.equations[depth, p] < rows.min_equations[p]:
             return OPEN
+    # The squared errors of the check points are y'y but for a constant; parts add up.
     for p in range(len(rows.columns)):
-        k, y = rows.columns[p], space.y[p]
-        pivot = min(pivot, _solve(carried.normal[depth, p], carried.right[depth, p], k,
+        k = rows.columns[p]
+        y = space.y[p]
+        pivot = min(pivot, _solve(state.normal[depth, p], state.right[depth, p], k,
                                   space.factor[p], y))
         if not pivot > 0.0:
             return UNKNOWN
         square = 0.0
         for x in range(k):
             square += y[x] * y[x]
-        carried.square[depth, p] = square
+        state.square[depth, p] = square
         total += square
     if not further and pivot > 1e-6 and total > 4.0 * limit:
         return SCORED  # however wrong that is, it is not within the limit
     # The inverse tells the condition, and all that is carried is made of it.
     for p in range(len(rows.columns)):
-        worst = max(worst, _invert(carried.normal[depth, p], rows.columns[p], space.factor[p],
+        worst = max(worst, _invert(state.normal[depth, p], rows.columns[p], space.factor[p],
                                    space.inverse[p]))
     if not worst <= TRUSTED:
         return UNKNOWN
     if not further or worst > CARRY or total > FAR * floor:
         return SCORED
     for p in range(len(rows.columns)):
-        _products(rows, carried, space, depth, p, first)
+        _products(rows, state, space, depth, p, first)
     return CARRIED
 
 
@@ -183,55 +206,62 @@ def _solve(normal: FloatArray, right: FloatArray, k: int, factor: FloatArray,
 
     `factor` becomes the lower Cholesky factor, with its diagonal inverted.
     """
-    trace, least = 0.0, 1.0
+    trace, least_pivot = 0.0, 1.0
     for x in range(k):
         trace += normal[x, x]
+    # Row x of L in N = L L', and component x of L^-1 r along with it.
     for x in range(k):
         for z in range(x):
             value = normal[x, z]
             for c in range(z):
                 value -= factor[x, c] * factor[z, c]
             factor[x, z] = value * factor[z, z]
-        value, own = normal[x, x], right[x]
+        value = normal[x, x]
+        component = right[x]
         for c in range(x):
             value -= factor[x, c] * factor[x, c]
-            own -= factor[x, c] * y[c]
+            component -= factor[x, c] * y[c]
         # Pivots below this are rounding: the matrix counts as singular.
-        least = min(least, value / trace)
+        least_pivot = min(least_pivot, value / trace)
         if not value > 1e-14 * trace:
             return 0.0
         factor[x, x] = 1.0 / np.sqrt(value)
-        y[x] = own * factor[x, x]
+        y[x] = component * factor[x, x]
     for x in range(k - 1, -1, -1):
         y[x] *= factor[x, x]  # backwards, column by column
         for z in range(x):
             y[z] -= factor[x, z] * y[x]
-    return least
+    return least_pivot
 
 
 @_compiled
 def _invert(normal: FloatArray, k: int, factor: FloatArray, inverse: FloatArray) -> float:
     """Invert a Cholesky factor; return tr(N) tr(N^-1), which is at least the condition of N."""
-    trace, back = 0.0, 0.0
+    trace, inverse_trace = 0.0, 0.0
+    # tr(N^-1) is the sum of squares of L^-1, whose columns are made one by one.
     for z in range(k):
         trace += normal[z, z]
         inverse[z, z] = factor[z, z]
-        back += inverse[z, z] * inverse[z, z]
+        inverse_trace += inverse[z, z] * inverse[z, z]
         for x in range(z + 1, k):
             value = 0.0
             for c in range(z, x):
                 value -= factor[x, c] * inverse[c, z]
             inverse[x, z] = value * factor[x, x]
-            back += inverse[x, z] * inverse[x, z]
-    return float(trace * back)
+            inverse_trace += inverse[x, z] * inverse[x, z]
+    return float(trace * inverse_trace)
 
 
 @_compiled
-def _products(rows: FeatureRows, carried: Carried, space: EntrySpace,
+def _products(rows: FeatureRows, state: WalkState, space: EntrySpace,
               depth: int, p: int, first: int) -> None:
     """Fill h, q, e and g of a part at a depth, for the rows of the features from `first` on."""
-    k, inverse, y, w = rows.columns[p], space.inverse[p], space.y[p], space.w
-    start, stop = rows.start[p, first], rows.start[p, len(rows.bits)]
+    k = rows.columns[p]
+    inverse = space.inverse[p]
+    y = space.y[p]
+    w = space.w
+    start = rows.start[p, first]
+    stop = rows.start[p, len(rows.bits)]
     for t in range(start, stop):
         a = rows.design[p, t]
         for x in range(k):
@@ -242,153 +272,198 @@ def _products(rows: FeatureRows, carried: Carried, space: EntrySpace,
                 value += inverse[x, z] * a[z]
             for z in range(x + 1):
                 w[t, z] += inverse[x, z] * value  # M a = L^-T L^-1 a
-        e, g = rows.target[p, t], 0.0
+        e = rows.target[p, t]
+        g = 0.0
         for x in range(k):
             e -= a[x] * y[x]
             g += w[t, x] * y[x]
-        carried.e[depth, p, t], carried.g[depth, p, t] = e, g
+        state.e[depth, p, t] = e
+        state.g[depth, p, t] = g
     for t in range(start, stop):
         for u in range(t, stop):
             h, q = 0.0, 0.0  # a M a' and a M M a'
             for x in range(k):
                 h += w[t, x] * rows.design[p, u, x]
                 q += w[t, x] * w[u, x]
-            carried.h[depth, p, t, u], carried.q[depth, p, t, u] = h, q
-        carried.own_h[depth, p, t] = carried.h[depth, p, t, t]
-        carried.own_q[depth, p, t] = carried.q[depth, p, t, t]
+            state.h[depth, p, t, u] = h
+            state.q[depth, p, t, u] = q
+        state.diagonal_h[depth, p, t] = state.h[depth, p, t, t]
+        state.diagonal_q[depth, p, t] = state.q[depth, p, t, t]
 
 
 @_compiled
-def _enter(rows: FeatureRows, carried: Carried, space: EntrySpace,
+def _enter(rows: FeatureRows, state: WalkState, space: EntrySpace,
            depth: int, p: int, i: int) -> float:
     """Let the rows of feature i enter, one by one; return y'y.
 
     Fills `rows`, `share` and `half`, by which h becomes h - share' rows and q becomes q - share'
     half - half' share, and e and g.
     """
-    start, middle, stop = rows.start[p, i], rows.start[p, i + 1], rows.start[p, len(rows.bits)]
-    h, q, square = carried.h[depth, p], carried.q[depth, p], carried.square[depth, p]
-    e, g = space.e, space.g
+    start = rows.start[p, i]
+    middle = rows.start[p, i + 1]
+    stop = rows.start[p, len(rows.bits)]
+    h = state.h[depth, p]
+    q = state.q[depth, p]
+    square = state.square[depth, p]
+    e = space.e
+    g = space.g
     for a in range(start, stop):
-        e[a], g[a] = carried.e[depth, p, a], carried.g[depth, p, a]
+        e[a] = state.e[depth, p, a]
+        g[a] = state.g[depth, p, a]
     # Row t of the feature enters after those before it: what these change of its products is taken
     # off first, then Sherman and Morrison's formula applies to a single row.
     for t in range(start, middle):
-        row, share, half = space.rows[t - start], space.share[t - start], space.half[t - start]
+        row = space.rows[t - start]
+        share = space.share[t - start]
+        half = space.half[t - start]
         for a in range(t, stop):
-            row[a], half[a] = h[t, a], q[t, a]
+            row[a] = h[t, a]
+            half[a] = q[t, a]
         for s in range(t - start):
-            own, own_half = space.share[s, t], space.half[s, t]
+            earlier_share = space.share[s, t]
+            earlier_half = space.half[s, t]
             for a in range(t, stop):
-                row[a] -= own * space.rows[s, a]
-                half[a] -= own * space.half[s, a] + own_half * space.share[s, a]
+                row[a] -= earlier_share * space.rows[s, a]
+                half[a] -= earlier_share * space.half[s, a] + earlier_half * space.share[s, a]
+        # Sherman and Morrison: M becomes M - M a'a M / (1 + h). With v = e / (1 + h) the solution y
+        # moves by v M a', hence y'y by v (2 g + v q).
         d = 1.0 / (1.0 + row[t])  # h is not negative
-        own_e, own_g, own_q = e[t], g[t], half[t]
-        v = own_e * d
-        square += v * (2.0 * own_g + v * own_q)
+        entering_e = e[t]
+        entering_g = g[t]
+        entering_q = half[t]
+        v = entering_e * d
+        square += v * (2.0 * entering_g + v * entering_q)
+        # Of every later row a, with u = h_at / (1 + h): its misfit and its product g = a M y.
         for a in range(t, stop):
             u = row[a] * d
-            e[a] -= u * own_e
-            g[a] += v * half[a] - u * (own_g + own_q * v)
+            e[a] -= u * entering_e
+            g[a] += v * half[a] - u * (entering_g + entering_q * v)
             share[a] = u
-            half[a] -= 0.5 * u * own_q  # half of it in each of the two products that q loses
+            half[a] -= 0.5 * u * entering_q  # half of it in each of the two products that q loses
     return float(square)
 
 
 @_compiled
-def _carry(rows: FeatureRows, carried: Carried, space: EntrySpace, depth: int, i: int) -> None:
+def _carry(rows: FeatureRows, state: WalkState, space: EntrySpace, depth: int, i: int) -> None:
     """Carry everything to the next depth, with feature i."""
     for p in range(len(rows.columns)):
-        carried.square[depth + 1, p] = _enter(rows, carried, space, depth, p, i)
-        start, stop = rows.start[p, i + 1], rows.start[p, len(rows.bits)]
+        state.square[depth + 1, p] = _enter(rows, state, space, depth, p, i)
+        start = rows.start[p, i + 1]
+        stop = rows.start[p, len(rows.bits)]
         for a in range(start, stop):
-            carried.e[depth + 1, p, a], carried.g[depth + 1, p, a] = space.e[a], space.g[a]
-            h, q = carried.h[depth + 1, p, a], carried.q[depth + 1, p, a]
-            old_h, old_q = carried.h[depth, p, a], carried.q[depth, p, a]
+            state.e[depth + 1, p, a] = space.e[a]
+            state.g[depth + 1, p, a] = space.g[a]
+            h = state.h[depth + 1, p, a]
+            q = state.q[depth + 1, p, a]
+            old_h = state.h[depth, p, a]
+            old_q = state.q[depth, p, a]
             # The first row of the feature copies on its way; the others change in place.
-            row, share, half = space.rows[0], space.share[0], space.half[0]
-            u, c = share[a], half[a]
+            row = space.rows[0]
+            share = space.share[0]
+            half = space.half[0]
+            u = share[a]
+            c = half[a]
             for b in range(a, stop):
                 h[b] = old_h[b] - u * row[b]
                 q[b] = old_q[b] - u * half[b] - c * share[b]
             for t in range(1, start - rows.start[p, i]):
-                row, share, half = space.rows[t], space.share[t], space.half[t]
-                u, c = share[a], half[a]
+                row = space.rows[t]
+                share = space.share[t]
+                half = space.half[t]
+                u = share[a]
+                c = half[a]
                 for b in range(a, stop):
                     h[b] -= u * row[b]
                     q[b] -= u * half[b] + c * share[b]
-            carried.own_h[depth + 1, p, a], carried.own_q[depth + 1, p, a] = h[a], q[a]
+            state.diagonal_h[depth + 1, p, a] = h[a]
+            state.diagonal_q[depth + 1, p, a] = q[a]
 
 
 @_compiled
-def _scan(rows: FeatureRows, carried: Carried, space: EntrySpace,
+def _scan(rows: FeatureRows, state: WalkState, space: EntrySpace,
           depth: int, i: int, first: int) -> None:
     """Score the selection at a depth, with feature i unless it is -1, with each one after."""
     n = len(rows.bits)
     for j in range(first, n):
-        space.total[j] = 0.0
+        space.totals[j] = 0.0
     for p in range(len(rows.columns)):
         if rows.single[p] and i >= 0:
-            _scan_single(carried, depth, p, i, first, space.total)
+            _scan_single(state, depth, p, i, first, space.totals)
             continue
-        square, entered = carried.square[depth, p], 0
-        e, g = carried.e[depth, p], carried.g[depth, p]
+        square = state.square[depth, p]
+        entered = 0
+        e = state.e[depth, p]
+        g = state.g[depth, p]
         if i >= 0:
-            square, e, g = _enter(rows, carried, space, depth, p, i), space.e, space.g
+            square = _enter(rows, state, space, depth, p, i)
+            e = space.e
+            g = space.g
             entered = rows.start[p, i + 1] - rows.start[p, i]
         for j in range(first, n):
-            space.total[j] += _with_feature(rows.start[p, j], rows.start[p, j + 1], entered,
-                                            carried.h[depth, p], carried.q[depth, p], e, g, square,
-                                            space)
+            space.totals[j] += _with_feature(rows.start[p, j], rows.start[p, j + 1], entered,
+                                            h=state.h[depth, p], q=state.q[depth, p], e=e, g=g,
+                                            square=square, space=space)
 
 
 @_compiled
-def _scan_single(carried: Carried, depth: int, p: int, i: int, first: int,
+def _scan_single(state: WalkState, depth: int, p: int, i: int, first: int,
                  total: FloatArray) -> None:
     """Add y'y with feature i and each later one, all of one row: `_enter` and `_with_feature`."""
-    row, products = carried.h[depth, p, i], carried.q[depth, p, i]
-    own_h, own_q = carried.own_h[depth, p], carried.own_q[depth, p]
-    e, g = carried.e[depth, p], carried.g[depth, p]
-    d, own = 1.0 / (1.0 + row[i]), products[i]
+    row = state.h[depth, p, i]
+    products = state.q[depth, p, i]
+    diagonal_h = state.diagonal_h[depth, p]
+    diagonal_q = state.diagonal_q[depth, p]
+    e = state.e[depth, p]
+    g = state.g[depth, p]
+    d = 1.0 / (1.0 + row[i])
+    entering_q = products[i]
     v = e[i] * d
-    square = carried.square[depth, p] + v * (2.0 * g[i] + v * own)
-    own_e, own_g = e[i], g[i] + own * v
+    square = state.square[depth, p] + v * (2.0 * g[i] + v * entering_q)
+    entering_e = e[i]
+    entering_g = g[i] + entering_q * v
     for a in range(first, len(total)):
         # What the row of feature i leaves of h, q, e and g of row a; then row a enters.
         u = row[a] * d
-        half = products[a] - 0.5 * u * own
-        w = (e[a] - u * own_e) / (1.0 + own_h[a] - u * row[a])
-        total[a] += square + w * (2.0 * (g[a] + v * products[a] - u * own_g)
-                                  + w * (own_q[a] - 2.0 * u * half))
+        half = products[a] - 0.5 * u * entering_q
+        w = (e[a] - u * entering_e) / (1.0 + diagonal_h[a] - u * row[a])
+        total[a] += square + w * (2.0 * (g[a] + v * products[a] - u * entering_g)
+                                  + w * (diagonal_q[a] - 2.0 * u * half))
 
 
 @_compiled
 def _with_feature(start: int, stop: int, entered: int, h: FloatArray, q: FloatArray,
                   e: FloatArray, g: FloatArray, square: float, space: EntrySpace) -> float:
     """Return y'y with the rows from start to stop, after `entered` rows of another feature."""
-    small_h, small_q, m = space.small_h, space.small_q, stop - start
-    own_e, own_g, share, half = space.small
+    small_h = space.small_h
+    small_q = space.small_q
+    m = stop - start
+    feature_e, feature_g, share, half = space.small
     # h and q among its own rows, less what those of the other feature have changed.
     for x in range(m):
-        own_e[x], own_g[x] = e[start + x], g[start + x]
+        feature_e[x] = e[start + x]
+        feature_g[x] = g[start + x]
         for z in range(x, m):
-            value_h, value_q = h[start + x, start + z], q[start + x, start + z]
+            value_h = h[start + x, start + z]
+            value_q = q[start + x, start + z]
             for t in range(entered):
                 u = space.share[t, start + x]
                 value_h -= u * space.rows[t, start + z]
                 value_q -= (u * space.half[t, start + z]
                             + space.half[t, start + x] * space.share[t, start + z])
-            small_h[x, z], small_q[x, z] = value_h, value_q
+            small_h[x, z] = value_h
+            small_q[x, z] = value_q
     # They enter one by one, as in `_enter`; nothing but y'y is needed of the last.
     for x in range(m):
-        d, own = 1.0 / (1.0 + small_h[x, x]), small_q[x, x]
-        v = own_e[x] * d
-        square += v * (2.0 * own_g[x] + v * own)
+        d = 1.0 / (1.0 + small_h[x, x])
+        entering_q = small_q[x, x]
+        v = feature_e[x] * d
+        square += v * (2.0 * feature_g[x] + v * entering_q)
         for z in range(x + 1, m):
             u = small_h[x, z] * d
-            share[z], half[z] = u, small_q[x, z] - 0.5 * u * own
-            own_e[z] -= u * own_e[x]
-            own_g[z] += v * small_q[x, z] - u * (own_g[x] + own * v)
+            share[z] = u
+            half[z] = small_q[x, z] - 0.5 * u * entering_q
+            feature_e[z] -= u * feature_e[x]
+            feature_g[z] += v * small_q[x, z] - u * (feature_g[x] + entering_q * v)
         for z in range(x + 1, m):
             for c in range(z, m):
                 small_h[z, c] -= share[z] * small_h[x, c]

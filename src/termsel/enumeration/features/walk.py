@@ -23,7 +23,13 @@ from typing import Any
 import numpy as np
 
 from termsel.adjustment.compiled import is_compiled
-from termsel.enumeration.features.arrays import Carried, EntrySpace, FeatureRows, Kept, Wanted
+from termsel.enumeration.features.arrays import (
+    EntrySpace,
+    FeatureRows,
+    RemainingSelections,
+    SelectionLimits,
+    WalkState,
+)
 from termsel.enumeration.features.kernels import walk
 from termsel.errors import TermselError
 from termsel.measurements.features import BoolArray, FloatArray, IntArray
@@ -52,7 +58,7 @@ class RowSystem:
     # The errors of the check points are check_target - check_design x.
     check_design: FloatArray  # (c, k)
     check_target: FloatArray  # (c,)
-    needed: int = 0  # fewest rows of features in a selection; 0 for as many as unknowns
+    min_equations: int = 0  # fewest rows of features in a selection; 0 for as many as unknowns
 
     @property
     def determined(self) -> bool:
@@ -76,8 +82,8 @@ class Selections:
     """All selections of least to most of n features; refused with more than 128 that are free."""
 
     n: int
-    least: int
-    most: int
+    min_size: int
+    max_size: int
     on: BoolArray  # (n,): features in every selection
     off: BoolArray  # (n,): features in none
     # Independent parts, whose squared errors add up. Without any, no selection is scored.
@@ -106,9 +112,11 @@ class Selections:
 
     def count(self, branch: Branch) -> int:
         """Return the number of selections of a branch."""
-        rest, chosen = len(self.free) - branch.first, int(self.on.sum()) + len(branch.used)
-        return sum(comb(rest, size) for size in range(max(self.least - chosen, 0),
-                                                      min(self.most - chosen, rest) + 1))
+        candidates = len(self.free) - branch.first
+        used = int(self.on.sum()) + len(branch.used)
+        smallest = max(self.min_size - used, 0)
+        largest = min(self.max_size - used, candidates)
+        return sum(comb(candidates, size) for size in range(smallest, largest + 1))
 
     def halves(self, branch: Branch) -> tuple[Branch, Branch]:
         """Return the selections without the first of the free features, and those with it."""
@@ -118,7 +126,7 @@ class Selections:
     @cached_property
     def floor(self) -> float:
         """Squared errors of the check points that no solution is below; 0 without systems."""
-        return sum(part.least for part in self._parts)
+        return sum(system.floor for system in self._parts)
 
     @property
     def needs_compilation(self) -> bool:
@@ -139,33 +147,40 @@ class Selections:
         not known.
         """
         if not self.systems:
-            chosen = self._every(branch)
-            return chosen, np.full(len(chosen), -np.inf)
+            selections = self._every(branch)
+            return selections, np.full(len(selections), -np.inf)
         size = self.count(branch)
         if not size:
             return np.zeros((0, self.n), dtype=bool), np.zeros(0)
-        kept = Kept(np.empty((size, _WORDS), dtype=np.uint64), np.empty(size))
-        carried, space = self._carried(branch)
-        free, fixed = len(self.free), int(self.on.sum())
+        remaining = RemainingSelections(np.empty((size, _WORDS), dtype=np.uint64), np.empty(size))
+        state, space = self._walk_state(branch)
+        free = len(self.free)
+        fixed = int(self.on.sum())
+        # Limits of y'y alone, for the sizes that are possible with the features fixed.
         of_free = (self.reach(limits) - self.floor)[fixed:fixed + free + 1]
-        wanted = Wanted(max(self.least - fixed, 0), min(self.most - fixed, free),
-                        np.ascontiguousarray(of_free), self.floor)
-        count = walk(self._rows, carried, space, branch.first, len(branch.used), wanted, kept)
-        chosen = np.tile(self.on, (count, 1))
-        chosen[:, self.free] = (kept.masks[:count, None] & self._rows.bits != 0).any(axis=2)
-        return chosen, kept.scores[:count] + self.floor
+        walk_limits = SelectionLimits(max(self.min_size - fixed, 0),
+                                      min(self.max_size - fixed, free),
+                                      np.ascontiguousarray(of_free), self.floor)
+        count = walk(self._rows, state, space, first=branch.first, size=len(branch.used),
+                     limits=walk_limits, remaining=remaining)
+        selections = np.tile(self.on, (count, 1))
+        in_mask = (remaining.masks[:count, None] & self._rows.bits) != 0
+        selections[:, self.free] = in_mask.any(axis=2)  # over the words of a mask
+        return selections, remaining.scores[:count] + self.floor
 
     def _every(self, branch: Branch) -> BoolArray:
-        fixed, used = int(self.on.sum()), len(branch.used)
-        rest = range(branch.first, len(self.free))
-        members = [(*branch.used, *more)
-                   for size in range(max(self.least - fixed - used, 0),
-                                     min(self.most - fixed - used, len(rest)) + 1)
-                   for more in combinations(rest, size)]
-        chosen = np.tile(self.on, (len(members), 1))
-        for row, free in zip(chosen, members, strict=True):
+        fixed = int(self.on.sum())
+        used = len(branch.used)
+        candidates = range(branch.first, len(self.free))
+        smallest = max(self.min_size - fixed - used, 0)
+        largest = min(self.max_size - fixed - used, len(candidates))
+        members: list[tuple[int, ...]] = []
+        for size in range(smallest, largest + 1):
+            members += [(*branch.used, *added) for added in combinations(candidates, size)]
+        selections = np.tile(self.on, (len(members), 1))
+        for row, free in zip(selections, members, strict=True):
             row[self.free[list(free)]] = True
-        return chosen
+        return selections
 
     @cached_property
     def _parts(self) -> tuple[_InErrorUnits, ...]:
@@ -173,98 +188,111 @@ class Selections:
 
     @cached_property
     def _rows(self) -> FeatureRows:
-        height = max(len(part.target) for part in self._parts)
-        width = max(part.design.shape[1] for part in self._parts)
+        height = max(len(system.target) for system in self._parts)
+        width = max(system.design.shape[1] for system in self._parts)
         design = np.zeros((len(self._parts), height, width))
         target = np.zeros((len(self._parts), height))
         # Parts of fewer rows or unknowns are filled up with zeros that nothing reads.
-        for p, part in enumerate(self._parts):
-            design[p, :len(part.target), :part.design.shape[1]] = part.design
-            target[p, :len(part.target)] = part.target
-        start = np.array([part.start for part in self._parts], dtype=np.intp)
-        return FeatureRows(design, target, start,
-                    np.array([part.design.shape[1] for part in self._parts], dtype=np.intp),
-                    np.array([part.needed for part in self._parts], dtype=np.intp),
-                    (np.diff(start, axis=1) == 1).all(axis=1),
-                    _bits(len(self.free)))
+        for p, system in enumerate(self._parts):
+            design[p, :len(system.target), :system.design.shape[1]] = system.design
+            target[p, :len(system.target)] = system.target
+        start = np.array([system.start for system in self._parts], dtype=np.intp)
+        columns = np.array([system.design.shape[1] for system in self._parts], dtype=np.intp)
+        min_equations = np.array([system.min_equations for system in self._parts], dtype=np.intp)
+        single = (np.diff(start, axis=1) == 1).all(axis=1)
+        return FeatureRows(design=design, target=target, start=start, columns=columns,
+                           min_equations=min_equations, single=single, bits=_bits(len(self.free)))
 
-    def _carried(self, branch: Branch) -> tuple[Carried, EntrySpace]:
+    def _walk_state(self, branch: Branch) -> tuple[WalkState, EntrySpace]:
         """Return the arrays of a walk, with the normal equations of its first selection."""
         rows = self._rows
-        parts, height, width = rows.design.shape
-        depths = max(min(self.most - int(self.on.sum()), len(self.free)) - len(branch.used), 0) + 1
-        wide = int(np.diff(rows.start, axis=1).max(initial=1))
-        shape = depths, parts
-        square, flat = (*shape, height, height), (*shape, height)
+        n_systems, height, width = rows.design.shape
+        room = min(self.max_size - int(self.on.sum()), len(self.free)) - len(branch.used)
+        depths = max(room, 0) + 1
+        most_rows = int(np.diff(rows.start, axis=1).max(initial=1))
+        per_system = depths, n_systems
+        per_pair = (*per_system, height, height)
+        per_row = (*per_system, height)
         mask = np.zeros((depths, _WORDS), dtype=np.uint64)
         mask[0] = np.bitwise_or.reduce(rows.bits[list(branch.used)], axis=0)
-        carried = Carried(np.zeros((*shape, width, width)), np.zeros((*shape, width)),
-                          np.zeros(shape, dtype=np.intp), mask, np.zeros(depths, dtype=np.intp),
-                          np.zeros(depths, dtype=np.intp), np.empty(square), np.empty(square),
-                          np.empty(flat), np.empty(flat), np.empty(flat), np.empty(flat),
-                          np.zeros(shape))
-        for p, part in enumerate(self._parts):
-            k = part.design.shape[1]
-            A, b = part.always
+        state = WalkState(normal=np.zeros((*per_system, width, width)),
+                          right=np.zeros((*per_system, width)),
+                          equations=np.zeros(per_system, dtype=np.intp),
+                          mask=mask, cursor=np.zeros(depths, dtype=np.intp),
+                          status=np.zeros(depths, dtype=np.intp), h=np.empty(per_pair),
+                          q=np.empty(per_pair), diagonal_h=np.empty(per_row),
+                          diagonal_q=np.empty(per_row),
+                          e=np.empty(per_row), g=np.empty(per_row), square=np.zeros(per_system))
+        for p, system in enumerate(self._parts):
+            k = system.design.shape[1]
+            A, b = system.always
             for i in branch.used:
-                here = slice(part.start[i], part.start[i + 1])
-                A = np.concatenate([A, part.design[here]])
-                b = np.concatenate([b, part.target[here]])
-            carried.normal[0, p, :k, :k], carried.right[0, p, :k] = A.T @ A, A.T @ b
-            carried.equations[0, p] = part.of_features + len(b) - len(part.always[1])
-        of_part, of_feature = (parts, width, width), (wide, height)
-        space = EntrySpace(np.empty(of_part), np.empty(of_part), np.empty((parts, width)),
-                           np.empty((height, width)), np.empty(of_feature), np.empty(of_feature),
-                           np.empty(of_feature), np.empty(height), np.empty(height),
-                           np.empty((wide, wide)), np.empty((wide, wide)), np.empty((4, wide)),
-                           np.empty(len(self.free)))
-        return carried, space
+                feature_rows = slice(system.start[i], system.start[i + 1])
+                A = np.concatenate([A, system.design[feature_rows]])
+                b = np.concatenate([b, system.target[feature_rows]])
+            # Normal equations of the first selection: rows of all, and of the features in use.
+            state.normal[0, p, :k, :k] = A.T @ A
+            state.right[0, p, :k] = A.T @ b
+            state.equations[0, p] = system.of_features + len(b) - len(system.always[1])
+        of_part = (n_systems, width, width)
+        of_feature = (most_rows, height)
+        space = EntrySpace(factor=np.empty(of_part), inverse=np.empty(of_part),
+                           y=np.empty((n_systems, width)), w=np.empty((height, width)),
+                           rows=np.empty(of_feature), share=np.empty(of_feature),
+                           half=np.empty(of_feature), e=np.empty(height), g=np.empty(height),
+                           small_h=np.empty((most_rows, most_rows)),
+                           small_q=np.empty((most_rows, most_rows)), small=np.empty((4, most_rows)),
+                           totals=np.empty(len(self.free)))
+        return state, space
 
 
 @dataclass(frozen=True, eq=False)
 class _InErrorUnits:
-    """A system in the unknowns y, of which the check points' squared errors are least + y'y."""
+    """A system in the unknowns y, of which the check points' squared errors are floor + y'y."""
 
     design: FloatArray  # (m, k): rows of the free features
     target: FloatArray  # (m,)
     start: IntArray  # (f + 1,): where the rows of each begin
     always: tuple[FloatArray, FloatArray]  # (a, k) and (a,): rows of every selection
     of_features: int  # how many of these are of features
-    needed: int  # fewest rows of features in a selection
-    least: float
+    min_equations: int  # fewest rows of features in a selection
+    floor: float  # least squared errors of the check points
 
     @classmethod
     def of(cls, system: RowSystem, free: IntArray, on: BoolArray) -> _InErrorUnits:
         k = system.design.shape[1]
         # With C = Q R of the check points and y = R x - Q'c, errors are a constant part and -Q y.
         q, r = np.linalg.qr(system.check_design)
-        along = q.T @ system.check_target
-        rest = system.check_target - q @ along
+        explained = q.T @ system.check_target
+        residuals = system.check_target - q @ explained
         design = np.linalg.solve(r.T, system.design.T).T
-        target = system.target - design @ along
+        target = system.target - design @ explained
         # A feature of many rows needs no more than there are unknowns.
         blocks = [_condensed(design[system.feature == i], target[system.feature == i], k)
                   for i in free]
         # Forced features are in every selection, as rows of none are.
-        kept = (system.feature < 0) | np.isin(system.feature, np.flatnonzero(on))
+        in_every_selection = (system.feature < 0) | np.isin(system.feature, np.flatnonzero(on))
         heights = [len(b) for _, b in blocks]
-        return cls(np.concatenate([np.zeros((0, k)), *(A for A, _ in blocks)]),
-                   np.concatenate([np.zeros(0), *(b for _, b in blocks)]),
-                   np.concatenate([[0], np.cumsum(heights)]).astype(np.intp),
-                   (design[kept], target[kept]), int((system.feature[kept] >= 0).sum()),
-                   system.needed or k - int((system.feature < 0).sum()), float(rest @ rest))
+        # As many equations as unknowns, where nothing else is asked; rows of no feature count.
+        min_equations = system.min_equations or k - int((system.feature < 0).sum())
+        return cls(design=np.concatenate([np.zeros((0, k)), *(A for A, _ in blocks)]),
+                   target=np.concatenate([np.zeros(0), *(b for _, b in blocks)]),
+                   start=np.concatenate([[0], np.cumsum(heights)]).astype(np.intp),
+                   always=(design[in_every_selection], target[in_every_selection]),
+                   of_features=int((system.feature[in_every_selection] >= 0).sum()),
+                   min_equations=min_equations, floor=float(residuals @ residuals))
 
 
 def _bits(n: int) -> Any:
     """Return the mask of each of n features, ndarray of uint64, shape (n, words)."""
     bits = np.zeros((n, _WORDS), dtype=np.uint64)
-    each = np.arange(n)
-    bits[each, each // _WORD] = np.uint64(1) << (each % _WORD).astype(np.uint64)
+    features = np.arange(n)
+    bits[features, features // _WORD] = np.uint64(1) << (features % _WORD).astype(np.uint64)
     return bits
 
 
 def _condensed(A: FloatArray, b: FloatArray, k: int) -> tuple[FloatArray, FloatArray]:
-    """Return at most k rows with the same normal equations."""
+    """Return at most k rows with the same normal equations: with A = Q R, R'R = A'A."""
     if len(b) <= k:
         return A, b
     q, r = np.linalg.qr(A)

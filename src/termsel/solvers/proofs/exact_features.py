@@ -51,7 +51,7 @@ def selections_of(problem: Problem, systems: tuple[RowSystem, ...]) -> Selection
 
 def space_of(selections: Selections) -> str:
     """Return in words what is decided."""
-    n, least, most = selections.n, selections.least, selections.most
+    n, least, most = selections.n, selections.min_size, selections.max_size
     if least == most:
         return f"all selections of {most} of {n} features"
     if least > 1:
