@@ -45,8 +45,9 @@ def blocks_of(source: FloatArray, feature: IntArray, triangle: FloatArray) -> Fl
     right-hand side and a column of zeros; of each of its rows comes the feature (m,), from 0, or -1
     if it is always in use. The triangle (k, k + 2) is R of all rows.
     """
-    k, n = source.shape[1] - 2, int(feature.max(initial=-1)) + 1
-    width = k * (k + 3) // 2
+    k = source.shape[1] - 2
+    n = int(feature.max(initial=-1)) + 1
+    width = k * (k + 3) // 2  # k (k + 1) / 2 products, and k with the right-hand side
     diagonal = np.abs(np.diag(triangle))[:k]
     lengths = np.linalg.norm(triangle[:, :k], axis=0)
     if (len(source) - BLOCK_COST * n < GAIN * k or 8 * (n + 1) * width > _BYTES
@@ -68,42 +69,47 @@ def blocks_of(source: FloatArray, feature: IntArray, triangle: FloatArray) -> Fl
 def _fill(Q: FloatArray, b: FloatArray, feature: IntArray, blocks: FloatArray) -> None:
     # Row x of the lower triangle of Q'Q, then its entry of Q'b: as `_reduce` reads them.
     for row in range(len(Q)):
-        block, at = blocks[feature[row]], 0
+        block = blocks[feature[row]]
+        position = 0
         for x in range(Q.shape[1]):
             for z in range(x + 1):
-                block[at] += Q[row, x] * Q[row, z]
-                at += 1
-            block[at] += Q[row, x] * b[row]
-            at += 1
+                block[position] += Q[row, x] * Q[row, z]
+                position += 1
+            block[position] += Q[row, x] * b[row]
+            position += 1
 
 
 @compiled
 def _sum(blocks: FloatArray, features: BoolArray, total: FloatArray) -> None:
     """Add up the blocks of each individual, in an order that does not depend on the others."""
-    n, width = len(blocks) - 1, blocks.shape[1]
-    some = np.empty(_CACHED, dtype=np.intp)
-    for one in range(len(features)):
+    n = len(blocks) - 1
+    width = blocks.shape[1]
+    selected = np.empty(_CACHED, dtype=np.intp)
+    for individual in range(len(features)):
         for j in range(width):
-            total[one, j] = blocks[n, j]
+            total[individual, j] = blocks[n, j]
     for start in range(0, n, _CACHED):
-        for one in range(len(features)):
+        for individual in range(len(features)):
             count = 0
             for i in range(start, min(start + _CACHED, n)):
-                if features[one, i]:
-                    some[count] = i
+                if features[individual, i]:
+                    selected[count] = i
                     count += 1
-            into, at = total[one], 0
-            while at + 4 <= count:  # four at a time, as loads and stores cost more than sums
-                p, q = blocks[some[at]], blocks[some[at + 1]]
-                r, s = blocks[some[at + 2]], blocks[some[at + 3]]
+            sums = total[individual]
+            position = 0
+            while position + 4 <= count:  # four at a time, as loads and stores cost more than sums
+                block_1 = blocks[selected[position]]
+                block_2 = blocks[selected[position + 1]]
+                block_3 = blocks[selected[position + 2]]
+                block_4 = blocks[selected[position + 3]]
                 for j in range(width):
-                    into[j] += (p[j] + q[j]) + (r[j] + s[j])
-                at += 4
-            while at < count:
-                p = blocks[some[at]]
+                    sums[j] += (block_1[j] + block_2[j]) + (block_3[j] + block_4[j])
+                position += 4
+            while position < count:
+                block_1 = blocks[selected[position]]
                 for j in range(width):
-                    into[j] += p[j]
-                at += 1
+                    sums[j] += block_1[j]
+                position += 1
 
 
 @compiled
@@ -115,14 +121,18 @@ def _reduce(total: FloatArray, triangle: FloatArray, lower: FloatArray,
     """
     k = len(triangle)
     # Cholesky's triangle of G, row by row as the blocks are packed; L^-1 of the right-hand side.
-    at, trace, back = 0, 0.0, 0.0
+    position = 0
+    trace = 0.0
+    inverse_trace = 0.0
     for x in range(k):
         for z in range(x):
-            value = total[at + z]
+            value = total[position + z]
+            # l_xz = (g_xz - sum of l_xc l_zc) / l_zz
             for c in range(z):
                 value -= lower[x, c] * lower[z, c]
             lower[x, z] = value / lower[z, z]
-        value, right = total[at + x], total[at + x + 1]
+        value = total[position + x]
+        right = total[position + x + 1]
         trace += value
         for c in range(x):
             value -= lower[x, c] * lower[x, c]
@@ -131,16 +141,16 @@ def _reduce(total: FloatArray, triangle: FloatArray, lower: FloatArray,
             return np.inf
         lower[x, x] = np.sqrt(value)
         source[x, k] = right / lower[x, x]
-        at += x + 2
+        position += x + 2
     for z in range(k):  # the columns of L^-1, in the upper triangle of its transpose
         source[z, z] = 1.0 / lower[z, z]
-        back += source[z, z] * source[z, z]
+        inverse_trace += source[z, z] * source[z, z]
         for x in range(z + 1, k):
             value = 0.0
             for c in range(z, x):
                 value -= lower[x, c] * source[z, c]
             source[z, x] = value / lower[x, x]
-            back += source[z, x] * source[z, x]
+            inverse_trace += source[z, x] * source[z, x]
     # L'R, which overwrites the inverse.
     for x in range(k):
         for j in range(k):
@@ -148,7 +158,7 @@ def _reduce(total: FloatArray, triangle: FloatArray, lower: FloatArray,
             for c in range(x, j + 1):
                 value += lower[c, x] * triangle[c, j]
             source[x, j] = value
-    return trace * back
+    return trace * inverse_trace
 
 
 def paying(feature: IntArray, terms: BoolArray, features: BoolArray) -> BoolArray:
@@ -157,14 +167,15 @@ def paying(feature: IntArray, terms: BoolArray, features: BoolArray) -> BoolArra
     A row takes time in proportion to its selected terms, a block does not. The feature of each row
     (m,) is as for `blocks_of`, terms are (p, k), features (p, n) or (p, n + 1).
     """
-    k, selected = terms.shape[1], np.count_nonzero(terms, axis=1)
+    k = terms.shape[1]
+    selected = np.count_nonzero(terms, axis=1)
     count = np.count_nonzero(features, axis=1)
     rows = count * len(feature) / max(features.shape[1], 1)  # as the mean feature has
     # Of all terms `blocks_of` has decided.
     return np.asarray((selected == k) | (rows * selected >= (count + OWN_GAIN * k) * k))
 
 
-def reduced(blocks: FloatArray, triangle: FloatArray, features: BoolArray, those: BoolArray,
+def reduced(blocks: FloatArray, triangle: FloatArray, features: BoolArray, pays: BoolArray,
             ) -> Iterator[tuple[slice, FloatArray | None]]:
     """Yield k rows for each individual, with the same solutions as all of its rows.
 
@@ -173,18 +184,20 @@ def reduced(blocks: FloatArray, triangle: FloatArray, features: BoolArray, those
     its triangle, right-hand side and a column of zeros, (k, k + 2), or None where that is not safe.
     With several comes None: blocks do not pay for them.
     """
-    k, n = len(triangle), len(blocks) - 1
-    lower, system = np.empty((k, k)), np.zeros((k, k + 2))
+    k = len(triangle)
+    n = len(blocks) - 1
+    lower = np.empty((k, k))
+    system = np.zeros((k, k + 2))
     triangle = np.ascontiguousarray(triangle)
-    for run in np.split(np.arange(len(features)), np.flatnonzero(np.diff(those)) + 1):
-        if run.size and not those[run[0]]:
+    for run in np.split(np.arange(len(features)), np.flatnonzero(np.diff(pays)) + 1):
+        if run.size and not pays[run[0]]:
             yield slice(int(run[0]), int(run[-1]) + 1), None
-    mine = np.flatnonzero(those)
-    for start in range(0, len(mine), _SUMMED):
-        some = mine[start:start + _SUMMED]
-        total = np.empty((len(some), blocks.shape[1]))
-        _sum(blocks, np.ascontiguousarray(features[some, :n]), total)
+    individuals = np.flatnonzero(pays)
+    for start in range(0, len(individuals), _SUMMED):
+        batch = individuals[start:start + _SUMMED]
+        total = np.empty((len(batch), blocks.shape[1]))
+        _sum(blocks, np.ascontiguousarray(features[batch, :n]), total)
         # One system serves all: each is used before the next is made.
-        for one, summed in zip(some.tolist(), total, strict=True):
+        for individual, summed in zip(batch.tolist(), total, strict=True):
             safe = _reduce(summed, triangle, lower, system) <= SAFE
-            yield slice(one, one + 1), system if safe else None
+            yield slice(individual, individual + 1), system if safe else None

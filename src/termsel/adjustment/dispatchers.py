@@ -49,16 +49,18 @@ class _Cache(FunctionCache):
         super().__init__(function)
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
+        # With and without the wrapper for Python are two kinds of code of one function.
         return *super()._index_key(sig, codegen), self._part
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the code kept, None if there is none and no other process compiles it."""
-        found = self._read(sig, target_context)
-        if found is None and self._turn is None and _Cache._waits:
+        code = self._read(sig, target_context)
+        # None is kept: while another process compiles it, wait for its code, once at most.
+        if code is None and self._turn is None and _Cache._waits:
             self._turn = turn(Path(self._cache_file._index_path).with_suffix(".lock"), PATIENCE)
             _Cache._waits = self._turn is not None
-            found = self._read(sig, target_context)  # that of another process, meanwhile
-        return found
+            code = self._read(sig, target_context)  # that of another process, meanwhile
+        return code
 
     def end(self) -> None:
         """Let another process compile."""
@@ -98,11 +100,11 @@ class _Cache(FunctionCache):
             log.info("The compiled code cannot be kept: %s", error)
 
 
-def type_of(made: Any) -> types.Type:
+def type_of(dispatcher: Any) -> types.Type:
     """Return the type of a dispatcher or an intrinsic in kernels that use it."""
-    known = cpu_target.typing_context
-    known.refresh()
-    return known.resolve_value_type(made)
+    typing_context = cpu_target.typing_context
+    typing_context.refresh()
+    return typing_context.resolve_value_type(dispatcher)
 
 
 def dispatcher_of(function: Callable[..., Any], flags: dict[str, Any]) -> Any:
@@ -114,40 +116,43 @@ def dispatcher_of(function: Callable[..., Any], flags: dict[str, Any]) -> Any:
                             **flags)(function)
     # No kernel needs what other packages add to numba, which takes long to look for.
     dispatcher._compilation_chain_init_hook = lambda: None
-    of_types = dispatcher.get_call_template
+    template_of = dispatcher.get_call_template
 
-    def of_plain_types(args: Iterable[Any], keywords: Mapping[str, Any]) -> Any:
+    def template_of_plain_types(args: Iterable[Any], keywords: Mapping[str, Any]) -> Any:
         """Take a counter that begins with a constant for any integer, lest what is called with it
         be compiled for that constant, too."""
-        return of_types(tuple(map(types.unliteral, args)),
-                        {name: types.unliteral(one) for name, one in keywords.items()})
+        plain_keywords = {name: types.unliteral(type_) for name, type_ in keywords.items()}
+        return template_of(tuple(map(types.unliteral, args)), plain_keywords)
 
-    dispatcher.get_call_template = of_plain_types
-    of_signature, kept = dispatcher.compile, None
+    dispatcher.get_call_template = template_of_plain_types
+    compile_signature = dispatcher.compile
+    code_cache = None
     try:
-        kept = dispatcher._cache = _Cache(function, flags)  # as numba does for cache=True
+        code_cache = dispatcher._cache = _Cache(function, flags)  # as numba does for cache=True
     except RuntimeError:  # numba finds no folder that it can write to
         _say_that_nothing_is_kept()
 
-    def once(signature: Any) -> Any:
+    def compile_locked(signature: Any) -> Any:
         with global_compiler_lock:  # as numba does: settings are those of all threads
-            asked = numba.config.OPT
-            numba.config.OPT = type(asked)(min(asked, LEVEL))
+            requested_level = numba.config.OPT
+            # The level keeps its type, by which numba tells what the user set.
+            numba.config.OPT = type(requested_level)(min(requested_level, LEVEL))
             try:
-                return of_signature(signature)
+                return compile_signature(signature)
             finally:  # also of what cannot be compiled, or was interrupted
-                numba.config.OPT = asked
-                if kept:
-                    kept.end()
+                numba.config.OPT = requested_level
+                if code_cache:
+                    code_cache.end()
 
-    dispatcher.compile = once
+    # Numba calls both by these names, for a call from Python as well as from other kernels.
+    dispatcher.compile = compile_locked
     return dispatcher
 
 
 def has_code(dispatcher: Any) -> bool:
     """Return whether a dispatcher can be called at once."""
-    kept = dispatcher._cache
-    return bool(dispatcher.signatures) or (isinstance(kept, _Cache) and kept.has_code())
+    code_cache = dispatcher._cache
+    return bool(dispatcher.signatures) or (isinstance(code_cache, _Cache) and code_cache.has_code())
 
 
 @cache

@@ -14,10 +14,11 @@ def distinct(columns: BoolArray, rows: BoolArray) -> tuple[IntArray, IntArray]:
     """
     bits = np.packbits(np.concatenate([columns, rows], axis=1), axis=1)
     masks = bits.view(f"V{bits.shape[1]}")[:, 0].tolist()
-    every = np.arange(len(masks))
+    numbers = np.arange(len(masks))
     if len(set(masks)) == len(masks):
-        return every, every
-    place = dict(zip(reversed(masks), reversed(every.tolist()), strict=True))  # of the first one
-    first = np.fromiter(map(place.__getitem__, masks), np.intp, len(masks))
-    new = first == every
-    return every[new], (np.cumsum(new) - 1)[first]
+        return numbers, numbers
+    # of the first one
+    first_numbers = dict(zip(reversed(masks), reversed(numbers.tolist()), strict=True))
+    first = np.fromiter(map(first_numbers.__getitem__, masks), np.intp, len(masks))
+    is_first = first == numbers
+    return numbers[is_first], (np.cumsum(is_first) - 1)[first]

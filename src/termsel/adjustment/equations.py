@@ -69,8 +69,8 @@ def line_normals(lines: Lines) -> tuple[FloatArray, FloatArray]:
     rho : ndarray, shape (n,)
         Signed distances from the origin.
     """
-    along = lines.image[:, 1] - lines.image[:, 0]
-    normal = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    direction = lines.image[:, 1] - lines.image[:, 0]
+    normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     return normal, np.einsum("ij,ij->i", normal, lines.image.mean(axis=1))
 

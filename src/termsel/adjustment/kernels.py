@@ -41,7 +41,7 @@ ALWAYS = -1
 """The last feature of a mask: that of pseudo-observations, if any."""
 
 UintArray = NDArray[np.uintp]
-Work = tuple[FloatArray, FloatArray, FloatArray, IntArray]
+Reflections = tuple[FloatArray, FloatArray, FloatArray, IntArray]
 """Of the reflections: vectors, factors, products of neighbours, and the rows they reach."""
 
 # Without _nrt=False every slice would cost two atomic operations; hence nothing may be allocated.
@@ -73,9 +73,8 @@ def _take(column: FloatArray, v: FloatArray) -> float:
 
 
 @_compiled
-def _eliminate(
-    panels: FloatArray, work: Work, heights: IntArray, n: int, tolerance: float, longest: float,
-) -> int:
+def _eliminate(panels: FloatArray, reflections: Reflections, heights: IntArray, n: int,
+               tolerance: float, longest: float, ) -> int:
     """Bring n columns, and the right-hand side after them, to triangular form; return the rank.
 
     Column s has its entries in the first heights[s] rows, which do not decrease. A column that
@@ -83,15 +82,15 @@ def _eliminate(
     and no row of the triangle; with a negative tolerance none is tested. No column is longer
     than `longest`.
     """
-    vectors, beta, gram, stop = work
+    vectors, beta, gram, stop = reflections
     rank = 0
     for c in range(n // LANES + 1):
         # Left-looking: the panel takes all earlier reflections while it is in the cache.
-        known = rank
-        for t in range(0, known - 1, 2):
-            apply_two(panels, vectors, beta, gram, c, t, stop[t + 1])
-        if known % 2:
-            apply_one(panels, vectors, beta, gram, c, known - 1, stop[known - 1])
+        applied = rank
+        for t in range(0, applied - 1, 2):
+            apply_two(panels, reflections, c, t, stop[t + 1])
+        if applied % 2:
+            apply_one(panels, reflections, c, applied - 1, stop[applied - 1])
         for lane in range(min(LANES, n - LANES * c)):
             height = heights[LANES * c + lane]
             if rank >= height:  # no entry is left to eliminate: the column is dependent
@@ -106,6 +105,8 @@ def _eliminate(
                     square += column[i] * column[i]
                 if norm <= tolerance * np.sqrt(square):
                     continue
+            # H = I - beta v v' with v = a -+ |a| e_1 and beta = 2 / v'v = 1 / (|a| (|a| + |a_1|)).
+            # A column of one entry, or of none that is not zero, needs no reflection: beta = 0.
             diagonal = v[0]
             beta[rank] = 0.0
             if len(v) > 1 and norm > 0.0:
@@ -121,7 +122,7 @@ def _eliminate(
                 vectors[rank, rank - 1] = 0.0
                 gram[rank - 1] = _dot(before, v)
             if beta[rank] > 0.0 and lane < LANES - 1:
-                apply_one(panels, vectors, beta, gram, c, rank, height)
+                apply_one(panels, reflections, c, rank, height)
             column[rank] = diagonal
             rank += 1
     return rank
@@ -134,12 +135,13 @@ def _gather(
 ) -> None:
     """Copy n columns and the right-hand side after them into the panels, as far as they go."""
     for c in range(n // LANES + 1):
-        some = columns[LANES * c:LANES * c + LANES]
+        panel_columns = columns[LANES * c:LANES * c + LANES]
         reach = min(len(rows), heights[min(LANES * c + LANES, n) - 1])
         for i in range(reach):
-            target, line = panels[c, i], source[rows[i]]
+            target = panels[c, i]
+            line = source[rows[i]]
             for lane in range(LANES):
-                target[lane] = line[some[lane]]
+                target[lane] = line[panel_columns[lane]]
 
 
 @_compiled
@@ -154,33 +156,34 @@ def _lower(panels: FloatArray, n: int, shift: int) -> None:
 
 
 @_compiled
-def _factor(
-    panels: FloatArray, work: Work, source: FloatArray, triangular: bool, rows: UintArray,
-    columns: UintArray, heights: IntArray, n: int, tolerance: float, longest: float,
-) -> int:
+def _factor(panels: FloatArray, reflections: Reflections, source: FloatArray, triangular: bool,
+            rows: UintArray, columns: UintArray, heights: IntArray, n: int, tolerance: float,
+            longest: float, ) -> int:
     """Triangularise the system of some rows and n columns; return its rank.
 
     More rows than the panels hold are folded in block by block, on top of the triangle of
     those before. Columns are then tested only when all rows are in, in a last round without a
     block of its own.
     """
-    m, start, kept = len(rows), 0, 0
+    m = len(rows)
+    start = 0
+    triangle_rows = 0
     while True:
-        block = min(m - start, panels.shape[1] - kept)
-        if kept:
+        block = min(m - start, panels.shape[1] - triangle_rows)
+        if triangle_rows:
             _lower(panels, n, block)
         for s in range(n):
             # A shared triangle has zeros below the diagonal of each original column.
             reach = min(block, np.intp(columns[s]) + 1) if triangular else block
-            heights[s] = reach + min(kept, s + 1)
+            heights[s] = reach + min(triangle_rows, s + 1)
         _gather(panels, source, rows[start:start + block], columns, heights, n)
         start += block
         # Complete if all rows were in one block, or if this round had none of its own.
-        complete = start == m and (kept == 0 or block == 0)
-        rank = _eliminate(panels, work, heights, n, tolerance if complete else -1.0, longest)
+        complete = start == m and (triangle_rows == 0 or block == 0)
+        rank = _eliminate(panels, reflections, heights, n, tolerance if complete else -1.0, longest)
         if complete:
             return rank
-        kept = n
+        triangle_rows = n
 
 
 @_compiled
@@ -190,7 +193,8 @@ def _substitute(
     """Solve the triangle of n columns into the coefficients of those columns."""
     for i in range(n):
         right[i] = panels[n // LANES, i, n % LANES]
-    for s in range(n - 1, -1, -1):  # backwards, by columns as they lie in the panels
+    # R x = Q'b from the last row up, by columns as they lie in the panels.
+    for s in range(n - 1, -1, -1):
         column = panels[s // LANES, :s + 1, s % LANES]
         x = right[s] / column[s]
         for i in range(s):
@@ -199,19 +203,17 @@ def _substitute(
 
 
 @_compiled
-def _solve(
-    panels: FloatArray, work: Work, source: FloatArray, triangular: bool, feature: IntArray,
-    rows: UintArray, columns: UintArray, heights: IntArray, terms: BoolArray,
-    features: BoolArray, tolerance: float, longest: float, coefficients: FloatArray,
-    violation: IntArray,
-) -> None:
+def _solve(panels: FloatArray, reflections: Reflections, source: FloatArray, triangular: bool,
+           feature: IntArray, rows: UintArray, columns: UintArray, heights: IntArray,
+           terms: BoolArray, features: BoolArray, tolerance: float, longest: float,
+           coefficients: FloatArray, violation: IntArray, ) -> None:
     """Solve a population; rows, columns and heights are work space."""
     k = terms.shape[1]
-    for one in range(len(terms)):
+    for individual in range(len(terms)):
         n = 0
         for j in range(k):
             columns[n] = j  # overwritten unless selected: cheaper than a branch on chance
-            n += terms[one, j]
+            n += terms[individual, j]
         if n == 0:
             continue
         columns[n] = k
@@ -220,34 +222,39 @@ def _solve(
         m = 0
         for i in range(len(feature)):  # the same for rows
             rows[m] = i
-            m += features[one, feature[i]]
-        violation[one] = n - _factor(panels, work, source, triangular, rows[:m], columns,
-                                     heights, n, tolerance, longest)
-        if violation[one] == 0:
-            _substitute(panels, work[1], columns, n, coefficients[one])
+            m += features[individual, feature[i]]
+        violation[individual] = n - _factor(panels, reflections, source, triangular=triangular,
+                                            rows=rows[:m], columns=columns, heights=heights, n=n,
+                                            tolerance=tolerance, longest=longest)
+        if violation[individual] == 0:
+            # The factors of the reflections are needed no more: space for the right-hand side.
+            _substitute(panels, reflections[1], columns, n, coefficients[individual])
 
 
-def _workspace(k: int, m: int) -> tuple[FloatArray, Work, IntArray, UintArray]:
+def _workspace(k: int, m: int) -> tuple[FloatArray, Reflections, IntArray, UintArray]:
     """Return panels, reflections, heights and columns for up to k columns of m rows."""
-    width, rows = k // LANES + 1, min(m, k + BLOCK)
+    width = k // LANES + 1
+    rows = min(m, k + BLOCK)
     columns = np.full(width * LANES, k + 1, dtype=np.uintp)
     columns[:k + 1] = np.arange(k + 1)
-    work = np.zeros((k, rows)), np.zeros(k), np.zeros(k), np.zeros(k, dtype=np.intp)
+    reflections = np.zeros((k, rows)), np.zeros(k), np.zeros(k), np.zeros(k, dtype=np.intp)
     # Panels begin on a cache line, as each of their rows fills one.
     size = width * rows * LANES
     space = np.zeros(size + LANES)
     start = -space.__array_interface__["data"][0] // space.itemsize % LANES
     panels = space[start:start + size].reshape(width, rows, LANES)
-    return panels, work, np.zeros(k, dtype=np.intp), columns
+    return panels, reflections, np.zeros(k, dtype=np.intp), columns
 
 
 def _triangle(source: FloatArray) -> FloatArray:
     """Reduce all columns and the right-hand side; not by LAPACK, whose rounding varies."""
-    m, k = source.shape[0], source.shape[1] - 2
-    panels, work, heights, columns = _workspace(k, m)
-    _solve(panels, work, source, False, np.zeros(m, dtype=np.intp), np.empty(m, dtype=np.uintp),
-           columns, heights, np.ones((1, k), dtype=bool), np.ones((1, 1), dtype=bool), -1.0, 0.0,
-           np.empty((1, k)), np.empty(1, dtype=np.intp))
+    m = source.shape[0]
+    k = source.shape[1] - 2
+    panels, reflections, heights, columns = _workspace(k, m)
+    _solve(panels, reflections, source, triangular=False, feature=np.zeros(m, dtype=np.intp),
+           rows=np.empty(m, dtype=np.uintp), columns=columns, heights=heights,
+           terms=np.ones((1, k), dtype=bool), features=np.ones((1, 1), dtype=bool), tolerance=-1.0,
+           longest=0.0, coefficients=np.empty((1, k)), violation=np.empty(1, dtype=np.intp))
     triangle = np.zeros((min(m, k), k + 2))
     by_rows = panels.transpose(1, 0, 2).reshape(panels.shape[1], panels.shape[0] * LANES)
     triangle[:, :k + 1] = np.triu(by_rows[:len(triangle), :k + 1])
@@ -275,17 +282,17 @@ _PREPARED: WeakKeyDictionary[Equations, _Prepared] = WeakKeyDictionary()
 
 def _prepared(equations: Equations) -> _Prepared:
     """Return the data kept for the equations, computed the first time."""
-    known = _PREPARED.get(equations)
-    if known is None:
+    prepared = _PREPARED.get(equations)
+    if prepared is None:
         A, b = equations.held()
         source = np.column_stack([A, b, np.zeros(len(b))])
         source = np.ascontiguousarray(source, dtype=np.float64)
         feature = np.full(len(b), ALWAYS, dtype=np.intp)
         feature[:len(equations.feature)] = equations.feature  # pseudo-observations come last
-        known = _Prepared(source, feature, _triangle(source),
+        prepared = _Prepared(source, feature, _triangle(source),
                           float(np.linalg.norm(source[:, :-2], axis=0).max(initial=0.0)))
-        _PREPARED[equations] = known
-    return known
+        _PREPARED[equations] = prepared
+    return prepared
 
 
 def solve_many(equations: Equations, terms: BoolArray | None, features: BoolArray | None,
@@ -308,10 +315,12 @@ def solve_many(equations: Equations, terms: BoolArray | None, features: BoolArra
     columns = np.ones((p, k), dtype=bool) if terms is None else np.asarray(terms, dtype=bool)
     if features is None:
         # The triangle's rows belong to no feature: one feature with all of them is always on.
-        source, feature = shared.triangle, np.zeros(len(shared.triangle), dtype=np.intp)
+        source = shared.triangle
+        feature = np.zeros(len(shared.triangle), dtype=np.intp)
         rows = np.ones((p, 1), dtype=bool)
     else:
-        source, feature = shared.source, shared.feature
+        source = shared.source
+        feature = shared.feature
         rows = np.asarray(features, dtype=bool)
         if equations.prior is not None:
             rows = np.concatenate([rows, np.ones((len(rows), 1), dtype=bool)], axis=1)
@@ -319,31 +328,37 @@ def solve_many(equations: Equations, terms: BoolArray | None, features: BoolArra
         raise ValueError(f"masks of shapes {columns.shape} and {rows.shape} do not fit {k} terms "
                          f"and {equations.n_features} features")
     # One memory layout for all, or code would be compiled for each.
-    columns, rows = (np.require(mask, requirements=("C", "W")) for mask in (columns, rows))
+    columns = np.require(columns, requirements=("C", "W"))
+    rows = np.require(rows, requirements=("C", "W"))
     first, copies = distinct(columns, rows)
     if len(first) < p:
-        columns, rows = columns[first], rows[first]
-    coefficients, violation = np.zeros(columns.shape), np.zeros(len(first), dtype=np.intp)
-    panels, work, heights, index = _workspace(k, len(source))
+        columns = columns[first]
+        rows = rows[first]
+    coefficients = np.zeros(columns.shape)
+    violation = np.zeros(len(first), dtype=np.intp)
+    panels, reflections, heights, index = _workspace(k, len(source))
     order = np.zeros(len(source), dtype=np.uintp)
 
-    def factor(some: slice, of: FloatArray, feature: IntArray, rows: BoolArray) -> None:
-        _solve(panels, work, of, of is not shared.source, feature, order, index, heights,
-               columns[some], rows, TOLERANCE, shared.longest, coefficients[some],
-               violation[some])
+    def factor(individuals: slice, system: FloatArray, feature: IntArray, rows: BoolArray) -> None:
+        # By position: keywords take some 2 us a call, and with blocks every individual is one.
+        _solve(panels, reflections, system, system is not shared.source, feature, order, index,
+               heights, columns[individuals], rows, TOLERANCE, shared.longest,
+               coefficients[individuals], violation[individuals])
 
+    # Rows are factored unless blocks of features pay, which `reduced` decides for each individual.
     if features is None or shared.blocks is None:
         factor(slice(None), source, feature, rows)
     else:
-        alone = np.zeros(k, dtype=np.intp), np.ones((1, 1), dtype=bool)
-        for here, few in reduced(shared.blocks, shared.triangle[:, :k], rows,
+        single_feature = np.zeros(k, dtype=np.intp), np.ones((1, 1), dtype=bool)
+        for individuals, small_system in reduced(shared.blocks, shared.triangle[:, :k], rows,
                                  paying(feature, columns, rows)):
-            if few is None:
-                factor(here, source, feature, rows[here])
+            if small_system is None:
+                factor(individuals, source, feature, rows[individuals])
             else:
-                factor(here, few, *alone)
-    return (coefficients, violation) if len(first) == p else (coefficients[copies],
-                                                              violation[copies])
+                factor(individuals, small_system, *single_feature)
+    if len(first) == p:
+        return coefficients, violation
+    return coefficients[copies], violation[copies]
 
 
 def needs_compilation() -> bool:

@@ -29,7 +29,7 @@ from termsel.measurements.features import BoolArray, FloatArray, IntArray
 FEW = 1000
 """Rows of a single system up to which its kernel is not worth its compilation."""
 
-Work = tuple[FloatArray, FloatArray, FloatArray]
+Reflections = tuple[FloatArray, FloatArray, FloatArray]
 """Of the reflections: vectors, factors, and space that single reflections do not need."""
 
 # Without _nrt=False every slice would cost two atomic operations; hence nothing may be allocated.
@@ -38,16 +38,17 @@ _compiled = partial(compiled, _nrt=False)
 
 
 @_compiled
-def _factor(panels: FloatArray, q: FloatArray, n: int, m: int, work: Work,
+def _factor(panels: FloatArray, q: FloatArray, n: int, m: int, reflections: Reflections,
             tolerance: float) -> bool:
     """Triangularise n columns of A, and b after them, in place; False if they are dependent.
 
     Columns lie in panels, m rows each. `q` becomes the same panels of [Q, b - A x].
     """
-    vectors, beta, gram = work
+    vectors, beta, _ = reflections
     last = n // LANES
     for j in range(n):
-        column, v = panels[j // LANES, :m, j % LANES], vectors[j, j:m]
+        column = panels[j // LANES, :m, j % LANES]
+        v = vectors[j, j:m]
         square = 0.0
         for i in range(len(v)):
             v[i] = column[j + i]
@@ -64,7 +65,7 @@ def _factor(panels: FloatArray, q: FloatArray, n: int, m: int, work: Work,
         v[0] -= norm
         beta[j] = -1.0 / (norm * v[0])
         for c in range(j // LANES, last + 1):
-            apply_one(panels, vectors, beta, gram, c, j, m)
+            apply_one(panels, reflections, c, j, m)
         column[j] = norm
     for c in range(last + 1):
         for i in range(m):
@@ -73,10 +74,11 @@ def _factor(panels: FloatArray, q: FloatArray, n: int, m: int, work: Work,
     # Q'b without its first n entries, turned back by Q, is b - A x.
     for i in range(m):
         q[last, i, n % LANES] = panels[last, i, n % LANES] if i >= n else 0.0
-    # Backwards: reflection j does not reach the columns of the identity before j.
+    # Q = H_1 ... H_n of the identity, the last one first: reflection j does not reach the columns
+    # of the identity before j.
     for j in range(n - 1, -1, -1):
         for c in range(j // LANES, last + 1):
-            apply_one(q, vectors, beta, gram, c, j, m)
+            apply_one(q, reflections, c, j, m)
     return True
 
 
@@ -87,6 +89,7 @@ def _weigh(q: FloatArray, n: int, start: int, stop: int, block: FloatArray,
 
     The feature's rows are those from `start`. The matrix is factored by Cholesky's method.
     """
+    # Row i of L in I - Q_i Q_i' = L L', and of L y = errors along with it.
     for i in range(start, stop):
         for j in range(start, i + 1):
             value = 1.0 if i == j else 0.0
@@ -102,6 +105,7 @@ def _weigh(q: FloatArray, n: int, start: int, stop: int, block: FloatArray,
             else:
                 block[i - start, i - start] = np.sqrt(value)
         q[n, i] /= block[i - start, i - start]
+    # L'x = y, backwards.
     for i in range(stop - 1, start - 1, -1):
         for j in range(i + 1, stop):
             q[n, i] -= block[j - start, i - start] * q[n, j]
@@ -112,42 +116,44 @@ def _weigh(q: FloatArray, n: int, start: int, stop: int, block: FloatArray,
 @_compiled
 def _leave_out(
     source: FloatArray, first: IntArray, terms: BoolArray, features: BoolArray, tolerance: float,
-    panels: tuple[FloatArray, FloatArray], work: Work, room: tuple[FloatArray, ...],
+    panels: tuple[FloatArray, FloatArray], reflections: Reflections, space: tuple[FloatArray, ...],
     index: tuple[IntArray, IntArray, IntArray], solutions: FloatArray, determined: BoolArray,
 ) -> None:
     """Fill in the solutions of a population; the rows of feature f begin at first[f]."""
-    columns, right, block = room
-    chosen, used, start = index
-    system, other = panels
+    columns, right, block = space
+    selected_terms, selected_features, start = index
+    r, q = panels
     k = terms.shape[1]
-    for one in range(len(terms)):
+    for individual in range(len(terms)):
         n, m, count = 0, 0, 0
         for c in range(k):
-            if terms[one, c]:
-                chosen[n] = c
+            if terms[individual, c]:
+                selected_terms[n] = c
                 n += 1
-        chosen[n] = k
+        selected_terms[n] = k
         for f in range(features.shape[1]):
-            if features[one, f]:
-                used[count], start[count] = f, m
+            if features[individual, f]:
+                selected_features[count] = f
+                start[count] = m
                 for i in range(first[f], first[f + 1]):
                     for s in range(n + 1):
-                        system[s // LANES, m, s % LANES] = source[i, chosen[s]]
+                        r[s // LANES, m, s % LANES] = source[i, selected_terms[s]]
                     m += 1
                 count += 1
         start[count] = m
-        if count and used[count - 1] == len(solutions):  # pseudo-observations, never held out
+        # The last feature may be that of pseudo-observations, which is never held out.
+        if count and selected_features[count - 1] == len(solutions):
             count -= 1
-        determined[one] = n < m and _factor(system, other, n, m, work, tolerance)
-        if not determined[one]:
+        determined[individual] = n < m and _factor(r, q, n, m, reflections, tolerance)
+        if not determined[individual]:
             continue
         for s in range(n + 1):  # one column after the other
             for i in range(m):
-                columns[s, i] = other[s // LANES, i, s % LANES]
+                columns[s, i] = q[s // LANES, i, s % LANES]
         for g in range(count):
-            determined[one] = determined[one] and _weigh(
+            determined[individual] = determined[individual] and _weigh(
                 columns, n, start[g], start[g + 1], block, tolerance)
-        if not determined[one]:
+        if not determined[individual]:
             continue
         # Right-hand sides of the triangle: one per feature, and at the end that of the solution.
         for s in range(n - 1, -1, -1):
@@ -156,17 +162,19 @@ def _leave_out(
                 for i in range(start[g], start[g + 1]):
                     total += columns[s, i] * columns[n, i]
                 right[s, g] = total
-            right[s, count] = system[n // LANES, s, n % LANES]
+            right[s, count] = r[n // LANES, s, n % LANES]
+            # Back substitution of all right-hand sides at once.
             for t in range(s + 1, n):
-                entry = system[t // LANES, s, t % LANES]
+                entry = r[t // LANES, s, t % LANES]
                 for g in range(count + 1):
                     right[s, g] -= entry * right[t, g]
             for g in range(count + 1):
-                right[s, g] /= system[s // LANES, s, s % LANES]
+                right[s, g] /= r[s // LANES, s, s % LANES]
         for g in range(count):
             for s in range(n):
                 # x less the change by the feature, which went through the same triangle.
-                solutions[used[g], one, chosen[s]] = right[s, count] - right[s, g]
+                held_out = right[s, count] - right[s, g]
+                solutions[selected_features[g], individual, selected_terms[s]] = held_out
 
 
 def leave_one_out(equations: Equations, terms: BoolArray, features: BoolArray,
@@ -191,51 +199,56 @@ def leave_one_out(equations: Equations, terms: BoolArray, features: BoolArray,
         first = np.append(first, m)
         features = np.concatenate([features, np.ones((len(features), 1), dtype=bool)], axis=1)
     if len(terms) == 1 and m <= FEW:
-        return _of_one(source, first, terms[0], features[0], n)
+        return _leave_out_of_one(source, first, terms[0], features[0], n)
     panels = np.empty((2, k // LANES + 1, m, LANES))
-    work = np.empty((k, m)), np.empty(k), np.empty(k)
-    room = np.empty((k + 1, m)), np.empty((k, n + 1)), np.empty((tallest, tallest))
+    reflections = np.empty((k, m)), np.empty(k), np.empty(k)
+    space = np.empty((k + 1, m)), np.empty((k, n + 1)), np.empty((tallest, tallest))
     index = np.empty(k + 1, np.intp), np.empty(n + 1, np.intp), np.empty(n + 2, np.intp)
     solutions = np.zeros((n, *terms.shape))
     determined = np.empty(len(terms), dtype=bool)
-    _leave_out(source, first, np.ascontiguousarray(terms), np.ascontiguousarray(features),
-               TOLERANCE, (panels[0], panels[1]), work, room, index, solutions, determined)
+    _leave_out(source, first, np.ascontiguousarray(terms), features=np.ascontiguousarray(features),
+               tolerance=TOLERANCE, panels=(panels[0], panels[1]), reflections=reflections,
+               space=space, index=index, solutions=solutions, determined=determined)
     return solutions, determined
 
 
-def _of_one(source: FloatArray, first: IntArray, terms: BoolArray, features: BoolArray,
+def _leave_out_of_one(source: FloatArray, first: IntArray, terms: BoolArray, features: BoolArray,
             n: int) -> tuple[FloatArray, BoolArray]:
     """Solve one system through LAPACK: terms (k,), features (n,) and any pseudo-observations."""
-    chosen, used = np.flatnonzero(terms), np.flatnonzero(features[:n])
+    selected_terms = np.flatnonzero(terms)
+    selected_features = np.flatnonzero(features[:n])
     solutions = np.zeros((n, len(terms)))
     rows = np.flatnonzero(np.repeat(features, np.diff(first)))
-    A, b = source[np.ix_(rows, chosen)], source[rows, -1]
+    A = source[np.ix_(rows, selected_terms)]
+    b = source[rows, -1]
     undetermined = solutions[:, None], np.zeros(1, dtype=bool)
-    if len(chosen) >= len(rows):
+    if len(selected_terms) >= len(rows):
         return undetermined
     q, r = np.linalg.qr(A)
     if (np.abs(np.diag(r)) <= TOLERANCE * np.linalg.norm(A, axis=0)).any():
         return undetermined
-    along = q.T @ b
-    errors = b - q @ along
+    projections = q.T @ b
+    errors = b - q @ projections
     errors -= q @ (q.T @ errors)  # what rounding left along the columns
-    height = np.diff(first)[used]
+    height = np.diff(first)[selected_features]
     start = np.cumsum(height) - height
-    of_each = np.zeros((len(chosen), len(height)))
-    for tall in set(height.tolist()):  # features with as many rows at once
-        some = np.flatnonzero(height == tall)
-        at = start[some, None] + np.arange(tall)
-        mine = q[at]
-        left = np.eye(tall) - mine @ mine.swapaxes(1, 2)  # I - Q_i Q_i'
-        pivots = left.copy()
-        for j in range(tall):
+    right = np.zeros((len(selected_terms), len(height)))
+    for rows_each in set(height.tolist()):  # features with as many rows at once
+        same_height = np.flatnonzero(height == rows_each)
+        feature_rows = start[same_height, None] + np.arange(rows_each)
+        q_rows = q[feature_rows]
+        redundancy = np.eye(rows_each) - q_rows @ q_rows.swapaxes(1, 2)  # I - Q_i Q_i'
+        # Pivots of an elimination without exchanges are those of Cholesky's method, squared.
+        pivots = redundancy.copy()
+        for j in range(rows_each):
             if (pivots[:, j, j] <= TOLERANCE).any():  # the others do not determine the terms
                 return undetermined
             pivots[:, j + 1:, j + 1:] -= (pivots[:, j + 1:, j, None] * pivots[:, None, j, j + 1:]
                                           / pivots[:, j, j, None, None])
-        weighed = np.linalg.solve(left, errors[at][..., None])
-        of_each[:, some] = (mine.swapaxes(1, 2) @ weighed)[..., 0].T
-    change = np.linalg.solve(r, np.column_stack([along, -of_each]))
+        weighed = np.linalg.solve(redundancy, errors[feature_rows][..., None])
+        right[:, same_height] = (q_rows.swapaxes(1, 2) @ weighed)[..., 0].T
+    # x = R^-1 Q'b, and of each feature its change, which is added to x.
+    change = np.linalg.solve(r, np.column_stack([projections, -right]))
     change[:, 1:] += change[:, :1]
-    solutions[np.ix_(used, chosen)] = change[:, 1:].T
+    solutions[np.ix_(selected_features, selected_terms)] = change[:, 1:].T
     return solutions[:, None], np.ones(1, dtype=bool)

@@ -20,11 +20,11 @@ def approximate_image(features: FeatureSet, *, heights: bool = True) -> FloatArr
     affine), of heights or not, is fitted to all control features and evaluated at the vertices. All
     coordinates are scaled. They are kept as long as the features live, read-only.
     """
-    known = _APPROXIMATE.setdefault(features, {})
-    if heights not in known:
-        known[heights] = _approximate_image(features, heights)
-        known[heights].setflags(write=False)
-    return known[heights]
+    positions = _APPROXIMATE.setdefault(features, {})
+    if heights not in positions:
+        positions[heights] = _approximate_image(features, heights)
+        positions[heights].setflags(write=False)
+    return positions[heights]
 
 
 def _approximate_image(features: FeatureSet, heights: bool) -> FloatArray:
@@ -34,12 +34,15 @@ def _approximate_image(features: FeatureSet, heights: bool) -> FloatArray:
         return np.stack(linear if degree == 1 else
                         [*linear, x * y, x * z, y * z, x * x, y * y, z * z], axis=1)
 
-    points, lines = features.points, features.lines
+    points = features.points
+    lines = features.lines
     degree = 2 if len(features) >= 20 else 1  # two equations of each; 20 unknowns
     vertices = lines.ground.reshape(-1, 3)
     normal, rho = line_normals(lines)
-    normal, rho = np.repeat(normal, 2, axis=0), np.repeat(rho, 2)
-    on_lines, on_points = columns(vertices, degree), columns(points.ground, degree)
+    normal = np.repeat(normal, 2, axis=0)
+    rho = np.repeat(rho, 2)
+    on_lines = columns(vertices, degree)
+    on_points = columns(points.ground, degree)
     nothing = np.zeros_like(on_points)
     # A vertex lies on its image line; a point has its line and its sample.
     A = np.concatenate([
@@ -56,7 +59,8 @@ def relative_deviations(features: FeatureSet) -> FloatArray:
 
     They are of line and sample, of lines across them; 1 if none is given.
     """
-    points, lines = features.points, features.lines
+    points = features.points
+    lines = features.lines
     deviations = [sigma.ravel() for sigma in (points.sigma, lines.sigma) if sigma is not None]
     deviation = np.ones((len(points) + len(lines), 2))
     if deviations:
@@ -89,16 +93,18 @@ def row_weights(features: FeatureSet, *, heights: bool = True) -> FloatArray:
     ndarray, shape (2 n_points + 2 n_lines,)
         The median standard deviation, or 1 where none is given, over that of the row.
     """
-    points, lines = features.points, features.lines
+    points = features.points
+    lines = features.lines
     deviation = relative_deviations(features)
     if len(lines):
-        along = lines.image[:, 1] - lines.image[:, 0]
-        length = np.linalg.norm(along, axis=1)[:, None]
+        direction = lines.image[:, 1] - lines.image[:, 0]
+        length = np.linalg.norm(direction, axis=1)[:, None]
         vertices = approximate_image(features, heights=heights).reshape(-1, 2, 2)
         # t of each vertex, in image units along the line.
-        place = np.einsum("ia,iva->iv", along / length,
+        offset = np.einsum("ia,iva->iv", direction / length,
                           vertices - lines.image.mean(axis=1)[:, None])
-        deviation[len(points):] *= np.sqrt(0.5 + 2.0 * (place / length) ** 2)
+        # s sqrt(1/2 + 2 t^2 / L^2): both end points to s, and t from their middle.
+        deviation[len(points):] *= np.sqrt(0.5 + 2.0 * (offset / length) ** 2)
     return np.asarray(1.0 / deviation.ravel())
 
 
@@ -126,8 +132,12 @@ def image_equations(features: FeatureSet, of_points: FloatArray, of_vertices: Fl
     Equations
         Two rows per point, then two per line, weighted by `row_weights`.
     """
-    points, lines = features.points, features.lines
-    normal, rho = (np.repeat(one, 2, axis=0) for one in line_normals(lines))
+    points = features.points
+    lines = features.lines
+    # Each of the two vertices of a line lies on it: n'(l, s) = rho.
+    normal, rho = line_normals(lines)
+    normal = np.repeat(normal, 2, axis=0)
+    rho = np.repeat(rho, 2)
     A = np.concatenate([of_points.reshape(2 * len(points), of_points.shape[2]),
                         np.einsum("na,nak->nk", normal, of_vertices)])
     constant = np.broadcast_to(at_vertices, (len(rho), 2))

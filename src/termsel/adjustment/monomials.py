@@ -22,12 +22,14 @@ def graded_exponents(degree: int, variables: int) -> Exponents:
     >>> [monomial_name(e) for e in graded_exponents(2, 2)]
     ['1', 'X', 'Y', 'X2', 'XY', 'Y2']
     """
-    return tuple(
-        (i, j, total - i - j)
-        for total in range(degree + 1)
-        for i in range(total, -1, -1)
-        for j in range(total - i, -1, -1)
-        if variables == 3 or i + j == total)
+    exponents: list[Exponent] = []
+    for total in range(degree + 1):
+        for i in range(total, -1, -1):
+            for j in range(total - i, -1, -1):
+                # Z has the degrees that X and Y leave: none, of two variables.
+                if variables == 3 or i + j == total:
+                    exponents.append((i, j, total - i - j))
+    return tuple(exponents)
 
 
 def double_sum_exponents(degree: int) -> Exponents:
@@ -41,9 +43,13 @@ def double_sum_exponents(degree: int) -> Exponents:
     >>> [monomial_name(e) for e in double_sum_exponents(2)]
     ['1', 'X', 'Y', 'XY', 'X2', 'Y2', 'X2Y', 'XY2', 'X2Y2']
     """
-    return tuple(dict.fromkeys(
-        (i, j, 0) for high in range(degree + 1) for low in range(high + 1)
-        for i, j in ((high, low), (low, high))))
+    exponents: list[Exponent] = []
+    for high in range(degree + 1):
+        for low in range(high + 1):
+            exponents.append((high, low, 0))
+            if low < high:
+                exponents.append((low, high, 0))
+    return tuple(exponents)
 
 
 def monomial_name(exponent: Exponent) -> str:
@@ -56,6 +62,7 @@ def monomial_name(exponent: Exponent) -> str:
 def monomials(ground: FloatArray, exponents: Exponents) -> FloatArray:
     """Return k monomials, by their exponents of X, Y, Z, at ground points (n, 3), shape (n, k)."""
     highest = max(max(e) for e in exponents)
+    # powers[i] = ground^i, by products: a power function is slower and rounds otherwise.
     powers = np.ones((highest + 1, *ground.shape))
     for i in range(1, highest + 1):
         powers[i] = powers[i - 1] * ground

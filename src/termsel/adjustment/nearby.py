@@ -36,69 +36,78 @@ def solve_near(equations: Equations, start: BoolArray, features: BoolArray,
     The solutions are those of `solve_many`, but for rounding.
     """
     rows = _rows_of(equations.feature, len(start))
-    known = _known(equations, start) if rows.shape[1] <= FEW else None
-    if known is None:
+    reference = _reference_solution(equations, start) if rows.shape[1] <= FEW else None
+    if reference is None:
         return solve_many(equations, None, features)
-    x, V, by_row, residuals = known
+    x, V, by_row, residuals = reference
     p, n = features.shape
     # The feature that each one adds and drops; number n, without rows, for none.
-    one, which = np.divmod(np.flatnonzero(features != start), n)
+    individual, changed_feature = np.divmod(np.flatnonzero(features != start), n)
     added, dropped = np.full((2, p), n)
-    on = features[one, which]
-    added[one[on]], dropped[one[~on]] = which[on], which[~on]
-    changes = np.bincount(one, minlength=p)
+    on = features[individual, changed_feature]
+    added[individual[on]] = changed_feature[on]
+    dropped[individual[~on]] = changed_feature[~on]
+    changes = np.bincount(individual, minlength=p)
     # What rows of a feature have of the selection, and without it if they are of it.
     gram = V[rows] @ V[rows].transpose(0, 2, 1)
     largest = np.trace(gram, axis1=1, axis2=2)
     safe = ((np.where(added < n, 1, 0) + np.where(dropped < n, 1, 0) == changes)
-            & (largest[added] <= SAFE) & (_left(gram, start)[dropped] * SAFE >= 1.0))
-    coefficients, violation = np.empty((p, len(x))), np.zeros(p, dtype=np.intp)
+            & (largest[added] <= SAFE) & (_remaining_shares(gram, start)[dropped] * SAFE >= 1.0))
+    coefficients = np.empty((p, len(x)))
+    violation = np.zeros(p, dtype=np.intp)
     if not safe.all():
         coefficients[~safe], violation[~safe] = solve_many(equations, None, features[~safe])
-    added, dropped = added[safe], dropped[safe]
+    added = added[safe]
+    dropped = dropped[safe]
     width = rows.shape[1]
     mixed = np.matmul(V[rows[added]], V[rows[dropped]].transpose(0, 2, 1))
+    # D + V_s V_s' of the rows added and dropped; rows of zeros keep the 1 and -1 of D.
     system = np.empty((len(added), 2 * width, 2 * width))
     system[:, :width, :width] = np.eye(width) + gram[added]
     system[:, width:, width:] = gram[dropped] - np.eye(width)
-    system[:, :width, width:], system[:, width:, :width] = mixed, mixed.transpose(0, 2, 1)
+    system[:, :width, width:] = mixed
+    system[:, width:, :width] = mixed.transpose(0, 2, 1)
     changed = np.concatenate([rows[added], rows[dropped]], axis=1)
     factors = np.linalg.solve(system, residuals[changed][..., None])
+    # x' = x + (V_s R^-T)' times the factors
     coefficients[safe] = x + np.matmul(factors.transpose(0, 2, 1), by_row[changed])[:, 0]
     return coefficients, violation
 
 
 def _rows_of(feature: IntArray, n: int) -> IntArray:
     """Return the rows of each of n features, and of one that has none, filled up by number m."""
-    number, order = np.bincount(feature, minlength=n + 1), np.argsort(feature, kind="stable")
+    number = np.bincount(feature, minlength=n + 1)
+    order = np.argsort(feature, kind="stable")
     filled = np.arange(number.max(initial=1)) < number[:, None]
     rows = np.full(filled.shape, len(feature))
     rows[filled] = order
     return rows
 
 
-def _known(equations: Equations, start: BoolArray,
+def _reference_solution(equations: Equations, start: BoolArray,
            ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
     """Return x, V, V R^-T and r of a selection, of all rows and a last one of zeros; None where the
     selection does not clearly determine x, or kernels are as fast."""
     A, b = equations.held()
     used = np.ones(len(b), dtype=bool)
     used[:len(equations.feature)] = start[equations.feature]
-    m, k = int(used.sum()), A.shape[1]
+    m = int(used.sum())
+    k = A.shape[1]
     if m < k or m * k * k < LEAST_WORK:
         return None
     q, r = np.linalg.qr(A[used])
     if (np.abs(np.diag(r)) <= _DETERMINED * np.linalg.norm(A, axis=0)).any():
         return None
     x = np.linalg.solve(r, q.T @ b[used])
-    A, b = (np.concatenate([part, np.zeros((1, *part.shape[1:]))]) for part in (equations.A,
-                                                                                equations.b))
+    # The last row, of zeros, stands for the rows that features of fewer rows lack.
+    A = np.concatenate([equations.A, np.zeros((1, k))])
+    b = np.append(equations.b, 0.0)
     V = np.linalg.solve(r.T, A.T)
     return x, V.T, np.linalg.solve(r, V).T, b - A @ x
 
 
-def _left(gram: FloatArray, start: BoolArray) -> FloatArray:
-    """Return the least part of its rows' weight that each feature leaves to others, (n + 1,)."""
-    least = np.ones(len(gram))
-    least[:-1][start] = 1.0 - np.linalg.eigvalsh(gram[:-1][start])[:, -1]
-    return least
+def _remaining_shares(gram: FloatArray, start: BoolArray) -> FloatArray:
+    """Return the least share of its rows' weight that each feature leaves to others, (n + 1,)."""
+    shares = np.ones(len(gram))
+    shares[:-1][start] = 1.0 - np.linalg.eigvalsh(gram[:-1][start])[:, -1]
+    return shares

@@ -29,11 +29,14 @@ def independent_parts(equations: Equations, axis: IntArray) -> tuple[Independent
     rows = row_axes(equations.A, axis)
     if (rows == 2).any() or (axis == 2).any():
         return (IndependentPart(np.ones(len(axis), dtype=bool), equations),)
-    return tuple(IndependentPart(axis == side, equations.take(rows == side, axis == side))
-                 for side in (0, 1))
+    systems = []
+    for image_axis in (0, 1):  # line, sample
+        columns = axis == image_axis
+        systems.append(IndependentPart(columns, equations.take(rows == image_axis, columns)))
+    return tuple(systems)
 
 
-def solve_parts(parts: tuple[IndependentPart, ...], terms: BoolArray, features: BoolArray | None,
+def solve_parts(systems: tuple[IndependentPart, ...], terms: BoolArray, features: BoolArray | None,
                 near: BoolArray | None = None) -> tuple[FloatArray, FloatArray]:
     """Solve a population part by part, of selected terms (p, k) and features (p, n), None for all.
 
@@ -41,12 +44,14 @@ def solve_parts(parts: tuple[IndependentPart, ...], terms: BoolArray, features: 
     coefficients (p, k), 0 where a term is not selected, and the number of selected terms that are
     not determined (p,).
     """
-    coefficients, violation = np.zeros(terms.shape), np.zeros(len(terms))
-    for part in parts:
+    coefficients = np.zeros(terms.shape)
+    violation = np.zeros(len(terms))
+    for system in systems:
         if near is None or features is None:
-            solution, lacking = solve_many(part.equations, terms[:, part.columns], features)
+            solution, undetermined = solve_many(system.equations, terms[:, system.columns],
+                                                features)
         else:
-            solution, lacking = solve_near(part.equations, near, features)
-        coefficients[:, part.columns] = solution
-        violation += lacking
+            solution, undetermined = solve_near(system.equations, near, features)
+        coefficients[:, system.columns] = solution
+        violation += undetermined
     return coefficients, violation

@@ -13,7 +13,7 @@ from __future__ import annotations
 from functools import partial, reduce
 from typing import Any
 
-from termsel.adjustment.compiled import Later
+from termsel.adjustment.compiled import LazyKernel
 from termsel.adjustment.numba_settings import import_numba
 
 LANES = 8
@@ -23,10 +23,10 @@ LANES = 8
 def _reflector(count: int) -> Any:
     """Return code that applies `count` consecutive reflections, 1 or 2, to one panel.
 
-    It is called as apply(panels, vectors, beta, gram, c, t, stop): reflections from t on are
-    applied to rows t to stop of panel c. Panels are (panels, rows, LANES), vectors
-    (reflections, rows) and beta (reflections,), all contiguous; gram[t] is the product of
-    vectors t and t + 1, for two reflections.
+    It is called as apply(panels, reflections, c, t, stop): reflections from t on are applied to
+    rows t to stop of panel c. Panels are (panels, rows, LANES). Reflections are a tuple that
+    begins with vectors (reflections, rows), beta (reflections,) and gram (reflections,), all
+    contiguous; gram[t] is the product of vectors t and t + 1, for two reflections.
 
     With reflections I - beta v v' it subtracts v1 a1 + v2 a2 from the rows of panel P, where
     a1 = beta1 v1' P and a2 = beta2 (v2' P - (v2' v1) a1).
@@ -40,35 +40,41 @@ def _reflector(count: int) -> Any:
     undefined = ir.Constant(row_of_lanes, ir.Undefined)
     first = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
 
+    # The same value in all lanes.
     def spread(builder: Any, value: Any) -> Any:
-        one = builder.insert_element(undefined, value, ir.IntType(32)(0))
-        return builder.shuffle_vector(one, undefined, first)
+        single_lane = builder.insert_element(undefined, value, ir.IntType(32)(0))
+        return builder.shuffle_vector(single_lane, undefined, first)
 
     def over_rows(builder: Any, row: Any, stop: Any, step: int, sums: list[Any],
                   body: Any) -> tuple[Any, list[Any]]:
         """Loop while `step` rows remain, carrying `sums`, which `body` updates and returns."""
-        before = builder.block
-        head, inside, after = (builder.append_basic_block() for _ in range(3))
-        builder.branch(head)
-        builder.position_at_end(head)
-        at, carried = builder.phi(row.type), [builder.phi(row_of_lanes) for _ in sums]
-        following = builder.add(at, row.type(step))
-        builder.cbranch(builder.icmp_signed("<=", following, stop), inside, after)
-        builder.position_at_end(inside)
-        changed = body(at, carried)
-        for phi, initial, new in zip([at, *carried], [row, *sums], [following, *changed],
+        entry = builder.block
+        loop_head, loop_body, loop_end = (builder.append_basic_block() for _ in range(3))
+        builder.branch(loop_head)
+        builder.position_at_end(loop_head)
+        # Values that change from turn to turn: the row, and the sums.
+        current_row = builder.phi(row.type)
+        carried = [builder.phi(row_of_lanes) for _ in sums]
+        following = builder.add(current_row, row.type(step))
+        builder.cbranch(builder.icmp_signed("<=", following, stop), loop_body, loop_end)
+        builder.position_at_end(loop_body)
+        changed = body(current_row, carried)
+        for phi, initial, new in zip([current_row, *carried], [row, *sums], [following, *changed],
                                      strict=True):
-            phi.add_incoming(initial, before)
+            phi.add_incoming(initial, entry)
             phi.add_incoming(new, builder.block)
-        builder.branch(head)
-        builder.position_at_end(after)
-        return at, carried
+        builder.branch(loop_head)
+        builder.position_at_end(loop_end)
+        return current_row, carried
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        array = [context.make_array(kind)(context, builder, value)
-                 for kind, value in zip(signature.args[:4], args[:4], strict=True)]
-        panels, vectors, beta, gram = array
-        c, t, stop = args[4:]
+        panels_type, reflections_type = signature.args[:2]
+        panels_value, reflections_value, c, t, stop = args
+        panels = context.make_array(panels_type)(context, builder, panels_value)
+        vectors, beta, gram = (
+            context.make_array(array_type)(context, builder,
+                                           builder.extract_value(reflections_value, i))
+            for i, array_type in enumerate(reflections_type.types[:3]))
         height = builder.extract_value(panels.shape, 1)
         # A row of a panel is one vector; panel c begins after c times the height of all.
         data = builder.bitcast(panels.data, row_of_lanes.as_pointer())
@@ -78,10 +84,10 @@ def _reflector(count: int) -> Any:
         factors = [spread(builder, builder.load(builder.gep(beta.data, [i]))) for i in index]
 
         def load(row: Any) -> tuple[Any, Any, list[Any]]:
-            where = builder.gep(panel, [row])
+            address = builder.gep(panel, [row])
             # No more than numpy promises: panels of some callers begin anywhere.
-            return where, builder.load(where, align=8), [
-                spread(builder, builder.load(builder.gep(one, [row]))) for one in v]
+            return address, builder.load(address, align=8), [
+                spread(builder, builder.load(builder.gep(vector, [row]))) for vector in v]
 
         def accumulate(row: Any, sums: list[Any]) -> list[Any]:
             new = []
@@ -105,23 +111,23 @@ def _reflector(count: int) -> Any:
             a[1] = builder.fmul(factors[1], builder.fsub(a[1], builder.fmul(product, a[0])))
 
         def subtract(row: Any, _: list[Any]) -> list[Any]:
-            where, values, weights = load(row)
-            parts = [builder.fmul(weight, one) for weight, one in zip(weights, a, strict=True)]
-            change = parts[0] if count == 1 else builder.fadd(*parts)
-            builder.store(builder.fsub(values, change), where, align=8)
+            address, values, weights = load(row)
+            products = [builder.fmul(weight, factor)
+                        for weight, factor in zip(weights, a, strict=True)]
+            change = products[0] if count == 1 else builder.fadd(*products)
+            builder.store(builder.fsub(values, change), address, align=8)
             return []
 
         over_rows(builder, t, stop, 1, [], subtract)
         return context.get_dummy_value()
 
-    def apply(_context: Any, panels: Any, vectors: Any, beta: Any, gram: Any,
-              c: Any, t: Any, stop: Any) -> Any:
+    def apply(_context: Any, panels: Any, reflections: Any, c: Any, t: Any, stop: Any) -> Any:
         del c, t, stop
-        whole = numba.types.intp
-        return numba.types.void(panels, vectors, beta, gram, whole, whole, whole), generate
+        integer = numba.types.intp
+        return numba.types.void(panels, reflections, integer, integer, integer), generate
 
     return intrinsic(apply)
 
 
-apply_one = Later(partial(_reflector, 1))
-apply_two = Later(partial(_reflector, 2))
+apply_one = LazyKernel(partial(_reflector, 1))
+apply_two = LazyKernel(partial(_reflector, 2))

@@ -23,11 +23,11 @@ class Spectrum:
     outside: float  # square of the target's part that no column reaches
     freedom: int  # rows less unpenalised columns
 
-    def penalties(self, least: float) -> FloatArray:
+    def penalties(self, smallest: float) -> FloatArray:
         """Return penalties from the largest singular value down to `least` of it."""
-        return np.asarray(self.values[0] * np.geomspace(1.0, least, 401))
+        return np.asarray(self.values[0] * np.geomspace(1.0, smallest, 401))
 
-    def _left(self, penalty: FloatArray) -> FloatArray:
+    def _residual_share(self, penalty: FloatArray) -> FloatArray:
         """Return 1 - s^2 / (s^2 + penalty^2), shape (n, p)."""
         square = penalty[:, None] ** 2
         return np.asarray(square / (self.values**2 + square))
@@ -37,9 +37,9 @@ class Spectrum:
 
         For penalties of shape (n,).
         """
-        left = self._left(penalty)
-        square = ((left * self.inner) ** 2).sum(axis=1) + self.outside
-        freedom = left.sum(axis=1) + (self.freedom - len(self.values))
+        residual_share = self._residual_share(penalty)
+        square = ((residual_share * self.inner) ** 2).sum(axis=1) + self.outside
+        freedom = residual_share.sum(axis=1) + (self.freedom - len(self.values))
         return np.asarray(square / freedom**2)
 
     def curvature(self, penalty: FloatArray) -> FloatArray:
@@ -50,11 +50,11 @@ class Spectrum:
 
         For penalties of shape (n,).
         """
-        left = self._left(penalty)
-        part = ((1.0 - left) * self.inner / self.values) ** 2
-        eta = part.sum(axis=1)
-        rho = ((left * self.inner) ** 2).sum(axis=1) + self.outside
-        slope = -4.0 / penalty * (left * part).sum(axis=1)
+        residual_share = self._residual_share(penalty)
+        squares = ((1.0 - residual_share) * self.inner / self.values) ** 2
+        eta = squares.sum(axis=1)
+        rho = ((residual_share * self.inner) ** 2).sum(axis=1) + self.outside
+        slope = -4.0 / penalty * (residual_share * squares).sum(axis=1)
         square = penalty**2
         return np.asarray(
             -2.0 * eta * rho / slope

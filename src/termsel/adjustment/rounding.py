@@ -18,13 +18,13 @@ files hold hardly more digits than this. Of an image of 10,000 px it is 5e-6 px.
 """
 
 
-def by_size(figures: FloatArray, least: FloatArray | float, share: FloatArray) -> FloatArray:
+def by_size(figures: FloatArray, floor: FloatArray | float, share: FloatArray) -> FloatArray:
     """Return figures of selections, in which those that are rounding are by the size alone.
 
     Figures up to `least` become that times the selection's share of what may be selected, 0 to 1:
     they stay below all others, and the smaller selection is the better one.
     """
-    return np.asarray(np.where(figures <= least, least * share, figures))
+    return np.asarray(np.where(figures <= floor, floor * share, figures))
 
 
 def largest(values: FloatArray) -> IntArray:
@@ -32,5 +32,5 @@ def largest(values: FloatArray) -> IntArray:
 
     Values are not negative, or mark by a negative number what cannot be taken.
     """
-    most = values.max(axis=-1, keepdims=True)
-    return np.asarray((values >= most - ROUNDING * np.abs(most)).argmax(axis=-1))
+    maxima = values.max(axis=-1, keepdims=True)
+    return np.asarray((values >= maxima - ROUNDING * np.abs(maxima)).argmax(axis=-1))

@@ -85,15 +85,18 @@ def solve(
     triangle = _triangle(scaled, b)
     # A column is dependent by the rule of the kernels, even if by pivoting none is.
     rank = n_terms if triangle is not None else _lower_rank(scaled)
-    coefficients, deviations = np.zeros(k), np.zeros(k)
-    condition, sigma0 = float("inf"), float("nan")
+    coefficients = np.zeros(k)
+    deviations = np.zeros(k)
+    condition = float("inf")
+    sigma0 = float("nan")
     correlations = None
     if n_terms and n_equations:
         lengths[lengths == 0] = 1.0
         if triangle is not None:
             r = triangle[:, :n_terms]
             solved = np.linalg.solve(r, np.column_stack([triangle[:, n_terms], np.eye(n_terms)]))
-            x, inverse = solved[:, 0], solved[:, 1:]
+            x = solved[:, 0]
+            inverse = solved[:, 1:]
             condition = float(np.linalg.cond(r))
             if n_equations > n_terms:
                 v = b - A @ (x / lengths)
@@ -107,8 +110,9 @@ def solve(
             x = np.linalg.lstsq(scaled, b, rcond=TOLERANCE)[0]
             deviations[columns] = np.nan
         coefficients[columns] = x / lengths
-    return Adjustment(coefficients, deviations, n_terms, n_equations, rank, condition, sigma0,
-                      correlations)
+    return Adjustment(coefficients=coefficients, deviations=deviations, n_terms=n_terms,
+                      n_equations=n_equations, rank=rank, condition=condition, sigma0=sigma0,
+                      correlations=correlations)
 
 
 def _triangle(scaled: FloatArray, b: FloatArray) -> FloatArray | None:
