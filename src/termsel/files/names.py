@@ -63,6 +63,10 @@ def _kind(path: Path) -> int | None:
         return None
 
 
+_HIDDEN = (".lock", ".termsel")
+"""What hidden names of termsel in the folder of a result begin with."""
+
+
 def inside(folder: Path, name: str) -> Path:
     """Return a file in a folder of a result, study or block, which is no link and no pipe.
 
@@ -81,12 +85,18 @@ def refuse_link(path: Path) -> None:
 
 
 def refuse_links(folder: Path) -> None:
-    """Refuse a folder to write results into that has links anywhere, or pipes by their names."""
+    """Refuse a folder to write results into that has links anywhere, or pipes by their names.
+
+    Hidden entries that are not termsel's, such as `.venv` and `.git` where results go to the folder
+    of a project, are left alone: nothing is written there.
+    """
     waiting = [folder]
     while waiting:
         try:
             with os.scandir(waiting.pop()) as entries:
                 for entry in entries:
+                    if entry.name.startswith(".") and not entry.name.startswith(_HIDDEN):
+                        continue
                     refuse_link(Path(entry.path))
                     if entry.is_dir(follow_symlinks=False):
                         waiting.append(Path(entry.path))
