@@ -61,6 +61,9 @@ class Reader(Configurable, ABC):
     areas : bool
         Whether it reads areas, given with ``--areas``, as points or lines. Such a
         reader has the option `areas_as`: "boundary" for lines, "centroid" for points.
+    states_origin : bool
+        Whether the format says which place of the image has the coordinates (0, 0). If not, it is
+        the centre of the upper-left pixel, or what the option `image_origin` says.
     """
 
     kind = "reader"
@@ -71,6 +74,7 @@ class Reader(Configurable, ABC):
     name: ClassVar[str]
     summary: ClassVar[str]
     areas: ClassVar[bool] = False
+    states_origin: ClassVar[bool] = True
 
     @abstractmethod
     def sniff(self, path: Path, head: bytes) -> bool:

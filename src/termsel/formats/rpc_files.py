@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 from termsel.errors import TermselError
@@ -58,6 +59,23 @@ def read_rpc(path: Path | str) -> Rpc:
         raise (error if error.file is not None else located(error, path)) from error
 
 
+def has_rpc(image: Path | str) -> bool:
+    """Return whether GDAL finds an RPC of an image, inside it or next to it."""
+    with open_raster(image) as raster:
+        return bool(raster.tags(ns="RPC"))
+
+
+def size_with_rpc(rpc: Any) -> tuple[int, int] | None:
+    """Return lines and samples of the image that is the file of its RPC, if it is one."""
+    if not isinstance(rpc, Path | str):
+        return None
+    head = read_head(Path(rpc), "")
+    if b"\0" not in head or is_utf16(head):
+        return None
+    with open_raster(rpc) as raster:
+        return int(raster.height), int(raster.width)
+
+
 def with_rpc(features: FeatureSet, rpc: Rpc | Path | str,
              part: ImagePart | None = None) -> FeatureSet:
     """Return features with the RPC of their image, and with the size of an image that has it.
@@ -70,11 +88,7 @@ def with_rpc(features: FeatureSet, rpc: Rpc | Path | str,
     found = read_rpc(path)
     if part is not None:
         return replace(features, rpc=part.rpc(found))
-    head = read_head(path, "")
-    if size is None and b"\0" in head and not is_utf16(head):
-        with open_raster(path) as raster:
-            size = (raster.height, raster.width)
-    return replace(features, rpc=found, image_size=size)
+    return replace(features, rpc=found, image_size=size or size_with_rpc(path))
 
 
 def _read(path: Path, head: bytes) -> Rpc:

@@ -21,7 +21,7 @@ log = logging.getLogger(__name__)
 IMAGE = Option("image", None, "The image; if not given, the VRT has a size but no pixels.")
 """Option of every writer of a VRT."""
 
-_MARGIN = 5.0
+MARGIN = 5.0
 """How far a feature may lie beyond the edge of the image it was measured in [px]."""
 
 
@@ -61,16 +61,16 @@ def _require_inside(result: Result, size: tuple[int, int] | None, image: Path | 
     places = features.with_(points=features.points.take(~np.array(away, dtype=bool))) \
         .image_vertices()
     least, most = places.min(axis=0), places.max(axis=0)
-    if size is not None and (most > np.array(size) - 0.5 + _MARGIN).any():
+    if size is not None and (most > np.array(size) - 0.5 + MARGIN).any():
         raise _other_image(size, f"but features extend to line {most[0]:g} and sample {most[1]:g}",
                            image)
-    if (least < -0.5 - _MARGIN).any():
+    if (least < -0.5 - MARGIN).any():
         raise TermselError(
             f"features extend to line {least[0]:g} and sample {least[1]:g}, before the first pixel "
             "of the image", file=image,
             hint="Lines are counted downwards from the upper-left pixel: run again with --set "
-                 "image_origin=y-up, bottom-left or another of termsel describe csv, or with the "
-                 "image in which the features were measured.")
+                 "image_origin=y-up or bottom-left, or take the image in which the features were "
+                 "measured.")
 
 
 def vrt_text(

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from difflib import get_close_matches
+from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -16,9 +17,10 @@ from termsel.files.atomic import private_folder
 from termsel.files.names import is_there
 from termsel.formats.base import Reader, is_utf16, located, read_head, read_once, utf16_error
 from termsel.formats.heights import with_heights
+from termsel.formats.image_origin import IMAGE_ORIGIN, image_size_of, with_image_origin
 from termsel.formats.readers.advice import unknown_table
 from termsel.formats.repeated import REPEATED, averaging
-from termsel.formats.rpc_files import with_rpc
+from termsel.formats.rpc_files import has_rpc, size_with_rpc, with_rpc
 from termsel.formats.z_unit import Z_UNIT, with_z_unit
 from termsel.guard.faults import PluginFault, is_own, name_of
 from termsel.measurements.coordinates.crs import normalise
@@ -33,7 +35,10 @@ from termsel.plugins.registry import built_in, registry
 
 log = logging.getLogger(__name__)
 
-READ_OPTIONS = (Z_UNIT, RPC_OFFSET, RPC_SCALE, REPEATED)
+Origin = Callable[..., FeatureSet]
+"""Takes features and whether their format says where it counts from; see `with_image_origin`."""
+
+READ_OPTIONS = (Z_UNIT, RPC_OFFSET, RPC_SCALE, REPEATED, IMAGE_ORIGIN)
 """Options of reading, whatever the format."""
 
 _NEAR = 0.76
@@ -60,6 +65,8 @@ def read(
     rpc_offset: str | None = None,
     rpc_scale: float | str | None = None,
     repeated: str | None = None,
+    image: Path | str | None = None,
+    image_origin: str | None = None,
     **options: Any,
 ) -> FeatureSet:
     """Return the control features in files of points, lines and areas.
@@ -91,6 +98,12 @@ def read(
     repeated : {"refuse", "average"}, optional
         What is done with points of a table at the same ground coordinates: by default they are
         refused, all by name; their mean in the image may stand for them.
+    image : path-like, optional
+        The image: its size is known from it, and its RPC where it has one and none is given.
+    image_origin : str, optional
+        Where a table counts lines and samples from: "top-left" for the centre of the upper-left
+        pixel, "corner" for its outer corner, "y-up", "y-up-corner", "bottom-left" or
+        "bottom-left-corner" for lines upwards.
     **options
         Options of the readers, such as `raster` of "qgis-points".
 
@@ -107,7 +120,12 @@ def read(
     if columns:
         of_readers["columns"] = columns_text(columns)
     formats = [format] if isinstance(format, str) else format
+    size = None if image is None else image_size_of(image)
+    if rpc is None and image is not None and has_rpc(image):
+        rpc = image
     part = part_of(rpc_offset, rpc_scale)
+    seen = size_with_rpc(rpc) if size is None and part is None else size
+    origin = partial(with_image_origin, asked=image_origin, size=seen)
     if part is not None and rpc is None:
         raise TermselError("rpc_offset and rpc_scale are of an RPC, and none is given",
                            hint="Give it with --rpc FILE, or leave them out.")
@@ -116,7 +134,8 @@ def read(
             raise TermselError("a table in Python is read alone",
                                hint="Read files by themselves and join them with FeatureSet.with_.")
         with averaging(repeated):
-            return _with_known(_read_frame(points, crs, of_readers), dem, rpc, z_unit, part)
+            features = _of_size(_read_frame(points, crs, of_readers, origin), size)
+            return _with_known(features, dem, rpc, z_unit, part)
     with ExitStack() as stack:
         stack.enter_context(averaging(repeated))
         image_lines = of_readers.get("image_lines")
@@ -128,7 +147,8 @@ def read(
         features = read_features(
             *paths[:2], areas=paths[2], crs=crs,
             readers=readers_of([path for path in paths if path is not None], formats),
-            formats=formats, options=of_readers)
+            formats=formats, options=of_readers, origin=origin)
+        features = _of_size(features, size)
     given = [path for path in (points, lines, areas) if path is not None]
     try:
         return _with_known(features, dem, rpc, z_unit, part)
@@ -156,11 +176,16 @@ def features_of(given: Any, crs: str | None = None,
         features = read_features(
             path, path, crs=crs, either=True,
             options={"columns": columns_text(columns)} if columns else {},
-            readers=readers_of([path], ()))
+            readers=readers_of([path], ()), origin=partial(with_image_origin, asked=None))
     try:
         return with_z_unit(features, None)
     except TermselError as error:
         raise located(error, Path(given)) from error
+
+
+def _of_size(features: FeatureSet, size: tuple[int, int] | None) -> FeatureSet:
+    """Return features with the size of their image, where they do not state it."""
+    return features if features.image_size or size is None else replace(features, image_size=size)
 
 
 def _with_known(features: FeatureSet, dem: Path | str | None, rpc: Rpc | Path | str | None,
@@ -183,12 +208,15 @@ def readers_of(paths: Sequence[Path], formats: Sequence[str]) -> list[type[Reade
     return own if enough else [entry.object for entry in registry().entries("readers")]
 
 
-def _read_frame(frame: Any, crs: str | None, options: Mapping[str, Any]) -> FeatureSet:
+def _read_frame(frame: Any, crs: str | None, options: Mapping[str, Any],
+                origin: Origin | None = None) -> FeatureSet:
     from termsel.formats.readers.frames import read_frame
 
     for name in options.keys() - {"columns", "decimal"}:
         raise TermselError(f"a table in Python has no option {name!r}", hint="Leave it out.")
     features = read_frame(frame, **options)
+    if origin is not None:
+        features = origin(features, states_own=False)
     place = Path("the table")
     measured = replace(features, crs=_agreed_crs(
         {place: features}, None if crs is None else normalise(crs)))
@@ -279,11 +307,13 @@ def _with_options(reader: type[Reader], given: Mapping[str, Any]) -> Reader:
 
 def read_features(points: Path | None, lines: Path | None, *, areas: Path | None = None,
                   crs: str | None, readers: Iterable[type[Reader]], formats: Sequence[str] = (),
-                  options: Mapping[str, Any] | None = None, either: bool = False) -> FeatureSet:
+                  options: Mapping[str, Any] | None = None, either: bool = False,
+                  origin: Origin | None = None) -> FeatureSet:
     """Return the points, lines and areas of one file each, in one CRS.
 
     A file that holds points and lines is given as both; with `either`, it may have points or lines
     alone. Areas become points or lines. `formats` names readers, in the order of the files.
+    `origin` turns image coordinates of formats that leave open where they count from.
 
     Raises TermselError as `find_reader`; if the content is invalid; if no file's reader has such an
     option; if a file holds no features of its kind, or others that were not asked for; if the CRS
@@ -305,12 +335,16 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
                   for path, name in zip_longest(paths, formats)}
         _refuse_idle(options or {}, chosen)
         sets = {path: reader.read(path) for path, reader in chosen.items()}
+        if origin is not None:
+            sets = {path: _from_origin(path, features, chosen[path], origin)
+                    for path, features in sets.items()}
     except TermselError as error:
         columns = error.options.get("--columns", "?")
         if crs is None and "?" not in columns:
             try:  # what would be asked next
                 read_features(points, lines, areas=areas, crs=crs, readers=known, formats=formats,
-                              options={**(options or {}), "columns": columns}, either=either)
+                              options={**(options or {}), "columns": columns}, either=either,
+                              origin=origin)
             except TermselError as later:
                 error.options = {**later.options, **error.options}
         raise
@@ -327,7 +361,8 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
         no_points() if points is None else sets[points].points,
         no_lines() if lines is None else sets[lines].lines,
         _agreed_crs(sets, stated),
-        next((one.image_size for one in sets.values() if one.image_size), None))
+        next((one.image_size for one in sets.values() if one.image_size), None),
+        image_origin=next((one.image_origin for one in sets.values() if one.image_origin), ""))
     _require_crs(measured, sets, not (options or {}).get("columns") and all(
         "columns" in reader.options for reader in chosen.values()))
     if areas is not None:
@@ -346,6 +381,14 @@ def _say_doubts(features: FeatureSet) -> None:
     say_turned(features)
     if mixed := note_on_mixed(features):
         log.warning("Warning: %s", mixed)
+
+
+def _from_origin(path: Path, features: FeatureSet, reader: Reader, origin: Origin) -> FeatureSet:
+    """Return the features of a file, counted from the centre of the upper-left pixel."""
+    try:
+        return origin(features, states_own=reader.states_origin)
+    except TermselError as error:
+        raise located(error, path) from error
 
 
 def _say_misspelt(path: Path, features: FeatureSet) -> None:

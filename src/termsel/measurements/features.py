@@ -251,6 +251,9 @@ class FeatureSet(Glance):
         How far a raster of heights is above those of control, where both are there.
     z_unit : str
         Unit of z and what tells it, where that was open.
+    image_origin : str
+        Where the file counted lines and samples from, where that is not the centre of the
+        upper-left pixel by the format; they count from there here.
 
     Raises
     ------
@@ -268,6 +271,7 @@ class FeatureSet(Glance):
     rpc: KnownGeometry | None = None
     dem_difference: DemDifference | None = None
     z_unit: str = ""
+    image_origin: str = ""
 
     def __post_init__(self) -> None:
         both = set(self.points.ids) & set(self.lines.ids)

@@ -120,6 +120,9 @@ class WhatWasRead(RecordPart, frozen=True):
     """How far a DEM is from the heights of control, where it contradicts them."""
     two_groups: str = ""
     """Which points lie a constant shift from the others, as if in another datum."""
+    image_origin: str = ""
+    """Where the file counted lines and samples from, where that was stated or told by its values;
+    the result counts from the centre of the upper-left pixel."""
 
 
 class RpcNumbers(RecordPart, frozen=True):

@@ -63,7 +63,8 @@ def _data(record: Record, brief: bool) -> Iterator[Note]:
     crs = "coordinates without a CRS" if data.crs == LOCAL else short(data.crs)
     near = f" near {read.place}" if read.place else ""
     unit = f"; z in {read.z_unit}" if read.z_unit else ""
-    yield Note(f"{source}: {kinds}{heights}; {crs}{near}{unit}.", "Read")
+    origin = f"; image coordinates from {read.image_origin}" if read.image_origin else ""
+    yield Note(f"{source}: {kinds}{heights}; {crs}{near}{unit}{origin}.", "Read")
     control = [counted(n, word) for n, word in ((counts.control, "point"), (counts.lines, "line"))
                if n]
     blunders = sum(one.excluded for one in record.outliers)

@@ -49,9 +49,11 @@ _OPTIONS = (
                  help="Raster of heights, for points and lines that have none."),
     click.option("--raster", metavar="FILE",
                  help="The image the points were measured in, for formats that need it."),
-    click.option("--rpc", "--image", "rpc", metavar="FILE", type=click.Path(path_type=Path),
+    click.option("--rpc", metavar="FILE", type=click.Path(path_type=Path),
                  help="The vendor's RPC, or the image with an RPC in its tags or next to it: auto "
                       "corrects it by the points, from one on (package termsel-rpc)."),
+    click.option("--image", metavar="FILE", type=click.Path(path_type=Path),
+                 help="The image: its size, and its RPC if it has one."),
     click.option("--image-lines", metavar="FILE",
                  help="Image lines id,line1,sample1,line2,sample2, for ground lines from a GIS."),
     click.option("--crs", metavar="CRS",
@@ -130,6 +132,7 @@ class Asked:
     dem: Path | None
     raster: str | None
     rpc: Path | None
+    image: Path | None
     image_lines: str | None
     columns: str | None
     crs: str | None
@@ -183,13 +186,13 @@ class Asked:
     @property
     def _of_files(self) -> dict[str, Any]:
         return {"--format": self.formats, "--dem": self.dem, "--raster": self.raster,
-                "--rpc": self.rpc, "--image-lines": self.image_lines, "--columns": self.columns,
-                "--crs": self.crs}
+                "--rpc": self.rpc, "--image": self.image, "--image-lines": self.image_lines,
+                "--columns": self.columns, "--crs": self.crs}
 
     @property
     def reads(self) -> list[object]:
         """Everything that may be the name of a file that is read."""
-        return [*self.files, self.dem, self.raster, self.rpc, self.image_lines,
+        return [*self.files, self.dem, self.raster, self.rpc, self.image, self.image_lines,
                 *self.options.values()]
 
     @property
@@ -263,7 +266,8 @@ class Asked:
             if given.get(key) is not None:
                 raise TermselError(f"{key} is given twice", hint="Give it once.")
         return read(self.points, self.lines, areas=self.areas, crs=self.crs, format=self.formats,
-                    dem=self.dem, rpc=self.rpc, **of_reading, **{**given, **of_readers}), options
+                    dem=self.dem, rpc=self.rpc, image=self.image, **of_reading,
+                    **{**given, **of_readers}), options
 
     def command(self, problem: str, solver: str, criterion: str,
                 settings: Mapping[str, str]) -> str:

@@ -17,6 +17,7 @@ from termsel.options import Option
 class AreasCsv(TableReader):
     """Areas by their corners, as the edges or the centroids of polygons."""
 
+    states_origin = False
     name = "areas-csv"
     summary = "areas as a table of corners headed id,corner,line,sample,x,y,z"
     areas = True

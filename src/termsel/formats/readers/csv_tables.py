@@ -28,6 +28,7 @@ class PointsCsv(TableReader):
     Text in any usual encoding with any usual separator, or a spreadsheet.
     """
 
+    states_origin = False
     name = "points-csv"
     summary = "points as a table headed id,role,line,sample,x,y,z[,sigma_line,sigma_sample]"
     known = POINTS
@@ -40,6 +41,7 @@ class PointsCsv(TableReader):
 class LinesCsv(TableReader):
     """Lines, each with two image points and two ground vertices that are not conjugate."""
 
+    states_origin = False
     name = "lines-csv"
     summary = "lines as a table headed id,line1,sample1,line2,sample2,x1,y1,z1,x2,y2,z2[,sigma]"
     known = LINES

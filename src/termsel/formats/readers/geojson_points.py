@@ -30,6 +30,7 @@ class GeoJsonPoints(Reader):
     WGS84, with ellipsoidal heights if there are any.
     """
 
+    states_origin = False
     name = "geojson-points"
     summary = "GeoJSON points with properties line and sample, or ji = [column, row]"
     declared_options = (IMAGE_NAME, *COLUMNS[:2])
@@ -49,6 +50,7 @@ class GeoJsonPoints(Reader):
 class VectorPoints(Reader):
     """Points of a GeoPackage, Shapefile or FlatGeobuf, with image columns as in GeoJSON."""
 
+    states_origin = False
     name = "vector-points"
     summary = "GeoPackage, Shapefile or FlatGeobuf of points with columns line and sample"
     declared_options = (IMAGE_NAME, *COLUMNS)

@@ -38,6 +38,7 @@ class GeoJsonLines(Reader):
     how polylines are joined. Without a "crs" of its own the file is in WGS84.
     """
 
+    states_origin = False
     name = "geojson-lines"
     summary = "GeoJSON ground lines; image lines as the property ji or in a table (--image-lines)"
     declared_options = _JOIN
@@ -55,6 +56,7 @@ class GeoJsonLines(Reader):
 class VectorLines(Reader):
     """Ground lines of a GeoPackage, Shapefile or FlatGeobuf, joined as in GeoJSON."""
 
+    states_origin = False
     name = "vector-lines"
     summary = "GeoPackage, Shapefile, FlatGeobuf of ground lines; requires --image-lines, pyogrio"
     declared_options = (*_JOIN, LAYER)

@@ -60,7 +60,7 @@ def _read(setup: Setup, observations: Observations) -> WhatWasRead:
         len(read.points), len(read.lines.features), len(read.without_height()), place_of(read),
         swapped(read), {reason: tuple(ids) for reason, ids in why.items() if ids}, read.z_unit,
         difference.sentence() if difference is not None and difference.contradicts else "",
-        "" if groups is None else groups.sentence())
+        "" if groups is None else groups.sentence(), read.image_origin)
 
 
 def versions() -> dict[str, str]:

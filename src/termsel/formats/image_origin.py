@@ -1,0 +1,111 @@
+"""Where tables count lines and samples from: the first pixel's centre or corner, up or down."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.files.rasters import open_raster
+from termsel.formats.vrt import MARGIN
+from termsel.measurements.features import FeatureSet, FloatArray
+from termsel.options import Option
+
+log = logging.getLogger(__name__)
+
+TOP, UP, BOTTOM = "top-left", "y-up", "bottom-left"
+CORNER = "corner"
+
+_WORDS = {
+    TOP: "the centre of the upper-left pixel, lines downwards",
+    f"{TOP}-{CORNER}": "the outer corner of the upper-left pixel, lines downwards",
+    UP: "the centre of the upper-left pixel, y upwards",
+    f"{UP}-{CORNER}": "the outer corner of the upper-left pixel, y upwards",
+    BOTTOM: "the centre of the lower-left pixel, y upwards",
+    f"{BOTTOM}-{CORNER}": "the outer corner of the lower-left pixel, y upwards"}
+
+IMAGE_ORIGIN = Option(
+    "image_origin", None, "Where a table counts lines and samples from: top-left, the centre of "
+    "the upper-left pixel; corner or top-left-corner, its outer corner, as a GIS counts; "
+    "y-up or y-up-corner, likewise with y negative downwards; bottom-left or bottom-left-corner, "
+    "with y upwards. By default top-left, or y-up where all lines are at most 0 and the image, "
+    "whose height is known, holds them.", choices=(*_WORDS, CORNER))
+
+
+def image_size_of(image: Path | str) -> tuple[int, int]:
+    """Return lines and samples of an image."""
+    with open_raster(image) as raster:
+        return int(raster.height), int(raster.width)
+
+
+def with_image_origin(features: FeatureSet, asked: str | None, states_own: bool,
+                      size: tuple[int, int] | None = None) -> FeatureSet:
+    """Return features whose image coordinates count from the centre of the upper-left pixel.
+
+    Parameters
+    ----------
+    features : FeatureSet
+    asked : str, optional
+        One of the choices of `IMAGE_ORIGIN`.
+    states_own : bool
+        Whether the format of their file says where it counts from.
+    size : tuple of int, optional
+        Lines and samples of the image, where the features do not state it.
+
+    Raises
+    ------
+    TermselError
+        If the choice is not known, or not that of the format; if it needs the height of the image
+        and that is not known; if lines are upwards by all signs, and nothing says so.
+    """
+    size = features.image_size or size
+    if asked is not None:
+        origin = str(IMAGE_ORIGIN.parse(asked))
+        origin = f"{TOP}-{CORNER}" if origin == CORNER else origin
+        if states_own:
+            raise TermselError("the format of this file says where its lines and samples are "
+                               "counted from", hint="Leave image_origin out.")
+        return replace(_turned(features, origin, size), image_origin=_WORDS[origin])
+    if states_own or not len(features):
+        return features
+    lines = features.image_vertices()[:, 0]
+    if lines.max() > 0 or lines.min() >= -MARGIN:
+        return features
+    if size is None or lines.min() < -(size[0] - 0.5 + MARGIN):
+        known = "the height of the image is not known" if size is None else \
+            f"the image has {size[0]} lines"
+        raise TermselError(
+            f"all lines are at most 0, from {lines.min():g} to {lines.max():g}, as where y is "
+            f"upwards, and {known}",
+            hint="Say where they are counted from: --set image_origin=y-up or y-up-corner (QGIS, "
+                 "ArcGIS), or top-left to keep them as they are. Or give the image with --image "
+                 "FILE.")
+    log.warning("Note: all lines are at most 0: they are read as y upwards from the upper-left "
+                "pixel. If they count from its corner, say --set image_origin=y-up-corner.")
+    return replace(_turned(features, UP, size),
+                   image_origin=f"{_WORDS[UP]}, as all lines are at most 0")
+
+
+def _turned(features: FeatureSet, origin: str, size: tuple[int, int] | None) -> FeatureSet:
+    """Return features whose image coordinates are turned from an origin to that of termsel."""
+    half = 0.5 if origin.endswith(CORNER) else 0.0
+    start = origin.removesuffix(f"-{CORNER}")
+    if start == BOTTOM and size is None:
+        raise TermselError(f"image_origin={origin} needs the height of the image",
+                           hint="Give the image with --image FILE.")
+
+    def turned(image: FloatArray) -> FloatArray:
+        line, sample = np.moveaxis(image, -1, 0)
+        if start == UP:
+            line = -line
+        elif start == BOTTOM and size is not None:
+            # The last line's centre is at size - 1; with corners its outer edge is at size.
+            line = size[0] - 1 + 2 * half - line
+        return np.stack([line - half, sample - half], axis=-1)
+
+    points, lines = features.points, features.lines
+    return features.with_(points=replace(points, image=turned(points.image)),
+                          lines=replace(lines, image=turned(lines.image)))
