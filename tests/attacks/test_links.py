@@ -132,9 +132,10 @@ def test_pipes(name: str, control: Path, folder: Path, typed) -> None:
 
 def test_hidden_folders_of_a_project_are_left_alone(control: Path, folder: Path) -> None:
     # A virtual environment has links; results go next to it.
-    environment = folder / ".venv" / "bin"
+    project = folder / "project"
+    environment = project / ".venv" / "bin"
     environment.mkdir(parents=True)
     (environment / "python").symlink_to("/usr/bin/python3")
     features = termsel.read(control, crs="local")
-    termsel.run("poly-terms", features=features, model="affine", solver="all-terms", out=folder)
-    assert (folder / "result.json").is_file()
+    termsel.run("poly-terms", features=features, model="affine", solver="all-terms", out=project)
+    assert (project / "result.json").is_file()
