@@ -116,7 +116,7 @@ class OwdisBlock(Problem):
             np.concatenate([target, *(part for _, _, part in rows)]),
             np.concatenate([np.full(len(target), -1), *(
                 np.full(len(part), i) for i, (_, _, part) in enumerate(rows))]).astype(np.intp),
-            self._check_design, self._check_target, needed=1)
+            self._check_design, self._check_target, min_equations=1)
         self._normal = np.stack([part.T @ part for _, part, _ in rows])
         self._right = np.stack([part.T @ aim for _, part, aim in rows])
         self._prior = design.T @ design, design.T @ target
