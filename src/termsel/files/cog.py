@@ -114,8 +114,9 @@ def write_cog(
                 warnings.catch_warnings(), rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True):
             warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
             plain, made = folder / "tiles.tif", folder / "made.tif"
+            # This file is read once: it is packed lightly, which is quick.
             with rasterio.open(plain, "w", driver="GTiff", tiled=True, compress="deflate",
-                               bigtiff="if_safer", **profile) as raster:
+                               zlevel=1, bigtiff="if_safer", **profile) as raster:
                 describe(raster)
                 for done, window in enumerate(tiles):
                     values, shown = _tile(pixels(window, raster.window_transform(window)))

@@ -217,7 +217,8 @@ def warp(raster: Any, output: Path, grid: MapGrid, made: MapPixels, *, tags: Map
             if made.nodata is not None:
                 lost += _kept_apart(tile[:len(made.empty)], shown, made)
             tile[:len(made.empty), ~shown] = made.fill
-        return tile[list(made.order)], shown
+        in_order = made.order == tuple(range(len(tile)))
+        return tile if in_order else tile[list(made.order)], shown
 
     write_cog(output, _profile(grid, made), pixels, describe=lambda tiled: _describe(
         tiled, made, tags), progress=progress, across=TILE if raster.rpcs else _NARROW,
