@@ -29,8 +29,9 @@ from termsel.errors import TermselError
                    "where pixels are categories (a colour table, bits, classes), else bilinear.")
 @click.option("--nodata", type=float,
               help="Value where the map shows nothing; by default that of the image. Without one "
-                   "the image's alpha band, or else a mask inside the file, says where that is "
-                   "(NaN does for numbers with a fraction).")
+                   "the image's alpha band, or else a mask inside the file, says where that is; "
+                   "with a colour table an index that the image does not use, and NaN for numbers "
+                   "with a fraction.")
 @click.option("--sigma", metavar="FILE", type=click.Path(path_type=Path),
               help="Raster of the uncertainty to write, too (termsel-standards).")
 @final_option

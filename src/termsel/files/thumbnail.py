@@ -9,6 +9,7 @@ import numpy as np
 
 from termsel.errors import TermselError
 from termsel.files.rasters import (
+from termsel.measurements.features import FloatArray
     open_raster,
     refuse_empty_giant,
     require_rasterio,
@@ -33,8 +34,12 @@ def thumbnail(path: Path | str, expected: tuple[int, int] | None = None,
         refuse_empty_giant(raster)
         small = max(1.0, max(size) / LONGEST)
         shape = (max(1, round(size[0] / small)), max(1, round(size[1] / small)))
-        band = raster.read(1, out_shape=shape, masked=True,
-                           resampling=rasterio.enums.Resampling.average)
+        indices = raster.colorinterp[0] == rasterio.enums.ColorInterp.palette
+        band = raster.read(1, out_shape=shape, masked=True, resampling=(
+            rasterio.enums.Resampling.nearest if indices else rasterio.enums.Resampling.average))
+        if indices:
+            band = np.ma.array(_brightness(raster.colormap(1), int(band.data.max()))[band.data],
+                               mask=band.mask)
     values = np.ma.filled(band.astype(np.float64), np.nan)
     known = values[np.isfinite(values)]
     low, high = np.percentile(known, [2, 98]) if known.size else (0.0, 1.0)
@@ -43,3 +48,11 @@ def thumbnail(path: Path | str, expected: tuple[int, int] | None = None,
     pixels = np.nan_to_num(110 + 145 * grey, nan=255.0).astype(np.uint8)
     content = tiff_bytes(pixels[None], driver="JPEG", quality=80)
     return f"data:image/jpeg;base64,{base64.b64encode(content).decode()}", size
+
+
+def _brightness(table: dict[int, tuple[int, int, int, int]], largest: int) -> FloatArray:
+    """Return how bright the colour of each index is, 0 to 255."""
+    colours = np.zeros((max(largest, *table) + 1, 3))
+    for index, colour in table.items():
+        colours[index] = colour[:3]
+    return colours @ [0.299, 0.587, 0.114]  # of red, green and blue, by ITU-R BT.601

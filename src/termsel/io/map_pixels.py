@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from termsel.errors import TermselError
 from termsel.files.cog import TILE, write_cog
+from termsel.files.rasters import open_raster
 from termsel.formats.pictures import Band, Colour, Picture, expanded
 from termsel.io.map_grid import MapGrid
 
@@ -25,6 +26,7 @@ Mask = NDArray[np.bool_]
 
 _NARROW = 128  # across, where GDAL interpolates places along lines between ends and middle
 _WITH_TABLE = ("Byte", "UInt16")  # types whose colours a GeoTIFF holds
+_WHITE: Colour = (255, 255, 255, 255)
 _TYPES = {"Byte": "uint8", "CFloat32": "complex64", "CFloat64": "complex128", "CInt16": "complex64"}
 
 
@@ -89,8 +91,10 @@ class MapPixels:
         """Bits of a pixel where several are held in a byte."""
         if len(self.picture.bands) > 1 or not self.category:
             return None
-        bits = self.picture.bands[0].bits
-        return bits if bits in (1, 2, 4) and (self.nodata or 0) < 2 ** bits else None
+        stored = self.picture.bands[0].bits
+        enough = [bits for bits in (1, 2, 4) if stored is not None and bits >= stored
+                  and (self.nodata or 0) < 2 ** bits]
+        return enough[0] if enough else None
 
 
 def map_pixels(picture: Picture, resampling: str | None, nodata: float | None) -> MapPixels:
@@ -136,7 +140,25 @@ def map_pixels(picture: Picture, resampling: str | None, nodata: float | None) -
                     "GeoTIFF holds one: a mask says what lies outside.")
     elif common is None and made.dtype.kind in "fc":
         common = float("nan")
+    elif common is None and made.table:
+        # QGIS draws a table next to a mask without its colours.
+        common = _unused_index(picture)
     return replace(made, nodata=common, fill=common)
+
+
+def _unused_index(picture: Picture) -> int | None:
+    """Return an index that no pixel has, if there is one: the first beyond the table, or in it."""
+    band = picture.bands[0]
+    used = np.zeros(2 ** (16 if band.type == "UInt16" else 8), dtype=bool)
+    if picture.path is None or band.type not in _WITH_TABLE:
+        return None
+    with open_raster(picture.path) as raster:
+        for _, window in raster.block_windows(band.source):
+            used[raster.read(band.source, window=window).ravel()] = True
+    unused = np.flatnonzero(~used)
+    beyond = unused[unused >= len(band.table)]
+    candidates = beyond if len(beyond) else unused
+    return int(candidates[0]) if len(candidates) else None
 
 
 def _common(values: tuple[float | None, ...]) -> tuple[float | None, bool]:
@@ -297,7 +319,10 @@ def _describe(tiled: Any, made: MapPixels, tags: Mapping[str, str]) -> None:
     colours = [ColorInterp[band.colour] for band in bands]
     tables = [number for number, band in enumerate(bands, 1) if band.table]
     if made.table and made.picture.bands[0].type in _WITH_TABLE and tables[0] == 1:
-        tiled.write_colormap(1, dict(enumerate(made.table)))
+        table = dict(enumerate(made.table))
+        if made.nodata is not None:
+            table.setdefault(int(made.nodata), _WHITE)
+        tiled.write_colormap(1, table)
     elif tables:
         log.warning("Warning: a GeoTIFF holds the colour table of one band of 8 or 16 bits alone; "
                     "the map has the values without colours. gdal_translate -expand rgb makes an "

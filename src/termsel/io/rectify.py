@@ -84,8 +84,8 @@ def rectify(
         pixels are categories (indices of a colour table, bits, classes), else bilinear.
     nodata : float, optional
         Value of the map where it does not show the image; that of the image by default, or NaN for
-        numbers with a fraction. Else the image's alpha band, or a mask inside the file, says where
-        that is, and no value is taken for it.
+        numbers with a fraction, or with a colour table an index that the image does not use. Else
+        the image's alpha band, or a mask inside the file, says where that is.
     bounds : tuple of float, optional
         Least x and y and largest x and y of the map, in the CRS of the control, where only a part
         of the image is wanted.
