@@ -9,12 +9,12 @@ import numpy as np
 
 from termsel.errors import TermselError
 from termsel.files.rasters import (
-from termsel.measurements.features import FloatArray
     open_raster,
     refuse_empty_giant,
     require_rasterio,
     tiff_bytes,
 )
+from termsel.measurements.features import FloatArray
 
 LONGEST = 1000
 """Pixels of the longer side."""
