@@ -42,9 +42,9 @@ class Generation:
 
 def _generation_fault(_solver: Solver, value: Any, problem: Problem, *_args: Any) -> str | None:
     """Return what is wrong with a generation, if anything."""
-    what = of_type(value, Generation)
-    if what is not None:
-        return what.replace("returned", "yielded")
+    fault = of_type(value, Generation)
+    if fault is not None:
+        return fault.replace("returned", "yielded")
     if not isinstance(value.index, int) or isinstance(value.index, bool) or value.index < 0:
         return f"yielded the index {value.index!r:.100}; expected a whole number from 0"
     if not isinstance(value.details, Mapping):
@@ -53,6 +53,7 @@ def _generation_fault(_solver: Solver, value: Any, problem: Problem, *_args: Any
             isinstance(counts, np.ndarray) and counts.ndim == 1 and counts.dtype.kind in "iu"
             and (counts >= 0).all()):
         return "yielded empires that are not an array of counts"
+    # Genes first: an evaluation is held against them.
     if fault := problem.genome.fault(value.genes):
         return f"yielded {fault}"
     return evaluation_fault(problem, value.evaluation, value.genes)

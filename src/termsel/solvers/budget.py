@@ -68,8 +68,8 @@ class Budget:
             (generation.index, self.generations), (ledger.count, self.evaluations),
             (elapsed, self.seconds)) if limit is not None]
         # Without limits a solver that ends by itself may say how far it is.
-        known = generation.details.get("share")
-        return min(1.0, max(shares)) if shares else known
+        solver_share = generation.details.get("share")
+        return min(1.0, max(shares)) if shares else solver_share
 
     def spent(self, generation: Generation, ledger: Ledger) -> bool:
         """Return True if no further generation may begin."""
@@ -87,7 +87,8 @@ class Patience:
     """
 
     def __init__(self, generations: int | None, tolerance: float) -> None:
-        self.generations, self.tolerance = generations, tolerance
+        self.generations = generations
+        self.tolerance = tolerance
         self.idle = 0
         self.violation = np.inf
         self.least: np.ndarray[tuple[int], np.dtype[np.float64]] | None = None
@@ -96,14 +97,18 @@ class Patience:
         """Return True if the generation that has just ended is the last to wait for."""
         if self.generations is None:
             return False
+        # A smaller violation, or a better objective, begins the waiting again.
         if self.least is None or ledger.best[0] < self.violation or self._gained(ledger):
-            self.violation, self.least, self.idle = ledger.best[0], ledger.least.copy(), 0
+            self.violation = ledger.best[0]
+            self.least = ledger.least.copy()
+            self.idle = 0
         else:
             self.idle += 1
         return self.idle >= self.generations
 
     def _gained(self, ledger: Ledger) -> bool:
         assert self.least is not None
-        known = np.isfinite(self.least)  # the first feasible individual is a gain, whatever it has
-        margin = self.tolerance * np.abs(np.where(known, self.least, 0.0))
+        # Infinite until an individual is feasible: the first such one is a gain, whatever it has.
+        reached = np.isfinite(self.least)
+        margin = self.tolerance * np.abs(np.where(reached, self.least, 0.0))
         return bool((ledger.least < self.least - margin).any())

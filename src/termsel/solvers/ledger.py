@@ -99,7 +99,8 @@ class Ledger(ProblemAround):
     def progress(self, generation: Generation, share: float | None, what: str = "") -> Progress:
         """Return the state for observers."""
         genes = generation.genes[0] if self.best_genes is None else self.best_genes
-        return Progress(generation, self.count, share, self.best[1], self.best[0], genes, what)
+        return Progress(generation=generation, evaluations=self.count, share=share,
+                        best=self.best[1], violation=self.best[0], genes=genes, what=what)
 
     def tally(self, generation: Generation) -> HistoryRow:
         """Return the generation's entry in the history."""
@@ -112,46 +113,51 @@ class Ledger(ProblemAround):
     def front(self) -> list[Genes]:
         """Return the feasible non-dominated individuals, by first objective."""
         values = self._values[:len(self._row_of)]
-        objectives, rows = values[:, :-1], np.flatnonzero(values[:, -1] == 0)
+        objectives = values[:, :-1]
+        rows = np.flatnonzero(values[:, -1] == 0)
         rows = rows[np.lexsort(objectives[rows].T[::-1])]
-        kept: list[int] = []
+        front_rows: list[int] = []
         for row in rows:
             # Sorted by the first objective: only an earlier one can dominate or equal.
-            if not (objectives[kept] <= objectives[row]).all(axis=1).any():
-                kept.append(int(row))
+            if not (objectives[front_rows] <= objectives[row]).all(axis=1).any():
+                front_rows.append(int(row))
         keys = list(self._row_of)
-        return [_genes(keys[row], self.genome) for row in kept]
+        return [_genes(keys[row], self.genome) for row in front_rows]
 
     def _look_up(self, genes: Genes, near: Genes | None) -> Evaluation:
         # A front is made of all individuals; of one objective the best is remembered apart.
         if len(self.objectives) == 1 and len(self._row_of) > _KNOWN:
             self._row_of = {}
-        keys, start = _keys(genes), len(self._row_of)
+        keys = _keys(genes)
+        start = len(self._row_of)
         # Twins within the population are evaluated once.
-        new = dict.fromkeys(key for key in keys if key not in self._row_of)
-        end = start + len(new)
-        if new:
-            some = genes
-            if len(new) < len(genes):
+        unknown_keys = dict.fromkeys(key for key in keys if key not in self._row_of)
+        end = start + len(unknown_keys)
+        if unknown_keys:
+            # The first of equal individuals stands for all of them.
+            unknown_genes = genes
+            if len(unknown_keys) < len(genes):
                 first = dict(zip(reversed(keys), range(len(keys) - 1, -1, -1), strict=True))
-                some = genes[[first[key] for key in new]]
-            evaluation = (self.inner.evaluate(some) if near is None
-                          else self.inner.evaluate_near(some, near))
-            if fault := evaluation_fault(self.inner, evaluation, some):
+                unknown_genes = genes[[first[key] for key in unknown_keys]]
+            evaluation = (self.inner.evaluate(unknown_genes) if near is None
+                          else self.inner.evaluate_near(unknown_genes, near))
+            if fault := evaluation_fault(self.inner, evaluation, unknown_genes):
                 raise wrong(self.inner, "evaluate", fault)
+            # At least doubled: in the whole search each row is copied about once.
             if end > len(self._values):
-                more = np.empty((max(len(self._values), len(new)), self._values.shape[1]))
-                self._values = np.concatenate([self._values, more])
+                space = np.empty((max(len(self._values), len(unknown_keys)), self._values.shape[1]))
+                self._values = np.concatenate([self._values, space])
             self._values[start:end, :-1] = evaluation.objectives
             self._values[start:end, -1] = evaluation.violation
-            self._row_of.update(zip(new, range(start, end), strict=True))
-            self._remember(some, evaluation)
+            self._row_of.update(zip(unknown_keys, range(start, end), strict=True))
+            self._remember(unknown_genes, evaluation)
         self.count += len(genes)  # looked up or not, so that budgets mean the same for all solvers
-        self.lookups += len(genes) - len(new)
+        self.lookups += len(genes) - len(unknown_keys)
         rows = np.fromiter(map(self._row_of.__getitem__, keys), np.intp, len(keys))
         return Evaluation(self._values[rows, :-1], self._values[rows, -1])
 
     def _remember(self, genes: Genes, evaluation: Evaluation) -> None:
+        # Of each objective the least that is feasible, of whichever individual: for `Patience`.
         feasible = evaluation.objectives[evaluation.violation == 0]
         self.least = np.minimum(self.least, feasible.min(axis=0, initial=np.inf))
         first = int(evaluation.order()[0])
@@ -165,6 +171,7 @@ class Ledger(ProblemAround):
 
 def _keys(genes: Genes) -> list[bytes]:
     """Return a key for each individual; only equal ones have the same."""
+    # Eight bits a byte; numbers byte by byte, of which 0 and -0 are the same number.
     rows = np.ascontiguousarray(np.packbits(genes, axis=1) if genes.dtype == np.bool_
                                 else genes + genes.dtype.type(0))  # no negative zero
     if not rows.size:

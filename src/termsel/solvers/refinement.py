@@ -40,13 +40,17 @@ def refine(ledger: Ledger, rng: np.random.Generator, generation: Generation | No
     # A budget may be spent within the first generation.
     reached = generation or Generation(0, ledger.best_genes[None], Evaluation(
         ledger.best_objectives[None], np.array([ledger.best[0]])))
-    found, count, lookups = ledger.best[1], ledger.count, ledger.lookups
-    most = (1 + POLISH_SHARE) * count if evaluations is None else evaluations
-    ledger.limit = most if evaluations is not None else \
-        max(most, count + DESCENT // ledger.genome.size)
+    found_objective = ledger.best[1]
+    count = ledger.count
+    lookups = ledger.lookups
+    max_evaluations = (1 + POLISH_SHARE) * count if evaluations is None else evaluations
+    ledger.limit = max_evaluations
+    if evaluations is None:
+        # One look at all neighbours is worth more than the share, however many they are.
+        ledger.limit = max(max_evaluations, count + DESCENT // ledger.genome.size)
 
     def tell() -> None:
-        share = min((ledger.count - count) / max(most - count, 1), 1.0)
+        share = min((ledger.count - count) / max(max_evaluations - count, 1), 1.0)
         progress = ledger.progress(reached, share, "local refinement")
         for observe in observers:
             observe(progress)
@@ -56,29 +60,30 @@ def refine(ledger: Ledger, rng: np.random.Generator, generation: Generation | No
         if len(ledger.objectives) == 1:
             start = ledger.best_genes[None]
             for _ in climb(ledger, start, ledger.evaluate(start), rng):
-                ledger.limit = most  # only the first descent may take more
-                if ledger.count >= most:
+                ledger.limit = max_evaluations  # only the first descent may take more
+                if ledger.count >= max_evaluations:
                     break
         else:
-            _widen(ledger, min(2 * count, most))
+            _widen(ledger, min(2 * count, max_evaluations))
     except BudgetSpent:  # the limits above, or the deadline
         pass
-    return Polish(found, ledger.best[1], ledger.count - count, ledger.lookups - lookups)
+    return Polish(found_objective, ledger.best[1], ledger.count - count, ledger.lookups - lookups)
 
 
-def _widen(ledger: Ledger, most: int) -> None:
+def _widen(ledger: Ledger, max_evaluations: int) -> None:
     """Evaluate all neighbours of all members of the front until no member is new.
 
-    A front of many objectives has very many members, so this ends at `most` evaluations.
+    A front of many objectives has very many members, so this ends at `max_evaluations` evaluations.
     """
-    seen: set[bytes] = set()
+    expanded: set[bytes] = set()
     while True:
-        new = [genes for genes in ledger.front() if genes.tobytes() not in seen]
+        # Each member of the front is expanded once; those found meanwhile in the next round.
+        new = [genes for genes in ledger.front() if genes.tobytes() not in expanded]
         if not new:
             return
         for genes in new:
-            seen.add(genes.tobytes())
+            expanded.add(genes.tobytes())
             for around in moves(genes, ledger):
-                if ledger.count + len(around) > most:
+                if ledger.count + len(around) > max_evaluations:
                     return
                 ledger.evaluate(around)

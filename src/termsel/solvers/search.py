@@ -97,8 +97,8 @@ class Search:
 
     def after(self, earlier: Search, *notes: str) -> Search:
         """Return the search with evaluations and history of an earlier one, and notes on both."""
-        later = tuple(structs.replace(one, evaluations=one.evaluations + earlier.evaluations)
-                      for one in self.history)
+        later = tuple(structs.replace(row, evaluations=row.evaluations + earlier.evaluations)
+                      for row in self.history)
         return replace(self, evaluations=earlier.evaluations + self.evaluations,
                        generations=earlier.generations + self.generations,
                        lookups=earlier.lookups + self.lookups,
@@ -164,15 +164,18 @@ def search(
     evaluations = None if evaluations is None else int(evaluations)
     _require_declared(problem)
     require_able(problem, solver)
-    part = 1 + POLISH_SHARE if polish else 1
+    shares = 1 + POLISH_SHARE if polish else 1
     # A refinement has three quarters; the solver gets the rest.
-    own = None if evaluations is None else max(evaluations // part, 1)
+    solver_evaluations = None if evaluations is None else max(evaluations // shares, 1)
     if not solver.ends_by_itself and not any((generations, evaluations, seconds, patience)):
-        own = EVALUATIONS
+        solver_evaluations = EVALUATIONS
     start = time.perf_counter()
-    budget = Budget(generations, own, None if seconds is None else seconds / part, start)
-    ledger = Ledger(problem, evaluations=own, deadline=budget.deadline, solver=solver)
-    waiting = Patience(patience, tolerance)
+    budget = Budget(generations, solver_evaluations, None if seconds is None else seconds / shares,
+                    start)
+    # What the solver gets is the ledger: it counts, looks up what is known, and ends the search.
+    ledger = Ledger(problem, evaluations=solver_evaluations, deadline=budget.deadline,
+                    solver=solver)
+    convergence = Patience(patience, tolerance)
     generation: Generation | None = None
     refined, interrupted = None, False
     idle = 0
@@ -180,10 +183,10 @@ def search(
     history: list[HistoryRow] = []
     rng = np.random.default_rng(seed)
 
-    def tell(what: str) -> None:
+    def tell(activity: str) -> None:
         reached = generation or Generation(0, np.zeros((1, problem.genome.size), dtype=bool), NONE)
         for observe in observers:
-            observe(ledger.progress(reached, budget.share(reached, ledger), what))
+            observe(ledger.progress(reached, budget.share(reached, ledger), activity))
 
     running = heard(solver.generations(ledger, rng), solver, ledger, tell)
     try:
@@ -196,7 +199,7 @@ def search(
                 history.append(ledger.tally(generation))
                 for observe in observers:
                     observe(progress)
-                if budget.spent(generation, ledger) or waiting.lost(ledger):
+                if budget.spent(generation, ledger) or convergence.lost(ledger):
                     break
                 if idle >= IDLE and not solver.ends_by_itself:
                     notes = (f"The search ended after {IDLE:,} generations in which solver "
@@ -214,13 +217,16 @@ def search(
     if ledger.best_genes is None:
         raise _unevaluated(solver, generation)
     details = generation.details if generation else {}
-    return Search(ledger.best_genes, ledger.best_objectives, ledger.best[0], seed, ledger.count,
-                  generation.index if generation else 0, ledger.lookups,
-                  time.perf_counter() - start, interrupted, refined, details.get("certificate"),
-                  tuple(ledger.front() if len(problem.objectives) > 1
-                        else details.get("front", ())),
-                  details.get("coefficients"), notes, tuple(history), details.get("proof"),
-                  details.get("certificate_content"))
+    # With several objectives the front is made of all that was evaluated, whatever the solver says.
+    front = ledger.front() if len(problem.objectives) > 1 else details.get("front", ())
+    return Search(genes=ledger.best_genes, objectives=ledger.best_objectives,
+                  violation=ledger.best[0], seed=seed, evaluations=ledger.count,
+                  generations=generation.index if generation else 0, lookups=ledger.lookups,
+                  seconds=time.perf_counter() - start, interrupted=interrupted, polish=refined,
+                  certificate=details.get("certificate"), front=tuple(front),
+                  coefficients=details.get("coefficients"), notes=notes, history=tuple(history),
+                  proof=details.get("proof"),
+                  certificate_content=details.get("certificate_content"))
 
 
 def _unevaluated(solver: Solver, generation: Generation | None) -> TermselError:
@@ -242,54 +248,58 @@ def begin(problem: Problem, solver: Solver) -> None:
 
 
 def require_able(problem: Problem, solver: Solver,
-                 others: Callable[[], Iterable[type[Solver]]] = tuple) -> None:
+                 other_solvers: Callable[[], Iterable[type[Solver]]] = tuple) -> None:
     """Refuse a solver that cannot handle the objectives or the genes of the problem.
 
     Of the other solvers the error names those that can.
     """
     _require_declared(problem)
-    wanted = len(problem.objectives)
+    n_objectives = len(problem.objectives)
+    # Both must fit: how many objectives there are, and every type of gene.
     types = {type(segment) for segment in problem.genome.segments}
-    many = solver.min_objectives <= wanted <= solver.max_objectives
-    if many and _handles(solver, types):
+    objectives_fit = solver.min_objectives <= n_objectives <= solver.max_objectives
+    if objectives_fit and _handles(solver, types):
         return
-    able = [other.name for other in others()
-            if other.min_objectives <= wanted <= other.max_objectives
-            and _handles(other, types)]
+    able = [alternative.name for alternative in other_solvers()
+            if alternative.min_objectives <= n_objectives <= alternative.max_objectives
+            and _handles(alternative, types)]
+    # A solver may take other objectives by its options: then it is not advised against itself.
     itself = solver.name in able  # with other options
     able = [name for name in able if name != solver.name]
     hints = [f"Choose one of: {', '.join(able)}."] if able else []
     if itself:
         hints.append(f"Or set its options otherwise (termsel describe {solver.name}).")
     others_hint = " ".join(hints) or None
-    if not many:
+    if not objectives_fit:
         raise TermselError(
-            f"solver {solver.name!r} cannot handle {wanted} objective{'s' if wanted > 1 else ''}: "
-            f"{', '.join(problem.objectives)}", hint=others_hint)
+            f"solver {solver.name!r} cannot handle {n_objectives} "
+            f"objective{'s' if n_objectives > 1 else ''}: {', '.join(problem.objectives)}",
+            hint=others_hint)
     segment = next(s for s in problem.genome.segments if not isinstance(s, tuple(solver.segments)))
-    handled = ", ".join(one.__name__ for one in solver.segments)
+    handled = ", ".join(segment_type.__name__ for segment_type in solver.segments)
     raise TermselError(
         f"solver {solver.name!r} handles genes of the type {handled}; those of {segment.name!r} "
         f"are {type(segment).__name__}", hint=others_hint)
 
 
 def _handles(solver: Solver | type[Solver], types: Iterable[type]) -> bool:
-    return all(issubclass(one, tuple(solver.segments)) for one in types)
+    return all(issubclass(segment_type, tuple(solver.segments)) for segment_type in types)
 
 
 def _require_declared(problem: Problem) -> None:
     """Refuse a genome that is none, and objectives that are not named one by one: the letters of a
     str would be taken."""
-    genome, names = getattr(problem, "genome", None), getattr(problem, "objectives", None)
-    what = ""
+    genome = getattr(problem, "genome", None)
+    names = getattr(problem, "objectives", None)
+    fault = ""
     if not isinstance(genome, Genome):
-        what = f"genome of problem {type(problem).__name__!r} is {genome!r:.200}, not a Genome"
+        fault = f"genome of problem {type(problem).__name__!r} is {genome!r:.200}, not a Genome"
     elif not isinstance(names, tuple | list) or not names \
             or not all(isinstance(name, str) for name in names):
-        what = (f"objectives of problem {type(problem).__name__!r} are {names!r:.200}, not a tuple "
-                "of names")
-    if what:
-        raise TermselError(f"the {what}", hint="This is a bug in the problem: tell its author.")
+        fault = (f"objectives of problem {type(problem).__name__!r} are {names!r:.200}, "
+                 "not a tuple of names")
+    if fault:
+        raise TermselError(f"the {fault}", hint="This is a bug in the problem: tell its author.")
 
 
 def _until_spent(running: Iterator[Generation]) -> Generator[Generation]:

@@ -16,7 +16,8 @@ class OwnChance:
     """
 
     def __init__(self, rng: np.random.Generator) -> None:
-        python, numpy = int(rng.integers(2**63)), int(rng.integers(2**32))
+        python = int(rng.integers(2**63))
+        numpy = int(rng.integers(2**32))
         self._own = (random.Random(python).getstate(),
                      np.random.RandomState(numpy).get_state())
         self._others = self._own
@@ -30,6 +31,7 @@ class OwnChance:
 
 def _exchanged(states: tuple[Any, Any]) -> tuple[Any, Any]:
     """Set the global states; return those there were."""
+    # Both libraries are taken as a pair: some operators of pymoo and DEAP draw from both.
     before = random.getstate(), np.random.get_state()
     random.setstate(states[0])
     np.random.set_state(states[1])

@@ -45,6 +45,7 @@ class Nsga2(Solver):
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
         """Yield generations without end (see `Solver.generations`)."""
+        # All that varies genes is termsel's; pymoo has the survival and the tournaments.
         # pymoo takes long to import, and those who search otherwise know this class, too.
         from termsel.solvers.bridges.pymoo_operators import operators
         from termsel.solvers.bridges.pymoo_problem import steps

@@ -23,7 +23,8 @@ class _Start(Sampling):
 
     def __init__(self, genome: Genome, rng: np.random.Generator) -> None:
         super().__init__()
-        self.genome, self.rng = genome, rng
+        self.genome = genome
+        self.rng = rng
 
     def _do(self, problem: PymooProblem, n_samples: int, **_: Any) -> Genes:
         return self.genome.random(self.rng, n_samples)
@@ -49,7 +50,8 @@ class _Mutate(Mutation):
 
     def __init__(self, genome: Genome, rate: float) -> None:
         super().__init__()
-        self.genome, self.rate = genome, rate
+        self.genome = genome
+        self.rate = rate
 
     def _do(self, problem: PymooProblem, X: Genes, *_: Any, random_state: np.random.Generator,
             **__: Any) -> Genes:
@@ -61,6 +63,7 @@ def operators(genome: Genome, rate: float | None, rng: np.random.Generator) -> d
 
     The rate, the chance that a gene changes, is by default 1 over the number of genes.
     """
+    # On average one gene of an individual changes.
     rate = 1.0 / genome.size if rate is None else rate
     bits = genome.dtype == np.bool_
     return {"sampling": _Start(genome, rng), "crossover": UX() if bits else _Mate(genome),

@@ -34,24 +34,34 @@ class Variables:
 
     def __init__(self, genome: Genome) -> None:
         self.genome = genome
-        self.kinds = [segment.dtype for segment in genome.segments for _ in range(segment.size)]
+        self.kinds: list[type] = []
+        names = []
+        for segment in genome.segments:
+            self.kinds += [segment.dtype] * segment.size
+            names += [f"{segment.name}.{i}" for i in range(segment.size)]
         low, high = _bounds(genome)
-        names = [f"{segment.name}.{i}" for segment in genome.segments for i in range(segment.size)]
-        self.named = {name: _variable(kind, *ends) for name, kind, *ends in zip(
-            names, self.kinds, low.tolist(), high.tolist(), strict=True)}
+        # In the order of the genes.
+        self.named = {}
+        for name, kind, lowest, highest in zip(names, self.kinds, low.tolist(), high.tolist(),
+                                               strict=True):
+            self.named[name] = _variable(kind, lowest, highest)
 
     def genes(self, X: Any) -> Genes:
         """Return the genes (p, size) of variables; they may not be valid."""
         if len(X) and isinstance(X[0], dict):
-            X = [[one[name] for name in self.named] for one in X]
+            X = [list(map(variables.__getitem__, self.named)) for variables in X]
         return np.asarray(X, dtype=bool if self.genome.dtype == np.bool_ else float)
 
     def like(self, X: Any, genes: Genes) -> Any:
         """Return genes in the form of variables."""
         if not (len(X) and isinstance(X[0], dict)):
             return genes
-        return np.array([{name: kind(value) for name, kind, value in zip(
-            self.named, self.kinds, row, strict=True)} for row in genes.tolist()])
+        # Each value by its own type: pymoo's operators for mixed variables tell them apart by it.
+        individuals = []
+        for row in genes.tolist():
+            values = zip(self.named, self.kinds, row, strict=True)
+            individuals.append({name: kind(value) for name, kind, value in values})
+        return np.array(individuals)
 
 
 def _variable(kind: type, low: float, high: float) -> Variable:
@@ -65,7 +75,8 @@ class Keep(Repair):
 
     def __init__(self, genome: Genome, rng: np.random.Generator) -> None:
         super().__init__()
-        self.variables, self.rng = Variables(genome), rng
+        self.variables = Variables(genome)
+        self.rng = rng
 
     def _do(self, problem: PymooProblem, X: Any, **_: Any) -> Any:
         genes = self.variables.genes(X)
@@ -80,13 +91,15 @@ class _Posed(PymooProblem):
         low, high = (0, 1) if bits else _bounds(problem.genome)
         super().__init__(n_var=problem.genome.size, n_obj=len(problem.objectives), n_ieq_constr=1,
                          xl=low, xu=high, vtype=bool if bits else None, **options)
-        self.problem, self.variables = problem, Variables(problem.genome)
+        self.problem = problem
+        self.variables = Variables(problem.genome)
         # Not as an argument: it would make the bounds dicts, which arrays cannot have.
         self.vars = self.variables.named
 
     def _evaluate(self, X: Any, out: dict[str, Any], *_: Any, **__: Any) -> None:
         genome = self.problem.genome
         genes = self.variables.genes([X] if self.elementwise else X)
+        # G is the only constraint: the violation, and for bits what of the genome is broken.
         broken = np.zeros(len(genes))
         if genome.dtype == np.bool_:
             # pymoo's own operators know of no forced genes and counts.
@@ -102,19 +115,23 @@ def _broken(problem: Problem, genes: Genes) -> FloatArray:
     """Return how many genes break what is forced, and counts of segments, shape (p,)."""
     genome = problem.genome
     count: FloatArray = ((genes & genome.off) | (~genes & genome.on)).sum(axis=1).astype(float)
-    for segment, where in zip(genome.segments, genome.slices().values(), strict=True):
+    for segment, columns in zip(genome.segments, genome.slices().values(), strict=True):
         assert isinstance(segment, Bits)  # of which this genome is
-        on = genes[:, where].sum(axis=1)
+        on = genes[:, columns].sum(axis=1)
         count += np.maximum(on - segment.most, 0) + np.maximum(segment.minimum - on, 0)
     return count
 
 
 def _bounds(genome: Genome) -> tuple[FloatArray, FloatArray]:
     """Return the range of each gene, shape (g,) each."""
-    sides = [[np.broadcast_to(np.array(one, dtype=float), segment.size) for one in segment.limits]
-             for segment in genome.segments]
-    low, high = map(np.concatenate, zip(*sides, strict=True))
-    return low, high
+    low = []
+    high = []
+    for segment in genome.segments:
+        # A segment has one limit for all of its genes, or one for each.
+        lowest, highest = segment.limits
+        low.append(np.broadcast_to(np.array(lowest, dtype=float), segment.size))
+        high.append(np.broadcast_to(np.array(highest, dtype=float), segment.size))
+    return np.concatenate(low), np.concatenate(high)
 
 
 def to_pymoo(problem: Problem, *, elementwise_runner: Callable[..., Any] | None = None
@@ -166,14 +183,16 @@ class _Tournament:
     """A comparison for tournaments whose draws between equally infeasible ones have a seed."""
 
     def __init__(self, compare: Callable[..., Any], rng: np.random.Generator) -> None:
-        self.compare, self.rng = compare, rng
+        self.compare = compare
+        self.rng = rng
 
-    def __call__(self, pop: Population, P: IntArray, **given: Any) -> Any:
-        violation, P = pop.get("CV")[:, 0], P.copy()
+    def __call__(self, pop: Population, P: IntArray, **arguments: Any) -> Any:
+        violation = pop.get("CV")[:, 0]
+        P = P.copy()
         draws = (violation[P[:, 0]] > 0) & (violation[P] == violation[P[:, :1]]).all(axis=1)
         # Of an individual and itself only one can be drawn.
         P[draws] = self.rng.permuted(P[draws], axis=1)[:, :1]
-        return self.compare(pop, P, **given)
+        return self.compare(pop, P, **arguments)
 
 
 def _begun(algorithm: Algorithm, posed: _Posed, rng: np.random.Generator, horizon: int) -> None:
@@ -181,10 +200,11 @@ def _begun(algorithm: Algorithm, posed: _Posed, rng: np.random.Generator, horizo
     # By default pymoo gives all algorithms of a class one survival, with what an earlier run left.
     if survival := getattr(algorithm, "survival", None):
         algorithm.survival = deepcopy(survival)
-    for part in (getattr(algorithm, "initialization", None), getattr(algorithm, "mating", None)):
+    for operator in (getattr(algorithm, "initialization", None),
+                     getattr(algorithm, "mating", None)):
         # Before duplicates are told: a selection may be repaired to another one's.
-        if part is not None and isinstance(part.repair, NoRepair):
-            part.repair = Keep(posed.problem.genome, rng)
+        if operator is not None and isinstance(operator.repair, NoRepair):
+            operator.repair = Keep(posed.problem.genome, rng)
     if isinstance(algorithm, NSGA3 | NicheGA):  # whose tournaments have a generator without a seed
         algorithm.mating.selection = selection = copy(algorithm.mating.selection)
         selection.func_comp = _Tournament(selection.func_comp, rng)
@@ -200,27 +220,31 @@ def steps(algorithm: Algorithm, problem: Problem, rng: np.random.Generator,
     horizon is the number of generations that RVEA, which adapts to how far a run is, takes for the
     length of it; by default those of the usual budget. The chance is what global states give.
     """
-    genome, posed, chance = problem.genome, _Posed(problem), chance or OwnChance(rng)
+    genome = problem.genome
+    pymoo_problem = _Posed(problem)
+    chance = chance or OwnChance(rng)
     # RVEA alone asks how long a run will be.
     expected = horizon or max(EVALUATIONS // (getattr(algorithm, "pop_size", None) or 1), 1)
     with blamed(algorithm, "setup", CHECK), chance:
-        _begun(algorithm, posed, rng, expected)
+        _begun(algorithm, pymoo_problem, rng, expected)
     for index in itertools.count():
         with blamed(algorithm, "ask", CHECK), chance:
             offspring = algorithm.ask()
         if offspring is None or not len(offspring):
             return  # every offspring is a duplicate: there is nothing left to try
-        asked = offspring.get("X")
-        genes = genome.repair(posed.variables.genes(asked), rng)
-        offspring.set("X", posed.variables.like(asked, genes))
+        variables = offspring.get("X")
+        genes = genome.repair(pymoo_problem.variables.genes(variables), rng)
+        offspring.set("X", pymoo_problem.variables.like(variables, genes))
         evaluation = problem.evaluate(genes)
         offspring.set("F", evaluation.objectives)
         offspring.set("G", evaluation.violation[:, None])
-        for one in offspring:  # else pymoo would evaluate them again
-            one.evaluated.update({"F", "G"})
+        for individual in offspring:  # else pymoo would evaluate them again
+            individual.evaluated.update({"F", "G"})
         with blamed(algorithm, "tell", CHECK), chance:
             # The repaired genes are those that survive or not.
             algorithm.tell(infills=offspring)
-        people = algorithm.pop
-        yield Generation(index, posed.variables.genes(people.get("X")).astype(genome.dtype),
-                         Evaluation(people.get("F"), np.maximum(people.get("G")[:, 0], 0.0)))
+        population = algorithm.pop
+        survivors = pymoo_problem.variables.genes(population.get("X")).astype(genome.dtype)
+        # A constraint of pymoo is kept where it is not positive; a violation is never negative.
+        violation = np.maximum(population.get("G")[:, 0], 0.0)
+        yield Generation(index, survivors, Evaluation(population.get("F"), violation))

@@ -23,28 +23,31 @@ class _Silence:
     """Says how long a solver has neither yielded nor evaluated, from a thread of its own."""
 
     def __init__(self, solver: Solver, ledger: Ledger, tell: Callable[[str], None]) -> None:
-        self.solver, self.ledger, self.tell = solver, ledger, tell
+        self.solver = solver
+        self.ledger = ledger
+        self.tell = tell
         self.over = Event()
         self.running = True
         self.heard()
 
     def heard(self) -> None:
         """Note that something has happened."""
-        self.since, self.count = time.perf_counter(), self.ledger.count
+        self.since = time.perf_counter()
+        self.count = self.ledger.count
 
     def watch(self) -> None:
         """Say it once in the log, and again and again in the progress, until it is over."""
-        said = False
+        logged = False
         while not self.over.wait(_EVERY):
             if self.ledger.count != self.count or not self.running:
                 self.heard()
             if (quiet := time.perf_counter() - self.since) < LONG:
                 continue
-            what = f"{name_of(self.solver)} has yielded nothing for {quiet:.0f} s"
-            if not said:
-                said = True
-                log.info("Note: %s. Ctrl-C ends the run with the best so far.", what)
-            self.tell(what)
+            message = f"{name_of(self.solver)} has yielded nothing for {quiet:.0f} s"
+            if not logged:
+                logged = True
+                log.info("Note: %s. Ctrl-C ends the run with the best so far.", message)
+            self.tell(message)
 
 
 def heard(running: Iterator[Generation], solver: Solver, ledger: Ledger,

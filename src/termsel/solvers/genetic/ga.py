@@ -23,7 +23,7 @@ def tournament(order: IntArray, n: int, size: int, rng: np.random.Generator) -> 
 
     The order (p,) is of individuals from best to worst.
     """
-    # Places in the order: the least of those drawn is the winner.
+    # Ranks are drawn, with replacement: the least of those of a tournament is the winner.
     drawn: IntArray = rng.integers(0, len(order), (n, size)).min(axis=1)
     return order[drawn]
 
@@ -39,9 +39,9 @@ def two_best(order: IntArray, n: int) -> IntArray:
 def evenly(genome: Genome, rng: np.random.Generator, n: int) -> Genes:
     """Return n individuals, shape (n, size), whose bits are on with chance 1/2; others as ever."""
     genes = genome.random(rng, n)
-    for segment, where in zip(genome.segments, genome.slices().values(), strict=True):
+    for segment, columns in zip(genome.segments, genome.slices().values(), strict=True):
         if isinstance(segment, Bits):
-            genes[:, where] = rng.random((n, len(segment.labels))) < 0.5
+            genes[:, columns] = rng.random((n, len(segment.labels))) < 0.5
     return genome.repair(genes, rng)
 
 
@@ -82,7 +82,8 @@ class GeneticAlgorithm(Solver):
         """Return the DEAP toolbox: population, evaluate, select, mate and mutate."""
         o = self.options
         box = base.Toolbox()
-        # A GA with a first population of its own has no such option.
+        # DEAP's toolbox is a register of functions with their arguments, any of which may be
+        # replaced. A GA with a first population of its own has no such option.
         draw = evenly if o.get("first") == "half" else Genome.random
         box.register("population", draw, problem.genome, rng, o["population"])
         box.register("evaluate", problem.evaluate)
@@ -112,12 +113,13 @@ class GeneticAlgorithm(Solver):
         evaluation = box.evaluate(genes)
         yield Generation(0, genes, evaluation)
         for index in itertools.count(1):
-            kept = self.survivors(genes, evaluation)
-            children = self.children(box, genes, evaluation, len(genes) - len(kept))
+            survivors = self.survivors(genes, evaluation)
+            children = self.children(box, genes, evaluation, len(genes) - len(survivors))
+            # Operators may break forced genes and counts: nothing else is ever evaluated.
             children = problem.genome.repair(children, rng)
             offspring = box.evaluate(children)
-            genes = np.concatenate([genes[kept], children])
+            genes = np.concatenate([genes[survivors], children])
             evaluation = Evaluation(
-                np.concatenate([evaluation.objectives[kept], offspring.objectives]),
-                np.concatenate([evaluation.violation[kept], offspring.violation]))
+                np.concatenate([evaluation.objectives[survivors], offspring.objectives]),
+                np.concatenate([evaluation.violation[survivors], offspring.violation]))
             yield Generation(index, genes, evaluation)

@@ -48,11 +48,12 @@ class Coding:
     def genes(self, tuples: IntArray) -> Genes:
         """Return genes, shape (p, size), from chromosomes (p, m)."""
         size = len(self.forced)
-        chosen = np.zeros((len(tuples), size + 1), dtype=bool)  # blanks write to the last place
+        mask = np.zeros((len(tuples), size + 1), dtype=bool)  # blanks write to the last place
+        # Numbers from n on are blanks, which all stand for the place behind the last label.
         label = np.concatenate([self.free, np.full(self.blanks, size)])
-        np.put_along_axis(chosen, label[tuples], True, axis=1)
-        chosen = chosen[:, :size] | self.forced
-        return self.segment.members(chosen)
+        np.put_along_axis(mask, label[tuples], True, axis=1)
+        mask = mask[:, :size] | self.forced
+        return self.segment.members(mask)
 
 
 def coding(genome: Genome) -> Coding:
@@ -65,9 +66,11 @@ def coding(genome: Genome) -> Coding:
                  "max_features=12, or use --solver ga.")
     segment = genome.segments[0]
     assert isinstance(segment, Bits | Subset)  # what the solver declares
-    free, forced = np.flatnonzero(genome.free), int(genome.on.sum())
-    most = min(segment.most - forced, len(free))
-    return Coding(free, most, most - max(segment.minimum - forced, 0), genome.on, segment)
+    free = np.flatnonzero(genome.free)
+    forced = int(genome.on.sum())
+    # Forced genes are in no tuple: m and the blanks are of the free ones alone.
+    m = min(segment.most - forced, len(free))
+    return Coding(free, m, m - max(segment.minimum - forced, 0), genome.on, segment)
 
 
 class SteadyStateGA(GeneticAlgorithm):
@@ -137,8 +140,8 @@ class SteadyStateGA(GeneticAlgorithm):
     def children(self, box: base.Toolbox, genes: Genes, evaluation: Evaluation,
                  n: int) -> Genes:
         """Return n new chromosomes: bred ones, then immigrants."""
-        fresh = round(self.options["immigrants"] * n)
-        parents = box.tuples(genes[box.select(evaluation.order(), n - fresh)])
+        n_immigrants = round(self.options["immigrants"] * n)
+        parents = box.tuples(genes[box.select(evaluation.order(), n - n_immigrants)])
         bred = box.mutate(box.mate(parents))
-        children: Genes = box.genes(np.concatenate([bred, box.immigrants(fresh)]))
+        children: Genes = box.genes(np.concatenate([bred, box.immigrants(n_immigrants)]))
         return children

@@ -44,13 +44,15 @@ def crossover(genes: Genes, genome: Genome, probability: float,
         return uniform_crossover(genes, probability, rng)
     # An odd individual at the end stays as it is.
     pairs = len(genes) // 2
-    first, second = slice(0, 2 * pairs, 2), slice(1, 2 * pairs, 2)
+    # Parents stand in turn, and so do their children.
+    first = slice(0, 2 * pairs, 2)
+    second = slice(1, 2 * pairs, 2)
     mates = rng.random((pairs, 1)) < probability
     children = genes.copy()
-    for segment, where in zip(genome.segments, genome.slices().values(), strict=True):
-        one, other = _crossed(segment, genes[first, where], genes[second, where], rng)
-        children[first, where] = np.where(mates, one, genes[first, where])
-        children[second, where] = np.where(mates, other, genes[second, where])
+    for segment, columns in zip(genome.segments, genome.slices().values(), strict=True):
+        child_1, child_2 = _crossed(segment, genes[first, columns], genes[second, columns], rng)
+        children[first, columns] = np.where(mates, child_1, genes[first, columns])
+        children[second, columns] = np.where(mates, child_2, genes[second, columns])
     return children
 
 
@@ -65,51 +67,54 @@ def mutation(genes: Genes, genome: Genome, probability: float,
     if genome.dtype == np.bool_:
         return flip_bits(genes, probability, rng)
     mutants = genes.copy()
-    for segment, where in zip(genome.segments, genome.slices().values(), strict=True):
-        mutants[:, where] = _mutated(segment, genes[:, where], probability, rng)
+    for segment, columns in zip(genome.segments, genome.slices().values(), strict=True):
+        mutants[:, columns] = _mutated(segment, genes[:, columns], probability, rng)
     return mutants
 
 
-def _crossed(segment: AnySegment, one: Genes, other: Genes,
+def _crossed(segment: AnySegment, parents_1: Genes, parents_2: Genes,
              rng: np.random.Generator) -> tuple[Genes, Genes]:
     """Return two children of each pair of parents."""
     match segment:
         case Integers() | Reals():
-            return _blended(segment, one, other, rng)
+            return _blended(segment, parents_1, parents_2, rng)
         case Permutation():
-            return _ordered(one, other, rng)
+            return _ordered(parents_1, parents_2, rng)
         case Subset():
             # Parents in turn, as `set_crossover` takes them; who mates is decided by its caller.
-            both = np.stack([one, other], axis=1).reshape(2 * len(one), segment.m)
-            children = set_crossover(both, 1.0, rng)
+            pairs = np.stack([parents_1, parents_2], axis=1)
+            parents = pairs.reshape(2 * len(parents_1), segment.m)
+            children = set_crossover(parents, 1.0, rng)
             return children[::2], children[1::2]
         case CustomSegment():
-            return segment.crossed(one, other, rng)
+            return segment.crossed(parents_1, parents_2, rng)
         case _:
-            swap = rng.random(one.shape) < 0.5
-            return np.where(swap, other, one), np.where(swap, one, other)
+            swap = rng.random(parents_1.shape) < 0.5
+            return np.where(swap, parents_2, parents_1), np.where(swap, parents_1, parents_2)
 
 
-def _blended(segment: Integers | Reals, one: Genes, other: Genes,
+def _blended(segment: Integers | Reals, parents_1: Genes, parents_2: Genes,
              rng: np.random.Generator) -> tuple[Genes, Genes]:
     from pymoo.operators.crossover.sbx import cross_sbx
 
-    n = (len(one), 1)
+    # Of each pair the spread, the chance that a number is crossed, and that children change places.
+    each_pair = (len(parents_1), 1)
     children = cross_sbx(
-        np.stack([one, other]).astype(np.float64), np.array(segment.low, dtype=np.float64),
-        np.array(segment.high, dtype=np.float64), np.full(n, SPREAD_OF_CHILDREN), 0.5,
-        np.full(n, 0.5), random_state=rng)
+        np.stack([parents_1, parents_2]).astype(np.float64),
+        np.array(segment.low, dtype=np.float64), np.array(segment.high, dtype=np.float64),
+        np.full(each_pair, SPREAD_OF_CHILDREN), 0.5, np.full(each_pair, 0.5), random_state=rng)
     return segment.repaired(children[0]), segment.repaired(children[1])
 
 
-def _ordered(one: Genes, other: Genes, rng: np.random.Generator) -> tuple[Genes, Genes]:
+def _ordered(parents_1: Genes, parents_2: Genes, rng: np.random.Generator) -> tuple[Genes, Genes]:
     from pymoo.operators.crossover.ox import ox, random_sequence
 
-    children = one.copy(), other.copy()
-    if one.shape[1] > 1:
-        for i, (a, b) in enumerate(zip(one, other, strict=True)):
-            ends = random_sequence(len(a), random_state=rng)
-            children[0][i], children[1][i] = ox(a, b, seq=ends), ox(b, a, seq=ends)
+    children = parents_1.copy(), parents_2.copy()
+    if parents_1.shape[1] > 1:
+        for i, (parent_1, parent_2) in enumerate(zip(parents_1, parents_2, strict=True)):
+            ends = random_sequence(len(parent_1), random_state=rng)
+            children[0][i] = ox(parent_1, parent_2, seq=ends)
+            children[1][i] = ox(parent_2, parent_1, seq=ends)
     return children
 
 
@@ -120,9 +125,9 @@ def _mutated(segment: AnySegment, genes: Genes, probability: float,
             return flip_bits(genes.astype(bool), probability, rng)
         case Categories():
             # Any other one: 1 to n - 1 places on, in a circle.
-            other = (genes + rng.integers(1, max(len(segment.choices), 2), genes.shape)
+            categories = (genes + rng.integers(1, max(len(segment.choices), 2), genes.shape)
                      ) % len(segment.choices)
-            return np.where(rng.random(genes.shape) < probability, other, genes)
+            return np.where(rng.random(genes.shape) < probability, categories, genes)
         case Integers() | Reals():
             return _polynomial(segment, genes, probability, rng)
         case Permutation():
@@ -145,13 +150,15 @@ def _polynomial(segment: Integers | Reals, genes: Genes, probability: float,
     if isinstance(segment, Integers):
         # A change that rounding would undo is one step in its direction.
         step = np.where(mutants > genes, 1, np.where(mutants < genes, -1, 0))
-        whole = np.rint(mutants)
-        mutants = np.where(whole == genes, genes + step, whole)
+        rounded = np.rint(mutants)
+        mutants = np.where(rounded == genes, genes + step, rounded)
     return segment.repaired(mutants)
 
 
 def _reversed_parts(genes: Genes, probability: float, rng: np.random.Generator) -> Genes:
-    mutants, n = genes.copy(), genes.shape[1]
+    # Inversion: neighbours stay neighbours, but for the two ends of the part.
+    mutants = genes.copy()
+    n = genes.shape[1]
     if n > 1:
         for row in mutants[rng.random(len(genes)) < probability]:
             start, end = np.sort(rng.choice(n, 2, replace=False))
@@ -165,7 +172,8 @@ def uniform_crossover(genes: Genes, probability: float, rng: np.random.Generator
     Rows 0 and 1 are a pair, 2 and 3, and so on, which mates with the given chance.
     """
     pairs = len(genes) // 2
-    first, second = genes[0:2 * pairs:2], genes[1:2 * pairs:2]
+    first = genes[0:2 * pairs:2]
+    second = genes[1:2 * pairs:2]
     swap = rng.random(first.shape) < 0.5
     swap &= rng.random((pairs, 1)) < probability
     children = genes.copy()
@@ -185,20 +193,21 @@ def set_crossover(tuples: IntArray, probability: float, rng: np.random.Generator
     Parents are tuples (p, m), each row ascending; rows 0 and 1 are a pair, 2 and 3, and so on,
     which mates with the given chance. So are their children, two per pair, without repetition.
     """
-    pairs, m = len(tuples) // 2, tuples.shape[1]
-    # Numbers of both parents stand twice, next to each other.
-    both = np.sort(tuples[:2 * pairs].reshape(pairs, 2 * m), axis=1)
-    twin = np.zeros(both.shape, dtype=bool)
-    twin[:, 1:] = both[:, 1:] == both[:, :-1]
+    pairs = len(tuples) // 2
+    m = tuples.shape[1]
+    # Sorted, the numbers that both parents have stand twice, next to each other.
+    numbers = np.sort(tuples[:2 * pairs].reshape(pairs, 2 * m), axis=1)
+    twin = np.zeros(numbers.shape, dtype=bool)
+    twin[:, 1:] = numbers[:, 1:] == numbers[:, :-1]
     mates = rng.random(pairs) < probability
     children = tuples.copy()
     for child in (0, 1):
         # Shared numbers come first, once; then numbers of one parent, shuffled.
-        key = rng.random(both.shape)
+        key = rng.random(numbers.shape)
         key[twin] = -1.0
         key[:, :-1][twin[:, 1:]] = 2.0
-        chosen = np.take_along_axis(both, key.argsort(axis=1)[:, :m], axis=1)
-        children[child:2 * pairs:2][mates] = np.sort(chosen[mates], axis=1)
+        members = np.take_along_axis(numbers, key.argsort(axis=1)[:, :m], axis=1)
+        children[child:2 * pairs:2][mates] = np.sort(members[mates], axis=1)
     return children
 
 
@@ -210,15 +219,16 @@ def replace_one(tuples: IntArray, n: int, probability: float,
     chance.
     """
     p, m = tuples.shape
+    # Who mutates is drawn first, also where nobody can: the stream of chance stays the same.
     mutants = np.flatnonzero(rng.random(p) < probability)
     if not m or m == n:
         return tuples
-    gone = rng.integers(0, m, len(mutants))
+    dropped = rng.integers(0, m, len(mutants))
     # The r-th number that is not in a row: r moves up by one for each member before it.
     rank = rng.integers(0, n - m, len(mutants))
-    before = tuples[mutants] - np.arange(m) <= rank[:, None]
+    smaller = tuples[mutants] - np.arange(m) <= rank[:, None]
     changed = tuples.copy()
-    changed[mutants, gone] = rank + before.sum(axis=1)
+    changed[mutants, dropped] = rank + smaller.sum(axis=1)
     return np.sort(changed, axis=1)
 
 
@@ -232,7 +242,8 @@ def steps(segment: AnySegment, genes: Genes) -> Iterator[Genes]:
     n = segment.size
     match segment:
         case Integers() | Reals():
-            low, high = np.array(segment.low), np.array(segment.high)
+            low = np.array(segment.low)
+            high = np.array(segment.high)
             for i in range(n):
                 reach = (high[i] - low[i]) * 0.5 ** np.arange(1, HALVINGS + 1)
                 if isinstance(segment, Integers):
@@ -247,15 +258,15 @@ def steps(segment: AnySegment, genes: Genes) -> Iterator[Genes]:
                 yield _with(genes, i, values[values != genes[i]])
         case Permutation():
             for i in range(n - 1):  # each pair once
-                around = np.repeat(genes[None], n - 1 - i, axis=0)
-                around[:, i] = genes[i + 1:]
-                around[np.arange(n - 1 - i), np.arange(i + 1, n)] = genes[i]
-                yield around
+                exchanged = np.repeat(genes[None], n - 1 - i, axis=0)
+                exchanged[:, i] = genes[i + 1:]
+                exchanged[np.arange(n - 1 - i), np.arange(i + 1, n)] = genes[i]
+                yield exchanged
         case Subset():
             # Members stay sorted: a set has one chromosome.
-            others = np.setdiff1d(np.arange(len(segment.labels)), genes)
+            outsiders = np.setdiff1d(np.arange(len(segment.labels)), genes)
             for i in range(n):
-                yield np.sort(_with(genes, i, others), axis=1)
+                yield np.sort(_with(genes, i, outsiders), axis=1)
         case CustomSegment():
             yield from segment.steps(genes)
         case Bits():  # see `swap.neighbours`
@@ -264,9 +275,9 @@ def steps(segment: AnySegment, genes: Genes) -> Iterator[Genes]:
 
 def _with(genes: Genes, i: int, values: Genes) -> Genes:
     """Return copies of genes with other values at one place."""
-    around = np.repeat(genes[None], len(values), axis=0)
-    around[:, i] = values
-    return around
+    copies = np.repeat(genes[None], len(values), axis=0)
+    copies[:, i] = values
+    return copies
 
 
 def n_keys(genome: Genome) -> int:
@@ -281,11 +292,12 @@ def from_keys(keys: FloatArray, genome: Genome) -> Genes:
     bit is on above one half; a number is at that share of its range; of categories the greatest key
     is taken; keys in their order are a permutation; the m greatest are a subset.
     """
+    # A segment takes as many keys as it needs, which may be more than it has genes.
     genes = np.empty((len(keys), genome.size), dtype=genome.dtype)
     start = 0
-    for segment, where in zip(genome.segments, genome.slices().values(), strict=True):
+    for segment, columns in zip(genome.segments, genome.slices().values(), strict=True):
         count = _keys_of(segment)
-        genes[:, where] = _unlocked(segment, keys[:, start:start + count])
+        genes[:, columns] = _unlocked(segment, keys[:, start:start + count])
         start += count
     return genes
 
@@ -307,19 +319,21 @@ def _unlocked(segment: AnySegment, keys: FloatArray) -> Genes:
         case Bits():
             return keys > 0.5
         case Reals():
-            low, high = np.array(segment.low), np.array(segment.high)
+            low = np.array(segment.low)
+            high = np.array(segment.high)
             return segment.repaired(low + keys * (high - low))
         case Integers():
-            low, high = np.array(segment.low), np.array(segment.high)
+            low = np.array(segment.low)
+            high = np.array(segment.high)
             # Each whole number has the same share of the keys.
             return segment.repaired(np.floor(low + keys * (high - low + 1)))
         case Categories():
-            of_each = keys.reshape(len(keys), segment.size, -1)
-            return np.asarray(of_each.argmax(axis=2))
+            keys_of_genes = keys.reshape(len(keys), segment.size, -1)
+            return np.asarray(keys_of_genes.argmax(axis=2))
         case Permutation():
             return keys.argsort(axis=1)
         case Subset():
-            chosen: IntArray = np.argsort(-keys, axis=1)[:, :segment.m]
-            return np.sort(chosen, axis=1)
+            members: IntArray = np.argsort(-keys, axis=1)[:, :segment.m]
+            return np.sort(members, axis=1)
         case CustomSegment():
             return segment.unlocked(keys)

@@ -22,8 +22,8 @@ def costs(evaluation: Evaluation) -> FloatArray:
     cost = evaluation.objectives[:, 0].copy()
     failed = evaluation.violation > 0
     feasible = cost[~failed] if not failed.all() else np.zeros(1)
-    judged = np.column_stack([evaluation.violation, cost])[failed]
-    levels, rank = np.unique(judged, axis=0, return_inverse=True)
+    ranked = np.column_stack([evaluation.violation, cost])[failed]
+    levels, rank = np.unique(ranked, axis=0, return_inverse=True)
     # The worst feasible cost and a penalty by rank, up to the spread of the feasible costs: in
     # proportion to the violation it would dominate these in equations (5), (8) and (9).
     worst = feasible.max()
@@ -52,10 +52,11 @@ def sizes(share: FloatArray, colonies: int) -> IntArray:
     Rounded by largest remainder: as in the paper wherever its rounded numbers add up to the
     number of colonies, which is not always so.
     """
-    wanted = share * colonies
-    size = np.floor(wanted).astype(np.intp)
+    exact_sizes = share * colonies
+    # Of the whole numbers below, each empire then is at most one colony short.
+    size = np.floor(exact_sizes).astype(np.intp)
     # The largest remainders get one more each until all colonies are given.
-    size[np.argsort(size - wanted, kind="stable")[:colonies - size.sum()]] += 1
+    size[np.argsort(size - exact_sizes, kind="stable")[:colonies - size.sum()]] += 1
     return size
 
 
@@ -87,12 +88,13 @@ def total_power(cost: FloatArray, empire: IntArray, imperialists: IntArray,
     imperialist (k,). `alpha` weighs the mean cost of the colonies; that of an empire without
     colonies is the cost of its imperialist.
     """
+    # TC = cost(imperialist) + alpha mean cost(colonies), equation (8).
     k = len(imperialists)
-    own = cost[imperialists]
+    imperialist_cost = cost[imperialists]
     count = np.bincount(empire, minlength=k) - 1
-    total = np.bincount(empire, weights=cost, minlength=k) - own
-    mean = np.where(count > 0, total / np.maximum(count, 1), own)
-    return own + alpha * mean
+    total = np.bincount(empire, weights=cost, minlength=k) - imperialist_cost
+    mean = np.where(count > 0, total / np.maximum(count, 1), imperialist_cost)
+    return imperialist_cost + alpha * mean
 
 
 def normalised_power(power: FloatArray) -> FloatArray:
@@ -102,12 +104,14 @@ def normalised_power(power: FloatArray) -> FloatArray:
     zero counts as 10^-12 of the largest. If a power is negative, as with an information
     criterion, all are shifted until the least equals their spread.
     """
-    least, most = power.min(), power.max()
-    if least < 0:
-        power, most = power - least + (most - least), 2 * (most - least)
-    if most <= 0:  # all are 0, and so equal
+    lowest = power.min()
+    highest = power.max()
+    if lowest < 0:
+        power = power - lowest + (highest - lowest)
+        highest = 2 * (highest - lowest)
+    if highest <= 0:  # all are 0, and so equal
         return np.ones(len(power))
-    return np.asarray(most / np.maximum(power, 1e-12 * most))
+    return np.asarray(highest / np.maximum(power, 1e-12 * highest))
 
 
 def possession(normalised: FloatArray) -> FloatArray:
@@ -129,6 +133,7 @@ class Empires:
         # In a tie the imperialist stays: colonies come after it.
         ruled = np.ones(len(cost), dtype=bool)
         ruled[self.imperialists] = False
+        # By empire, then by cost: the first of each empire is its best country.
         order = np.lexsort((ruled, cost, self.empire))
         first = np.searchsorted(self.empire[order], np.arange(len(self.imperialists)))
         return Empires(self.empire, order[first], self.names)
@@ -144,17 +149,17 @@ class Empires:
         k = len(self.imperialists)
         # D = Pr - R: chance decides where powers are about equal.
         winner = int(np.argmax(possession(normalised_power(power)) - drawn))
-        held = np.bincount(self.empire, minlength=k) > 1  # the imperialist is one of them
-        weakest = int(np.argmax(np.where(held, power, -np.inf)))
-        taken = self.empire == weakest
-        taken[self.imperialists] = False
+        has_colonies = np.bincount(self.empire, minlength=k) > 1  # the imperialist is one of them
+        weakest = int(np.argmax(np.where(has_colonies, power, -np.inf)))
+        is_colony = self.empire == weakest
+        is_colony[self.imperialists] = False
         empire = self.empire.copy()
-        empire[np.argmax(np.where(taken, cost, -np.inf))] = winner
-        alive = np.bincount(empire, minlength=k) > 1  # one that has lost its last colony vanishes
+        empire[np.argmax(np.where(is_colony, cost, -np.inf))] = winner
+        # An empire that has lost its last colony vanishes: its imperialist is a colony now.
+        alive = np.bincount(empire, minlength=k) > 1
         empire[~alive[empire]] = winner
         renumbered = np.cumsum(alive) - 1
         return Empires(renumbered[empire], self.imperialists[alive], self.names[alive])
-
 
     def unite(self, genes: BoolArray, cost: FloatArray, distance: float) -> Empires:
         """Return the empires after those that have met were united.
@@ -162,24 +167,27 @@ class Empires:
         Two empires have met if their imperialists differ in at most a share of their genes, the
         `distance`. The better imperialist rules both; the other becomes its colony.
         """
-        own = genes[self.imperialists]
-        heir = np.arange(len(own))  # who rules each empire now
-        better: list[int] = []
+        rulers = genes[self.imperialists]
+        ruler_of = np.arange(len(rulers))  # who rules each empire now
+        sovereign: list[int] = []
+        # From the best imperialist on: a worse one that has met it gives way.
         for i in np.argsort(cost[self.imperialists], kind="stable"):
-            met = (own[better] != own[i]).mean(axis=1) <= distance
-            if met.any():
-                heir[i] = better[int(np.argmax(met))]
+            has_met = (rulers[sovereign] != rulers[i]).mean(axis=1) <= distance
+            if has_met.any():
+                ruler_of[i] = sovereign[int(np.argmax(has_met))]
             else:
-                better.append(int(i))
-        alive = heir == np.arange(len(own))
+                sovereign.append(int(i))
+        alive = ruler_of == np.arange(len(rulers))
         renumbered = np.cumsum(alive) - 1
-        return Empires(renumbered[heir[self.empire]], self.imperialists[alive], self.names[alive])
+        return Empires(renumbered[ruler_of[self.empire]], self.imperialists[alive],
+                       self.names[alive])
 
 
 def found_empires(cost: FloatArray, k: int, rng: np.random.Generator) -> Empires:
     """Return the first empires: the best k countries, N_imp, and colonies drawn for each."""
     order = np.argsort(cost, kind="stable")
     size = sizes(shares(normalised_cost(cost[order[:k]], cost.max())), len(cost) - k)
+    # The best k found an empire each; the others are dealt out at random, in the numbers above.
     empire = np.empty(len(cost), dtype=np.intp)
     empire[order[:k]] = np.arange(k)
     empire[rng.permutation(order[k:])] = np.repeat(np.arange(k), size)
@@ -282,18 +290,23 @@ class ImperialistCompetition(Solver):
         o = self.options
         colonies = np.delete(np.arange(len(genes)), world.imperialists)
         shape = (len(colonies), genes.shape[1])
-        mine, theirs = genes[colonies], genes[world.imperialists[world.empire[colonies]]]
-        rate = (mine == theirs).mean(axis=1, keepdims=True) if o["similarity"] else \
-            o["assimilation"]
-        moved = assimilate(mine, theirs, rate, rng.random(shape))
+        colony_genes = genes[colonies]
+        imperialist_genes = genes[world.imperialists[world.empire[colonies]]]
+        rate: FloatArray | float = o["assimilation"]
+        if o["similarity"]:  # of each colony
+            rate = (colony_genes == imperialist_genes).mean(axis=1, keepdims=True)
+        # All random numbers are drawn for all colonies, whether they are needed or not.
+        moved = assimilate(colony_genes, imperialist_genes, rate, rng.random(shape))
         moved = revolt(moved, rng.random(len(colonies)) < o["revolution"],
                        rng.random(shape) < o["redrawn"], rng.random(shape) < 0.5)
         moved = problem.genome.repair(moved, rng)
-        judged = problem.evaluate(moved)
+        moved_evaluation = problem.evaluate(moved)
         genes = genes.copy()  # observers keep the generation before
         genes[colonies] = moved
-        objectives, violation = evaluation.objectives.copy(), evaluation.violation.copy()
-        objectives[colonies], violation[colonies] = judged.objectives, judged.violation
+        objectives = evaluation.objectives.copy()
+        violation = evaluation.violation.copy()
+        objectives[colonies] = moved_evaluation.objectives
+        violation[colonies] = moved_evaluation.violation
         return genes, Evaluation(objectives, violation)
 
     def _generation(self, index: int, genes: BoolArray, evaluation: Evaluation,

@@ -16,12 +16,12 @@ from termsel.solvers.base import Generation, Solver
 from termsel.solvers.genetic.operators import from_keys, n_keys
 
 
-def improved(new: Evaluation, own: Evaluation) -> BoolArray:
+def improved(evaluation: Evaluation, best: Evaluation) -> BoolArray:
     """Return where individuals are better than those in the same row, feasible ones first."""
     return np.asarray(
-        (new.violation < own.violation)
-        | ((new.violation == own.violation)
-           & (new.objectives[:, 0] < own.objectives[:, 0])))
+        (evaluation.violation < best.violation)
+        | ((evaluation.violation == best.violation)
+           & (evaluation.objectives[:, 0] < best.objectives[:, 0])))
 
 
 def leaders(order: IntArray, reach: int) -> IntArray:
@@ -34,6 +34,7 @@ def leaders(order: IntArray, reach: int) -> IntArray:
     if reach == 0 or 2 * reach >= n:
         return np.full(n, order[0])
     rank = np.argsort(order)  # the inverse permutation: the place of each particle
+    # Particles are in a ring by their number, not by their rank.
     around = (np.arange(n)[:, None] + np.arange(-reach, reach + 1)) % n
     return np.asarray(order[rank[around].min(axis=1)])
 
@@ -99,32 +100,38 @@ class BinarySwarm(Solver):
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
         """Yield generations without end (see `Solver.generations`)."""
-        genome, bits = problem.genome, problem.genome.dtype == np.bool_
-        o = {**(_FOR_BITS if bits else _FOR_KEYS),
+        genome = problem.genome
+        bits = problem.genome.dtype == np.bool_
+        parameters = {**(_FOR_BITS if bits else _FOR_KEYS),
              **{name: value for name, value in self.options.items() if value is not None}}
-        limit = o["velocity"]
+        limit = parameters["velocity"]
         # Where a particle is: its bits, or the random keys of its genes.
         if bits:
-            place = genes = genome.random(rng, o["population"])
+            position = genes = genome.random(rng, parameters["population"])
             velocity = np.where(genes, limit, -limit) * rng.random(genes.shape)
         else:
-            place = rng.random((o["population"], n_keys(genome)))
-            velocity = (rng.random(place.shape) - place) * limit  # towards a random place
-            genes = genome.repair(from_keys(place, genome), rng)
+            position = rng.random((parameters["population"], n_keys(genome)))
+            velocity = (rng.random(position.shape) - position) * limit  # towards a random place
+            genes = genome.repair(from_keys(position, genome), rng)
         evaluation = problem.evaluate(genes)
-        own, of_own = place, evaluation
+        best_position = position
+        best_evaluation = evaluation
         yield Generation(0, genes, evaluation, {"velocity": velocity})
         for index in itertools.count(1):
-            velocity = _moved(o, index, velocity, place.astype(np.float64), own, of_own, rng)
+            velocity = _moved(parameters, index, velocity, position=position.astype(np.float64),
+                              best_position=best_position, best_evaluation=best_evaluation, rng=rng)
             if bits:
-                place = genes = genome.repair(rng.random(place.shape) < sigmoid(velocity), rng)
+                # The velocity is the chance of a gene: the position itself is drawn from it.
+                switched_on = rng.random(position.shape) < sigmoid(velocity)
+                position = genes = genome.repair(switched_on, rng)
             else:
                 # Keys are not those of repaired genes: the swarm moves on as if nothing was
                 # repaired.
-                place = np.clip(place + velocity, 0.0, 1.0)
-                genes = genome.repair(from_keys(place, genome), rng)
+                position = np.clip(position + velocity, 0.0, 1.0)
+                genes = genome.repair(from_keys(position, genome), rng)
             evaluation = problem.evaluate(genes)
-            own, of_own = _best_of_own(own, of_own, place, evaluation)
+            best_position, best_evaluation = _best_of_own(best_position, best_evaluation, position,
+                                                          evaluation)
             yield Generation(index, genes, evaluation, {"velocity": velocity})
 
 
@@ -135,21 +142,24 @@ _FOR_KEYS = {"inertia": 0.7298, "inertia_last": 0.7298, "cognition": 1.4962, "so
 """Defaults; of keys the constriction of Clerc and Kennedy 2002, and half of their range."""
 
 
-def _moved(o: Mapping[str, Any], index: int, velocity: FloatArray, x: FloatArray, own: Genes,
-           of_own: Evaluation, rng: np.random.Generator) -> FloatArray:
+def _moved(parameters: Mapping[str, Any], index: int, velocity: FloatArray, position: FloatArray,
+           best_position: Genes, best_evaluation: Evaluation,
+           rng: np.random.Generator) -> FloatArray:
     """Return the velocities of the next step."""
-    share = min(index / o["iterations"], 1.0)
-    inertia = o["inertia"] + share * (o["inertia_last"] - o["inertia"])
-    pull = o["cognition"] * rng.random(x.shape) * (own - x)
-    pull += (o["society"] * rng.random(x.shape)
-             * (own[leaders(of_own.order(), o["neighbours"])] - x))
-    return np.asarray(np.clip(inertia * velocity + pull, -o["velocity"], o["velocity"]))
+    share = min(index / parameters["iterations"], 1.0)
+    # v <- w v + c1 r1 (own best - x) + c2 r2 (leader - x), with w from first to last.
+    inertia = parameters["inertia"] + share * (parameters["inertia_last"] - parameters["inertia"])
+    pull = parameters["cognition"] * rng.random(position.shape) * (best_position - position)
+    leader = best_position[leaders(best_evaluation.order(), parameters["neighbours"])]
+    pull += parameters["society"] * rng.random(position.shape) * (leader - position)
+    limit = parameters["velocity"]
+    return np.asarray(np.clip(inertia * velocity + pull, -limit, limit))
 
 
-def _best_of_own(own: Genes, of_own: Evaluation, new: Genes,
+def _best_of_own(best_position: Genes, best_evaluation: Evaluation, position: Genes,
                  evaluation: Evaluation) -> tuple[Genes, Evaluation]:
     """Return the best place of each particle so far, and its evaluation."""
-    gain = improved(evaluation, of_own)
-    return np.where(gain[:, None], new, own), Evaluation(
-        np.where(gain[:, None], evaluation.objectives, of_own.objectives),
-        np.where(gain, evaluation.violation, of_own.violation))
+    is_better = improved(evaluation, best_evaluation)
+    return np.where(is_better[:, None], position, best_position), Evaluation(
+        np.where(is_better[:, None], evaluation.objectives, best_evaluation.objectives),
+        np.where(is_better, evaluation.violation, best_evaluation.violation))

@@ -35,29 +35,29 @@ def neighbours(genes: Genes, genome: Genome) -> Iterator[Genes]:
     if genome.dtype == np.bool_:
         yield from _of_bits(genes, genome)
         return
-    for segment, where in zip(genome.segments, genome.slices().values(), strict=True):
-        for changed in _of_segment(genes[where], genome, segment):
+    for segment, columns in zip(genome.segments, genome.slices().values(), strict=True):
+        for changed in _of_segment(genes[columns], genome, segment):
             for start in range(0, len(changed), BATCH):
-                part = changed[start:start + BATCH]
-                around = np.repeat(genes[None], len(part), axis=0)
-                around[:, where] = part
-                yield around
+                batch = changed[start:start + BATCH]
+                individuals = np.repeat(genes[None], len(batch), axis=0)
+                individuals[:, columns] = batch
+                yield individuals
 
 
 def _of_segment(genes: Genes, genome: Genome, segment: AnySegment) -> Iterator[Genes]:
     """Yield the genes of a segment one step away, forced ones as they are."""
-    where = genome.label_slices()[segment.name]
+    labels = genome.label_slices()[segment.name]
     if isinstance(segment, Bits):
-        alone = Genome([segment], on=select(segment.labels, genome.on[where]),
-                       off=select(segment.labels, genome.off[where]))
-        yield from _of_bits(genes.astype(bool), alone)
+        segment_genome = Genome([segment], on=select(segment.labels, genome.on[labels]),
+                                off=select(segment.labels, genome.off[labels]))
+        yield from _of_bits(genes.astype(bool), segment_genome)
     else:
-        for around in steps(segment, genes):
+        for stepped in steps(segment, genes):
             if isinstance(segment, Subset):
                 # One member gives way to another: neither may be forced.
-                moved = segment.mask(around) ^ segment.mask(genes[None])
-                around = around[~(moved & ~genome.free[where]).any(axis=1)]
-            yield around
+                moved = segment.mask(stepped) ^ segment.mask(genes[None])
+                stepped = stepped[~(moved & ~genome.free[labels]).any(axis=1)]
+            yield stepped
 
 
 def _of_bits(genes: BoolArray, genome: Genome) -> Iterator[BoolArray]:
@@ -66,14 +66,16 @@ def _of_bits(genes: BoolArray, genome: Genome) -> Iterator[BoolArray]:
     # Pairs of one gene of the first and one of the second, of which there may be very many: they
     # are numbered, and made when their batch is. A flip is a pair of the gene with itself.
     pairs: list[tuple[IntArray, IntArray]] = []
-    for segment, where in zip(genome.segments, genome.slices().values(), strict=True):
+    for segment, columns in zip(genome.segments, genome.slices().values(), strict=True):
         assert isinstance(segment, Bits)
-        count = int(genes[where].sum())
-        free = np.flatnonzero(genome.free[where]) + where.start
-        on, off = free[genes[free]], free[~genes[free]]
+        count = int(genes[columns].sum())
+        free = np.flatnonzero(genome.free[columns]) + columns.start
+        on = free[genes[free]]
+        off = free[~genes[free]]
         flips += [off] if count < segment.most else []
         flips += [on] if count > segment.minimum else []
         pairs.append((on, off))
+    # Numbers 0 to ends[0] are flips, then come the pairs of each segment.
     single = np.concatenate([*flips, np.empty(0, dtype=np.intp)])
     ends = np.cumsum([len(single), *(len(on) * len(off) for on, off in pairs)])
     for start in range(0, int(ends[-1]), BATCH):
@@ -82,14 +84,15 @@ def _of_bits(genes: BoolArray, genome: Genome) -> Iterator[BoolArray]:
         second = np.empty_like(first)
         first[number < ends[0]] = second[number < ends[0]] = single[number[number < ends[0]]]
         for (on, off), begin, end in zip(pairs, ends[:-1], ends[1:], strict=True):
-            here = (number >= begin) & (number < end)
-            first[here] = on[(number[here] - begin) // max(len(off), 1)]
-            second[here] = off[(number[here] - begin) % max(len(off), 1)]
-        around = np.repeat(genes[None], len(first), axis=0)
+            in_segment = (number >= begin) & (number < end)
+            # Pair i of a segment has its gene i // |off| that is on, and i % |off| that is off.
+            first[in_segment] = on[(number[in_segment] - begin) // max(len(off), 1)]
+            second[in_segment] = off[(number[in_segment] - begin) % max(len(off), 1)]
+        individuals = np.repeat(genes[None], len(first), axis=0)
         # In a flip both are one gene, which the second write leaves inverted.
-        around[np.arange(len(first)), first] ^= True
-        around[np.arange(len(first)), second] = ~genes[second]
-        yield around
+        individuals[np.arange(len(first)), first] ^= True
+        individuals[np.arange(len(first)), second] = ~genes[second]
+        yield individuals
 
 
 def descend(problem: Problem, genes: Genes, evaluation: Evaluation, index: int = 0,
@@ -102,16 +105,19 @@ def descend(problem: Problem, genes: Genes, evaluation: Evaluation, index: int =
     often independent. The start, genes (1, size), comes with its evaluation and the number of the
     first generation.
     """
+    # No selection is met twice: each step improves, so that the descent ends.
     better = True
     while better:
         yield Generation(index, genes, evaluation)
         index += 1
         better = False
         for around in moves(genes[0], problem):
-            judged = problem.evaluate_near(around, genes[0])
+            neighbour_evaluation = problem.evaluate_near(around, genes[0])
             # The first batch with a better one is enough: further ones may be very many.
-            if _rank(judged.take(judged.order()[:1])) < _rank(evaluation):
-                genes, evaluation = _combined(problem, genes, evaluation, around, judged)
+            best_neighbour = neighbour_evaluation.take(neighbour_evaluation.order()[:1])
+            if _rank(best_neighbour) < _rank(evaluation):
+                genes, evaluation = _combined(problem, genes, evaluation, around,
+                                              neighbour_evaluation)
                 better = True
                 break
 
@@ -140,13 +146,14 @@ def climb(problem: Problem, genes: Genes, evaluation: Evaluation,
         climbed = list(descend(problem, elsewhere, problem.evaluate(elsewhere), best.index + 1))
         reached = climbed[-1]
         # A segment of its end may improve the best even if all of it does not.
-        parts = np.repeat(best.genes, len(genome.segments) + 1, axis=0)
-        for i, where in enumerate(genome.slices().values()):
-            parts[i, where] = reached.genes[0, where]
-        parts[-1] = reached.genes[0]
-        combined, judged = _combined(problem, best.genes, best.evaluation, parts,
-                                     problem.evaluate(parts))
-        climbed += descend(problem, combined, judged, reached.index + 1)
+        candidates = np.repeat(best.genes, len(genome.segments) + 1, axis=0)
+        # Row i is the best with segment i of the end; the last row is the end itself.
+        for i, columns in enumerate(genome.slices().values()):
+            candidates[i, columns] = reached.genes[0, columns]
+        candidates[-1] = reached.genes[0]
+        combined, combined_evaluation = _combined(problem, best.genes, best.evaluation, candidates,
+                                                  problem.evaluate(candidates))
+        climbed += descend(problem, combined, combined_evaluation, reached.index + 1)
 
 
 def _shaken(genes: Genes, genome: Genome, rng: np.random.Generator) -> Genes:
@@ -157,27 +164,31 @@ def _shaken(genes: Genes, genome: Genome, rng: np.random.Generator) -> Genes:
 
 
 def _combined(problem: Problem, genes: Genes, evaluation: Evaluation, around: Genes,
-              judged: Evaluation) -> tuple[Genes, Evaluation]:
+              neighbour_evaluation: Evaluation) -> tuple[Genes, Evaluation]:
     """Return the best of a selection, its neighbours, and the best change of each segment."""
-    order = judged.order()
-    best = _better(genes, evaluation, around[order[:1]], judged.take(order[:1]))
+    order = neighbour_evaluation.order()
+    best = _better(genes, evaluation, around[order[:1]], neighbour_evaluation.take(order[:1]))
     # Changes of single segments are improvements alone; together they are so where these add up.
-    together, changes = genes.copy(), 0
-    for where in problem.genome.slices().values():
-        changed = order[(around[order, where] != genes[0, where]).any(axis=1)][:1]
-        if len(changed) and _rank(judged.take(changed)) < _rank(evaluation):
-            together[0, where] = around[changed[0], where]
+    joined = genes.copy()
+    changes = 0
+    for columns in problem.genome.slices().values():
+        changed = order[(around[order, columns] != genes[0, columns]).any(axis=1)][:1]
+        if len(changed) and _rank(neighbour_evaluation.take(changed)) < _rank(evaluation):
+            joined[0, columns] = around[changed[0], columns]
             changes += 1
-    return _better(*best, together, problem.evaluate(together)) if changes > 1 else best
+    return _better(*best, joined, problem.evaluate(joined)) if changes > 1 else best
 
 
-def _better(genes: Genes, evaluation: Evaluation, others: Genes,
-            judged: Evaluation) -> tuple[Genes, Evaluation]:
-    return (others, judged) if _rank(judged) < _rank(evaluation) else (genes, evaluation)
+def _better(genes: Genes, evaluation: Evaluation, other_genes: Genes,
+            other_evaluation: Evaluation) -> tuple[Genes, Evaluation]:
+    if _rank(other_evaluation) < _rank(evaluation):
+        return other_genes, other_evaluation
+    return genes, evaluation
 
 
-def _rank(one: Evaluation) -> tuple[float, float]:
-    return float(one.violation[0]), float(one.objectives[0, 0])
+def _rank(evaluation: Evaluation) -> tuple[float, float]:
+    """Return what a single individual is compared by: its violation, then its objective."""
+    return float(evaluation.violation[0]), float(evaluation.objectives[0, 0])
 
 
 class Swap(Solver):

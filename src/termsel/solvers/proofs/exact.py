@@ -70,7 +70,9 @@ def _quick_optimum(problem: Problem) -> tuple[float, int, str] | None:
     systems = problem.row_systems()
     if systems is not None:
         return quick_optimum(problem, systems)
-    rows = sum(len(part.system.design) * max(1, len(part.folds)) for part in problem.parts())
+    # A fold has a system of its own, as large as the whole.
+    rows = sum(len(subproblem.system.design) * max(1, len(subproblem.folds))
+               for subproblem in problem.parts())
     if count(problem) > QUICK or rows > QUICK_ROWS:
         return None
     *_, proof = prove(problem)  # the last state, which is complete
@@ -116,23 +118,27 @@ class Exact(Solver):
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
         """Yield the best so far until all is decided (see `Solver.generations`)."""
-        most = self.options["max_terms"]
+        max_terms = self.options["max_terms"]
         workers = self.options["workers"] or os.cpu_count() or 1
         systems = problem.row_systems()
-        certify = _certifier(problem, most) if self.options["certificate"] else None
+        certify = _certifier(problem, max_terms) if self.options["certificate"] else None
         if systems is not None:
-            yield from proof_generations(problem, systems, workers, most)
+            yield from proof_generations(problem, systems, workers, max_terms)
             return
-        parts = problem.parts()
-        space = space_of(problem, parts, most)
-        log.info("exact: deciding %s (%s, %s)%s", amount(count(problem, most), "subset"), space,
-                 amount(len(parts), "part"), _estimate(problem, parts, most, workers))
+        subproblems = problem.parts()
+        space = space_of(problem, subproblems, max_terms)
+        log.info("exact: deciding %s (%s, %s)%s", amount(count(problem, max_terms), "subset"),
+                 space, amount(len(subproblems), "part"),
+                 _estimate(problem, subproblems, max_terms, workers))
         index, reported, decided = 0, 0.0, 0
         nothing = np.zeros((1, problem.genome.size), dtype=bool)
         proof: Proof | None = None
-        for state, proof in enumerate(prove(problem, most, workers)):
+        for state, proof in enumerate(prove(problem, max_terms, workers)):
             share = proof.decided / proof.total
-            descends, decided = proof.decided == decided, proof.decided  # a step takes a while
+            descends = proof.decided == decided  # a step takes a while
+            decided = proof.decided
+            # Every state is reported at first, at the end, and in descents; of the proof itself one
+            # in so many, or whenever enough has been decided.
             if (index and not descends and not proof.complete and state % _REPORT_STATES
                     and share - reported < _REPORT_SHARE):
                 continue
@@ -140,7 +146,7 @@ class Exact(Solver):
             if proof.complete or proof.front():
                 generation = generation_of(problem, proof, index, space, nothing)
                 if proof.complete and proof.front():
-                    _require_unbeaten(problem, proof, generation, most)
+                    _require_unbeaten(problem, proof, generation, max_terms)
                     if certify is not None:
                         certificate = certify(generation.genes[-1])
                         generation = replace(generation, details={
@@ -149,16 +155,16 @@ class Exact(Solver):
                 index += 1
 
 
-def _certifier(problem: Problem, most: int | None) -> Callable[[Genes], dict[str, Any] | None]:
+def _certifier(problem: Problem, max_terms: int | None) -> Callable[[Genes], dict[str, Any] | None]:
     """Return what makes the certificate of an optimum: its content, None where it cannot."""
     certifier = part_of("certificate", "a certificate requires")
-    rooms = [limits_of(problem, part, most)[1] for part in problem.parts()]
+    rooms = [limits_of(problem, subproblem, max_terms)[1] for subproblem in problem.parts()]
     certify: Callable[[Genes], dict[str, Any] | None] = certifier(problem, rooms)
     return certify
 
 
 def _require_unbeaten(problem: Problem, proof: Proof, generation: Generation,
-                      most: int | None) -> None:
+                      max_terms: int | None) -> None:
     """Refuse a proof that an evaluation contradicts.
 
     The enumeration decides by the criterion's `subset_score` and `subset_cost`, and a plugin's may
@@ -166,32 +172,35 @@ def _require_unbeaten(problem: Problem, proof: Proof, generation: Generation,
     are evaluated as any solver's are.
     """
     front = generation.evaluation
-    best, violation = front.objectives[-1, 0], front.violation[-1]
+    best = front.objectives[-1, 0]
+    violation = front.violation[-1]
     if violation > 0:  # enumeration and evaluation differ at a tolerance: nothing is proven
         return
+    # Of all sizes, and of the neighbours of the optimum, none may be better than the optimum.
     values = [front.objectives[front.violation == 0, 0]]
     for genes in neighbours(generation.genes[-1], problem.genome):
-        if most is not None:  # larger ones are outside of the space that is proven
-            sizes = [genes[:, part.genes].sum(axis=1) for part in proof.parts]
-            genes = genes[np.all(np.array(sizes) <= most, axis=0)]
+        if max_terms is not None:  # larger ones are outside of the space that is proven
+            sizes = [genes[:, subproblem.genes].sum(axis=1) for subproblem in proof.parts]
+            genes = genes[np.all(np.array(sizes) <= max_terms, axis=0)]
         around = problem.evaluate(genes)
         values.append(around.objectives[around.violation == 0, 0])
-    least = float(np.concatenate(values).min())
-    if least < best - TIE * abs(best):
+    lowest = float(np.concatenate(values).min())
+    if lowest < best - TIE * abs(best):
         raise TermselError(
-            f"the enumeration ends at {best:.6g}, but a selection it passed over has {least:.6g}: "
+            f"the enumeration ends at {best:.6g}, but a selection it passed over has {lowest:.6g}: "
             "the criterion's subset_score does not agree with its score",
             hint="Tell the author of the criterion, or choose another solver, such as "
                  "--solver ga.")
 
 
-def _estimate(problem: Problem, parts: tuple[EnumerablePart, ...], most: int | None,
+def _estimate(problem: Problem, subproblems: tuple[EnumerablePart, ...], max_terms: int | None,
               workers: int) -> str:
     """Return how long it takes, where no bound makes that unknown."""
-    if any(subsets.is_bounded(part.system, part.score, part.folds) for part in parts):
+    if any(subsets.is_bounded(subproblem.system, subproblem.score, subproblem.folds)
+           for subproblem in subproblems):
         return ""
-    seconds = sum(
-        subsets.estimate_seconds(part.system, part.score, folds=part.folds, workers=workers,
-                                 max_terms=limits_of(problem, part, most)[1])
-        for part in parts)
+    seconds = sum(subsets.estimate_seconds(subproblem.system, subproblem.score,
+                                           folds=subproblem.folds, workers=workers,
+                                           max_terms=limits_of(problem, subproblem, max_terms)[1])
+                  for subproblem in subproblems)
     return f"; about {duration(seconds)}"

@@ -44,28 +44,33 @@ def _segment(problem: Problem) -> Bits | Subset:
 
 def selections_of(problem: Problem, systems: tuple[RowSystem, ...]) -> Selections:
     """Return all selections of a problem that selects features alone; refuse too many features."""
-    genome, segment = problem.genome, _segment(problem)
+    genome = problem.genome
+    segment = _segment(problem)
     n = len(segment.labels)
     return Selections(n, segment.minimum, segment.most, genome.on, genome.off, systems)
 
 
 def space_of(selections: Selections) -> str:
     """Return in words what is decided."""
-    n, least, most = selections.n, selections.min_size, selections.max_size
-    if least == most:
-        return f"all selections of {most} of {n} features"
-    if least > 1:
-        return f"all selections of {least} to {most} of {n} features"
-    return "all selections" + (f" of up to {most} of {n} features" if most < n else "")
+    n = selections.n
+    fewest = selections.min_size
+    largest = selections.max_size
+    if fewest == largest:
+        return f"all selections of {largest} of {n} features"
+    if fewest > 1:
+        return f"all selections of {fewest} to {largest} of {n} features"
+    return "all selections" + (f" of up to {largest} of {n} features" if largest < n else "")
 
 
 def estimate_seconds(selections: Selections, workers: int) -> float:
     """Return the estimated time of a proof without what is evaluated [s]."""
-    branch, wanted = selections.root, False
+    branch = selections.root
+    with_first = False
     # Every second feature is in use, as in the selections of which there are most.
     while selections.count(branch) > _TIMED:
         halves = [half for half in selections.halves(branch) if selections.count(half)]
-        branch, wanted = halves[-1 if wanted else 0], not wanted
+        branch = halves[-1 if with_first else 0]
+        with_first = not with_first
     seconds = []
     for _ in range(2):  # the first may have to compile
         start = time.perf_counter()
@@ -83,7 +88,8 @@ def prove_features(problem: Problem, selections: Selections,
     result does not depend on the number of workers, which are threads.
     """
     records = _Records(problem, selections)
-    total, decided = selections.count(selections.root), 0
+    total = selections.count(selections.root)
+    decided = 0
     starts = problem.genome.random(np.random.default_rng(0), _STARTS)
     evaluation = problem.evaluate(starts)
     records.take(starts, evaluation)
@@ -93,23 +99,23 @@ def prove_features(problem: Problem, selections: Selections,
             for step in descend(problem, starts[i:i + 1], evaluation.take(np.array([i]))):
                 records.take(step.genes, step.evaluation)
         yield records.state(0, total)
-    todo = [selections.root]
-    waiting: deque[tuple[Branch, Future[tuple[BoolArray, FloatArray]]]] = deque()
+    open_branches = [selections.root]
+    in_progress: deque[tuple[Branch, Future[tuple[BoolArray, FloatArray]]]] = deque()
     pool = ThreadPoolExecutor(workers)
     try:
-        while todo or waiting:
+        while open_branches or in_progress:
             # Results are taken in order and at fixed points of it, so that the same selections
             # are evaluated with any number of workers.
-            if todo and len(waiting) < _AHEAD:
-                branch = todo.pop()
+            if open_branches and len(in_progress) < _AHEAD:
+                branch = open_branches.pop()
                 size = selections.count(branch)
                 if size > selections.largest:
-                    todo += selections.halves(branch)
+                    open_branches += selections.halves(branch)
                 elif size:
-                    waiting.append((branch, pool.submit(selections.walk, branch,
+                    in_progress.append((branch, pool.submit(selections.walk, branch,
                                                         records.limits())))
             else:
-                branch, future = waiting.popleft()
+                branch, future = in_progress.popleft()
                 records.decide(*future.result())
                 decided += selections.count(branch)
                 yield records.state(decided, total)
@@ -127,7 +133,8 @@ def proof_generations(problem: Problem, systems: tuple[RowSystem, ...], workers:
         raise TermselError("max_terms limits terms, and this problem selects features",
                            hint="Limit these with --set max_features=N.")
     selections = selections_of(problem, systems)
-    space, total = space_of(selections), selections.count(selections.root)
+    space = space_of(selections)
+    total = selections.count(selections.root)
     if selections.needs_compilation:
         log.info("Compiling: the first proof on this machine takes some 6 s longer.")
     how = (f"; about {duration(estimate_seconds(selections, workers))}" if systems
@@ -136,11 +143,13 @@ def proof_generations(problem: Problem, systems: tuple[RowSystem, ...], workers:
     index, last = 0, 0
     nothing = problem.genome.random(np.random.default_rng(0), 1)
     for state, proof in enumerate(prove_features(problem, selections, workers)):
+        # Reports become rarer as the proof goes on, as each costs an evaluation.
         soon = state - last <= index // _REPORTS
         if index and not proof.complete and (soon or not proof.front()):
             continue
         yield generation_of(problem, proof, index, space, nothing)
-        index, last = index + 1, state
+        index += 1
+        last = state
 
 
 def quick_optimum(problem: Problem,
@@ -154,8 +163,8 @@ def quick_optimum(problem: Problem,
     if not systems or total > QUICK:
         return None
     *_, proof = prove_features(problem, selections)
-    least = float(proof.best.min())
-    return (least, total, space_of(selections)) if np.isfinite(least) else None
+    optimum = float(proof.best.min())
+    return (optimum, total, space_of(selections)) if np.isfinite(optimum) else None
 
 
 def duration(seconds: float) -> str:
@@ -172,12 +181,14 @@ class _Records:
     """The best selection of every size."""
 
     def __init__(self, problem: Problem, selections: Selections) -> None:
-        self.problem, self.selections = problem, selections
+        self.problem = problem
+        self.selections = selections
         self.segment = _segment(problem)
         self.best = np.full(selections.n + 1, np.inf)
         self.genes: dict[int, Genes] = {}
+        # An RMSE is (squared errors / points)^1/2.
         # The squared errors of a system are of one axis, or of both: a point has two.
-        self.points = sum(len(one.check_target) for one in selections.systems) / 2
+        self.points = sum(len(system.check_target) for system in selections.systems) / 2
         self.floor = float(np.sqrt(selections.floor / self.points)) if selections.systems else 0.0
 
     def state(self, decided: int, total: int) -> FeatureProof:
@@ -190,30 +201,35 @@ class _Records:
             return np.full(len(self.best), np.inf)
         return np.asarray(self.best**2 * self.points)
 
-    def decide(self, chosen: BoolArray, scores: FloatArray) -> None:
+    def decide(self, masks: BoolArray, scores: FloatArray) -> None:
         """Evaluate all selections that may be better than the best of their size."""
-        sizes = chosen.sum(axis=1)
+        sizes = masks.sum(axis=1)
         for size in np.unique(sizes):
-            here = np.flatnonzero(sizes == size)
-            here = here[np.argsort(scores[here], kind="stable")]
-            start, batch = 0, _BATCH
-            while start < len(here):
-                some = here[start:start + batch]
-                start, batch = start + len(some), min(2 * batch, _LARGEST)
-                genes = self.segment.members(chosen[some])
+            of_size = np.flatnonzero(sizes == size)
+            of_size = of_size[np.argsort(scores[of_size], kind="stable")]
+            start = 0
+            batch = _BATCH
+            while start < len(of_size):
+                evaluated = of_size[start:start + batch]
+                start += len(evaluated)
+                batch = min(2 * batch, _LARGEST)
+                genes = self.segment.members(masks[evaluated])
                 self.take(genes, self.problem.evaluate(genes))
                 # They are in the order of their scores: those beyond the limit are no better.
                 limit = self.selections.reach(self.limits()[size])
-                here = here[:max(start, int(np.searchsorted(scores[here], limit, "right")))]
+                within_limit = int(np.searchsorted(scores[of_size], limit, "right"))
+                of_size = of_size[:max(start, within_limit)]
 
     def take(self, genes: Genes, evaluation: Evaluation) -> None:
         """Remember what is feasible and better than what is known of its size."""
         sizes = self.problem.genome.chosen(genes).sum(axis=1)
         # From the best on: of each size only the first can be better than what is known.
-        good = np.flatnonzero(evaluation.violation == 0)
-        for row in good[np.argsort(evaluation.objectives[good, 0], kind="stable")]:
-            size, value = int(sizes[row]), float(evaluation.objectives[row, 0])
+        feasible = np.flatnonzero(evaluation.violation == 0)
+        for row in feasible[np.argsort(evaluation.objectives[feasible, 0], kind="stable")]:
+            size = int(sizes[row])
+            value = float(evaluation.objectives[row, 0])
             # Of equal ones, such as those that leave rounding alone, whatever comes first.
             if value < self.best[size] or (value == self.best[size]
                                            and genes[row].tobytes() > self.genes[size].tobytes()):
-                self.best[size], self.genes[size] = value, genes[row].copy()
+                self.best[size] = value
+                self.genes[size] = genes[row].copy()

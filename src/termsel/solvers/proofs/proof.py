@@ -74,21 +74,28 @@ class Proof:
 
     def _costs(self, floor: bool = False) -> list[FloatArray]:
         """Return the cost of the best subset of each size, or the least that it may have."""
-        return [_cost(result.floor if floor else result.best, part, least)
-                for part, result, least in zip(self.parts, self.results, self.minimum, strict=True)]
+        costs = []
+        for subproblem, result, fewest in zip(self.parts, self.results, self.minimum, strict=True):
+            scores = result.floor if floor else result.best
+            costs.append(_cost(scores, subproblem, fewest))
+        return costs
 
     def _objective(self, best: float) -> Callable[[float], float] | None:
         """Return what turns a sum of costs into the objective, given the best selection's.
 
         None if it is neither the sum itself nor an RMSE [px].
         """
-        part = self.parts[0]
-        rows = (sum(map(len, part.folds)) if part.score == "kfold" else
-                len(part.system.design if part.system.check_target is None
-                    or part.score != "check" else part.system.check_target))
+        subproblem = self.parts[0]
+        # The rows whose errors the score adds up.
+        if subproblem.score == "kfold":
+            rows = sum(map(len, subproblem.folds))
+        elif subproblem.score == "check" and subproblem.system.check_target is not None:
+            rows = len(subproblem.system.check_target)
+        else:
+            rows = len(subproblem.system.design)
 
         def rmse(cost: float) -> float:
-            return float(part.pixels * np.sqrt(max(cost, 0.0) / rows))
+            return float(subproblem.pixels * np.sqrt(max(cost, 0.0) / rows))
 
         # Which it is the objective of the best selection tells.
         total = sum(float(cost.min()) for cost in self._costs())
@@ -126,30 +133,31 @@ class Proof:
         evaluates the selections.
         """
         total, sizes = _joint(self._costs())
-        known = np.flatnonzero(np.isfinite(total))
-        if not len(known):
+        feasible_sizes = np.flatnonzero(np.isfinite(total))
+        if not len(feasible_sizes):
             return []
-        genes = np.array([self._genes(sizes[i].tolist()) for i in known])
+        genes = np.array([self._genes(sizes[i].tolist()) for i in feasible_sizes])
         values, feasible = each_of(problem, genes)
-        objective = self._objective(float(values[total[known].argmin()]))
-        floor, better = _joint(self._costs(floor=True))[0], _better(total)
+        objective = self._objective(float(values[total[feasible_sizes].argmin()]))
+        floor = _joint(self._costs(floor=True))[0]
+        better = _better(total)
         proofs = []
         # Enumeration and evaluation may differ at a tolerance: what is infeasible is left out.
-        for i, one, value in zip(known[feasible], genes[feasible], values[feasible].tolist(),
-                                 strict=True):
+        for i, selection, value in zip(feasible_sizes[feasible], genes[feasible],
+                                       values[feasible].tolist(), strict=True):
             bound = None
             if self.complete and floor[i] == total[i]:
                 bound = value
             elif objective is not None and floor[i] > -np.inf:
                 bound = min(value, objective(float(floor[i])))
             optimal = bound is not None and value - bound <= TIE * abs(value)
-            proofs.append(SizeProof(one, value, bound, optimal, bool(better[i])))
+            proofs.append(SizeProof(selection, value, bound, optimal, bool(better[i])))
         return proofs
 
     def _genes(self, sizes: list[int]) -> BoolArray:
         genes = np.zeros(self.size, dtype=bool)
-        for part, result, size in zip(self.parts, self.results, sizes, strict=True):
-            genes[part.genes] = result.columns(size)
+        for subproblem, result, size in zip(self.parts, self.results, sizes, strict=True):
+            genes[subproblem.genes] = result.columns(size)
         return genes
 
 
@@ -188,9 +196,11 @@ class FeatureProof:
         values, _ = each_of(problem, np.array([self.genes[size] for size in sizes]))
         # Until then nothing is known of single sizes but the floor of all selections.
         bounds = values if self.complete else np.minimum(values, self.floor)
-        return [SizeProof(self.genes[size], *of_size) for size, *of_size in zip(
-            sizes, values.tolist(), bounds.tolist(), (values <= bounds).tolist(),
-            _better(values).tolist(), strict=True)]
+        optimal = values <= bounds
+        better = _better(values)
+        return [SizeProof(self.genes[size], float(values[i]), float(bounds[i]), bool(optimal[i]),
+                          bool(better[i]))
+                for i, size in enumerate(sizes)]
 
 
 def generation_of(problem: Problem, proof: Proof | FeatureProof, index: int, space: str,
@@ -206,6 +216,7 @@ def generation_of(problem: Problem, proof: Proof | FeatureProof, index: int, spa
     best = float(evaluation.objectives[-1, 0])
     feasible = bool(front) and evaluation.violation[-1] == 0
     bound = proof.bound(best) if feasible else None
+    # How far the best so far is above the bound, as a share of the bound.
     gap = max(0.0, best / bound - 1) if bound is not None and bound > 0 else None
     proven = proof.complete or (gap is not None and gap <= TIE)
     certificate = {"optimal": bool(feasible and proven), "subsets": proof.decided,
@@ -223,15 +234,15 @@ def each_of(problem: Problem, genes: Genes) -> tuple[FloatArray, BoolArray]:
 
     One by one, as sums over a population round otherwise, and a bound is to equal what it proves.
     """
-    each = [problem.evaluate(one[None]) for one in genes]
-    return (np.array([evaluation.objectives[0, 0] for evaluation in each]),
-            np.array([evaluation.violation[0] == 0 for evaluation in each]))
+    evaluations = [problem.evaluate(individual[None]) for individual in genes]
+    return (np.array([evaluation.objectives[0, 0] for evaluation in evaluations]),
+            np.array([evaluation.violation[0] == 0 for evaluation in evaluations]))
 
 
-def _cost(scores: FloatArray, part: EnumerablePart, least: int) -> FloatArray:
+def _cost(scores: FloatArray, subproblem: EnumerablePart, fewest: int) -> FloatArray:
     """Return the cost of a score of each size; infinite for less than so many genes."""
-    cost = np.where(np.isfinite(scores), part.cost(scores), np.inf)
-    cost[:least] = np.inf
+    cost = np.where(np.isfinite(scores), subproblem.cost(scores), np.inf)
+    cost[:fewest] = np.inf
     return cost
 
 
@@ -240,17 +251,21 @@ def _joint(costs: Sequence[FloatArray]) -> tuple[FloatArray, IntArray]:
 
     A convolution of minima and sums, part by part.
     """
-    total, sizes = np.zeros(1), np.zeros((1, 0), dtype=np.intp)
+    total = np.zeros(1)
+    sizes = np.zeros((1, 0), dtype=np.intp)
     for cost in costs:
+        # joint[n] = minimum over i of total[n - i] + cost[i]
         joint = np.full(len(total) + len(cost) - 1, np.inf)
         split = np.zeros((len(joint), sizes.shape[1] + 1), dtype=np.intp)
         # In a tie the split of fewer genes in this part stays.
-        for here in np.flatnonzero(cost < np.inf):
-            reached = total + cost[here]
-            better = np.flatnonzero(reached < joint[here:here + len(total)])
-            joint[here + better] = reached[better]
-            split[here + better] = np.column_stack([sizes[better], np.full(len(better), here)])
-        total, sizes = joint, split
+        for size in np.flatnonzero(cost < np.inf):
+            reached = total + cost[size]
+            improved = np.flatnonzero(reached < joint[size:size + len(total)])
+            joint[size + improved] = reached[improved]
+            split[size + improved] = np.column_stack([sizes[improved],
+                                                      np.full(len(improved), size)])
+        total = joint
+        sizes = split
     return total, sizes
 
 
@@ -266,40 +281,43 @@ def prove(problem: Problem, max_terms: int | None = None,
     Each part has at most `max_terms` genes. Workers are threads, by default all cores; the result
     does not depend on them. Raises TermselError if the problem's space cannot be enumerated.
     """
-    parts = problem.parts()
-    limits = [limits_of(problem, part, max_terms) for part in parts]
-    walks = [subsets.search(part.system, part.score, folds=part.folds, max_terms=most,
-                            workers=workers or os.cpu_count() or 1,
-                            cost=partial(_cost, part=part, least=least))
-             for part, (least, most) in zip(parts, limits, strict=True)]
-    minimum = tuple(least for least, _ in limits)
+    subproblems = problem.parts()
+    limits = [limits_of(problem, subproblem, max_terms) for subproblem in subproblems]
+    # "rss" need not prove sizes that cost more than smaller ones: `_cost` tells it which.
+    walks = [subsets.search(subproblem.system, subproblem.score, folds=subproblem.folds,
+                            max_terms=largest, workers=workers or os.cpu_count() or 1,
+                            cost=partial(_cost, subproblem=subproblem, fewest=fewest))
+             for subproblem, (fewest, largest) in zip(subproblems, limits, strict=True)]
+    minimum = tuple(fewest for fewest, _ in limits)
     # Every part makes its first steps before any is finished, so that there is a result for each
     # whenever the user stops.
     results = [next(walk) for walk in walks]
-    yield Proof(parts, tuple(results), minimum, problem.genome.size)
+    yield Proof(subproblems, tuple(results), minimum, problem.genome.size)
     while any(result.subsets == 0 for result in results):  # what comes before the proof of all
         for i, walk in enumerate(walks):
             if results[i].subsets == 0:
                 results[i] = next(walk)
-                yield Proof(parts, tuple(results), minimum, problem.genome.size)
+                yield Proof(subproblems, tuple(results), minimum, problem.genome.size)
     for i, walk in enumerate(walks):
         for results[i] in walk:
-            yield Proof(parts, tuple(results), minimum, problem.genome.size)
+            yield Proof(subproblems, tuple(results), minimum, problem.genome.size)
 
 
-def limits_of(problem: Problem, part: EnumerablePart, max_terms: int | None) -> tuple[int, int]:
+def limits_of(problem: Problem, subproblem: EnumerablePart,
+              max_terms: int | None) -> tuple[int, int]:
     """Return the fewest and the most genes of a part that leave a degree of freedom."""
-    segment = segment_of(problem, part)
-    most = [n for n in (segment.maximum, max_terms, len(part.genes),
-                        len(part.system.design) - 1) if n is not None]
-    return segment.minimum, min(most)
+    segment = segment_of(problem, subproblem)
+    # One row more than terms: without redundancy residuals say nothing.
+    upper_limits = (segment.maximum, max_terms, len(subproblem.genes),
+                    len(subproblem.system.design) - 1)
+    return segment.minimum, min(limit for limit in upper_limits if limit is not None)
 
 
-def segment_of(problem: Problem, part: EnumerablePart) -> Bits:
+def segment_of(problem: Problem, subproblem: EnumerablePart) -> Bits:
     """Return the segment that has the genes of a part."""
-    segment = next(s for s, where in zip(
+    segment = next(s for s, columns in zip(
         problem.genome.segments, problem.genome.slices().values(), strict=True)
-        if where.start <= part.genes[0] < where.stop)
+        if columns.start <= subproblem.genes[0] < columns.stop)
     assert isinstance(segment, Bits)  # what the solvers declare
     return segment
 
@@ -307,18 +325,20 @@ def segment_of(problem: Problem, part: EnumerablePart) -> Bits:
 def count(problem: Problem, max_terms: int | None = None) -> int:
     """Return the number of subsets of all parts together (raises as `prove`)."""
     return sum(
-        count_subsets(int(problem.genome.free[part.genes].sum()),
-                      limits_of(problem, part, max_terms)[1])
-        for part in problem.parts())
+        count_subsets(int(problem.genome.free[subproblem.genes].sum()),
+                      limits_of(problem, subproblem, max_terms)[1])
+        for subproblem in problem.parts())
 
 
-def space_of(problem: Problem, parts: tuple[EnumerablePart, ...], most: int | None) -> str:
+def space_of(problem: Problem, subproblems: tuple[EnumerablePart, ...],
+             max_terms: int | None) -> str:
     """Return the space of a proof in words."""
-    limits = {limits_of(problem, part, most)[1] for part in parts}
-    if all(limit >= problem.genome.free[part.genes].sum() for part in parts for limit in limits):
+    limits = {limits_of(problem, subproblem, max_terms)[1] for subproblem in subproblems}
+    most_free = max(int(problem.genome.free[subproblem.genes].sum()) for subproblem in subproblems)
+    if min(limits) >= most_free:
         return ALL
     sizes = " and ".join(map(str, sorted(limits))) + (" term" if limits == {1} else " terms")
-    whole = all(limits_of(problem, part, most) == limits_of(problem, part, None)
-                for part in parts)
-    return (f"{ALL if whole else 'selections'} of up to {sizes}"
-            + " an axis" * (len(parts) > 1))
+    unlimited = all(limits_of(problem, subproblem, max_terms)
+                    == limits_of(problem, subproblem, None) for subproblem in subproblems)
+    return (f"{ALL if unlimited else 'selections'} of up to {sizes}"
+            + (" an axis" if len(subproblems) > 1 else ""))

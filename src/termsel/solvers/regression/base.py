@@ -84,25 +84,27 @@ class Regression:
         """Return the index of the largest value (k,), of those equal but for rounding the first."""
         return int(largest(values))
 
-    def standardised(self, penalised: BoolArray, others: BoolArray, rows: BoolArray | None = None,
+    def standardised(self, penalised: BoolArray, removed: BoolArray, rows: BoolArray | None = None,
                      ) -> Standardised:
         """Return penalised columns (k,) and target orthogonal to other columns (k,).
 
         The others are independent ones, such as the constant. Only some rows (m,), if given.
         """
-        here = slice(None) if rows is None else rows
-        columns, target = self.columns[here][:, penalised], self.target[here]
-        q = np.linalg.qr(self.columns[here][:, others])[0]
-        rest = columns - q @ (q.T @ columns)
-        lengths = np.linalg.norm(rest, axis=0)
+        selected_rows = slice(None) if rows is None else rows
+        columns = self.columns[selected_rows][:, penalised]
+        target = self.target[selected_rows]
+        # With Q of the columns removed: (1 - Q Q') a, and the same of the target.
+        q = np.linalg.qr(self.columns[selected_rows][:, removed])[0]
+        orthogonal = columns - q @ (q.T @ columns)
+        lengths = np.linalg.norm(orthogonal, axis=0)
         live = lengths > TOLERANCE * np.linalg.norm(columns, axis=0)
         lengths = np.where(live, lengths, np.inf)  # a column that depends on those becomes 0
-        return Standardised(rest / lengths, target - q @ (q.T @ target), lengths)
+        return Standardised(orthogonal / lengths, target - q @ (q.T @ target), lengths)
 
-    def freedom(self, chosen: BoolArray) -> int:
+    def freedom(self, selection: BoolArray) -> int:
         """Return the degrees of freedom of the adjustment with the chosen columns."""
         m, r = self.target.shape
-        return int(r * (m - chosen.sum()))
+        return int(r * (m - selection.sum()))
 
 
 def regressions(problem: Problem) -> list[Regression]:
@@ -112,26 +114,28 @@ def regressions(problem: Problem) -> list[Regression]:
     2014. Raises TermselError if the space cannot be enumerated (see `Problem.parts`), or terms need
     parents.
     """
-    if any(part.system.parents is not None for part in problem.parts()):
+    if any(subproblem.system.parents is not None for subproblem in problem.parts()):
         raise TermselError("regression adds and drops single terms and cannot keep a hierarchy",
                            hint="Choose another solver, such as --solver ga or exact, or remove "
                                 "hierarchy=true.")
-    return [_regression(problem, part) for part in problem.parts()]
+    return [_regression(problem, subproblem) for subproblem in problem.parts()]
 
 
-def _regression(problem: Problem, part: EnumerablePart) -> Regression:
-    system = part.system
-    m, k = system.design.shape
+def _regression(problem: Problem, subproblem: EnumerablePart) -> Regression:
+    rows = subproblem.system
+    m, k = rows.design.shape
     none = np.zeros(k, dtype=bool)
-    forced = none if system.forced is None else system.forced
-    forbidden = none if system.forbidden is None else system.forbidden
-    constant = _constant(system) & ~forbidden
-    segment = segment_of(problem, part)
-    kept = forced | constant
-    most = min(k if segment.maximum is None else segment.maximum, m - 1)  # a redundancy of 1
-    return Regression(part.genes, system.design, system.target, system.denominator, constant,
-                      kept, ~(kept | forbidden), max(1, segment.minimum), most,
-                      part.pixels)
+    forced = none if rows.forced is None else rows.forced
+    forbidden = none if rows.forbidden is None else rows.forbidden
+    constant = _constant(rows) & ~forbidden
+    segment = segment_of(problem, subproblem)
+    always = forced | constant
+    # A redundancy of 1 remains: m rows, m - 1 columns.
+    max_columns = min(k if segment.maximum is None else segment.maximum, m - 1)
+    return Regression(genes=subproblem.genes, columns=rows.design, target=rows.target,
+                      denominator=rows.denominator, constant=constant, kept=always,
+                      free=~(always | forbidden), least=max(1, segment.minimum), most=max_columns,
+                      pixels=subproblem.pixels)
 
 
 def _constant(system: SubsetSystem) -> BoolArray:
@@ -143,20 +147,20 @@ def _constant(system: SubsetSystem) -> BoolArray:
     constant = np.zeros(system.design.shape[1], dtype=bool)
     for rows in (system.design, system.check_design):
         if rows is not None and not constant.any():
-            same = (np.ptp(rows, axis=0) == 0) & (rows[0] != 0)
-            constant = same & (np.cumsum(same) == 1)  # the first of them alone
+            is_constant = (np.ptp(rows, axis=0) == 0) & (rows[0] != 0)
+            constant = is_constant & (np.cumsum(is_constant) == 1)  # the first of them alone
     return constant
 
 
-def generation_of(problem: Problem, parts: list[Regression], chosen: list[BoolArray],
+def generation_of(problem: Problem, regressions: list[Regression], selections: list[BoolArray],
                   rng: np.random.Generator) -> Generation:
     """Return the one selection of a method, evaluated, from the chosen columns of each part.
 
     Chance is used only if a method could not keep the genome's cardinality.
     """
     genes = np.zeros((1, problem.genome.size), dtype=bool)
-    for part, columns in zip(parts, chosen, strict=True):
-        genes[0, part.genes] = columns
+    for regression, columns in zip(regressions, selections, strict=True):
+        genes[0, regression.genes] = columns
     genes = problem.genome.repair(genes, rng)
     return Generation(0, genes, problem.evaluate(genes))
 
@@ -168,10 +172,12 @@ class TermRegression(Solver):
     uses_chance = False
 
     @abstractmethod
-    def choose(self, part: Regression) -> BoolArray:
+    def choose(self, regression: Regression) -> BoolArray:
         """Return the chosen columns, shape (k,)."""
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
         """Yield the one selection (see `Solver.generations`)."""
-        parts = regressions(problem)
-        yield generation_of(problem, parts, [self.choose(part) for part in parts], rng)
+        of_axes = regressions(problem)
+        # Each axis, where they are independent, is chosen by itself.
+        selections = [self.choose(regression) for regression in of_axes]
+        yield generation_of(problem, of_axes, selections, rng)

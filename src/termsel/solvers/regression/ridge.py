@@ -45,41 +45,49 @@ class Ridge(Solver):
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
         """Yield all terms, with their coefficients (see `Solver.generations`)."""
-        parts = regressions(problem)
-        generation = generation_of(problem, parts, [part.free | part.kept for part in parts], rng)
-        coefficients = np.zeros((parts[0].target.shape[1], problem.genome.size))
+        of_axes = regressions(problem)
+        all_terms = [regression.free | regression.kept for regression in of_axes]
+        generation = generation_of(problem, of_axes, all_terms, rng)
+        coefficients = np.zeros((of_axes[0].target.shape[1], problem.genome.size))
         penalties = []
-        for part in parts:
-            on = generation.genes[0, part.genes]
-            coefficients[:, part.genes], penalty = shrink(part, on, self.options["choice"])
+        for regression in of_axes:
+            genes = regression.genes
+            coefficients[:, genes], penalty = shrink(regression, generation.genes[0, genes],
+                                                     self.options["choice"])
             penalties.append(penalty)
         # With one mask for both axes, the line's coefficients come before the sample's.
         yield replace(generation, details={"coefficients": coefficients.ravel(),
                                            "penalties": tuple(penalties)})
 
 
-def shrink(part: Regression, on: BoolArray, choice: str) -> tuple[FloatArray, float]:
+def shrink(regression: Regression, on: BoolArray, choice: str) -> tuple[FloatArray, float]:
     """Return ridge coefficients (r, k) of the columns that are on, and their penalty.
 
     The penalty, chosen by "gcv" or "l-curve", is for columns of unit length.
     """
-    penalised, constant = on & ~part.constant, on & part.constant
-    lead = part.columns[:, constant]
-    standard = part.standardised(penalised, constant)
+    penalised = on & ~regression.constant
+    constant = on & regression.constant
+    unpenalised = regression.columns[:, constant]
+    standard = regression.standardised(penalised, constant)
     u, s, vt = np.linalg.svd(standard.columns, full_matrices=False)
+    # Directions that are rounding error would be divided by next to nothing.
     live = s > TOLERANCE * s.max(initial=0.0)
-    u, s, vt = u[:, live], s[live], vt[live]
+    u = u[:, live]
+    s = s[live]
+    vt = vt[live]
     inner = u.T @ standard.target
-    x = np.zeros((len(on), part.target.shape[1]))
+    x = np.zeros((len(on), regression.target.shape[1]))
     penalty = 0.0
     if len(s):
         # A target that is explained leaves rounding, which must not choose the penalty.
         outside = float(((standard.target - u @ inner) ** 2).sum())
         spectrum = Spectrum(s, np.linalg.norm(inner, axis=1),
-                            0.0 if part.explained(outside) else outside,
-                            len(standard.target) - lead.shape[1])
+                            0.0 if regression.explained(outside) else outside,
+                            len(standard.target) - unpenalised.shape[1])
         penalty = choose_penalty(spectrum, choice)
+        # x = V diag(s / (s^2 + penalty^2)) U'y, then for columns of their own length.
         x[penalised] = (vt.T @ ((s / (s**2 + penalty**2))[:, None] * inner)
                         / standard.lengths[:, None])
-    x[constant] = np.linalg.lstsq(lead, part.target - part.columns @ x)[0]
+    # The constant fits what the penalised columns leave.
+    x[constant] = np.linalg.lstsq(unpenalised, regression.target - regression.columns @ x)[0]
     return x.T, penalty
