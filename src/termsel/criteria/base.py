@@ -75,10 +75,12 @@ class Fits:
     @cached_property
     def check_errors(self) -> FloatArray:
         """Predicted minus measured line and sample of the check points [px], (p, n, 2)."""
-        control, ground = FeatureSet(self.control, self.lines), self.check.ground
+        control = FeatureSet(self.control, self.lines)
+        ground = self.check.ground
         if self.used is not None and self.model.corrects:  # each by the features that it uses
-            predicted = np.stack([self.model.predict(one, control.take(used), ground)
-                                  for one, used in zip(self.coefficients, self.used, strict=True)])
+            predictions = [self.model.predict(solution, control.take(used), ground)
+                           for solution, used in zip(self.coefficients, self.used, strict=True)]
+            predicted = np.stack(predictions)
         else:
             predicted = self.model.predict(self.coefficients, control, ground)
         return np.asarray((predicted - self.check.image) * self.pixels)
@@ -107,13 +109,15 @@ class Fits:
             `termsel.models.poles.pole_margin`.
         """
         owner, ground = self._vertices
-        seen = np.isin(owner, features)
-        others = FeatureSet(self.control, self.lines)
+        # All vertices of the features held out; what the model corrects by is the control without
+        # them.
+        of_features = np.isin(owner, features)
+        control = FeatureSet(self.control, self.lines)
         if self.model.corrects:
-            others = others.take(~np.isin(np.arange(len(others)), features))
+            control = control.take(~np.isin(np.arange(len(control)), features))
         with np.errstate(over="ignore", invalid="ignore"):
-            image = self.model.predict(coefficients, others, ground[seen])
-            return self._squares(image, self.model.denominators(coefficients, ground[seen]),
+            image = self.model.predict(coefficients, control, ground[of_features])
+            return self._squares(image, self.model.denominators(coefficients, ground[of_features]),
                                  features)
 
     def held_out_each(self, coefficients: FloatArray) -> FloatArray:
@@ -129,22 +133,27 @@ class Fits:
         ndarray, shape (p, n)
             As `held_out`.
         """
-        model, features = self.model, np.arange(len(coefficients))
+        model = self.model
+        features = np.arange(len(coefficients))
         if not isinstance(model, RationalModel) or model.corrects:
-            return np.concatenate([self.held_out(one, features[i:i + 1])
-                                   for i, one in enumerate(coefficients)], axis=1)
+            return np.concatenate([self.held_out(solution, features[i:i + 1])
+                                   for i, solution in enumerate(coefficients)], axis=1)
         # Numerators and denominators are linear: those of unit vectors suffice.
         owner, ground = self._vertices
         solutions = coefficients[owner] if len(self.lines) else coefficients
-        one_each = np.eye(coefficients.shape[2])
-        below = model.denominators(one_each, ground)
-        above = np.nan_to_num(model.project(one_each, ground))  # 0 / 0 of a denominator's term
+        unit_vectors = np.eye(coefficients.shape[2])
+        denominators = model.denominators(unit_vectors, ground)
+        # A term of the denominator alone has 0 / 0, and no part in the numerator.
+        numerators = np.nan_to_num(model.project(unit_vectors, ground))
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            image = (solutions @ above.transpose(1, 0, 2)).transpose(1, 0, 2)
-            if below is not None:
-                below = 1.0 + (solutions @ (below - 1.0).transpose(1, 0, 2)).transpose(1, 0, 2)
-                image = image / below
-            return self._squares(image, below, features)
+            # (n, p, k) times (n, k, 2), of which rows and individuals then change places.
+            image = (solutions @ numerators.transpose(1, 0, 2)).transpose(1, 0, 2)
+            if denominators is not None:
+                # 1 + d x, where those of unit vectors are 1 + d.
+                linear = solutions @ (denominators - 1.0).transpose(1, 0, 2)
+                denominators = 1.0 + linear.transpose(1, 0, 2)
+                image = image / denominators
+            return self._squares(image, denominators, features)
 
     @cached_property
     def _vertices(self) -> tuple[IntArray, FloatArray]:
@@ -156,20 +165,26 @@ class Fits:
     def _image_lines(self) -> tuple[FloatArray, FloatArray]:
         return line_normals(self.lines)
 
-    def _squares(self, image: FloatArray, below: FloatArray | None,
+    def _squares(self, image: FloatArray, denominators: FloatArray | None,
                  features: IntArray) -> FloatArray:
         """Return squared errors, given image positions and denominators of the vertices."""
         n = len(self.control)
-        points, lines = features[features < n], np.isin(n + self.lines.feature, features)
-        squares = ((image[:, :len(points)] - self.control.image[points])**2).sum(axis=2)
-        if lines.any():
-            normal, rho = (np.repeat(part[lines], 2, axis=0) for part in self._image_lines)
-            distances = rho - (image[:, len(points):] * normal).sum(axis=2)
+        point_rows = features[features < n]
+        line_rows = np.isin(n + self.lines.feature, features)
+        squares = ((image[:, :len(point_rows)] - self.control.image[point_rows])**2).sum(axis=2)
+        if line_rows.any():
+            # Each of the two vertices has its distance rho - n'(l, s) from the image line.
+            normals, rhos = self._image_lines
+            normal = np.repeat(normals[line_rows], 2, axis=0)
+            rho = np.repeat(rhos[line_rows], 2, axis=0)
+            distances = rho - (image[:, len(point_rows):] * normal).sum(axis=2)
             squares = np.concatenate([squares, distances**2], axis=1)
-        if below is not None:
-            squares = np.where((below >= pole_margin(self.control)).all(axis=2), squares, np.inf)
-        if lines.any():  # all vertices of a feature together
-            owner = np.concatenate([points, n + np.repeat(self.lines.feature[lines], 2)])
+        # An image beyond a pole may be near by chance: it counts as infinitely far.
+        if denominators is not None:
+            squares = np.where((denominators >= pole_margin(self.control)).all(axis=2), squares,
+                               np.inf)
+        if line_rows.any():  # all vertices of a feature together
+            owner = np.concatenate([point_rows, n + np.repeat(self.lines.feature[line_rows], 2)])
             order = np.argsort(owner, kind="stable")
             squares = np.add.reduceat(squares[:, order],
                                       np.searchsorted(owner[order], features), axis=1)
@@ -189,6 +204,7 @@ class Fits:
         loss, threshold : str and float
             As for `termsel.criteria.losses.figure`.
         """
+        # A point counts once, a line as often as it has vertices.
         errors = np.bincount(self._vertices[0]).astype(np.float64)
         return figure(np.sqrt(squares / errors), self.in_use * errors, loss, threshold)
 

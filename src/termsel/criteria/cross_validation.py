@@ -58,18 +58,23 @@ class Press(_LeftOut):
         p, k = fits.terms.shape
         used = fits.in_use
         n = used.shape[1]
-        squares, together = np.empty((p, n)), _groups(fits.control, fits.lines)
+        squares = np.empty((p, n))
+        groups = _groups(fits.control, fits.lines)
         step = max(1, _SOLUTIONS // (n * k))
-        for some in (slice(start, start + step) for start in range(0, p, step)):
-            solutions = np.zeros((n, *fits.terms[some].shape))
-            determined = np.ones(len(fits.terms[some]), dtype=bool)
-            for part in fits.parts:
-                solutions[..., part.columns], one_by_one = leave_one_out(
-                    part.equations, fits.terms[some, part.columns], used[some])
+        # A solution for each feature and individual: as many individuals at once as memory allows.
+        for start in range(0, p, step):
+            batch = slice(start, start + step)
+            solutions = np.zeros((n, *fits.terms[batch].shape))
+            determined = np.ones(len(fits.terms[batch]), dtype=bool)
+            for system in fits.parts:
+                solutions[..., system.columns], one_by_one = leave_one_out(
+                    system.equations, fits.terms[batch, system.columns], used[batch])
                 determined &= one_by_one
-            squares[some] = np.where(determined[:, None], fits.held_out_each(solutions), np.inf)
-        for group in (group for group in together if len(group) > 1):
-            squares[:, group] = _without(fits, group)
+            squares[batch] = np.where(determined[:, None], fits.held_out_each(solutions), np.inf)
+        # A twin would tell what the point held out is: all of them are held out together.
+        for group in groups:
+            if len(group) > 1:
+                squares[:, group] = _without(fits, group)
         return self.combined(fits, squares)
 
     def subset_folds(self, control: Points) -> tuple[IntArray, ...]:
@@ -121,15 +126,18 @@ class KFold(_LeftOut):
         rng = np.random.default_rng(self.options["fold_seed"])
         groups = _groups(points, lines)
         xy = xy[[group[0] for group in groups]]
-        repeats, folds = self.options["repeats"], min(self.options["folds"], len(xy))
-        found: list[IntArray] = []
+        repeats = self.options["repeats"]
+        folds = min(self.options["folds"], len(xy))
+        folds_of_features: list[IntArray] = []
+        # Blocks along other axes each time, evenly over a quarter turn.
         for turn in np.arange(repeats) * np.pi / 2 / repeats:
             rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
             order = (rng.permutation(len(xy)) if self.options["how"] == "random"
                      else spatial_order(xy @ rotation))
-            found.extend(np.sort(np.concatenate([groups[i] for i in fold]))
-                         for fold in np.array_split(order, folds))
-        return tuple(found)
+            for fold in np.array_split(order, folds):
+                members = [groups[i] for i in fold]
+                folds_of_features.append(np.sort(np.concatenate(members)))
+        return tuple(folds_of_features)
 
     def subset_folds(self, control: Points) -> tuple[IntArray, ...]:
         """Return the folds of control points."""
@@ -138,10 +146,11 @@ class KFold(_LeftOut):
 
 def _without(fits: Fits, fold: IntArray) -> FloatArray:
     """Return the squared errors of a fold predicted from all others, shape (p, n of the fold)."""
-    rest = fits.in_use.copy()
-    rest[:, fold] = False
-    coefficients, lacking = solve_parts(fits.parts, fits.terms, rest)
-    return np.where(lacking[:, None] == 0, fits.held_out(coefficients, fold), np.inf)
+    # Features that are not in use stay out, whatever the fold.
+    control_in_use = fits.in_use.copy()
+    control_in_use[:, fold] = False
+    coefficients, undetermined = solve_parts(fits.parts, fits.terms, control_in_use)
+    return np.where(undetermined[:, None] == 0, fits.held_out(coefficients, fold), np.inf)
 
 
 @lru_cache(maxsize=4)  # a search asks again and again
@@ -150,5 +159,6 @@ def _groups(points: Points, lines: Lines) -> tuple[IntArray, ...]:
     labels = twins(points.ground)
     n = len(FeatureSet(points, lines))
     labels = np.concatenate([labels, np.arange(len(labels), n)])
+    # Lines have no twins: each has a label of its own. Groups are runs of equal labels.
     order = np.argsort(labels, kind="stable")
     return tuple(np.split(order, np.flatnonzero(np.diff(labels[order])) + 1))

@@ -17,6 +17,7 @@ from termsel.options import COUNT, Option
 if TYPE_CHECKING:
     from termsel.enumeration.columns.system import SubsetSystem
 
+
 class Ebic(Criterion):
     """Extended Bayesian information criterion of the control residuals; not in px.
 
@@ -63,19 +64,24 @@ class Ebic(Criterion):
         genes = np.arange(fits.terms.shape[1]) if genes is None else genes
         optional = np.ones(len(genes), dtype=bool) if fits.optional is None else fits.optional
         total = np.zeros(len(fits.terms))
-        for parts in _chosen_together(fits.parts, genes):
-            columns = np.flatnonzero(np.any([part.columns for part in parts], axis=0))
+        for systems in _chosen_together(fits.parts, genes):
+            columns = np.flatnonzero(np.any([system.columns for system in systems], axis=0))
+            # Terms of one gene are one choice: the first of them stands for all.
             first = columns[np.unique(genes[columns], return_index=True)[1]]
             first = first[optional[first]]
-            rss = np.sum([_rss(part, fits.coefficients[:, part.columns]) for part in parts], axis=0)
-            total += self._of(rss, sum(len(part.equations.b) for part in parts),
+            # Systems that share genes have a common variance: their squares are pooled.
+            rss = np.sum([_rss(system, fits.coefficients[:, system.columns]) for system in systems],
+                         axis=0)
+            total += self._of(rss, sum(len(system.equations.b) for system in systems),
                               fits.terms[:, columns].sum(axis=1), len(first),
                               fits.terms[:, first].sum(axis=1))
         return total
 
     def subset_cost(self, scores: FloatArray, system: SubsetSystem) -> FloatArray:
         """Return the criterion of one part (see `Criterion.subset_cost`)."""
-        (m, k), axes, sizes = system.design.shape, system.target.shape[1], np.arange(len(scores))
+        m, k = system.design.shape
+        axes = system.target.shape[1]
+        sizes = np.arange(len(scores))
         forced = 0 if system.forced is None else int(system.forced.sum())
         never = 0 if system.forbidden is None else int(system.forbidden.sum())
         offered = k - forced - never
@@ -84,24 +90,26 @@ class Ebic(Criterion):
                         np.clip(sizes - forced, 0, offered))
 
     def _of(self, rss: FloatArray, n: int, k: IntArray, offered: int,
-            chosen: IntArray) -> FloatArray:
-        least = self.options["min_redundancy"]
-        least = max(1, round(n / 3)) if least is None else least
+            n_chosen: IntArray) -> FloatArray:
+        min_redundancy = self.options["min_redundancy"]
+        min_redundancy = max(1, round(n / 3)) if min_redundancy is None else min_redundancy
+        # ln C(P, j) for j = 0, ..., P; RSS / n of what is explained to rounding counts as rounding.
         choices = np.array([log(comb(offered, size)) for size in range(offered + 1)])
+        # n ln(RSS / n) + k ln n + 2 gamma ln C(P, j)
         value = (n * np.log(np.maximum(rss / n, ROUNDING**2)) + k * log(n)
-                 + 2 * self.options["gamma"] * choices[chosen])
-        return np.where(n - k >= least, value, np.inf)
+                 + 2 * self.options["gamma"] * choices[n_chosen])
+        return np.where(n - k >= min_redundancy, value, np.inf)
 
 
-def _chosen_together(parts: tuple[IndependentPart, ...],
+def _chosen_together(systems: tuple[IndependentPart, ...],
                      genes: IntArray) -> list[tuple[IndependentPart, ...]]:
     """Return the parts; parts with common genes are joined."""
-    of_parts = [set(genes[part.columns].tolist()) for part in parts]
-    if len(parts) == 2 and of_parts[0] & of_parts[1]:
-        return [parts]
-    return [(part,) for part in parts]
+    of_parts = [set(genes[system.columns].tolist()) for system in systems]
+    if len(systems) == 2 and of_parts[0] & of_parts[1]:
+        return [systems]
+    return [(system,) for system in systems]
 
 
-def _rss(part: IndependentPart, coefficients: FloatArray) -> FloatArray:
+def _rss(system: IndependentPart, coefficients: FloatArray) -> FloatArray:
     """Return residual sums of squares, shape (p,)."""
-    return np.asarray(((part.equations.b - coefficients @ part.equations.A.T)**2).sum(axis=1))
+    return np.asarray(((system.equations.b - coefficients @ system.equations.A.T)**2).sum(axis=1))

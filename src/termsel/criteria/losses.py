@@ -33,6 +33,7 @@ def figure(distances: FloatArray, weights: FloatArray, loss: str = SQUARES,
     """
     used: BoolArray = weights > 0
     counted = np.asarray(used.any(axis=1) & ~(used & ~np.isfinite(distances)).any(axis=1))
+    # Distances that do not count become 0, which no loss turns into NaN.
     d = np.where(used & counted[:, None], distances, 0.0)
     with np.errstate(over="ignore", invalid="ignore"):
         if loss == SQUARES:
@@ -52,5 +53,6 @@ def _medians(values: FloatArray, used: BoolArray) -> FloatArray:
     """Return the median of those in use of each row, shape (p,)."""
     rows = np.sort(np.where(used, values, np.inf), axis=1)
     count = np.maximum(used.sum(axis=1), 1)
-    each = np.arange(len(rows))
-    return np.asarray((rows[each, (count - 1) // 2] + rows[each, count // 2]) / 2)
+    row = np.arange(len(rows))
+    # The mean of both middle ones; of an odd number they are one.
+    return np.asarray((rows[row, (count - 1) // 2] + rows[row, count // 2]) / 2)

@@ -11,6 +11,7 @@ from termsel.measurements.features import FloatArray
 
 def _figure(fits: Fits, loss: str, threshold: float = THRESHOLD.default) -> FloatArray:
     """Return the figure of the distances sqrt(dl^2 + ds^2) of the check points [px]."""
+    # Beyond a pole errors may overflow; the figure then is infinite.
     with np.errstate(over="ignore", invalid="ignore"):
         distances = np.hypot(fits.check_errors[..., 0], fits.check_errors[..., 1])
     return figure(distances, np.ones_like(distances), loss, threshold)

@@ -48,6 +48,7 @@ class Evaluation:
 
     def order(self) -> IntArray:
         """Return the individuals from best to worst by first objective, feasible ones first."""
+        # The last key counts first: violations, then objectives; equal ones stay in their order.
         return np.lexsort((self.objectives[:, 0], self.violation))
 
 
@@ -105,7 +106,8 @@ class EnumerablePart:
 def evaluation_fault(problem: Problem, value: Any, genes: Genes, *_near: Any,
                      **_named: Any) -> str | None:
     """Return what is wrong with the evaluation of a population, if anything."""
-    n, names = len(genes), problem.objectives
+    n = len(genes)
+    names = problem.objectives
     return (of_type(value, Evaluation)
             or of_shape(value.objectives, (n, len(names)), what="returned as objectives")
             or of_shape(value.violation, (n,), what="returned as violation"))
@@ -117,22 +119,23 @@ def _is_number(value: Any) -> bool:
 
 def _selection_fault(_problem: Problem, value: Any, *_args: Any) -> str | None:
     """Return what is wrong with a decoded selection, if anything."""
-    what = of_type(value, Selection)
-    if what is None:
-        for part, names in (("terms", value.terms), ("features", value.features)):
+    # A record of the run takes names, and values that JSON has.
+    fault = of_type(value, Selection)
+    if fault is None:
+        for attribute, names in (("terms", value.terms), ("features", value.features)):
             if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names):
-                return f"returned as {part} {names!r:.200}; expected a tuple of names"
+                return f"returned as {attribute} {names!r:.200}; expected a tuple of names"
         if not isinstance(value.parameters, Mapping) or not all(
-                isinstance(name, str) and (isinstance(one, str) or _is_number(one))
-                for name, one in value.parameters.items()):
+                isinstance(name, str) and (isinstance(parameter, str) or _is_number(parameter))
+                for name, parameter in value.parameters.items()):
             return (f"returned as parameters {value.parameters!r:.200}; expected finite numbers, "
                     "text or bool by name")
-    return what
+    return fault
 
 
 def _parts_fault(_problem: Problem, value: Any) -> str | None:
     return None if isinstance(value, tuple) and all(
-        isinstance(part, EnumerablePart) for part in value) \
+        isinstance(subproblem, EnumerablePart) for subproblem in value) \
         else f"returned {value!r:.200}; expected a tuple of EnumerablePart"
 
 
@@ -255,7 +258,9 @@ class ProblemAround(Problem):
 
     def __init__(self, inner: Problem) -> None:
         self.inner = inner
-        self.genome, self.objectives = inner.genome, inner.objectives
+        # Solvers read both of them often.
+        self.genome = inner.genome
+        self.objectives = inner.objectives
 
     def decode(self, genes: Genes) -> Selection:
         """Return the selection of the inner problem."""

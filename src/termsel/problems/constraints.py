@@ -39,7 +39,8 @@ TERM_OPTIONS = (
 
 def listed(value: str | None) -> list[str]:
     """Return the names in the value of an option, which are separated by commas."""
-    return [name for name in (part.strip() for part in (value or "").split(",")) if name]
+    names = map(str.strip, (value or "").split(","))
+    return [name for name in names if name]
 
 
 def without_heights(names: tuple[str, ...], options: Mapping[str, Any]) -> dict[str, str]:
@@ -47,16 +48,19 @@ def without_heights(names: tuple[str, ...], options: Mapping[str, Any]) -> dict[
 
     They are for control that does not tell what a height does; `options` are those it has.
     """
-    high = {name: term for name in names if (term := Term.parse(name)).has_height
+    height_terms = {name: term for name in names if (term := Term.parse(name)).has_height
             and not isinstance(term.exponents, str)}
+    # A problem without term genes takes the terms in use as a list; others force genes off.
     if "terms" in options:
-        return {"terms": options["terms"] or ",".join(name for name in names if name not in high)}
+        return {"terms": options["terms"] or ",".join(name for name in names
+                                                      if name not in height_terms)}
     if "force_off" not in options:
         return {}
-    asked = set(listed(options["force_on"]))
-    kept = {term.shared for name, term in high.items()
-            if asked & {name, str(term.shared), term.column}}
-    off = [str(term.shared) for term in high.values() if term.shared not in kept]
+    forced_on = set(listed(options["force_on"]))
+    # A term may be asked for by its own name, by that of both axes, or by its monomial.
+    remaining = {term.shared for name, term in height_terms.items()
+                 if forced_on & {name, str(term.shared), term.column}}
+    off = [str(term.shared) for term in height_terms.values() if term.shared not in remaining]
     return {"force_off": ",".join(dict.fromkeys([*listed(options["force_off"]), *off]))}
 
 
@@ -66,16 +70,20 @@ def forced(value: str | None, labels: tuple[str, ...], ids: tuple[str, ...]) -> 
     Labels are those of all genes of terms, such as "line.num:X", or "num:X" for both axes; ids
     those of all features that are selected. Raises TermselError for a name that none has.
     """
-    found: list[str] = []
+    genes: list[str] = []
     for name in listed(value):
         named = [label for label, term in zip(labels, map(Term.parse, labels), strict=True)
                  if name in (label, str(term.shared), term.column)]
-        named += [one for one in ids if one == name]
+        named += [feature_id for feature_id in ids if feature_id == name]
         if not named:
-            what = " or ".join(["term"] * bool(labels) + ["feature"] * bool(ids))
-            raise unknown_name(what, name, (*labels, *ids))
-        found += named
-    return found
+            kinds = []
+            if labels:
+                kinds.append("term")
+            if ids:
+                kinds.append("feature")
+            raise unknown_name(" or ".join(kinds), name, (*labels, *ids))
+        genes += named
+    return genes
 
 
 def parents(names: tuple[str, ...]) -> tuple[IntArray, IntArray]:
@@ -85,10 +93,12 @@ def parents(names: tuple[str, ...]) -> tuple[IntArray, IntArray]:
     """
     terms = [Term.parse(name) for name in names]
     index = {term: i for i, term in enumerate(terms)}
-    pairs = [(i, index[parent]) for i, term in enumerate(terms) for parent in term.parents
-             if parent in index]
-    child, parent = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
-    return child, parent
+    pairs: list[tuple[int, int]] = []
+    for i, term in enumerate(terms):
+        # The model may lack a parent: then nothing is asked of that term.
+        pairs += [(i, index[parent]) for parent in term.parents if parent in index]
+    children, parents_of_children = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
+    return children, parents_of_children
 
 
 def orphans(terms: BoolArray, pairs: tuple[IntArray, IntArray]) -> FloatArray:
@@ -102,36 +112,38 @@ MAX_SHARE = 2 / 3
 redundant."""
 
 
-def most_terms(equations: IntArray, share: float, least: int = 1) -> IntArray:
+def most_terms(equations: IntArray, share: float, freedom: int = 1) -> IntArray:
     """Return how many terms so many equations support, as a share of these.
 
-    At least `least` degrees of freedom are left.
+    At least `freedom` degrees of freedom are left.
     """
+    # 0.29 of 100 is 29, which rounding makes 28.999...
     rounding = 1e-9
     supported = np.floor(share * equations + rounding).astype(np.intp)
-    return np.asarray(np.minimum(supported, equations - least))
+    return np.asarray(np.minimum(supported, equations - freedom))
 
 
-def excess(parts: tuple[IndependentPart, ...], terms: BoolArray, features: BoolArray | None,
-           share: float, least: int = 1) -> FloatArray:
+def excess(systems: tuple[IndependentPart, ...], terms: BoolArray, features: BoolArray | None,
+           share: float, freedom: int = 1) -> FloatArray:
     """Return how many terms are in use in excess of what the equations in use support, shape (p,).
 
     Each part supports its own terms, (p, k), or (1, k) if all have the same. Features (p, f) are
-    all in use by default. Share and least are those of `most_terms`.
+    all in use by default. Share and freedom are those of `most_terms`.
     """
     total: FloatArray = np.zeros(len(terms))
-    for part in parts:
-        each = np.bincount(part.equations.feature,
+    for system in systems:
+        # Only rows of features in use count: a feature may have several in a part, or none.
+        rows_of_feature = np.bincount(system.equations.feature,
                            minlength=0 if features is None else features.shape[1])
         # As floats, which are exact here: BLAS has no whole numbers.
-        rows = np.asarray(each.sum() if features is None else features @ each.astype(np.float64),
-                          dtype=np.intp)
-        chosen = terms[:, part.columns].sum(axis=1)
-        total = total + np.maximum(chosen - most_terms(rows, share, least), 0)
+        rows = np.asarray(rows_of_feature.sum() if features is None
+                          else features @ rows_of_feature.astype(np.float64), dtype=np.intp)
+        n_terms = terms[:, system.columns].sum(axis=1)
+        total = total + np.maximum(n_terms - most_terms(rows, share, freedom), 0)
     return total
 
 
-def capped(segments: Iterable[Bits], gene_of_term: IntArray, parts: tuple[IndependentPart, ...],
+def capped(segments: Iterable[Bits], gene_of_term: IntArray, systems: tuple[IndependentPart, ...],
            share: float) -> list[Bits]:
     """Return the segments of terms with a maximum that no selection without excess is above.
 
@@ -140,23 +152,25 @@ def capped(segments: Iterable[Bits], gene_of_term: IntArray, parts: tuple[Indepe
     """
     # This keeps a search from most of what `excess` would count, which is more where several
     # segments share equations, or features are selected too.
-    found, start = [], 0
+    limited = []
+    start = 0
     for segment in segments:
         genes = np.arange(start, start + len(segment.labels))
         start += len(genes)
-        most = len(genes)
-        for part in parts:
-            columns = np.bincount(gene_of_term[part.columns], minlength=start)[genes]
+        maximum = len(genes)
+        for system in systems:
+            columns = np.bincount(gene_of_term[system.columns], minlength=start)[genes]
+            # A gene of a shared mask switches a column in each axis, one of a mask per axis in one.
             if columns.any():
-                equations = len(part.equations.b)
+                equations = len(system.equations.b)
                 supported = int(most_terms(np.array(equations), share))
                 # Genes of no column here are free; the others switch as many as the fewest do.
-                most = min(most, int((columns == 0).sum())
+                maximum = min(maximum, int((columns == 0).sum())
                            + supported // columns[columns > 0].min())
-        if most < 1:
-            of = segment.name.replace(".", " of ")
-            raise TermselError(f"max_share={share:.2g} allows no {of}: the control gives "
+        if maximum < 1:
+            segment_name = segment.name.replace(".", " of ")
+            raise TermselError(f"max_share={share:.2g} allows no {segment_name}: the control gives "
                                f"{equations} equations",
                                hint="Raise max_share or give more control.")
-        found.append(replace(segment, maximum=most))
-    return found
+        limited.append(replace(segment, maximum=maximum))
+    return limited

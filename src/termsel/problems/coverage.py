@@ -12,17 +12,19 @@ from termsel.measurements.features import BoolArray, FloatArray
 def _areas(x: FloatArray, y: FloatArray, masks: BoolArray, areas: FloatArray) -> None:
     """Write the area of the hull of each selection of points in ascending order of x, then y."""
     hull = np.empty(2 * len(x) + 1, dtype=np.intp)
-    for one in range(len(masks)):
+    for individual in range(len(masks)):
         size = 0
         # Andrew's monotone chain: the lower side forward, the upper side backward.
-        for side in range(2):
+        for direction in range(2):
             base = size
             for step in range(len(x)):
-                i = step if side == 0 else len(x) - 1 - step
-                if not masks[one, i]:
+                i = step if direction == 0 else len(x) - 1 - step
+                if not masks[individual, i]:
                     continue
                 while size - base >= 2:
-                    a, b = hull[size - 2], hull[size - 1]
+                    # A point that makes no turn to the left is inside, or on an edge.
+                    a = hull[size - 2]
+                    b = hull[size - 1]
                     if (x[b] - x[a]) * (y[i] - y[a]) > (y[b] - y[a]) * (x[i] - x[a]):
                         break
                     size -= 1
@@ -30,11 +32,13 @@ def _areas(x: FloatArray, y: FloatArray, masks: BoolArray, areas: FloatArray) ->
                 size += 1
             if size > base:
                 size -= 1  # the other side begins with this point
+        # Gauss's formula: twice the area is the sum of x_i y_j - x_j y_i along the hull.
         area = 0.0
         for k in range(size):
-            i, j = hull[k], hull[(k + 1) % size]
+            i = hull[k]
+            j = hull[(k + 1) % size]
             area += x[i] * y[j] - x[j] * y[i]
-        areas[one] = 0.5 * abs(area)
+        areas[individual] = 0.5 * abs(area)
 
 
 def hull_areas(points: FloatArray, masks: BoolArray) -> FloatArray:
@@ -43,6 +47,7 @@ def hull_areas(points: FloatArray, masks: BoolArray) -> FloatArray:
     It is 0 for fewer than three points, and for points on a straight line.
     """
     order = np.lexsort((points[:, 1], points[:, 0]))
+    # Products of coordinates far from the origin would lose digits.
     centred = np.ascontiguousarray((points - points.mean(axis=0))[order].T)
     areas = np.zeros(len(masks))
     _areas(centred[0], centred[1], np.ascontiguousarray(masks[:, order]), areas)

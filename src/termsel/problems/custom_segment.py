@@ -47,8 +47,10 @@ class Named:
 
 def _genes_fault(segment: CustomSegment, value: Any, *_args: Any) -> str | None:
     """Return what is wrong with genes that a method of a segment returned, if anything."""
-    what = of_shape(value, (-1, segment.size))
-    return what or (f"returned genes that {fault}" if (fault := segment.fault(value)) else None)
+    fault = of_shape(value, (-1, segment.size))
+    if fault is None and (genes_fault := segment.fault(value)):
+        return f"returned genes that {genes_fault}"
+    return fault
 
 
 def _pair_fault(segment: CustomSegment, value: Any, *_args: Any) -> str | None:
@@ -96,11 +98,13 @@ class CustomSegment(Named, Guarded):
         """Return what is wrong with genes of any dtype, or nothing: they differ when repaired."""
         return "" if np.array_equal(self.repaired(genes), genes) else "are not valid as they are"
 
-    def crossed(self, one: Genes, other: Genes, rng: np.random.Generator) -> tuple[Genes, Genes]:
+    def crossed(self, parents_1: Genes, parents_2: Genes,
+                rng: np.random.Generator) -> tuple[Genes, Genes]:
         """Return two children of each pair of parents, (p, size) each."""
-        swap = rng.random(one.shape) < 0.5
-        return (self.repaired(np.where(swap, other, one)),
-                self.repaired(np.where(swap, one, other)))
+        # Uniform crossover; what it breaks is repaired, as it is after every operator.
+        swap = rng.random(parents_1.shape) < 0.5
+        return (self.repaired(np.where(swap, parents_2, parents_1)),
+                self.repaired(np.where(swap, parents_1, parents_2)))
 
     def mutated(self, genes: Genes, probability: float, rng: np.random.Generator) -> Genes:
         """Return genes (p, size), each changed with the given chance."""

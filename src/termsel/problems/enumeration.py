@@ -41,7 +41,8 @@ def enumerable_parts(inputs: Inputs, equations: Equations, genome: Genome,
     terms, and for each a parent that must be selected with it. Raises TermselError if the axes are
     coupled, or criterion or model do not allow an enumeration.
     """
-    model, criterion = inputs.model, inputs.criterion
+    model = inputs.model
+    criterion = inputs.criterion
     if not isinstance(model, RationalModel):
         raise _not_enumerable(f"model {model.name!r} is not a RationalModel")
     if model.weighted:
@@ -55,31 +56,37 @@ def enumerable_parts(inputs: Inputs, equations: Equations, genome: Genome,
         raise _not_enumerable(f"model {model.name!r} has pseudo-observations, which are no rows "
                               "of the control (--set ridge=0 removes them)")
     _refuse_other_errors(inputs)
+    # parents[i, j]: term i is selected only with term j.
     parents = np.zeros((len(axis), len(axis)), dtype=bool)
     if pairs is not None:
         parents[pairs] = True
-    sides = [_side(model, inputs, equations, side, guard, margin, parents if pairs else None)
-             for side in (LINE, SAMPLE)]
-    genes = [gene_of_term[axis == side] for side in (LINE, SAMPLE)]
+    axis_systems = [_side(model, inputs, equations, image_axis=image_axis, guard=guard,
+                          margin=margin, parents=parents if pairs else None)
+                    for image_axis in (LINE, SAMPLE)]
+    genes = [gene_of_term[axis == image_axis] for image_axis in (LINE, SAMPLE)]
     # A shared mask is one system with two right-hand sides, if their columns are the same.
     if len(genome.segments) == 1:
-        sides, genes = [_merge(sides, genes)], genes[:1]
+        axis_systems = [_merge(axis_systems, genes)]
+        genes = genes[:1]
     # One row a point and axis, so that the rows of a fold are its points.
     folds = criterion.subset_folds(inputs.control.points)
     # Leave-one-out of points some of which are held out together is of folds too.
     score = "kfold" if folds else criterion.subset_score
-    parts = []
-    for side, where in zip(sides, genes, strict=True):
-        order = np.argsort(where)  # columns in the order of the genes
-        system = _ordered(side, order, genome, where[order])
+    subproblems = []
+    for axis_system, axis_genes in zip(axis_systems, genes, strict=True):
+        order = np.argsort(axis_genes)  # columns in the order of the genes
+        system = _ordered(axis_system, order, genome, axis_genes[order])
         cost = partial(criterion.subset_cost, system=system)
         if criterion.is_rmse:
-            judged = (sum(map(len, folds)) if score == "kfold" else
+            n_errors = (sum(map(len, folds)) if score == "kfold" else
                       len(inputs.check) if score == "check" else len(system.design))
-            cost = partial(_cost_by_size, cost=cost, rounding=judged * ROUNDING**2 / len(sides),
-                           share=len(sides) / genome.size)
-        parts.append(EnumerablePart(where[order], system, score, cost, folds, inputs.pixels))
-    return tuple(parts)
+            # An RMSE of all parts up to ROUNDING is a sum of squares of each up to its share.
+            rounding = n_errors * ROUNDING**2 / len(axis_systems)
+            cost = partial(_cost_by_size, cost=cost, rounding=rounding,
+                           share=len(axis_systems) / genome.size)
+        subproblems.append(EnumerablePart(axis_genes[order], system, score, cost, folds,
+                                          inputs.pixels))
+    return tuple(subproblems)
 
 
 def _cost_by_size(scores: FloatArray, cost: Callable[[FloatArray], FloatArray], rounding: float,
@@ -94,7 +101,8 @@ def _cost_by_size(scores: FloatArray, cost: Callable[[FloatArray], FloatArray], 
 
 def _refuse_other_errors(inputs: Inputs) -> None:
     """Refuse scores of control rows where a row's error is not that of its point [px]."""
-    name, points = inputs.criterion.name, inputs.control.points
+    name = inputs.criterion.name
+    points = inputs.control.points
     if inputs.criterion.subset_score not in ("press", "kfold"):
         return
     if points.sigma is not None and np.ptp(points.sigma) > 0:
@@ -109,58 +117,71 @@ def _not_enumerable(why: str) -> TermselError:
                         hint="Choose another solver, such as --solver ga or --solver swap.")
 
 
-def _side(model: RationalModel, inputs: Inputs, equations: Equations, side: int,
+def _side(model: RationalModel, inputs: Inputs, equations: Equations, image_axis: int,
           guard: FloatArray, margin: float, parents: BoolArray | None) -> SubsetSystem:
     """Return the system of one axis with the errors at the check points."""
-    points, axis = inputs.control.points, model.axis
-    control = equations.take(row_axes(equations.A, axis) == side, axis == side)
-    system = SubsetSystem(
-        control.A, control.b[:, None], denominator=_below(model, points.ground, side),
-        guard_denominator=_below(model, guard, side), margin=margin,
-        some_of=np.ones(control.A.shape[1], dtype=bool),
-        parents=None if parents is None else parents[np.ix_(axis == side, axis == side)])
-    return _with_check(system, model, inputs, side) if inputs.criterion.needs_check else system
+    points = inputs.control.points
+    term_axes = model.axis
+    control = equations.take(row_axes(equations.A, term_axes) == image_axis,
+                             term_axes == image_axis)
+    axis_parents = None
+    if parents is not None:
+        axis_parents = parents[np.ix_(term_axes == image_axis, term_axes == image_axis)]
+    system = SubsetSystem(control.A, control.b[:, None],
+                          denominator=_below(model, points.ground, image_axis),
+                          guard_denominator=_below(model, guard, image_axis), margin=margin,
+                          # An axis without any term is no model of the image.
+                          some_of=np.ones(control.A.shape[1], dtype=bool), parents=axis_parents)
+    if inputs.criterion.needs_check:
+        return _with_check(system, model, inputs, image_axis)
+    return system
 
 
 def _with_check(system: SubsetSystem, model: RationalModel, inputs: Inputs,
-                side: int) -> SubsetSystem:
+                image_axis: int) -> SubsetSystem:
     """Return the system with the rows of the check points."""
-    check, points = inputs.check, inputs.control.points
-    judged = _axis_of_points(model, check, side)
+    check = inputs.check
+    points = inputs.control.points
+    check_equations = _axis_of_points(model, check, image_axis)
     weights = model.residual_weights(points.ground, check.ground)
-    A, b = judged.A, judged.b
+    A = check_equations.A
+    b = check_equations.b
     if weights is None and model.corrects:
         raise _not_enumerable(f"the second step of model {model.name!r} is not linear in its terms")
     if weights is not None:
         # The correction is linear in the residuals of the control, hence in the unknowns.
-        of_control = _axis_of_points(model, points, side)
-        A, b = A - weights @ of_control.A, b - weights @ of_control.b
+        control_equations = _axis_of_points(model, points, image_axis)
+        A = A - weights @ control_equations.A
+        b = b - weights @ control_equations.b
     return replace(system, check_design=A, check_target=b[:, None],
-                   check_denominator=_below(model, check.ground, side))
+                   check_denominator=_below(model, check.ground, image_axis))
 
 
-def _axis_of_points(model: RationalModel, points: Points, side: int) -> Equations:
+def _axis_of_points(model: RationalModel, points: Points, image_axis: int) -> Equations:
     """Return the unweighted equations of points for one axis."""
+    # Without standard deviations, hence without weights: errors are in px.
     bare = FeatureSet(Points(points.ids, points.image, points.ground), no_lines())
     rows = model.equations(bare)
-    return rows.take(np.arange(len(rows.b)) % 2 == side, model.axis == side)
+    return rows.take(np.arange(len(rows.b)) % 2 == image_axis, model.axis == image_axis)
 
 
-def _below(model: RationalModel, ground: FloatArray, side: int) -> FloatArray | None:
+def _below(model: RationalModel, ground: FloatArray, image_axis: int) -> FloatArray | None:
     """Return the linear form of one axis' denominator at ground points, shape (n, columns)."""
-    one_each = np.eye(len(model.terms))[model.axis == side]
-    below = model.denominators(one_each, ground)
-    return None if below is None else np.ascontiguousarray(below[..., side].T - 1.0)
+    # 1 + d x is linear in the coefficients x: those of unit vectors, less 1, are its columns d.
+    unit_vectors = np.eye(len(model.terms))[model.axis == image_axis]
+    below = model.denominators(unit_vectors, ground)
+    return None if below is None else np.ascontiguousarray(below[..., image_axis].T - 1.0)
 
 
-def _merge(sides: list[SubsetSystem], genes: list[IntArray]) -> SubsetSystem:
+def _merge(axis_systems: list[SubsetSystem], genes: list[IntArray]) -> SubsetSystem:
     """Return line and sample as two right-hand sides of one system."""
-    line, sample = sides
-    alike = (np.array_equal(genes[0], genes[1]) and line.denominator is None
+    line, sample = axis_systems
+    same_columns = (np.array_equal(genes[0], genes[1]) and line.denominator is None
              and np.array_equal(line.design, sample.design))
-    if not alike:
+    if not same_columns:
         raise _not_enumerable("with a shared mask, line and sample must have the same "
                               "columns and no denominators; use --set mask=per-axis")
+    # Both have the same columns: two targets, whose squares add up.
     check_target = (None if line.check_target is None or sample.check_target is None
                     else np.concatenate([line.check_target, sample.check_target], axis=1))
     return SubsetSystem(
@@ -171,6 +192,7 @@ def _merge(sides: list[SubsetSystem], genes: list[IntArray]) -> SubsetSystem:
 def _ordered(system: SubsetSystem, order: IntArray, genome: Genome,
              genes: IntArray) -> SubsetSystem:
     """Return the system with its columns in order, and with the genome's forced genes."""
+    # What is of rows alone, such as targets, stays as it is.
     by_column = ("design", "check_design", "denominator", "check_denominator", "guard_denominator")
     columns: dict[str, Any] = {name: np.ascontiguousarray(array[:, order]) for name in by_column
                                if (array := getattr(system, name)) is not None}

@@ -39,23 +39,31 @@ class Genome:
         if len(self._slices) < len(self.segments):
             raise TermselError("two segments of a genome have the same name: "
                                + ", ".join(s.name for s in self.segments))
-        self.labels = tuple(label for s in self.segments for label in s.labels)
+        labels: list[str] = []
+        for segment in self.segments:
+            labels += segment.labels
+        self.labels = tuple(labels)
         self._of_labels = _slices([(s.name, len(s.labels)) for s in self.segments])
         self.size = sum(s.size for s in self.segments)
         self.dtype = _dtype(self.segments)
         self.on = self._mark(on)
         self.off = self._mark(off)
+        # What is forced belongs to labels, not to genes: a `Subset` has fewer genes than labels.
         self.free = ~(self.on | self.off)
-        both = self.on & self.off
-        if both.any():
-            raise TermselError(f"gene {self.labels[int(np.argmax(both))]!r} is forced both on and "
-                               "off", hint="Remove it from force_on or from force_off.")
+        on_and_off = self.on & self.off
+        if on_and_off.any():
+            label = self.labels[int(np.argmax(on_and_off))]
+            raise TermselError(f"gene {label!r} is forced both on and off",
+                               hint="Remove it from force_on or from force_off.")
         self._refuse_unreachable()
 
     def _refuse_unreachable(self) -> None:
-        for segment, where in self._switched():
-            least_on, most_on = int(self.on[where].sum()), int((~self.off[where]).sum())
-            if segment.minimum > min(segment.most, most_on) or least_on > segment.most:
+        # As many as the minimum must be allowed on, and what is forced on must be allowed by the
+        # maximum.
+        for segment, labels in self._switched():
+            n_forced_on = int(self.on[labels].sum())
+            n_not_off = int((~self.off[labels]).sum())
+            if segment.minimum > min(segment.most, n_not_off) or n_forced_on > segment.most:
                 raise TermselError(
                     f"{segment.minimum} to {segment.most} of the {len(segment.labels)} genes "
                     f"{segment.name!r} must be on; forced genes or their number do not allow it",
@@ -69,12 +77,17 @@ class Genome:
 
     def _mark(self, labels: Iterable[str]) -> BoolArray:
         marked = np.zeros(len(self.labels), dtype=bool)
-        known = {label: where.start + i for segment, where in reversed(self._switched())
-                 for i, label in enumerate(segment.labels)} if (labels := list(labels)) else {}
+        labels = list(labels)
+        label_index: dict[str, int] = {}
+        if labels:
+            # Of segments that share a label the first one is meant.
+            for segment, columns in reversed(self._switched()):
+                numbers = range(columns.start, columns.stop)
+                label_index.update(zip(segment.labels, numbers, strict=True))
         for label in labels:
-            if label not in known:
-                raise unknown_name("gene", label, known)
-            marked[known[label]] = True
+            if label not in label_index:
+                raise unknown_name("gene", label, label_index)
+            marked[label_index[label]] = True
         return marked
 
     def slices(self) -> dict[str, slice]:
@@ -93,22 +106,23 @@ class Genome:
 
         Those of `Bits` and a `Subset` may be; others are not.
         """
+        # Of bits alone the genes are what is chosen.
         if self.dtype == np.bool_:
             return genes
-        found = np.zeros((len(genes), len(self.labels)), dtype=bool)
-        for segment, where in self._switched():
-            part = genes[:, self._slices[segment.name]]
-            found[:, where] = segment.mask(part)
-        return found
+        mask = np.zeros((len(genes), len(self.labels)), dtype=bool)
+        for segment, labels in self._switched():
+            segment_genes = genes[:, self._slices[segment.name]]
+            mask[:, labels] = segment.mask(segment_genes)
+        return mask
 
     def keeps(self, genes: Genes) -> BoolArray:
         """Return which individuals keep forced genes and cardinality, shape (p,)."""
-        chosen = self.chosen(genes)
-        good = chosen[:, self.on].all(axis=1) & ~chosen[:, self.off].any(axis=1)
-        for segment, where in self._switched():
-            count = chosen[:, where].sum(axis=1)
-            good &= (count >= segment.minimum) & (count <= segment.most)
-        return np.asarray(good)
+        mask = self.chosen(genes)
+        valid = mask[:, self.on].all(axis=1) & ~mask[:, self.off].any(axis=1)
+        for segment, labels in self._switched():
+            count = mask[:, labels].sum(axis=1)
+            valid &= (count >= segment.minimum) & (count <= segment.most)
+        return np.asarray(valid)
 
     def part(self, genes: Genes, name: str) -> Genes:
         """Return the genes of one segment in its own dtype, shape (p, segment's size)."""
@@ -128,7 +142,8 @@ class Genome:
 
         Bits have their own random share on in every individual, other genes are uniform.
         """
-        if self.dtype == np.bool_:  # one share for all segments
+        # One share for all segments: line and sample get about as many terms.
+        if self.dtype == np.bool_:
             return self.repair(Bits("", self.labels).random(rng, n), rng)
         return self.repair(np.concatenate(
             [s.random(rng, n) for s in self.segments], axis=1, dtype=self.dtype), rng)
@@ -145,21 +160,23 @@ class Genome:
         """
         if self.dtype == np.bool_:
             fixed = (Bits("", self.labels).repaired(genes) | self.on) & ~self.off
-            for switched, where in self._switched():
-                _keep_count(fixed[:, where], switched, self.free[where], rng)
+            # Forced genes stay as they are: only free ones are switched to keep the counts.
+            for switched, columns in self._switched():
+                _keep_count(fixed[:, columns], switched, self.free[columns], rng)
             return fixed
         fixed = np.empty((len(genes), self.size), dtype=self.dtype)
-        for segment, where in zip(self.segments, self._slices.values(), strict=True):
-            part = segment.repaired(genes[:, where])
-            fixed[:, where] = (self._forced(segment, part, rng)
-                               if isinstance(segment, Bits | Subset) else part)
+        for segment, columns in zip(self.segments, self._slices.values(), strict=True):
+            segment_genes = segment.repaired(genes[:, columns])
+            if isinstance(segment, Bits | Subset):
+                segment_genes = self._forced(segment, segment_genes, rng)
+            fixed[:, columns] = segment_genes
         return fixed
 
     def _forced(self, segment: Bits | Subset, genes: Genes, rng: np.random.Generator) -> Genes:
         """Return the genes of a segment with its forced labels and cardinality."""
-        where = self._of_labels[segment.name]
-        mask = (segment.mask(genes) | self.on[where]) & ~self.off[where]
-        _keep_count(mask, segment, self.free[where], rng)
+        labels = self._of_labels[segment.name]
+        mask = (segment.mask(genes) | self.on[labels]) & ~self.off[labels]
+        _keep_count(mask, segment, self.free[labels], rng)
         return segment.members(mask)
 
     def fault(self, genes: object) -> str | None:
@@ -172,6 +189,7 @@ class Genome:
         genes : object
             What should be a population.
         """
+        # The type must be that of the genome: solvers write into arrays of it.
         if not isinstance(genes, np.ndarray) or genes.dtype != self.dtype or genes.ndim != 2 \
                 or genes.shape[1] != self.size:
             got = (f"the type {genes.dtype} and the shape {genes.shape}"
@@ -179,8 +197,8 @@ class Genome:
             return f"genes of {got}; expected {self.dtype} and (n, {self.size})"
         if self.dtype == np.bool_:
             return None
-        for segment, where in zip(self.segments, self._slices.values(), strict=True):
-            if fault := segment.fault(genes[:, where]):
+        for segment, columns in zip(self.segments, self._slices.values(), strict=True):
+            if fault := segment.fault(genes[:, columns]):
                 return f"genes that are not valid: those of {segment.name!r} {fault}"
         return None
 
@@ -190,22 +208,25 @@ def _keep_count(genes: BoolArray, segment: Bits | Subset, free: BoolArray,
     """Switch free genes of a segment in place, until its cardinality is kept."""
     count = genes.sum(axis=1)
     for i in np.flatnonzero((count < segment.minimum) | (count > segment.most)):
-        part = genes[i]
+        individual = genes[i]
         short = count[i] < segment.minimum
-        movable = np.flatnonzero((part != short) & free)
-        wanted = segment.minimum - count[i] if short else count[i] - segment.most
-        part[rng.permutation(movable)[:wanted]] = short
+        # Those that are off where too few are on, those that are on where too many are.
+        movable = np.flatnonzero((individual != short) & free)
+        n_switched = segment.minimum - count[i] if short else count[i] - segment.most
+        individual[rng.permutation(movable)[:n_switched]] = short
 
 
 def _slices(sizes: Iterable[tuple[str, int]]) -> dict[str, slice]:
-    found, start = {}, 0
+    slices = {}
+    start = 0
     for name, size in sizes:
-        found[name] = slice(start, start + size)
+        slices[name] = slice(start, start + size)
         start += size
-    return found
+    return slices
 
 
 def _dtype(segments: Iterable[AnySegment]) -> np.dtype[Any]:
+    # The widest of them holds all: bits, whole numbers, real numbers.
     kinds = {s.dtype for s in segments}
     return np.dtype(np.float64 if np.float64 in kinds else
                     np.intp if np.intp in kinds else np.bool_)

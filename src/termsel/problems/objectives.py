@@ -50,6 +50,7 @@ def n_features(selected: PopulationSelection) -> FloatArray:
 
 def unit_deviations(design: FloatArray) -> FloatArray:
     """Return columns less their means, of length 1; 0 where they are constant but for rounding."""
+    # A constant column has no deviations but rounding: it is correlated with nothing.
     centred = design - design.mean(axis=0)
     lengths = np.linalg.norm(centred, axis=0)
     varies = lengths > 1e-12 * np.linalg.norm(design, axis=0)
@@ -65,32 +66,36 @@ def max_correlation(selected: PopulationSelection) -> FloatArray:
     objective: Gholinejad et al. 2019.)
     """
     largest = np.zeros(len(selected.terms))
-    for part in selected.parts:
-        A = unit_deviations(part.equations.A)
+    for system in selected.parts:
+        A = unit_deviations(system.equations.A)
         correlation = np.abs(A.T @ A)
         np.fill_diagonal(correlation, 0.0)
-        terms = selected.terms[:, part.columns]
+        terms = selected.terms[:, system.columns]
+        # Column by column: the largest correlation with any other in use, where it is in use too.
         for row, mask in zip(correlation, terms.T, strict=True):
-            here = np.where(terms, row, 0.0).max(axis=1)
-            largest = np.maximum(largest, np.where(mask, here, 0.0))
+            correlated = np.where(terms, row, 0.0).max(axis=1)
+            largest = np.maximum(largest, np.where(mask, correlated, 0.0))
     return np.minimum(largest, 1.0)
 
 
 def log_condition(selected: PopulationSelection) -> FloatArray:
     """Return log10 of the condition number of the used rows and columns, scaled to length 1."""
-    A, feature = selected.equations.A, selected.equations.feature
+    A = selected.equations.A
+    feature = selected.equations.feature
     result = np.empty(len(selected.terms))
     for i, (terms, features) in enumerate(zip(selected.terms, selected.features, strict=True)):
-        part = A[np.ix_(features[feature], terms)]
-        lengths = np.linalg.norm(part, axis=0) if part.size else np.zeros(1)
-        if not part.size or (lengths == 0).any() or part.shape[0] < part.shape[1]:
+        design = A[np.ix_(features[feature], terms)]
+        lengths = np.linalg.norm(design, axis=0) if design.size else np.zeros(1)
+        if not design.size or (lengths == 0).any() or design.shape[0] < design.shape[1]:
             result[i] = _SINGULAR
             continue
-        values = np.linalg.svd(part / lengths, compute_uv=False)
+        values = np.linalg.svd(design / lengths, compute_uv=False)
+        # Ratio of the extreme singular values; the least may be rounding, or 0.
         result[i] = min(_SINGULAR, np.log10(values[0] / max(values[-1], 1e-300)))
     return result
 
 
+# log10 of a condition from which no digit of double precision is left.
 _SINGULAR = 16.0
 
 
@@ -105,9 +110,11 @@ def unevenness(selected: PopulationSelection) -> FloatArray:
     The coefficient of variation of the distances to the nearest selected neighbour in the
     image; 1 for fewer than three features. termsel's own measure.
     """
-    places = centres(selected.control)
-    distance = np.linalg.norm(places[:, None] - places[None], axis=2)
+    positions = centres(selected.control)
+    distance = np.linalg.norm(positions[:, None] - positions[None], axis=2)
+    # No feature is its own neighbour.
     np.fill_diagonal(distance, np.inf)
+    # Two features are always equally far from each other: three are the fewest.
     result = np.ones(len(selected.features))
     for i, mask in enumerate(selected.features):
         if mask.sum() >= 3:
@@ -136,10 +143,10 @@ def scored(objective: Objective, selected: PopulationSelection) -> FloatArray:
     """Return the figures of an objective; refuse, naming the plugin, others than one finite each.
     """
     with blamed(objective.score, "score"):
-        found = objective.score(selected)
-    if fault := of_shape(found, (len(selected.terms),)):
+        figures = objective.score(selected)
+    if fault := of_shape(figures, (len(selected.terms),)):
         raise wrong(objective.score, "score", fault)
-    return found
+    return figures
 
 
 OBJECTIVES = tuple(Objective(score.__name__, summary, score) for score, summary in (

@@ -68,37 +68,44 @@ class ParameterProblem(Problem):
         """Return the criterion and the violation (see `SelectionProblem.evaluate`)."""
         objectives = np.empty((len(genes), len(self.objectives)))
         violation = np.empty(len(genes))
+        # A model, and its problem, for each set of parameters in the population.
         different, group = np.unique(genes[:, self._n_terms:], axis=0, return_inverse=True)
         for i, row in enumerate(different):
-            here = np.flatnonzero(group.ravel() == i)
+            same_parameters = np.flatnonzero(group.ravel() == i)
             problem = self._at(row)
             # Without a selection all with these parameters are the same.
-            which = here if self._selects_terms else here[:1]
-            found = problem.evaluate(self._of_terms(genes[which], problem))
-            objectives[here], violation[here] = found.objectives, found.violation
+            evaluated = same_parameters if self._selects_terms else same_parameters[:1]
+            evaluation = problem.evaluate(self._of_terms(genes[evaluated], problem))
+            objectives[same_parameters] = evaluation.objectives
+            violation[same_parameters] = evaluation.violation
         return Evaluation(objectives, violation)
 
     def decode(self, genes: Genes) -> Selection:
         """Return the terms in use and the values of the parameters."""
         problem = self._at(genes[self._n_terms:])
-        chosen = problem.decode(self._of_terms(genes[None], problem))
-        return replace(chosen, parameters=self._values(genes[self._n_terms:]))
+        selection = problem.decode(self._of_terms(genes[None], problem))
+        return replace(selection, parameters=self._values(genes[self._n_terms:]))
 
     def _values(self, genes: Genes) -> dict[str, Any]:
         """Return the parameters that genes stand for, by name."""
-        at = np.concatenate([np.zeros(self._n_terms, dtype=genes.dtype), genes])
-        values = self.genome.values(at)
+        # The genome tells values of whole chromosomes; those of terms play no part.
+        all_genes = np.concatenate([np.zeros(self._n_terms, dtype=genes.dtype), genes])
+        values = self.genome.values(all_genes)
         return {name: values[name][name] for name in self.parameters}
 
     def _at(self, genes: Genes) -> SelectionProblem:
         """Return the selection of terms with the parameters that genes stand for."""
         key = genes.tobytes()
         if key not in self._known:
+            # Each holds the equations of its model: they are made again rather than kept for ever.
             if len(self._known) >= _KEPT:
                 self._known.clear()
             model = self.inputs.model.with_parameters(self._values(genes))
-            self._known[key] = self._base.with_model(model) if self._selects_terms else \
-                SelectionProblem(replace(self.inputs, model=model), terms=True, features=False)
+            if self._selects_terms:
+                self._known[key] = self._base.with_model(model)
+            else:
+                self._known[key] = SelectionProblem(replace(self.inputs, model=model), terms=True,
+                                                    features=False)
         return self._known[key]
 
     def _of_terms(self, genes: Genes, problem: SelectionProblem) -> Genes:
@@ -113,7 +120,9 @@ def segment_of(option: Option) -> Categories | Integers | Reals:
 
     Raises TermselError for text that may be anything, and for numbers without bounds.
     """
-    name, bounds = option.name, (option.minimum, option.maximum)
+    name = option.name
+    bounds = (option.minimum, option.maximum)
+    # Choices come first: text or numbers of which only some are allowed.
     if option.choices:
         return Categories(name, (name,), option.choices)
     if option.type is bool:

@@ -72,9 +72,9 @@ class Recipe:
         if self.control not in ("points", "lines", "both"):
             raise TermselError(f"recipe {self.name!r} has the control {self.control!r:.100}",
                                hint="Give points, lines or both.")
-        other = [one for one in self.options if not isinstance(one, Option)]
-        if other:
-            raise TermselError(f"recipe {self.name!r} has the option {other[0]!r:.100}",
+        not_options = [option for option in self.options if not isinstance(option, Option)]
+        if not_options:
+            raise TermselError(f"recipe {self.name!r} has the option {not_options[0]!r:.100}",
                                hint="Give objects of Option.")
 
 
@@ -120,6 +120,7 @@ BLUNDERS = Option(
     choices=("leave-out", "keep"))
 
 CAP = next(option for option in TERM_OPTIONS if option.name == "max_share")
+# What problems of terms, with or without features, have in common.
 _BOTH = (MASK, MIXED, *TERM_OPTIONS, OBJECTIVES)
 OF_TERMS = (*_BOTH, RECOMMEND_TERMS)
 OF_FEATURES = (TERMS, MIXED, *COUNTS, *FORCE_OPTIONS, OBJECTIVES, RECOMMEND, BLUNDERS)
@@ -160,6 +161,7 @@ def with_defaults(declared: tuple[Option, ...], **defaults: Any) -> tuple[Option
     for name, default in defaults.items():
         if name not in options:
             raise unknown_name("option", name, options)
+        # A text that tells the usual default would be wrong of this one.
         options[name] = replace(options[name], default=default,
                                 doc=_USUAL.sub("", options[name].doc))
     return tuple(options.values())

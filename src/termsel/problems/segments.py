@@ -27,11 +27,13 @@ class _Bounded(Named):
         n = len(self.labels)
         kind = float if self.dtype is np.float64 else int
         object.__setattr__(self, "labels", tuple(self.labels))
-        for side in ("low", "high"):
-            bounds = getattr(self, side)
-            each = tuple(bounds) if isinstance(bounds, Sequence | np.ndarray) else (bounds,) * n
-            object.__setattr__(self, side, tuple(kind(one) for one in each))
-        low, high = np.array(self.low), np.array(self.high)
+        for bound in ("low", "high"):
+            bounds = getattr(self, bound)
+            # One bound for all genes stands for as many.
+            of_genes = tuple(bounds) if isinstance(bounds, Sequence | np.ndarray) else (bounds,) * n
+            object.__setattr__(self, bound, tuple(kind(value) for value in of_genes))
+        low = np.array(self.low)
+        high = np.array(self.high)
         if low.shape != (n,) or high.shape != (n,) or not (
                 np.isfinite(low) & np.isfinite(high) & (low <= high)).all():
             raise TermselError(f"the bounds of segment {self.name!r} are not {n} pairs of finite "
@@ -44,10 +46,10 @@ class _Bounded(Named):
 
     def fault(self, genes: Genes) -> str:
         """Return what is wrong with genes of any dtype, or nothing."""
-        bad = ~((genes >= np.array(self.low)) & (genes <= np.array(self.high)))
-        if not bad.any():
+        outside = ~((genes >= np.array(self.low)) & (genes <= np.array(self.high)))
+        if not outside.any():
             return ""
-        row, column = (int(i) for i in np.argwhere(bad)[0])
+        row, column = (int(i) for i in np.argwhere(outside)[0])
         return (f"have {genes[row, column]:g} for {self.labels[column]!r}, which is from "
                 f"{self.low[column]:g} to {self.high[column]:g}")
 
@@ -91,6 +93,7 @@ class Bits(Named):
         The share is uniform between 0 and 1, so that small and large selections are equally
         frequent. With one half for all, a genome of 78 would hardly ever have 20 on.
         """
+        # The number that is on is then nearly uniform, too, and not near the half.
         share = rng.uniform(0.0, 1.0, (n, 1))
         return np.asarray(rng.uniform(size=(n, self.size)) < share)
 
@@ -187,6 +190,7 @@ class Categories(Named):
     choices: tuple[Any, ...]
 
     def __post_init__(self) -> None:
+        # Segments are keys of caches: what lists were given becomes tuples.
         object.__setattr__(self, "labels", tuple(self.labels))
         object.__setattr__(self, "choices", tuple(self.choices))
         if not self.choices:
@@ -229,12 +233,13 @@ class Permutation(Named):
 
     def repaired(self, genes: Genes) -> Genes:
         """Return the ranks of the genes; those of a permutation are itself."""
+        # The order of an order are ranks; of equal genes the earlier one ranks first.
         return genes.argsort(axis=1, kind="stable").argsort(axis=1)
 
     def fault(self, genes: Genes) -> str:
         """Return what is wrong with genes of any dtype, or nothing."""
-        good = (np.sort(genes, axis=1) == np.arange(self.size)).all()
-        return "" if good else f"are no permutation of 0 to {self.size - 1}"
+        valid = (np.sort(genes, axis=1) == np.arange(self.size)).all()
+        return "" if valid else f"are no permutation of 0 to {self.size - 1}"
 
 
 @dataclass(frozen=True)
@@ -285,17 +290,17 @@ class Subset(Named):
 
     def fault(self, genes: Genes) -> str:
         """Return what is wrong with genes of any dtype, or nothing."""
-        good = (genes >= 0) & (genes < len(self.labels))
-        if not good.all() or _not_whole(genes) or (np.diff(genes, axis=1) <= 0).any():
+        in_range = (genes >= 0) & (genes < len(self.labels))
+        if not in_range.all() or _not_whole(genes) or (np.diff(genes, axis=1) <= 0).any():
             return (f"are not {self.m} different whole numbers from 0 to {len(self.labels) - 1}, "
                     "ascending")
         return ""
 
     def mask(self, genes: Genes) -> BoolArray:
         """Return what is chosen, shape (p, n), from genes (p, m)."""
-        chosen = np.zeros((len(genes), len(self.labels)), dtype=bool)
-        np.put_along_axis(chosen, genes.astype(np.intp), True, axis=1)
-        return chosen
+        on = np.zeros((len(genes), len(self.labels)), dtype=bool)
+        np.put_along_axis(on, genes.astype(np.intp), True, axis=1)
+        return on
 
     def members(self, mask: BoolArray) -> Genes:
         """Return genes, shape (p, m), from a mask of what is chosen (p, n)."""
@@ -314,6 +319,7 @@ SEGMENTS: tuple[type[AnySegment], ...] = (Bits, Integers, Reals, Categories, Per
 
 def random_subsets(count: int, n: int, m: int, rng: np.random.Generator) -> Genes:
     """Return sets (count, m) of m different numbers below n, each row ascending."""
+    # The first m of a random order are a random subset.
     return np.sort(rng.random((count, n)).argsort(axis=1)[:, :m], axis=1)
 
 

@@ -24,7 +24,7 @@ from termsel.problems.constraints import capped, excess, forced, listed, orphans
 from termsel.problems.coverage import uncovered_share
 from termsel.problems.genome import Genome
 from termsel.problems.objectives import PopulationSelection, scored
-from termsel.problems.segments import Bits, Genes, Subset
+from termsel.problems.segments import AnySegment, Bits, Genes, Subset
 
 if TYPE_CHECKING:
     from termsel.enumeration.features.walk import RowSystem
@@ -52,13 +52,17 @@ class SelectionProblem(Problem):
 
     def __init__(self, inputs: Inputs, *, terms: bool, features: bool,
                  mask: str = "per-axis", subset: bool = False) -> None:
-        model, control = inputs.model, inputs.control
+        model = inputs.model
+        control = inputs.control
         self.inputs = inputs
-        self.objectives = (inputs.criterion.name, *(one.name for one in inputs.objectives))
+        # The criterion comes first: by it solvers of one objective rank.
+        further = [objective.name for objective in inputs.objectives]
+        self.objectives = (inputs.criterion.name, *further)
         self.equations = first_order(model, control)
         if _weighted(inputs) and not inputs.criterion.needs_check:
             raise TermselError("weighted=true judges selections by check points",
                                hint="Choose --criterion check-rmse.")
+        # Denominators must be positive at all of these, wherever the image is used.
         self._guard = guard_points(control, inputs.check)
         self._margin = pole_margin(control.points)
         self._parts = independent_parts(self.equations, model.axis)
@@ -71,6 +75,7 @@ class SelectionProblem(Problem):
             term_segments, self._gene_of_term = _term_segments(names, model.axis, mask)
             segments += (capped(term_segments, self._gene_of_term, self._parts, self._share)
                          if self._share < 1 else term_segments)
+        # Genes of terms come first, those of features after them.
         self._n_term_genes = sum(len(s.labels) for s in segments)
         self._selects_features = features
         if features:
@@ -78,41 +83,51 @@ class SelectionProblem(Problem):
                 raise TermselError(
                     f"features of model {model.name!r} cannot be selected without check points: it "
                     "corrects its predictions by control", hint="Choose --criterion check-rmse.")
-            least, most = _feature_counts(inputs)
-            segments.append(Subset("features", control.ids, least) if subset and least == most
-                            else Bits("features", control.ids, least, most))
+            min_features, max_features = _feature_counts(inputs)
+            if subset and min_features == max_features:
+                segments.append(Subset("features", control.ids, min_features))
+            else:
+                segments.append(Bits("features", control.ids, min_features, max_features))
         self._terms_in_use = _terms_in_use(inputs)
-        labels = tuple(label for segment in segments for label in segment.labels
-                       if segment.name != "features")
+        labels: tuple[str, ...] = ()
+        for segment in segments:
+            if segment.name != "features":
+                labels += segment.labels
         ids = control.ids if features else ()
         self.genome = Genome(segments, on=forced(inputs.options.get("force_on"), labels, ids),
                              off=forced(inputs.options.get("force_off"), labels, ids))
         self._pairs = parents(names) if inputs.options.get("hierarchy") else None
         self._require_solvable(terms)
 
-    def frozen(self, chosen: BoolArray, which: BoolArray) -> SelectionProblem:
+    def frozen(self, labels_on: BoolArray, frozen_labels: BoolArray) -> SelectionProblem:
         """Return the problem with the genes of some labels of the genome no longer free.
 
         What is frozen is as chosen. A segment that is frozen whole need no longer keep its minimum
         and maximum. If all terms are frozen and are more than max_share allows, that limit no
         longer holds.
         """
-        old = self.genome
-        segments = [
-            Bits(segment.name, segment.labels)
-            if which[where].all() and not (isinstance(segment, Subset)
-                                           and chosen[where].sum() == segment.m) else segment
-            for segment, where in zip(old.segments, old.label_slices().values(), strict=True)]
+        genome = self.genome
+        segments: list[AnySegment] = []
+        for segment, columns in zip(genome.segments, genome.label_slices().values(), strict=True):
+            # A subset that has its number of members can stay what it is.
+            keeps_count = isinstance(segment, Subset) and labels_on[columns].sum() == segment.m
+            if frozen_labels[columns].all() and not keeps_count:
+                segments.append(Bits(segment.name, segment.labels))
+            else:
+                segments.append(segment)
         problem = copy(self)
-        problem.genome = Genome(segments, on=select(old.labels, np.where(which, chosen, old.on)),
-                                off=select(old.labels, np.where(which, ~chosen, old.off)))
-        if which[:self._n_term_genes].all() and excess(
-                self._parts, self._masks(chosen[None])[0], None, self._share).any():
+        on = np.where(frozen_labels, labels_on, genome.on)
+        off = np.where(frozen_labels, ~labels_on, genome.off)
+        problem.genome = Genome(segments, on=select(genome.labels, on),
+                                off=select(genome.labels, off))
+        if frozen_labels[:self._n_term_genes].all() and excess(
+                self._parts, self._masks(labels_on[None])[0], None, self._share).any():
             problem._share = 1.0
         return problem
 
     def judged_by(self, criterion: Criterion) -> SelectionProblem:
         """Return the problem with another criterion as its only objective."""
+        # All else is shared: equations and parts do not depend on the criterion.
         problem = copy(self)
         problem.inputs = replace(self.inputs, criterion=criterion, objectives=())
         problem.objectives = (criterion.name,)
@@ -133,20 +148,21 @@ class SelectionProblem(Problem):
 
     def _require_solvable(self, selects_terms: bool) -> None:
         """Refuse control that no selection could solve the model from."""
-        most = _feature_counts(self.inputs)[1] if self._selects_features else None
+        max_features = _feature_counts(self.inputs)[1] if self._selects_features else None
         # A user may ask for so few features that the model is just determined.
-        self._least_freedom = 1 if most is None or selects_terms else 0
-        for part in self._parts:
-            columns = int(self._terms_in_use[part.columns].sum())
-            each = np.sort(np.bincount(part.equations.feature))[::-1]  # rows of a feature
-            rows = each[:most].sum()
+        self._least_freedom = 1 if max_features is None or selects_terms else 0
+        for system in self._parts:
+            columns = int(self._terms_in_use[system.columns].sum())
+            # The features with the most rows: no selection of so many has more equations.
+            rows_of_feature = np.sort(np.bincount(system.equations.feature))[::-1]
+            rows = rows_of_feature[:max_features].sum()
             if not selects_terms and rows < columns + self._least_freedom:
                 raise TermselError(
                     f"model {self.inputs.model.name!r} has {columns} terms to be determined "
                     f"together; the control gives {rows} equations"
-                    + ("" if most is None else f" with at most {most} features")
+                    + ("" if max_features is None else f" with at most {max_features} features")
                     + (", so there is no redundancy" if rows == columns else ""),
-                    hint=("Give more control" if most is None else "Raise max_features")
+                    hint=("Give more control" if max_features is None else "Raise max_features")
                     + ", lower the order or degree of the model (--set order=1, "
                       "--set degree=1), or select terms.")
 
@@ -177,15 +193,18 @@ class SelectionProblem(Problem):
         inputs = self.inputs
         terms, features = self.masks(genes)
         model = _weighted(inputs)
-        coefficients, violation = solve_parts(
-            self._parts, terms, features,
-            near[0] if near is not None and model is None and self._gene_of_term is None
-            and self._terms_in_use.all() else None)
+        # Neighbours of a selection of features are corrected from its solution, which needs all
+        # terms, and equations that are the same for all.
+        corrects = (near is not None and model is None and self._gene_of_term is None
+                    and self._terms_in_use.all())
+        coefficients, violation = solve_parts(self._parts, terms, features,
+                                              near[0] if near is not None and corrects else None)
         if model is not None:
-            known = violation == 0
-            coefficients[known] = model.least_distances(
-                inputs.control.points, self._parts, terms[known],
-                None if features is None else features[known])
+            determined = violation == 0
+            coefficients[determined] = model.least_distances(
+                inputs.control.points, self._parts, terms[determined],
+                None if features is None else features[determined])
+        # Where terms are not selected all individuals have the same: one row stands for all.
         differing = terms[:1] if self._gene_of_term is None else terms
         violation += excess(self._parts, differing, features, self._share, self._least_freedom)
         violation += self._empty_axes(differing)
@@ -193,27 +212,33 @@ class SelectionProblem(Problem):
         violation += self._lacking_spread(features)
         if self._pairs is not None:
             violation += orphans(terms, self._pairs)
-        good = violation == 0
+        # A figure of what is not determined, or has a pole in the scene, would mean nothing.
+        feasible = violation == 0
         score = np.full(len(genes), WORST)
-        if good.any():
-            score[good] = inputs.criterion.score(Fits(
-                inputs.model, inputs.control.points, inputs.check, inputs.pixels, terms[good],
-                coefficients[good], inputs.control.lines, self._parts,
-                None if features is None else features[good], self._gene_of_term,
-                None if self._gene_of_term is None else self.genome.free[self._gene_of_term]))
+        if feasible.any():
+            score[feasible] = inputs.criterion.score(Fits(
+                model=inputs.model, control=inputs.control.points, check=inputs.check,
+                pixels=inputs.pixels, terms=terms[feasible], coefficients=coefficients[feasible],
+                lines=inputs.control.lines, parts=self._parts,
+                used=None if features is None else features[feasible],
+                gene_of_term=self._gene_of_term,
+                optional=None if self._gene_of_term is None
+                else self.genome.free[self._gene_of_term]))
             if inputs.criterion.is_rmse or inputs.criterion.in_px:
-                score[good] = by_size(score[good], ROUNDING * inputs.pixels,
-                                      np.sqrt(self.genome.chosen(genes[good]).mean(axis=1)))
+                # What is rounding of the data is ordered by the share of genes that are on.
+                share = self.genome.chosen(genes[feasible]).mean(axis=1)
+                score[feasible] = by_size(score[feasible], ROUNDING * inputs.pixels, np.sqrt(share))
+        # Objectives are finite, always: what has no figure is infeasible, with the worst one.
         violation[~np.isfinite(score)] = 1.0
         score = np.minimum(np.nan_to_num(score, nan=WORST, posinf=WORST), WORST)
         return Evaluation(self._all_objectives(score, terms, features), violation)
 
     def _lacking_spread(self, features: BoolArray | None) -> FloatArray | float:
-        most = self.inputs.options.get("max_uncovered")
-        if features is None or most is None:
+        max_uncovered = self.inputs.options.get("max_uncovered")
+        if features is None or max_uncovered is None:
             return 0.0
         share = uncovered_share(centres(self.inputs.control), features)
-        return np.asarray(np.maximum(share - most, 0.0))
+        return np.asarray(np.maximum(share - max_uncovered, 0.0))
 
     def _all_objectives(self, score: FloatArray, terms: BoolArray,
                 features: BoolArray | None) -> FloatArray:
@@ -224,18 +249,18 @@ class SelectionProblem(Problem):
         if features is None:
             features = np.ones((len(terms), len(control)), dtype=bool)
         selected = PopulationSelection(self.equations, self._parts, control, terms, features)
-        return np.column_stack([score, *(scored(one, selected)
-                                         for one in self.inputs.objectives)])
+        further = [scored(objective, selected) for objective in self.inputs.objectives]
+        return np.column_stack([score, *further])
 
     def masks(self, genes: Genes) -> tuple[BoolArray, BoolArray | None]:
         """Return masks of terms, shape (p, k), and of features, shape (p, f) or None for all."""
         return self._masks(self.genome.chosen(genes))
 
-    def _masks(self, chosen: BoolArray) -> tuple[BoolArray, BoolArray | None]:
+    def _masks(self, labels_on: BoolArray) -> tuple[BoolArray, BoolArray | None]:
         """Return the masks of what is chosen by the labels of the genome."""
-        terms = (np.repeat(self._terms_in_use[None], len(chosen), axis=0)
-                 if self._gene_of_term is None else chosen[:, self._gene_of_term])
-        return terms, chosen[:, self._n_term_genes:] if self._selects_features else None
+        terms = (np.repeat(self._terms_in_use[None], len(labels_on), axis=0)
+                 if self._gene_of_term is None else labels_on[:, self._gene_of_term])
+        return terms, labels_on[:, self._n_term_genes:] if self._selects_features else None
 
     def decode(self, genes: Genes) -> Selection:
         """Return the names of the terms and features in use."""
@@ -250,8 +275,9 @@ class SelectionProblem(Problem):
             return super().parts()
         from termsel.problems.enumeration import enumerable_parts  # for those who enumerate
 
-        return enumerable_parts(self.inputs, self.equations, self.genome, self._gene_of_term,
-                                self._guard, self._margin, self._pairs)
+        return enumerable_parts(self.inputs, self.equations, self.genome,
+                                gene_of_term=self._gene_of_term, guard=self._guard,
+                                margin=self._margin, pairs=self._pairs)
 
     def row_systems(self) -> tuple[RowSystem, ...] | None:
         """Return the parts of a selection of features alone (see `Problem.row_systems`)."""
@@ -270,15 +296,18 @@ class SelectionProblem(Problem):
 
         A gene that switches a line term and a sample term has the columns of both stacked.
         """
-        gene, A, axis = self._gene_of_term, self.equations.A, self.inputs.model.axis
+        gene = self._gene_of_term
+        A = self.equations.A
+        axis = self.inputs.model.axis
         if gene is None or self._selects_features:
             return super().design()
-        sides = [(np.ones(len(A), dtype=bool), np.ones(len(axis), dtype=bool))]
+        blocks_of_axes = [(np.ones(len(A), dtype=bool), np.ones(len(axis), dtype=bool))]
         if len(gene) > self.genome.size:
-            sides = [((A[:, axis == side] != 0).any(axis=1), axis != other)
-                     for side, other in ((LINE, SAMPLE), (SAMPLE, LINE))]
+            # A shared mask: rows and terms of line, then those of sample, with what is of both.
+            blocks_of_axes = [((A[:, axis == image_axis] != 0).any(axis=1), axis != other_axis)
+                              for image_axis, other_axis in ((LINE, SAMPLE), (SAMPLE, LINE))]
         blocks = []
-        for rows, terms in sides:
+        for rows, terms in blocks_of_axes:
             block = np.zeros((rows.sum(), self.genome.size))
             block[:, gene[terms]] = A[np.ix_(rows, terms)]
             blocks.append(block)
@@ -288,23 +317,27 @@ class SelectionProblem(Problem):
         axis = self.inputs.model.axis
         if not np.isin([LINE, SAMPLE], axis).all():
             return np.zeros(len(terms))
-        line, sample = terms[:, axis == LINE], terms[:, axis == SAMPLE]
+        # 0, 1 or 2: an axis without a term has no model at all.
+        line = terms[:, axis == LINE]
+        sample = terms[:, axis == SAMPLE]
         return np.asarray(2.0 - line.any(axis=1) - sample.any(axis=1))
 
 
 def _weighted(inputs: Inputs) -> RationalModel | None:
     """Return a model that is iterated for each selection of points, else None."""
-    model, lines = inputs.model, inputs.control.lines
+    model = inputs.model
+    lines = inputs.control.lines
     return model if isinstance(model, RationalModel) and model.weighted and not len(lines) else None
 
 
 def _terms_in_use(inputs: Inputs) -> BoolArray:
     """Return which terms are in use where they are not selected, shape (k,)."""
-    names, chosen = inputs.model.terms, listed(inputs.options.get("terms"))
-    for name in chosen:
+    names = inputs.model.terms
+    selected = listed(inputs.options.get("terms"))
+    for name in selected:
         if name not in names:
             raise unknown_name("term", name, names)
-    return np.array([not chosen or name in chosen for name in names])
+    return np.array([not selected or name in selected for name in names])
 
 
 def _feature_counts(inputs: Inputs) -> tuple[int, int | None]:
@@ -315,11 +348,12 @@ def _feature_counts(inputs: Inputs) -> tuple[int, int | None]:
         if count is not None and not 1 <= count <= n:
             raise TermselError(f"option {name!r} is {count}; there are {n} control features to "
                                "select from", hint=f"Give a number from 1 to {n}.")
-    least, most = counts.values()
-    if least is not None and most is not None and least > most:
-        raise TermselError(f"option 'min_features' is {least}, more than 'max_features', {most}",
+    min_features, max_features = counts.values()
+    if min_features is not None and max_features is not None and min_features > max_features:
+        raise TermselError(f"option 'min_features' is {min_features}, more than 'max_features', "
+                           f"{max_features}",
                            hint="Lower min_features or raise max_features.")
-    return least or 0, most
+    return min_features or 0, max_features
 
 
 def _term_segments(names: tuple[str, ...], axis: IntArray, mask: str,
@@ -333,11 +367,12 @@ def _term_segments(names: tuple[str, ...], axis: IntArray, mask: str,
                 np.array([labels.index(name) for name in shared], dtype=np.intp))
     segments: list[Bits] = []
     order: list[int] = []
-    for side, title in ((0, "terms.line"), (1, "terms.sample"), (2, "terms.shared")):
-        where = np.flatnonzero(axis == side)
-        if where.size:
-            segments.append(Bits(title, tuple(names[i] for i in where)))
-            order.extend(int(i) for i in where)
+    for image_axis, title in ((0, "terms.line"), (1, "terms.sample"), (2, "terms.shared")):
+        numbers = np.flatnonzero(axis == image_axis)
+        if numbers.size:
+            segments.append(Bits(title, tuple(names[i] for i in numbers)))
+            order.extend(int(i) for i in numbers)
+    # Genes are in the order of the segments, terms in that of the model.
     gene = np.empty(len(names), dtype=np.intp)
     gene[order] = np.arange(len(names))
     return segments, gene
