@@ -17,10 +17,11 @@ def of_shape(value: Any, shape: tuple[int, ...], *, finite: bool = True,
     expected = f"expected an array of numbers of shape ({_listed(shape)})"
     if not isinstance(value, np.ndarray):
         return f"{what} an object of type {type(value).__name__}; {expected}"
+    # Real and whole numbers; bool and complex are not.
     if value.dtype.kind not in "fiu":
         return f"{what} an array of {value.dtype}; {expected}"
-    if len(value.shape) != len(shape) or any(
-            wanted not in (-1, there) for wanted, there in zip(shape, value.shape, strict=True)):
+    if len(value.shape) != len(shape) or any(expected_size not in (-1, size) for expected_size,
+                                             size in zip(shape, value.shape, strict=True)):
         return f"{what} an array of shape ({_listed(value.shape)}); {expected}"
     if finite and not np.isfinite(value).all():
         return (f"{what} {np.count_nonzero(~np.isfinite(value))} numbers that are not finite; "
@@ -33,14 +34,14 @@ def _listed(shape: tuple[int, ...]) -> str:
     return f"{sizes[0]}," if len(sizes) == 1 else ", ".join(sizes)
 
 
-def returns(wanted: type) -> Callable[..., str | None]:
+def returns(expected: type) -> Callable[..., str | None]:
     """Return a check of methods, for `Guarded`, that must return an object of a type."""
-    return lambda _own, value, *_args: of_type(value, wanted)
+    return lambda _object, value, *_args: of_type(value, expected)
 
 
-def of_type(value: Any, wanted: type) -> str | None:
+def of_type(value: Any, expected: type) -> str | None:
     """Return how an object differs from the type expected, None if it does not."""
-    if isinstance(value, wanted):
+    if isinstance(value, expected):
         return None
-    shown = "nothing" if value is None else f"an object of type {type(value).__name__}"
-    return f"returned {shown}; expected {wanted.__name__}"
+    got = "nothing" if value is None else f"an object of type {type(value).__name__}"
+    return f"returned {got}; expected {expected.__name__}"

@@ -46,13 +46,15 @@ class Guarded:
         super().__init_subclass__(**options)
         if package_of(cls) == OWN:
             return
-        guards = dict.fromkeys((name for name, value in vars(cls).items()
-                                if isinstance(value, property) and _is_own(cls, name)))
+        # Properties that termsel reads, although it declares no check of them.
+        guards = dict.fromkeys(name for name, value in vars(cls).items()
+                               if isinstance(value, property) and _is_own(cls, name))
         for name, check in {**guards, **_guards(cls)}.items():
             method = cls.__dict__.get(name)
             if isinstance(method, property) and method.fget is not None:
                 setattr(cls, name, property(_guarded(name, method.fget, check), method.fset,
                                             method.fdel, method.__doc__))
+            # A cached property must know its name again, under which it keeps its value.
             elif isinstance(method, cached_property):
                 cached = cached_property(_guarded(name, method.func, check))
                 cached.__set_name__(cls, name)
@@ -70,18 +72,22 @@ def _is_own(cls: type, name: str) -> bool:
 
 def _guards(cls: type) -> dict[str, Check | None]:
     """Return the guards of a class and all its bases."""
-    return {name: check for base in reversed(cls.__mro__)
-            for name, check in base.__dict__.get("guards", {}).items()}
+    guards: dict[str, Check | None] = {}
+    # From the most general class on: a subclass may replace a check.
+    for base in reversed(cls.__mro__):
+        guards.update(base.__dict__.get("guards", {}))
+    return guards
 
 
-def _plain(thing: Any) -> bool:
+def _plain(plugin_object: Any) -> bool:
     """Return whether a call needs no guard: from the same package, or from a conformance suite."""
-    return _off.get() or inside() == package_of(type(thing))
+    return _off.get() or inside() == package_of(type(plugin_object))
 
 
 def _guarded(name: str, function: Callable[..., Any], check: Check | None) -> Callable[..., Any]:
     @wraps(function)
     def call(self: Any, *args: Any, **options: Any) -> Any:
+        # Who fails is told by the outermost call alone.
         if _plain(self):
             return function(self, *args, **options)
         with blamed(self, name):
@@ -91,12 +97,12 @@ def _guarded(name: str, function: Callable[..., Any], check: Check | None) -> Ca
     return call
 
 
-def _checked(check: Check | None, thing: Any, name: str, value: Any, *args: Any,
+def _checked(check: Check | None, plugin_object: Any, name: str, value: Any, *args: Any,
              **options: Any) -> Any:
     """Return what a method returned or yielded; raise a PluginFault where that is wrong."""
-    what = check(thing, value, *args, **options) if check is not None else None
-    if what is not None:
-        raise wrong(thing, name, what)
+    fault = check(plugin_object, value, *args, **options) if check is not None else None
+    if fault is not None:
+        raise wrong(plugin_object, name, fault)
     return value
 
 
@@ -118,6 +124,7 @@ def _iterated(name: str, function: Callable[..., Any], check: Check | None) -> C
                         return
                 yield _checked(check, self, name, value, *args, **options)
         finally:
+            # A generator that is not run to its end frees what it holds; this may fail as well.
             with blamed(self, name):
                 getattr(iterator, "close", lambda: None)()
 

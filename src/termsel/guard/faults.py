@@ -32,15 +32,16 @@ def remember(package: str, distribution: str) -> None:
     _packages[package] = distribution
 
 
-def package_of(thing: Any) -> str:
+def package_of(definition: Any) -> str:
     """Return the top-level module in which a class, function or object is defined."""
-    named = thing if hasattr(thing, "__module__") else type(thing)
+    # Objects mostly have no module of their own: that of their class counts.
+    named = definition if hasattr(definition, "__module__") else type(definition)
     return str(named.__module__).partition(".")[0]
 
 
-def is_own(thing: Any) -> bool:
+def is_own(definition: Any) -> bool:
     """Return True for what is defined in termsel itself."""
-    return package_of(thing) == OWN
+    return package_of(definition) == OWN
 
 
 def distribution_of(package: str) -> str:
@@ -61,29 +62,34 @@ def _installed(_path: tuple[str, ...]) -> Mapping[str, list[str]]:
     return packages_distributions()
 
 
-def name_of(thing: Any) -> str:
-    """Return what a message calls a thing: its kind, its name and its distribution."""
-    cls = thing if isinstance(thing, type) else type(thing)
-    named = getattr(thing, "name", None)
-    called = repr(named) if isinstance(named, str) else getattr(thing, "__name__", cls.__name__)
-    return f"{getattr(cls, 'kind', '')} {called} of {distribution_of(package_of(thing))}".strip()
+def name_of(definition: Any) -> str:
+    """Return what a message calls a class, function or object: kind, name and distribution."""
+    cls = definition if isinstance(definition, type) else type(definition)
+    declared_name = getattr(definition, "name", None)
+    # An object of a class that declares no name is called by its class.
+    shown_name = getattr(definition, "__name__", cls.__name__)
+    if isinstance(declared_name, str):
+        shown_name = repr(declared_name)
+    distribution = distribution_of(package_of(definition))
+    return f"{getattr(cls, 'kind', '')} {shown_name} of {distribution}".strip()
 
 
-def wrong(thing: Any, method: str, what: str, hint: str = HINT) -> PluginFault:
-    """Return the fault of a method, such as "score"; `what` it returned and was expected."""
-    file, line = _defined(thing, method)
-    return PluginFault(f"{name_of(thing)}: {method}() {what}", file=file, line=line, hint=hint)
+def wrong(definition: Any, method: str, fault: str, hint: str = HINT) -> PluginFault:
+    """Return the fault of a method, such as "score": what it returned, and what was expected."""
+    file, line = _defined(definition, method)
+    return PluginFault(f"{name_of(definition)}: {method}() {fault}", file=file, line=line,
+                       hint=hint)
 
 
 @contextmanager
-def blamed(thing: Any, method: str, hint: str = HINT) -> Iterator[None]:
+def blamed(definition: Any, method: str, hint: str = HINT) -> Iterator[None]:
     """Run code of a plugin; what it raises becomes its PluginFault, with the method named.
 
     termsel's own errors pass, such as a `TermselError` on a file that the user can correct. So does
     all of a class, function or object of termsel. The hint says what to do, where it may be the
     user's own mistake.
     """
-    package = package_of(thing)
+    package = package_of(definition)
     if package == OWN:
         yield
         return
@@ -96,34 +102,37 @@ def blamed(thing: Any, method: str, hint: str = HINT) -> Iterator[None]:
         if isinstance(error, KeyboardInterrupt | MemoryError) or is_own(type(error)) \
                 or is_marked(error):
             raise
-        raise failed(error, f"{name_of(thing)} failed in {method}()", package, hint) from error
+        raise failed(error, f"{name_of(definition)} failed in {method}()", package, hint) from error
 
 
-def failed(error: BaseException, what: str, package: str, hint: str = HINT) -> PluginFault:
+def failed(error: BaseException, activity: str, package: str, hint: str = HINT) -> PluginFault:
     """Return the fault of code that raised an exception, at the package's innermost line."""
     if os.environ.get("TERMSEL_DEBUG") == "1":
         traceback.print_exc()
     file, line = _raised(error.__traceback__, package)
-    return PluginFault(f"{what}: {raised(error)}", file=file, line=line, hint=hint)
+    return PluginFault(f"{activity}: {raised(error)}", file=file, line=line, hint=hint)
 
 
 def _raised(trace: TracebackType | None, package: str) -> tuple[str | None, int | None]:
     """Return the innermost line of the package's code in a traceback."""
-    place: tuple[str | None, int | None] = (None, None)
+    # From the outermost call inwards: the last one of the package is the innermost.
+    location: tuple[str | None, int | None] = (None, None)
     while trace is not None:
         module = str(trace.tb_frame.f_globals.get("__name__", ""))
         if module.partition(".")[0] == package:
-            place = trace.tb_frame.f_code.co_filename, trace.tb_lineno
+            location = trace.tb_frame.f_code.co_filename, trace.tb_lineno
         trace = trace.tb_next
-    return place
+    return location
 
 
-def _defined(thing: Any, method: str) -> tuple[str | None, int | None]:
+def _defined(definition: Any, method: str) -> tuple[str | None, int | None]:
     """Return where a method is defined."""
-    function = getattr(thing if isinstance(thing, type) else type(thing), method, thing)
+    function = getattr(definition if isinstance(definition, type) else type(definition), method,
+                       definition)
     # Of a property its getter, of a cached one its function.
     function = getattr(function, "fget", None) or getattr(function, "func", function)
     code = getattr(inspect.unwrap(function), "__code__", None)
+    # What is compiled, or a callable object, has no code: its module's file must do.
     if code is None:
         module = sys.modules.get(str(getattr(function, "__module__", "")))
         return getattr(module, "__file__", None), None

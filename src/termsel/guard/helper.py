@@ -22,11 +22,13 @@ def safe_path() -> list[str]:
     and a file there that is called json.py must not be taken for Python's own.
     """
     try:
-        here = os.path.realpath(os.getcwd())
+        folder = os.path.realpath(os.getcwd())
     except FileNotFoundError:  # somebody has removed it
-        here = ""
-    others = [place for place in sys.path if place and os.path.realpath(place) != here]
-    return [*others, here] if here and len(others) < len(sys.path) else others
+        folder = ""
+    # An empty path stands for the current folder, too.
+    other_folders = [path for path in sys.path if path and os.path.realpath(path) != folder]
+    return [*other_folders,
+            folder] if folder and len(other_folders) < len(sys.path) else other_folders
 
 
 @contextmanager
@@ -36,20 +38,21 @@ def modules_here() -> Iterator[None]:
     Only a module that the user has named is imported so, and none of that folder takes the place
     of Python's own or of an installed one.
     """
-    here = os.getcwd()
-    added = here not in sys.path
+    folder = os.getcwd()
+    added = folder not in sys.path
     if added:
-        sys.path.append(here)
+        sys.path.append(folder)
     try:
         yield
     finally:
-        if added and here in sys.path:
-            sys.path.remove(here)
+        if added and folder in sys.path:
+            sys.path.remove(folder)
 
 
 @contextmanager
 def safe_start() -> Iterator[None]:
     """Start processes by `multiprocessing` that look for modules as `safe_path` says."""
+    # Both are those of the whole process: they are put back whatever happens.
     path_before = sys.path[:]
     variable_before = os.environ.get(SAFE_PATH)
     sys.path[:] = safe_path()  # what a process that is spawned gets to know
@@ -83,7 +86,8 @@ class Helper:
     # Not by multiprocessing: that imports the script of the user once more, and so does its work
     # again where it is not guarded by `if __name__ == "__main__":`.
     def __init__(self, code: str, environment: Mapping[str, str] | None = None) -> None:
-        self._code, self._lock = code, Lock()
+        self._code = code
+        self._lock = Lock()
         self._environment = environment
         self._child: subprocess.Popen[bytes] | None = None
 
@@ -100,6 +104,7 @@ class Helper:
                 limit.start()
             assert child.stdin is not None
             assert child.stdout is not None
+            # Whatever comes between question and answer leaves a process that nobody can ask again.
             answered = False
             try:
                 pickle.dump(question, child.stdin)
@@ -117,7 +122,8 @@ class Helper:
 
     def end(self) -> None:
         """End the process, if there is one."""
-        child, self._child = self._child, None
+        child = self._child
+        self._child = None
         if child is not None:
             child.kill()
             child.communicate()

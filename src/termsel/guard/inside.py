@@ -34,7 +34,8 @@ def code_of(package: str) -> Iterator[None]:
 @contextmanager
 def own_code() -> Iterator[None]:
     """Run a block of termsel's own that a plugin calls, and mark what it raises as termsel's."""
-    caller, token = _package.get(), _package.set(None)
+    caller = _package.get()
+    token = _package.set(None)
     try:
         yield
     except BaseException as error:
@@ -53,7 +54,8 @@ def is_marked(error: BaseException) -> bool:
 @contextmanager
 def surroundings_kept() -> Iterator[None]:
     """Put the working folder and the filters of warnings back after a block."""
-    folder, filters = _folder(), list(warnings.filters)
+    folder = _folder()
+    filters = list(warnings.filters)
     try:
         yield
     finally:
@@ -94,6 +96,7 @@ def within(seconds: float, call: Callable[[], T], *, soon: float = 0.0,
             done.set_result(value)
 
     threading.Thread(target=copy_context().run, args=(work,), daemon=True).start()
+    # Two waits, the first until something is told.
     first = min(soon, seconds)
     if first and not wait([done], first).done:
         tell()

@@ -22,31 +22,33 @@ def out_of_memory(error: MemoryError) -> TermselError:
     NumPy says which array it could not allocate. The longest side of it mostly is the number of
     points or pixels, so that a share of these would fit.
     """
-    said = str(error)
-    size = _SIZE.search(said)
-    needed = float(size["amount"]) * _UNITS.get(size["unit"], 0.0) if size else 0.0
-    array = _ARRAY.search(said)
-    shape = [int(side) for side in array["shape"].split(",") if side.strip()] if array else []
+    message = str(error)
+    size = _SIZE.search(message)
+    required = float(size["amount"]) * _UNITS.get(size["unit"], 0.0) if size else 0.0
+    array = _ARRAY.search(message)
+    shape = [int(length) for length in array["shape"].split(",") if length.strip()] if array else []
     free = _free()
-    what = "there is not enough memory"
-    if shape and needed:
-        what += f" for an array of {' x '.join(f'{side:,}' for side in shape)}: {_text(needed)}"
+    problem = "there is not enough memory"
+    if shape and required:
+        lengths = " x ".join(f"{length:,}" for length in shape)
+        problem += f" for an array of {lengths}: {_text(required)}"
     if free is not None:
-        what += f"; {_text(free)} are free"
+        problem += f"; {_text(free)} are free"
     hint = "Give fewer points, a smaller part of the image or a simpler model, or run it on a " \
            "machine, or with a limit (ulimit -v, or that of the batch system), of more memory."
-    if free is not None and shape and needed > free > 0:
+    if free is not None and shape and required > free > 0:
         longest = max(shape)
         times = shape.count(longest)  # as of a matrix of all pairs of points
-        fits = int(longest * (_SHARE * free / needed) ** (1 / times))
+        # required / free = (longest / fits)^times
+        fits = int(longest * (_SHARE * free / required) ** (1 / times))
         hint = f"About {fits:,} in place of {longest:,} would fit. {hint}"
-    return TermselError(what, hint=hint)
+    return TermselError(problem, hint=hint)
 
 
 def _free() -> float | None:
     """Return the bytes that this process can still have; None where that is not known."""
-    found = [value for value in (_of_machine(), _of_limit()) if value is not None]
-    return max(0.0, min(found)) if found else None
+    limits = [value for value in (_of_machine(), _of_limit()) if value is not None]
+    return max(0.0, min(limits)) if limits else None
 
 
 def _of_machine() -> float | None:
@@ -65,10 +67,12 @@ def _of_limit() -> float | None:
         return None
     import resource
 
+    # What this process has already counts against its limit.
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     if limit == resource.RLIM_INFINITY:
         return None
     try:
+        # The first number is the size of the address space, in pages.
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     except OSError:
         return float(limit)

@@ -35,33 +35,37 @@ sources: list[Callable[[], Iterable[Part]]] = []
 """What gives the parts of plugins: the registry, which lies above this room, adds itself."""
 
 
-def parts(place: str) -> list[Any]:
+def parts(slot: str) -> list[Any]:
     """Return what packages give for a place; empty where none is installed."""
-    return [part.value for source in sources for part in source() if part.place == place]
+    values: list[Any] = []
+    for source in sources:
+        values += [extension.value for extension in source() if extension.place == slot]
+    return values
 
 
-def part(place: str, what: str) -> Any:
-    """Return what a package gives for a place; refuse where none does. `what` has its verb."""
-    if found := parts(place):
-        return found[0]
-    raise missing(place, what)
+def part(slot: str, purpose: str) -> Any:
+    """Return what a package gives for a slot; refuse where none does. `purpose` has its verb."""
+    # Of several the first: plugins are in the order in which they were loaded.
+    if extensions := parts(slot):
+        return extensions[0]
+    raise missing(slot, purpose)
 
 
-def missing(place: str, what: str) -> TermselError:
-    """Return the error that says which package a place lacks; `what` has its verb."""
-    package = package_of_name(place)
-    return TermselError(f"{what} the package {package}, which is not installed",
+def missing(slot: str, purpose: str) -> TermselError:
+    """Return the error that says which package a slot lacks; `purpose` has its verb."""
+    package = package_of_name(slot)
+    return TermselError(f"{purpose} the package {package}, which is not installed",
                         hint=f"In a clone of termsel: pip install ./plugins/{package}")
 
 
 @cache
 def own_packages() -> dict[str, list[str]]:
     """Return the names that each plugin package of termsel's own provides, by distribution."""
-    found: dict[str, list[str]] = json.loads(
+    names_by_package: dict[str, list[str]] = json.loads(
         (files("termsel.plugins") / "packages.json").read_text("utf-8"))
-    return found
+    return names_by_package
 
 
 def package_of_name(name: str) -> str:
     """Return which package of termsel's own provides a name; nothing if none does."""
-    return next((one for one, names in own_packages().items() if name in names), "")
+    return next((package for package, names in own_packages().items() if name in names), "")

@@ -19,7 +19,9 @@ from termsel.simulate.render import checkerboard, render
 from termsel.simulate.terrain import Terrain, hilly
 
 LON, LAT, LOW, HIGH = 48.5, 34.8, 1500.0, 2200.0
-SIZE, GSD, NOISE = (500, 600), 10.0, 0.15
+SIZE = (500, 600)
+GSD = 10.0
+NOISE = 0.15
 CRS, MAP_CRS = "EPSG:4979", "EPSG:32639"
 SIDE = 0.004, 0.0033  # degrees: about 366 m each way
 VENDOR = 14.0, -9.0  # px that the vendor's RPC is off in line and sample
@@ -32,25 +34,26 @@ BOARD = checkerboard((LON, LAT), SIDE)
 def terrain() -> Terrain:
     """Return hills between `LOW` and `HIGH` over what the image shows."""
     edge = np.stack(np.meshgrid(np.linspace(0, SIZE[0], 40), np.linspace(0, SIZE[1], 40)), -1)
-    places = SENSOR.locate(edge.reshape(-1, 2), (LOW + HIGH) / 2)
+    positions = SENSOR.locate(edge.reshape(-1, 2), (LOW + HIGH) / 2)
     hills = hilly(8, LON, LAT, (SIZE[1] * GSD, SIZE[0] * GSD), 20.0)
-    return hills.between(places, LOW, HIGH)[0]
+    return hills.between(positions, LOW, HIGH)[0]
 
 
 def corners() -> FloatArray:
     """Return longitude, latitude and height of the corners in the image, shape (n, 3)."""
     i, j = np.meshgrid(np.arange(-12, 13), np.arange(-12, 13))
-    place = np.column_stack([LON + SIDE[0] * i.ravel(), LAT + SIDE[1] * j.ravel()])
-    ground = np.column_stack([place, terrain()(place)])
+    positions = np.column_stack([LON + SIDE[0] * i.ravel(), LAT + SIDE[1] * j.ravel()])
+    ground = np.column_stack([positions, terrain()(positions)])
     image = SENSOR.project(ground)
     return ground[((image > 12) & (image < np.array(SIZE) - 13)).all(axis=1)]
 
 
 def picture_and_points() -> tuple[np.ndarray, Points]:
     """Return the image, of bytes (lines, samples), and every other corner as measured in it."""
-    seen = render(SENSOR, terrain(), BOARD)
+    brightness = render(SENSOR, terrain(), BOARD)
     rng = np.random.default_rng(0)
-    pixels = np.clip(seen + rng.normal(0.0, 2.0, seen.shape), 1, 255).astype(np.uint8)
+    pixels = np.clip(brightness + rng.normal(0.0, 2.0, brightness.shape), 1, 255).astype(np.uint8)
+    # Only every other corner: the rest are for whoever wants to check the result.
     ground = corners()[::2]
     image = SENSOR.project(ground) + rng.normal(0.0, NOISE, (len(ground), 2))
     return pixels, Points(tuple(f"C{i}" for i in range(len(ground))), np.round(image, 3),
@@ -59,6 +62,7 @@ def picture_and_points() -> tuple[np.ndarray, Points]:
 
 def vendor_rpc() -> Rpc:
     """Return an RPC of the image that is off by `VENDOR`."""
+    # A virtual grid in image and height, as vendors make their RPCs from.
     axes = (np.linspace(0, SIZE[0], 9), np.linspace(0, SIZE[1], 9), np.linspace(LOW, HIGH, 5))
     grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)
     ground = np.column_stack([SENSOR.locate(grid[:, :2], grid[:, 2]), grid[:, 2]])

@@ -42,14 +42,15 @@ class _Features(msgspec.Struct, frozen=True):
 def kept_features(package: str, name: str) -> FeatureSet:
     """Return the features that a package keeps by a name."""
     content = (files(package) / FOLDER / f"{name}.json").read_bytes()
-    kept = msgspec.json.decode(content, type=_Features)
-    points, lines = kept.points, kept.lines
+    stored = msgspec.json.decode(content, type=_Features)
+    points = stored.points
+    lines = stored.lines
     return FeatureSet(
         Points(tuple(points.ids), np.array(points.image).reshape(-1, 2),
                np.array(points.ground).reshape(-1, 3), None, tuple(points.roles)),
         Lines(tuple(lines.ids), np.array(lines.image).reshape(-1, 2, 2),
               np.array(lines.ground).reshape(-1, 2, 3)),
-        kept.crs, kept.image_size, kept.noise)
+        stored.crs, stored.image_size, stored.noise)
 
 
 def kept_text(name: str) -> str:
@@ -59,14 +60,16 @@ def kept_text(name: str) -> str:
 
 def to_keep(features: FeatureSet) -> bytes:
     """Return what `kept_features` reads: every number with all its digits, a feature a line."""
-    points, lines = features.points, features.lines
+    points = features.points
+    lines = features.lines
     assert features.image_size is not None
     assert features.noise is not None
     assert features.rpc is None
     assert points.sigma is None
+    # JSON has no NaN.
     ground = np.where(np.isnan(points.ground), 0.0, points.ground)
-    kept = _Features(
+    stored = _Features(
         features.crs, features.image_size, features.noise,
         _Points(list(points.ids), list(points.roles), points.image.tolist(), ground.tolist()),
         _Lines(list(lines.ids), lines.image.tolist(), lines.ground.tolist()))
-    return msgspec.json.encode(kept) + b"\n"
+    return msgspec.json.encode(stored) + b"\n"

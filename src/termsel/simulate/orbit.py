@@ -56,20 +56,23 @@ def pushbroom_at(
     TermselError
         If no such orbit reaches the latitude.
     """
-    tilt, turn = np.radians(off_nadir), np.radians(look_azimuth)
+    tilt = np.radians(off_nadir)
+    turn = np.radians(look_azimuth)
+    # The ray (sin(tilt) cos(turn), sin(tilt) sin(turn), cos(tilt)) in the orbital frame.
     roll = -np.arctan2(np.sin(tilt) * np.sin(turn), np.cos(tilt))
     pitch = np.arcsin(np.sin(tilt) * np.cos(turn))
     ratio = np.sin(np.radians(lat)) / np.sin(np.radians(inclination))
     if abs(ratio) >= 1:
         raise TermselError(f"an orbit of {inclination:g} deg does not reach latitude {lat:g} deg",
                            hint="Choose an inclination nearer to 90 deg.")
+    # sin(latitude) = sin(inclination) sin(argument); past 90 deg the pass descends.
     argument = 180 - float(np.degrees(np.arcsin(ratio)))
     sensor = Pushbroom(altitude, inclination, 0.0, argument, *image_size,
                        ifov=gsd / altitude, line_period=gsd / 7000,
                        roll=Angle((float(roll),)), pitch=Angle((float(pitch),)),
                        refraction=refraction)
 
-    def seen(candidate: Pushbroom) -> FloatArray:
+    def positions_seen(candidate: Pushbroom) -> FloatArray:
         line, sample = candidate.centre
         return candidate.locate([[line, sample], [line + 1, sample], [line, sample + 1]], height)
 
@@ -77,15 +80,15 @@ def pushbroom_at(
     # argument that gives the latitude (descending: a larger argument lies further south),
     # then turn the orbit.
     for _ in range(ITERATIONS):
-        error = float(seen(sensor)[0, 1]) - lat
+        error = float(positions_seen(sensor)[0, 1]) - lat
         if abs(error) < 1e-12:
             break
         sensor = replace(sensor, argument=sensor.argument + error)
     else:
         raise TermselError(f"no view {off_nadir:g} deg off nadir reaches latitude {lat:g} deg",
                            hint="Choose a smaller off-nadir angle.")
-    sensor = replace(sensor, node=(lon - float(seen(sensor)[0, 0]) + 180) % 360 - 180)
-    places = to_ecef(np.column_stack([seen(sensor), np.full(3, height)]))
-    along, across = np.linalg.norm(places[1:] - places[0], axis=1)
-    return replace(sensor, line_period=sensor.line_period * gsd / float(along),
-                   ifov=sensor.ifov * gsd / float(across))
+    sensor = replace(sensor, node=(lon - float(positions_seen(sensor)[0, 0]) + 180) % 360 - 180)
+    pixel_corners = to_ecef(np.column_stack([positions_seen(sensor), np.full(3, height)]))
+    line_spacing, sample_spacing = np.linalg.norm(pixel_corners[1:] - pixel_corners[0], axis=1)
+    return replace(sensor, line_period=sensor.line_period * gsd / float(line_spacing),
+                   ifov=sensor.ifov * gsd / float(sample_spacing))

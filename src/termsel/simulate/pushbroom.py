@@ -54,6 +54,7 @@ class Angle:
     def __call__(self, time: FloatArray) -> FloatArray:
         """Return the angle [rad] at `time` [s] from the centre of the scene."""
         angle = np.zeros_like(time)
+        # Horner's rule, from the highest power down.
         for coefficient in reversed(self.drift):
             angle = angle * time + coefficient
         for amplitude, frequency, phase in self.jitter:
@@ -158,18 +159,24 @@ class Pushbroom:
         """
         time = np.asarray(time, dtype=np.float64)
         radius = SEMI_MAJOR + self.altitude
+        # The node moves back as the Earth turns below the orbit; u grows by Kepler's third law.
         i = np.radians(self.inclination)
         node = np.radians(self.node) - EARTH_ROTATION * time
         u = np.radians(self.argument) + np.sqrt(GRAVITY_CONSTANT / radius**3) * time
-        cn, sn, cu, su = np.cos(node), np.sin(node), np.cos(u), np.sin(u)
-        ci, si = np.cos(i), np.sin(i)
+        cn = np.cos(node)
+        sn = np.sin(node)
+        cu = np.cos(u)
+        su = np.sin(u)
+        ci = np.cos(i)
+        si = np.sin(i)
+        # Rz(node) Rx(inclination) Rz(u): its columns are outward, forward and the orbit's normal.
         outward = np.stack([cn * cu - sn * su * ci, sn * cu + cn * su * ci, su * si], axis=-1)
         forward = np.stack([-cn * su - sn * cu * ci, -sn * su + cn * cu * ci, cu * si], axis=-1)
         normal = np.stack([sn * si, -cn * si, np.full_like(cn, ci)], axis=-1)
         orbital = np.stack([forward, -normal, -outward], axis=-1)
         attitude = _attitude(self.roll(time), self.pitch(time), self.yaw(time))
-        away = (orbital @ np.asarray(self.offset)[..., None])[..., 0]
-        return radius * outward + away, orbital @ attitude
+        displacement = (orbital @ np.asarray(self.offset)[..., None])[..., 0]
+        return radius * outward + displacement, orbital @ attitude
 
     def project(self, ground: ArrayLike) -> FloatArray:
         """Return the image positions of ground points.
@@ -195,21 +202,23 @@ class Pushbroom:
         secant method for all points at once, to 1e-8 px.
         """
         ground = _columns(ground, 3, "ground")
-        target, up = to_ecef(ground), vertical(ground)
+        target = to_ecef(ground)
+        up = vertical(ground)
         line = np.full(len(target), self.centre[0])
-        along, sample = self._view(target, up, ground[:, 2], line)
-        step = along  # one pixel of the along-track coordinate is about one line
+        along_track, sample = self._view(target, up, ground[:, 2], line)
+        step = along_track  # one pixel of the along-track coordinate is about one line
         slope = np.full_like(line, -1.0)
         for _ in range(ITERATIONS):
-            active = np.abs(along) > _CONVERGED
+            active = np.abs(along_track) > _CONVERGED
             if not active.any():
                 break
             line = line + step
-            before = along
-            along, sample = self._view(target, up, ground[:, 2], line)
+            before = along_track
+            along_track, sample = self._view(target, up, ground[:, 2], line)
             # Steps of a few nano-px do not determine the slope, so the last slope is kept.
-            np.divide(along - before, step, out=slope, where=np.abs(step) > 1e-4)
-            step = -along / slope
+            np.divide(along_track - before, step, out=slope, where=np.abs(step) > 1e-4)
+            step = -along_track / slope
+        # A root beyond the horizon is a view through the Earth.
         station, _ = self.exposure(self.time(line))
         hidden = active | ~(np.einsum("ni,ni->n", station - target, up) > 0)
         if hidden.any():
@@ -241,16 +250,18 @@ class Pushbroom:
         height = np.broadcast_to(np.asarray(height, dtype=np.float64), len(image))
         station, rotation = self.exposure(self.time(image[:, 0]))
         across = -(image[:, 1] - self.centre[1]) * self.ifov
+        # The ray of a detector in camera axes; samples run to port, hence the sign.
         look = np.stack([np.zeros_like(across), across, np.ones_like(across)], axis=-1)
         look /= np.linalg.norm(look, axis=1, keepdims=True)
         straight = _meet(station, np.einsum("nij,nj->ni", rotation, look), height)
-        place = from_ecef(straight)
+        position = from_ecef(straight)
         if self.refraction:
             # The shift is about a metre and changes by less than a micrometre over that distance.
             for _ in range(2):
-                bent = straight - _refraction(to_ecef(place), vertical(place), height, station)
-                place = from_ecef(bent)
-        return place[:, :2]
+                bent = straight - _refraction(to_ecef(position), vertical(position), height,
+                                              station)
+                position = from_ecef(bent)
+        return position[:, :2]
 
     def on_terrain(self, terrain: Heights, image: FloatArray, start: float, rounds: int = 12,
                    ) -> FloatArray:
@@ -260,10 +271,11 @@ class Pushbroom:
         `start` is the first approximation of the height [m].
         """
         height = np.full(len(image), start)
+        # The height at the last position is that of the next one, until both agree.
         for _ in range(rounds):
-            place = self.locate(image, height)
-            height = terrain(place)
-        return np.column_stack([place, height])
+            position = self.locate(image, height)
+            height = terrain(position)
+        return np.column_stack([position, height])
 
     def off_nadir(self, line: float | None = None) -> float:
         """Return the angle between the middle detector's ray and the Earth's centre [deg].
@@ -285,14 +297,19 @@ class Pushbroom:
         station, rotation = self.exposure(self.time(line))
         if self.refraction:
             target = target + _refraction(target, up, height, station)
+        # Camera coordinates R'(P - S): all of a line lie at x = 0 when it is exposed.
         x, y, z = np.einsum("nij,ni->jn", rotation, target - station)
         return x / z / self.ifov, self.centre[1] - y / z / self.ifov
 
 
 def _attitude(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> FloatArray:
     """Return Rx(roll) Ry(pitch) Rz(yaw), shape (n, 3, 3)."""
-    cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
-    cy, sy = np.cos(yaw), np.sin(yaw)
+    cr = np.cos(roll)
+    sr = np.sin(roll)
+    cp = np.cos(pitch)
+    sp = np.sin(pitch)
+    cy = np.cos(yaw)
+    sy = np.sin(yaw)
     return np.stack([
         np.stack([cp * cy, -cp * sy, sp], axis=-1),
         np.stack([cr * sy + sr * sp * cy, cr * cy - sr * sp * sy, -sr * cp], axis=-1),
@@ -307,6 +324,7 @@ def _refraction(target: FloatArray, up: FloatArray, height: FloatArray, station:
     ray = station - target
     ray = ray / np.linalg.norm(ray, axis=1, keepdims=True)
     cosine = np.einsum("ni,ni->n", ray, up)[:, None]
+    # tan(z) / cos(z)^2 times the integral of n - 1, towards the nadir (see the class).
     shift: FloatArray = (_REFRACTIVITY_COLUMN * pressure)[:, None] * (cosine * up - ray) / cosine**3
     return shift
 
@@ -316,23 +334,28 @@ def _meet(station: FloatArray, ray: FloatArray, height: FloatArray) -> FloatArra
     # Starts on the ellipsoid with both axes longer by the height, which is nearly the surface of
     # that height, and continues with Newton's method along the ray.
     axes = np.stack([SEMI_MAJOR + height, SEMI_MAJOR + height, SEMI_MINOR + height], axis=-1)
-    s, d = station / axes, ray / axes
-    a, b, c = (d * d).sum(axis=1), (s * d).sum(axis=1), (s * s).sum(axis=1) - 1
+    s = station / axes
+    d = ray / axes
+    a = (d * d).sum(axis=1)
+    b = (s * d).sum(axis=1)
+    c = (s * s).sum(axis=1) - 1
+    # |s + t d|^2 = 1 in units of the axes: a t^2 + 2 b t + c = 0, the nearer root.
     root = b * b - a * c
     if (root <= 0).any():
         raise TermselError(f"the rays of {int((root <= 0).sum())} image points miss the Earth",
                            hint="Choose a smaller off-nadir angle, or points in the image.")
     distance = (-b - np.sqrt(root)) / a
     for _ in range(2):
-        place = from_ecef(station + distance[:, None] * ray)
-        climb = np.einsum("ni,ni->n", ray, vertical(place))
-        distance = distance + (height - place[:, 2]) / climb
-    along: FloatArray = distance[:, None] * ray
-    return station + along
+        position = from_ecef(station + distance[:, None] * ray)
+        # Height gained per metre of the ray.
+        climb = np.einsum("ni,ni->n", ray, vertical(position))
+        distance = distance + (height - position[:, 2]) / climb
+    to_ground: FloatArray = distance[:, None] * ray
+    return station + to_ground
 
 
-def _columns(values: ArrayLike, width: int, what: str) -> FloatArray:
+def _columns(values: ArrayLike, width: int, kind: str) -> FloatArray:
     array = np.asarray(values, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != width:
-        raise TermselError(f"{what} coordinates have shape {array.shape}, expected (n, {width})")
+        raise TermselError(f"{kind} coordinates have shape {array.shape}, expected (n, {width})")
     return array

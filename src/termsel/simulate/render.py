@@ -17,13 +17,14 @@ _MESH = 4  # px; the ground between is interpolated by cubic splines
 _MARGIN = 3  # meshes around the image, as splines are worst at the edge
 
 
-def checkerboard(origin: tuple[float, float], side: tuple[float, float]) -> Pattern:
+def checkerboard(origin: tuple[float, float], field_size: tuple[float, float]) -> Pattern:
     """Return a pattern of dark and bright fields.
 
-    `origin` is the longitude and latitude of a corner, `side` width and height of a field [deg].
+    `origin` is the longitude and latitude of a corner, `field_size` the width and height of a field
+    [deg].
     """
-    def brightness(place: FloatArray) -> FloatArray:
-        column, row = np.floor((place - origin) / side).T
+    def brightness(position: FloatArray) -> FloatArray:
+        column, row = np.floor((position - origin) / field_size).T
         return np.where((column + row) % 2 == 0, 60.0, 190.0)
 
     return brightness
@@ -43,12 +44,14 @@ def render(sensor: Pushbroom, terrain: Heights, pattern: Pattern, *, oversample:
     ground = sensor.on_terrain(terrain, image.reshape(-1, 2), float(terrain(middle)[0]))
     ground = ground.reshape(*image.shape[:2], 3)
     # From the centre of a pixel: the middles of its equal parts.
-    part = (np.arange(oversample) + 0.5) / oversample - 0.5
+    offsets = (np.arange(oversample) + 0.5) / oversample - 0.5
     fine_line, fine_sample = (
-        (np.arange(size)[:, None] + part).ravel() / _MESH + _MARGIN
+        (np.arange(size)[:, None] + offsets).ravel() / _MESH + _MARGIN
         for size in (sensor.n_lines, sensor.n_samples))
-    where = np.meshgrid(fine_line, fine_sample, indexing="ij")
-    place = np.stack([map_coordinates(ground[..., axis], where, order=3).ravel()
+    # In meshes, from the first one outside of the image.
+    mesh_position = np.meshgrid(fine_line, fine_sample, indexing="ij")
+    position = np.stack([map_coordinates(ground[..., axis], mesh_position, order=3).ravel()
                       for axis in (0, 1)], axis=-1)
-    bright = pattern(place).reshape(sensor.n_lines, oversample, sensor.n_samples, oversample)
+    # (line, part of it, sample, part of it)
+    bright = pattern(position).reshape(sensor.n_lines, oversample, sensor.n_samples, oversample)
     return np.asarray(bright.mean(axis=(1, 3)))

@@ -7,7 +7,7 @@ scene is fixed by its name. A seed draws points, lines and noise.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
@@ -150,10 +150,10 @@ def scene_truth(
 
 
 def _scene(name: str) -> Scene:
-    known = {**SCENES, **OTHERS}
-    if name not in known:
-        raise unknown_name("simulated scene", name, known)
-    return known[name]
+    scenes = {**SCENES, **OTHERS}
+    if name not in scenes:
+        raise unknown_name("simulated scene", name, scenes)
+    return scenes[name]
 
 
 def _line_counts(scene: Scene, n_lines: int | None, wrong: int | None) -> tuple[int, int]:
@@ -189,6 +189,7 @@ def _geometry(name: str) -> tuple[Pushbroom, Terrain, FloatArray]:
         altitude=scene.altitude, inclination=scene.inclination))
     width = scene.gsd * scene.image_size[1], scene.gsd * scene.image_size[0]
     terrain = hilly(scene.number, scene.lon, scene.lat, width, scene.relief)
+    # Heights are those of what the image shows, but for its edges.
     share = np.linspace(_EDGE, 1 - _EDGE, 81)
     image = np.stack(np.meshgrid(share, share, indexing="ij"), axis=-1).reshape(-1, 2)
     image *= np.array(scene.image_size) - 1
@@ -201,14 +202,16 @@ def _shaken(scene: Scene, sensor: Pushbroom) -> Pushbroom:
     end = sensor.centre[0] * sensor.line_period
     per_pixel = (sensor.ifov, sensor.ifov, 1 / sensor.centre[1])
     jitter = (*scene.jitter, 0.0)
-    cycles, phases = (2.3, 1.7, 1.0), (0.4, 2.0, 0.0)
-    angles = [
-        Angle((*(still.drift or (0.0,)),
-               *(pixels * unit / end ** (power + 1) for power, pixels in enumerate(drift))),
-              ((amplitude * unit, count / (2 * end), phase),) if amplitude else ())
-        for still, drift, unit, amplitude, count, phase in zip(
+    cycles = (2.3, 1.7, 1.0)
+    phases = (0.4, 2.0, 0.0)
+    angles = []
+    for steady, drift, unit, amplitude, count, phase in zip(
             (sensor.roll, sensor.pitch, sensor.yaw), scene.drift, per_pixel, jitter, cycles,
-            phases, strict=True)]
+            phases, strict=True):
+        # The constant part stays; each power of time moves the image by so many px at the end.
+        coefficients = [shift * unit / end ** (power + 1) for power, shift in enumerate(drift)]
+        sines = ((amplitude * unit, count / (2 * end), phase),) if amplitude else ()
+        angles.append(Angle((*(steady.drift or (0.0,)), *coefficients), sines))
     return replace(sensor, roll=angles[0], pitch=angles[1], yaw=angles[2])
 
 
@@ -222,8 +225,8 @@ def _on_ground(name: str, image: FloatArray) -> FloatArray:
 def _role_counts(scene: Scene, count: int) -> tuple[int, int, int]:
     if count == sum(scene.roles):
         return scene.roles
-    third, rest = divmod(count, 3)
-    return third + (rest == 2), third, third + (rest > 0)
+    third, remainder = divmod(count, 3)
+    return third + (remainder == 2), third, third + (remainder > 0)
 
 
 @lru_cache(maxsize=16)
@@ -241,22 +244,25 @@ def _points(scene: Scene, rng: Generator, numbers: tuple[int, int, int]) -> Poin
     if count == 0:
         return no_points()
     sensor, _, extremes = _geometry(scene.name)
-    turns = sorted(((k + 0.5) / number, role) for role, number in enumerate(numbers)
-                   for k in range(number))
-    roles = np.array([role for _, role in turns])
+    # Each role's points are evenly spread over the order in which points are drawn.
+    role_order: list[tuple[float, int]] = []
+    for role, number in enumerate(numbers):
+        role_order += [((k + 0.5) / number, role) for k in range(number)]
+    roles = np.array([role for _, role in sorted(role_order)])
     extent = np.array(scene.image_size) - 1.0
     image = np.empty((count, 2))
+    # The first two control points lie at the lowest and the highest place.
     at_extremes = np.flatnonzero(roles == 0)[:2]
     image[at_extremes] = extremes[:len(at_extremes)]
     placed, *of_role = (_Placed(np.empty((number, 2))) for number in (count, *numbers))
     for i in sorted(range(count), key=lambda i: (i not in at_extremes, i)):
         of_same = of_role[roles[i]]
         if i not in at_extremes:
-            tried = extent * rng.uniform(_EDGE, 1 - _EDGE, (_CANDIDATES, 2))
+            candidates = extent * rng.uniform(_EDGE, 1 - _EDGE, (_CANDIDATES, 2))
             # Best candidate (Mitchell 1991) over all points and over those of its role, which are
             # three times as sparse.
-            room = np.minimum(placed.away(tried), of_same.away(tried) / np.sqrt(3))
-            image[i] = tried[room.argmax()]
+            clearance = np.minimum(placed.away(candidates), of_same.away(candidates) / np.sqrt(3))
+            image[i] = candidates[clearance.argmax()]
         placed.add(image[i])
         of_same.add(image[i])
     ground = _on_ground(scene.name, image)
@@ -268,11 +274,13 @@ class _Placed:
     """Places in the image, of which a tree holds all but the latest."""
 
     def __init__(self, space: FloatArray) -> None:
-        self._places, self._count, self._in_tree = space, 0, 0
+        self._places = space
+        self._count = 0
+        self._in_tree = 0
 
-    def add(self, place: FloatArray) -> None:
+    def add(self, position: FloatArray) -> None:
         """Take one more place."""
-        self._places[self._count] = place
+        self._places[self._count] = position
         self._count += 1
         if self._count - self._in_tree == _LATEST:
             from scipy.spatial import cKDTree
@@ -280,12 +288,12 @@ class _Placed:
             self._in_tree = self._count
             self._tree = cKDTree(self._places[:self._count])
 
-    def away(self, tried: FloatArray) -> FloatArray:
+    def away(self, candidates: FloatArray) -> FloatArray:
         """Return how far each place tried is from the nearest; infinite without any."""
         x, y = self._places[self._in_tree:self._count].T
-        away: FloatArray = np.sqrt(((tried[:, :1] - x) ** 2 + (tried[:, 1:] - y) ** 2).min(
-            axis=1, initial=np.inf))
-        return np.minimum(away, self._tree.query(tried)[0]) if self._in_tree else away
+        distance: FloatArray = np.sqrt(((candidates[:, :1] - x) ** 2
+                                        + (candidates[:, 1:] - y) ** 2).min(axis=1, initial=np.inf))
+        return np.minimum(distance, self._tree.query(candidates)[0]) if self._in_tree else distance
 
 
 def _lines(scene: Scene, rng: Generator, count: int) -> Lines:
@@ -294,16 +302,18 @@ def _lines(scene: Scene, rng: Generator, count: int) -> Lines:
         return no_lines()
     sensor, terrain, _ = _geometry(scene.name)
     # A town with 55 % of the lines, two villages with 15 % each, the rest anywhere.
-    where = rng.choice(4, count, p=(0.55, 0.15, 0.15, 0.15))
-    centre = np.array([[0.42, 0.38], [0.75, 0.70], [0.22, 0.74], [0.5, 0.5]])[where]
-    radius = np.array([0.20, 0.10, 0.08, 0.0])[where]
-    bearing, reach = rng.uniform(0, 2 * np.pi, count), radius * np.sqrt(rng.random(count))
+    settlement = rng.choice(4, count, p=(0.55, 0.15, 0.15, 0.15))
+    centre = np.array([[0.42, 0.38], [0.75, 0.70], [0.22, 0.74], [0.5, 0.5]])[settlement]
+    radius = np.array([0.20, 0.10, 0.08, 0.0])[settlement]
+    bearing = rng.uniform(0, 2 * np.pi, count)
+    reach = radius * np.sqrt(rng.random(count))
     share = centre + reach[:, None] * np.column_stack([np.sin(bearing), np.cos(bearing)])
     anywhere = rng.uniform(0.06, 0.94, (count, 2))
-    share[where == 3] = anywhere[where == 3]
+    share[settlement == 3] = anywhere[settlement == 3]
     middle = _on_ground(scene.name, share * (np.array(scene.image_size) - 1))[:, :2]
     azimuth = rng.uniform(0, 2 * np.pi, count)
     length = scene.gsd * np.exp(rng.uniform(np.log(40), np.log(400), count))
+    # Half of the length, as an angle at the centre of the Earth; a degree of longitude is shorter.
     half = np.degrees(length / 2 / SEMI_MAJOR)
     step = np.column_stack([half * np.sin(azimuth) / np.cos(np.radians(scene.lat)),
                             half * np.cos(azimuth)])
@@ -311,10 +321,10 @@ def _lines(scene: Scene, rng: Generator, count: int) -> Lines:
     ground = np.dstack([ends, terrain(ends.reshape(-1, 2)).reshape(-1, 2)])
     # The image line is measured at two places of the ground line other than its vertices, in either
     # order.
-    along = np.column_stack([rng.uniform(-0.2, 0.3, count), rng.uniform(0.7, 1.2, count)])
+    fractions = np.column_stack([rng.uniform(-0.2, 0.3, count), rng.uniform(0.7, 1.2, count)])
     swap = rng.random(count) < 0.5
-    along[swap] = along[swap, ::-1]
-    measured = ground[:, :1] + along[..., None] * (ground[:, 1:] - ground[:, :1])
+    fractions[swap] = fractions[swap, ::-1]
+    measured = ground[:, :1] + fractions[..., None] * (ground[:, 1:] - ground[:, :1])
     image = sensor.project(measured.reshape(-1, 3)).reshape(-1, 2, 2)
     return Lines(_ids("L", count), image, ground)
 
@@ -327,6 +337,7 @@ def _picked(rng: Generator, n_lines: int, wrong: int) -> IntArray:
 def _displaced(image: FloatArray, rng: Generator, wrong: int) -> FloatArray:
     """Return image lines (n, 2, 2) of which `wrong` are moved sideways."""
     picked = _picked(rng, len(image), wrong)
+    # Across the line, by some pixels to either side: as if a neighbouring street had been taken.
     run = image[picked, 1] - image[picked, 0]
     sideways = np.column_stack([-run[:, 1], run[:, 0]])
     sideways /= np.linalg.norm(run, axis=1, keepdims=True)
@@ -336,7 +347,12 @@ def _displaced(image: FloatArray, rng: Generator, wrong: int) -> FloatArray:
     return moved
 
 
-DATASETS, FURTHER = (tuple(
-    DatasetSpec(scene.name, scene.summary, partial(kept_features, "termsel.simulate", scene.name),
-                simulated=True)
-    for scene in scenes.values()) for scenes in (SCENES, OTHERS))
+def _datasets(scenes: Mapping[str, Scene]) -> tuple[DatasetSpec, ...]:
+    """Return the data sets of scenes, which are read from the files that hold them."""
+    return tuple(DatasetSpec(scene.name, scene.summary,
+                             partial(kept_features, "termsel.simulate", scene.name), simulated=True)
+                 for scene in scenes.values())
+
+
+DATASETS = _datasets(SCENES)
+FURTHER = _datasets(OTHERS)

@@ -42,15 +42,15 @@ class Terrain:
     hills: tuple[tuple[float, float, float, float], ...]
     relief: tuple[tuple[float, float, float, float], ...]
 
-    def __call__(self, place: FloatArray) -> FloatArray:
+    def __call__(self, position: FloatArray) -> FloatArray:
         """Return ellipsoidal heights [m], shape (n,), of lon, lat [deg], shape (n, 2)."""
-        broad, local = self.parts(place)
+        broad, local = self.parts(position)
         return self.base + self.gain * broad + local
 
-    def parts(self, place: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def parts(self, position: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the regional form without gain, and the local relief [m], each (n,)."""
-        u = (place[:, 0] - self.lon) / self.scale[0]
-        v = (place[:, 1] - self.lat) / self.scale[1]
+        u = (position[:, 0] - self.lon) / self.scale[0]
+        v = (position[:, 1] - self.lat) / self.scale[1]
         broad = self.slope[0] * u + self.slope[1] * v
         for rise, east, north, radius in self.hills:
             broad += rise * np.exp(-((u - east) ** 2 + (v - north) ** 2) / (2 * radius**2))
@@ -59,7 +59,7 @@ class Terrain:
             local += amplitude * np.sin(k_east * u + k_north * v + phase)
         return broad, local
 
-    def between(self, place: FloatArray, low: float, high: float) -> tuple[Terrain, int, int]:
+    def between(self, position: FloatArray, low: float, high: float) -> tuple[Terrain, int, int]:
         """Return the terrain whose heights at some places go from `low` to `high`.
 
         The relief keeps its size; the gain of the regional form is adapted.
@@ -77,8 +77,10 @@ class Terrain:
         lowest, highest : int
             Indices of the lowest and the highest place.
         """
-        broad, local = self.parts(place)
+        broad, local = self.parts(position)
         gain = 0.0
+        # The range of heights is nearly linear in the gain: Newton's method, with the slope of the
+        # regional form alone.
         for _ in range(30):
             gain += (high - low - float(np.ptp(gain * broad + local))) / float(np.ptp(broad))
         form = gain * broad + local
@@ -97,6 +99,7 @@ def hilly(seed: int, lon: float, lat: float, extent: tuple[float, float], relief
     rng = np.random.default_rng(seed)
     scale = (float(np.degrees(extent[0] / 2 / (SEMI_MAJOR * np.cos(np.radians(lat))))),
              float(np.degrees(extent[1] / 2 / SEMI_MAJOR)))
+    # Wave lengths of 0.35 to 0.7 of half the extent, directions spread evenly but for chance.
     number = 2 * np.pi / rng.uniform(0.35, 0.7, _WAVES)
     direction = np.pi * (np.arange(_WAVES) + rng.random(_WAVES)) / _WAVES
     phase = rng.uniform(0, 2 * np.pi, _WAVES)
