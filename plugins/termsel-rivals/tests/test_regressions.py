@@ -14,7 +14,7 @@ pytest.importorskip("termsel_rivals", reason="termsel-rivals is not installed: "
 import termsel
 from termsel import Equations, FeatureSet, Points, Regression, TermRegression
 from termsel.toolkit import LeastSquares, regressions, solve
-from termsel_rivals.lasso import Lasso, PathPiece, lasso_path
+from termsel_rivals.lasso import Lasso, PathSegment, lasso_path
 from termsel_rivals.nested import (
     NestedRegression,
     explained_share,
@@ -288,7 +288,7 @@ def test_the_truth_is_found_by_nested_regression(noise: float, thumb: float, r: 
 
 # Lasso
 
-def conditions_hold(columns: np.ndarray, target: np.ndarray, piece: PathPiece, share: float,
+def conditions_hold(columns: np.ndarray, target: np.ndarray, piece: PathSegment, share: float,
                     ) -> None:
     """Assert the conditions of Karush, Kuhn and Tucker somewhere on a piece."""
     x = piece.start + share * (piece.end - piece.start)

@@ -24,7 +24,7 @@ class Spectrum:
     freedom: int  # rows less unpenalised columns
 
     def penalties(self, smallest: float) -> FloatArray:
-        """Return penalties from the largest singular value down to `least` of it."""
+        """Return penalties from the largest singular value down to `smallest` of it."""
         return np.asarray(self.values[0] * np.geomspace(1.0, smallest, 401))
 
     def _residual_share(self, penalty: FloatArray) -> FloatArray:

@@ -21,7 +21,7 @@ files hold hardly more digits than this. Of an image of 10,000 px it is 5e-6 px.
 def by_size(figures: FloatArray, floor: FloatArray | float, share: FloatArray) -> FloatArray:
     """Return figures of selections, in which those that are rounding are by the size alone.
 
-    Figures up to `least` become that times the selection's share of what may be selected, 0 to 1:
+    Figures up to `floor` become that times the selection's share of what may be selected, 0 to 1:
     they stay below all others, and the smaller selection is the better one.
     """
     return np.asarray(np.where(figures <= floor, floor * share, figures))

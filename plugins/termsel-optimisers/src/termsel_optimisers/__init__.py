@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from termsel_optimisers.deap_toolbox import to_deap
     from termsel_optimisers.pymoo_algorithms import from_pymoo
 
-# What is not needed for `termsel list` is not imported for it.
+# What is not needed for `termsel list` is not imported for it: DEAP and pymoo take a second.
 __getattr__, _, _ = lazy_loader.attach(__name__, submod_attrs={
     "ask_tell": ["from_ask_tell"], "deap_algorithms": ["from_deap"],
     "deap_toolbox": ["to_deap"], "pymoo_algorithms": ["from_pymoo"]})

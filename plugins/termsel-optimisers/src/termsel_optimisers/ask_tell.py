@@ -69,30 +69,34 @@ def from_ask_tell(factory: Callable[[Problem, np.random.Generator], AskTell], *,
     if not callable(factory):
         raise TermselError(f"{factory!r:.100} is no function or class",
                            hint="Give what makes an optimiser from a problem and a generator.")
-    called = getattr(factory, "__name__", "from-ask-tell")
-    doc, most = inspect.getdoc(factory) or "An optimiser of a user's own.", max_objectives
+    factory_name = getattr(factory, "__name__", "from-ask-tell")
+    # Of the class below, whose own names would hide these.
+    doc = inspect.getdoc(factory) or "An optimiser of a user's own."
+    objectives_limit = max_objectives
 
     class FromAskTell(Solver):
         __doc__ = doc.splitlines()[0]
-        max_objectives = most
+        max_objectives = objectives_limit
         segments: ClassVar[tuple[type[AnySegment], ...]] = SEGMENTS
 
         def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
-            with blamed(factory, called, CHECK):
+            with blamed(factory, factory_name, CHECK):
                 optimiser = factory(problem, rng)
             for index in itertools.count():
                 with blamed(optimiser, "ask", CHECK):
-                    asked = optimiser.ask()
-                    if asked is None:
+                    candidates = optimiser.ask()
+                    if candidates is None:
                         return
-                    asked = np.atleast_2d(np.asarray(asked, dtype=float))
-                if fault := of_shape(asked, (-1, problem.genome.size)):
+                    # One selection, or several; numbers that the genome rounds to its genes.
+                    candidates = np.atleast_2d(np.asarray(candidates, dtype=float))
+                if fault := of_shape(candidates, (-1, problem.genome.size)):
                     raise wrong(optimiser, "ask", fault, CHECK)
-                genes = problem.genome.repair(asked, rng)
+                # Told are the genes that were evaluated, not those that were asked for.
+                genes = problem.genome.repair(candidates, rng)
                 evaluation = problem.evaluate(genes)
                 with blamed(optimiser, "tell", CHECK):
                     optimiser.tell(genes, evaluation)
                 yield Generation(index, genes, evaluation)
 
-    FromAskTell.name = name or called.strip("_").replace("_", "-").lower()
+    FromAskTell.name = name or factory_name.strip("_").replace("_", "-").lower()
     return FromAskTell

@@ -67,30 +67,33 @@ class Deap(Solver):
             register(box, role, o[role], problem.genome)
         loop = _loop(o["algorithm"])
         # eaSimple crosses and mutates each child, the others do one of both, or neither.
-        alone = o["algorithm"] == "eaSimple"
-        chances = {"cxpb": o["cxpb"] if o["cxpb"] is not None else 0.9 if alone else 0.7,
-                   "mutpb": o["mutpb"] if o["mutpb"] is not None else 1.0 if alone else 0.3}
+        applies_both = o["algorithm"] == "eaSimple"
+        chances = {"cxpb": o["cxpb"] if o["cxpb"] is not None else 0.9 if applies_both else 0.7,
+                   "mutpb": o["mutpb"] if o["mutpb"] is not None else 1.0 if applies_both else 0.3}
+        # A child is crossed, or mutated, or neither, never both: the chances add up.
         if "lambda_" in inspect.signature(loop).parameters and sum(chances.values()) > 1:
             raise TermselError(f"cxpb and mutpb of {o['algorithm']} add up to "
                                f"{sum(chances.values()):g}", hint="They may add up to 1 at most.")
         if not sum(chances.values()):
             raise TermselError("cxpb and mutpb are 0, so no individual would ever change",
                                hint="Raise one of them.")
-        mu, children = o["population"], o["children"] or 2 * o["population"]
+        mu = o["population"]
+        children = o["children"] or 2 * o["population"]
         if o["algorithm"] == "eaMuCommaLambda" and children < mu:
             raise TermselError(f"eaMuCommaLambda keeps {mu} of {children} children",
                                hint="Raise children or lower the population.")
         yield from evolved(box, loop, rng, mu, {**chances, "mu": mu, "lambda_": children})
 
 
-def _loop(said: str) -> Callable[..., Any]:
+def _loop(loop_name: str) -> Callable[..., Any]:
     """Return the algorithm of a name, or the function that module:function says."""
-    module, _, name = said.rpartition(":")
+    module, _, name = loop_name.rpartition(":")
+    # Without a module it is one of DEAP's own.
     if not module:
         if name in ALGORITHMS:
             loop: Callable[..., Any] = getattr(algorithms, name)
             return loop
-        raise TermselError(f"there is no algorithm {said!r}",
+        raise TermselError(f"there is no algorithm {loop_name!r}",
                            hint=f"Known are {', '.join(ALGORITHMS)}; a loop of yours is "
                                 "module:function.")
     try:
@@ -98,7 +101,7 @@ def _loop(said: str) -> Callable[..., Any]:
             loop = getattr(import_module(module), name)
         inspect.signature(loop)
     except (ImportError, AttributeError, NameError, SyntaxError, TypeError, ValueError) as error:
-        raise TermselError(f"the loop {said!r} cannot be imported: {error}",
+        raise TermselError(f"the loop {loop_name!r} cannot be imported: {error}",
                            hint="Give module:function, importable from where you run.") from None
     return loop
 
@@ -113,51 +116,55 @@ def evolved(box: base.Toolbox, loop: Callable[..., Any], rng: np.random.Generato
     and at first for none. A generator function yields the population after each generation.
     """
     takes = inspect.signature(loop).parameters
-    stats = tools.Statistics(lambda one: one.fitness.values[0])
-    for word in ("min", "median", "max"):
-        stats.register(word, getattr(np, word))
-    hall, book = tools.HallOfFame(1), tools.Logbook()
-    named = {key: value for key, value in {
-        **arguments, "stats": stats, "halloffame": hall, "verbose": False}.items() if key in takes}
-    called = getattr(loop, "__name__", "loop")
+    stats = tools.Statistics(lambda individual: individual.fitness.values[0])
+    for statistic in ("min", "median", "max"):
+        stats.register(statistic, getattr(np, statistic))
+    hall_of_fame = tools.HallOfFame(1)
+    logbook = tools.Logbook()
+    # A loop gets those of the arguments that it names.
+    offered = {**arguments, "stats": stats, "halloffame": hall_of_fame, "verbose": False}
+    named = {key: value for key, value in offered.items() if key in takes}
+    shown_name = getattr(loop, "__name__", "loop")
     if "ngen" not in takes and not inspect.isgeneratorfunction(loop):
-        raise TermselError(f"the loop {called!r} has no argument 'ngen' and yields nothing",
+        raise TermselError(f"the loop {shown_name!r} has no argument 'ngen' and yields nothing",
                            hint="Let it run ngen generations as eaSimple does, or yield the "
                                 "population after each.")
+    # DEAP draws from Python's global state: within `chance` that is one of its own.
     chance = OwnChance(rng)
     with chance:
-        people = box.population(n=population)
+        individuals = box.population(n=population)
     # A generator function that takes no ngen runs on; it is read step by step.
-    steps = loop(people, box, **named) if "ngen" not in takes else None
+    steps = loop(individuals, box, **named) if "ngen" not in takes else None
     for index in itertools.count():
-        with blamed(loop, called, CHECK), chance:
+        with blamed(loop, shown_name, CHECK), chance:
             if steps is not None:
-                people = next(steps, None)
+                individuals = next(steps, None)
             else:
                 # At first for no generation: the loop only evaluates the population.
-                people, _log = loop(people, box, ngen=min(index, 1), **named)
-            if people is None and steps is not None:
+                individuals, _log = loop(individuals, box, ngen=min(index, 1), **named)
+            if individuals is None and steps is not None:
                 return
-            if not people:
-                raise TermselError(f"the loop {called!r} returned no population", hint=CHECK)
-            _evaluate(box, people)
-        hall.update(people)
-        book.record(gen=index, **stats.compile(people))
-        yield _generation(index, people, {"logbook": book, "halloffame": hall})
+            if not individuals:
+                raise TermselError(f"the loop {shown_name!r} returned no population", hint=CHECK)
+            _evaluate(box, individuals)
+        hall_of_fame.update(individuals)
+        logbook.record(gen=index, **stats.compile(individuals))
+        yield _generation(index, individuals, {"logbook": logbook, "halloffame": hall_of_fame})
 
 
-def _evaluate(box: base.Toolbox, people: Iterable[Individual]) -> None:
+def _evaluate(box: base.Toolbox, individuals: Iterable[Individual]) -> None:
     """Evaluate what a loop has left without a fitness."""
-    fresh = [one for one in people if not one.fitness.valid]
-    for one, values in zip(fresh, box.map(box.evaluate, fresh), strict=True):
-        one.fitness.values = values
+    unevaluated = [individual for individual in individuals if not individual.fitness.valid]
+    for individual, values in zip(unevaluated, box.map(box.evaluate, unevaluated), strict=True):
+        individual.fitness.values = values
 
 
-def _generation(index: int, people: list[Individual], details: Mapping[str, Any]) -> Generation:
-    genes: NDArray[Any] = np.array(people)
+def _generation(index: int, individuals: list[Individual],
+                details: Mapping[str, Any]) -> Generation:
+    genes: NDArray[Any] = np.array(individuals)
     return Generation(index, genes, Evaluation(
-        np.array([one.objectives for one in people]),
-        np.array([one.violation for one in people])), details)
+        np.array([individual.objectives for individual in individuals]),
+        np.array([individual.violation for individual in individuals])), details)
 
 
 def from_deap(toolbox_factory: Callable[[Problem], base.Toolbox],
@@ -197,13 +204,13 @@ def from_deap(toolbox_factory: Callable[[Problem], base.Toolbox],
     >>> result.solver
     'to-deap'
     """
-    for given_as, what in (("toolbox_factory", toolbox_factory), ("algorithm", algorithm)):
-        if not callable(what):
-            raise TermselError(f"{given_as} is {what!r:.100}, which is no function",
+    for given_as, argument in (("toolbox_factory", toolbox_factory), ("algorithm", algorithm)):
+        if not callable(argument):
+            raise TermselError(f"{given_as} is {argument!r:.100}, which is no function",
                                hint="Give a function, such as termsel_optimisers.to_deap and "
                                     "deap.algorithms.eaSimple.")
-    given = {"cxpb": 0.5, "mutpb": 0.2, **arguments}
-    called = getattr(toolbox_factory, "__name__", "from-deap")
+    loop_arguments = {"cxpb": 0.5, "mutpb": 0.2, **arguments}
+    factory_name = getattr(toolbox_factory, "__name__", "from-deap")
     doc = inspect.getdoc(toolbox_factory) or "A DEAP toolbox of a user's own."
 
     class FromDeap(Solver):
@@ -215,9 +222,11 @@ def from_deap(toolbox_factory: Callable[[Problem], base.Toolbox],
             n = self.options["population"]
             box = toolbox_factory(problem)
             if not isinstance(box, base.Toolbox):
-                raise TermselError(f"the function {called!r} returned no DEAP toolbox",
+                raise TermselError(f"the function {factory_name!r} returned no DEAP toolbox",
                                    hint="Return what termsel_optimisers.to_deap(problem) returned.")
-            yield from evolved(box, algorithm, rng, n, {"mu": n, "lambda_": 2 * n, **given})
+            # Twice as many children as parents, unless the user says otherwise.
+            yield from evolved(box, algorithm, rng, n,
+                               {"mu": n, "lambda_": 2 * n, **loop_arguments})
 
-    FromDeap.name = name or called.strip("_").replace("_", "-").lower()
+    FromDeap.name = name or factory_name.strip("_").replace("_", "-").lower()
     return FromDeap

@@ -31,30 +31,35 @@ class Fitness(base.Fitness):
 
     def _set(self, values: Sequence[float]) -> None:
         super().setValues(values)
-        if isinstance(values, Judged) and self.owner is not None:
+        if isinstance(values, EvaluatedValues) and self.owner is not None:
             # The genes are the repaired ones from now on, also where another process repaired them.
             self.owner[:] = values.genes
-            self.owner.objectives, self.owner.violation = values.objectives, values.violation
+            self.owner.objectives = values.objectives
+            self.owner.violation = values.violation
 
     values = property(base.Fitness.getValues, _set, base.Fitness.delValues)
 
 
-class Judged(tuple[float, ...]):
+class EvaluatedValues(tuple[float, ...]):
     """The values of a fitness, with the genes that were evaluated and their evaluation."""
 
     genes: list[Any]
     objectives: NDArray[np.float64]
     violation: float
 
-    def __new__(cls, genes: list[Any], objectives: NDArray[np.float64], violation: float) -> Judged:
+    def __new__(cls, genes: list[Any], objectives: NDArray[np.float64],
+                violation: float) -> EvaluatedValues:
         """Return values, penalised as by `deap.tools.DeltaPenalty` if there is a violation."""
-        one = super().__new__(cls, [WORST + violation] * len(objectives) if violation
+        # WORST is above every objective: an infeasible individual is worse than any feasible one.
+        values = super().__new__(cls, [WORST + violation] * len(objectives) if violation
                               else objectives.tolist())
-        one.genes, one.objectives, one.violation = genes, objectives, violation
-        return one
+        values.genes = genes
+        values.objectives = objectives
+        values.violation = violation
+        return values
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Judged, (self.genes, self.objectives, self.violation)
+        return EvaluatedValues, (self.genes, self.objectives, self.violation)
 
 
 class Individual(list[Any]):
@@ -74,11 +79,12 @@ class Individual(list[Any]):
         copied = Individual(self, len(self.fitness.weights))
         copied.fitness.wvalues = self.fitness.wvalues
         # Nobody changes an evaluation: it needs no copy.
-        copied.objectives, copied.violation = self.objectives, self.violation
+        copied.objectives = self.objectives
+        copied.violation = self.violation
         return copied
 
 
-class _Judge:
+class _ProblemTools:
     """What a toolbox does with a problem; other processes can have it, as they can a toolbox."""
 
     def __init__(self, problem: Problem) -> None:
@@ -86,34 +92,35 @@ class _Judge:
 
     def population(self, n: int) -> list[Individual]:
         genes = self.problem.genome.random(_rng(), n).tolist()
-        return [Individual(one, len(self.problem.objectives)) for one in genes]
+        return [Individual(chromosome, len(self.problem.objectives)) for chromosome in genes]
 
     def individual(self) -> Individual:
         return self.population(1)[0]
 
-    def evaluate(self, one: Individual) -> Judged:
-        return self.judged([one])[0]
+    def evaluate(self, individual: Individual) -> EvaluatedValues:
+        return self.evaluated([individual])[0]
 
-    def judged(self, individuals: list[Individual]) -> list[Judged]:
+    def evaluated(self, individuals: list[Individual]) -> list[EvaluatedValues]:
         if not individuals:
             return []
         genome = self.problem.genome
-        given = np.array(individuals, dtype=genome.dtype)
-        genes = genome.repair(given, np.random.default_rng(0))
-        for i in np.flatnonzero((genes != given).any(axis=1)):
+        proposed = np.array(individuals, dtype=genome.dtype)
+        genes = genome.repair(proposed, np.random.default_rng(0))
+        # Valid genes stay as they are; the others are repaired once more, each by itself.
+        for i in np.flatnonzero((genes != proposed).any(axis=1)):
             # By chance that follows from the genes: the same in every process and order.
-            genes[i] = genome.repair(given[i:i + 1],
-                                     np.random.default_rng(crc32(given[i].tobytes())))[0]
+            genes[i] = genome.repair(proposed[i:i + 1],
+                                     np.random.default_rng(crc32(proposed[i].tobytes())))[0]
         evaluation = self.problem.evaluate(genes)
-        return list(map(Judged, genes.tolist(), evaluation.objectives,
+        return list(map(EvaluatedValues, genes.tolist(), evaluation.objectives,
                         evaluation.violation.tolist()))
 
-    def map(self, function: Callable[..., Any], individuals: Iterable[Any], *more: Any
+    def map(self, function: Callable[..., Any], individuals: Iterable[Any], *iterables: Any
             ) -> Iterable[Any]:
         # What replaces or decorates `evaluate` is called for each individual.
-        if getattr(function, "func", None) == self.evaluate and not more:
-            return self.judged(list(individuals))
-        return map(function, individuals, *more)
+        if getattr(function, "func", None) == self.evaluate and not iterables:
+            return self.evaluated(list(individuals))
+        return map(function, individuals, *iterables)
 
 
 def to_deap(problem: Problem) -> base.Toolbox:
@@ -143,7 +150,8 @@ def to_deap(problem: Problem) -> base.Toolbox:
     >>> len(last), log.select("gen")
     (20, [0, 1, 2])
     """
-    judge, box = _Judge(problem), base.Toolbox()
+    judge = _ProblemTools(problem)
+    box = base.Toolbox()
     for alias in ("individual", "population", "evaluate", "map"):
         box.register(alias, getattr(judge, alias))
     box.register("clone", deepcopy)
@@ -157,22 +165,25 @@ ROLES = {"select": ("sel", "selTournament:tournsize=3"), "mate": ("cx", "cxUnifo
 """Operators of a toolbox: how their functions in `deap.tools` begin, and the default."""
 
 
-def register(box: base.Toolbox, role: str, said: str | None, genome: Genome) -> None:
+def register(box: base.Toolbox, role: str, declaration: str | None, genome: Genome) -> None:
     """Register an operator, to select, mate or mutate, by its name in `deap.tools`.
 
-    `said` is name and arguments, such as ``selTournament:tournsize=3``; without it one for the
-    genome is taken. Where ``indpb`` of a mutation is not given, the mean number of flips is 1.
+    `declaration` is name and arguments, such as ``selTournament:tournsize=3``; without it one for
+    the genome is taken. Where ``indpb`` of a mutation is not given, the mean number of flips is 1.
     Raises TermselError for an operator that there is not, or arguments that it does not take.
     """
     start, default = ROLES[role]
-    if said is None and role != "select" and genome.dtype != np.bool_:
+    if declaration is None and role != "select" and genome.dtype != np.bool_:
         box.register(role, _mated if role == "mate" else _mutated, genome=genome)
         return
-    name, _, arguments = (said or default).partition(":")
-    known = [one for one in dir(tools) if one.startswith(start) and one[len(start)].isupper()]
-    if name not in known:
-        raise unknown_name(f"operator of deap.tools to {role}", name, known)
+    name, _, arguments = (declaration or default).partition(":")
+    # Such as selTournament: the role, then a word that begins with a capital.
+    operators = [operator for operator in dir(tools)
+                 if operator.startswith(start) and operator[len(start)].isupper()]
+    if name not in operators:
+        raise unknown_name(f"operator of deap.tools to {role}", name, operators)
     function: Callable[..., Any] = getattr(tools, name)
+    # Arguments are Python literals: numbers, text, lists.
     keywords: dict[str, Any] = dict(map(_argument, filter(None, arguments.split(","))))
     takes = list(inspect.signature(function).parameters)
     if role == "mutate" and "indpb" in takes:
@@ -200,18 +211,19 @@ def _argument(text: str) -> tuple[str, Any]:
                            hint="Write KEY=NUMBER, such as selTournament:tournsize=3.") from None
 
 
-def _mated(one: Individual, other: Individual, genome: Genome) -> tuple[Individual, Individual]:
+def _mated(individual_1: Individual, individual_2: Individual,
+           genome: Genome) -> tuple[Individual, Individual]:
     """Cross two individuals in place, with the operators for their types of genes."""
-    pair = np.array([one, other], dtype=genome.dtype)
-    one[:], other[:] = crossover(pair, genome, 1.0, _rng()).tolist()
-    return one, other
+    pair = np.array([individual_1, individual_2], dtype=genome.dtype)
+    individual_1[:], individual_2[:] = crossover(pair, genome, 1.0, _rng()).tolist()
+    return individual_1, individual_2
 
 
-def _mutated(one: Individual, genome: Genome) -> tuple[Individual]:
+def _mutated(individual: Individual, genome: Genome) -> tuple[Individual]:
     """Mutate an individual in place, with the operators for its types of genes."""
-    genes = np.array([one], dtype=genome.dtype)
-    one[:] = mutation(genes, genome, 1.0 / genome.size, _rng())[0].tolist()
-    return (one,)
+    genes = np.array([individual], dtype=genome.dtype)
+    individual[:] = mutation(genes, genome, 1.0 / genome.size, _rng())[0].tolist()
+    return (individual,)
 
 
 def _rng() -> np.random.Generator:

@@ -15,7 +15,7 @@ from pymoo.util.ref_dirs import get_reference_directions
 
 from termsel import Generation, Option, Problem, Solver, TermselError
 from termsel.toolkit import OPTIONS, SEGMENTS, OwnChance, operators, steps
-from termsel_optimisers.survivals import RveaSurvival, made
+from termsel_optimisers.survivals import RveaSurvival, with_safe_survival
 
 ALGORITHMS = {
     "nsga2": "moo.nsga2:NSGA2", "nsga3": "moo.nsga3:NSGA3", "unsga3": "moo.unsga3:UNSGA3",
@@ -74,26 +74,28 @@ class Pymoo(Solver):
     )
 
     def __init__(self, **options: Any) -> None:
-        wanted = options.get("algorithm")
-        if isinstance(wanted, str) and wanted in UNFIT:
-            raise TermselError(f"pymoo's algorithm {wanted!r} {UNFIT[wanted]}",
+        algorithm = options.get("algorithm")
+        if isinstance(algorithm, str) and algorithm in UNFIT:
+            raise TermselError(f"pymoo's algorithm {algorithm!r} {UNFIT[algorithm]}",
                                hint=f"Choose one of: {', '.join(ALGORITHMS)}.")
         super().__init__(**options)
         if self.options["horizon"] and self.options["algorithm"] != "rvea":
             raise TermselError("option 'horizon' is for algorithm=rvea, and the algorithm is "
                                f"{self.options['algorithm']}", hint="Leave it out.",
                                name="horizon")
-        one = self.options["algorithm"] in SINGLE
+        single = self.options["algorithm"] in SINGLE
         # Which number of objectives an algorithm can handle its class does not tell.
-        for word, several in (("min_objectives", 2), ("max_objectives", 8)):
-            setattr(self, word, 1 if one else several)
+        for attribute, several in (("min_objectives", 2), ("max_objectives", 8)):
+            setattr(self, attribute, 1 if single else several)
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
         """Yield generations without end (see `Solver.generations`)."""
-        name, population = self.options["algorithm"], self.options["population"]
-        module, _, of = ALGORITHMS[name].partition(":")
-        algorithm = getattr(import_module(f"pymoo.algorithms.{module}"), of)
+        name = self.options["algorithm"]
+        population = self.options["population"]
+        module, _, class_name = ALGORITHMS[name].partition(":")
+        algorithm_class = getattr(import_module(f"pymoo.algorithms.{module}"), class_name)
         arguments = operators(problem.genome, self.options["mutation"], rng)
+        # An individual for each direction, at least.
         if name in DIRECTED:
             arguments["ref_dirs"] = directions(len(problem.objectives), population)
             if len(arguments["ref_dirs"]) > population:
@@ -101,6 +103,7 @@ class Pymoo(Solver):
                     f"algorithm={name} has a direction for each of {len(problem.objectives)} "
                     f"objectives, but a population of {population}",
                     hint=f"Set population={len(arguments['ref_dirs'])} or more.")
+        # Its own survival fails by rounding; that of the others is replaced by their class.
         if name == "rvea":
             arguments["survival"] = RveaSurvival(arguments["ref_dirs"])
         if name in ("ctaea", "omni"):
@@ -108,14 +111,16 @@ class Pymoo(Solver):
             arguments["eliminate_duplicates"] = False
         if name != "ctaea":  # which has as many as there are directions
             arguments["pop_size"] = population
-        yield from steps(made(algorithm, **arguments), problem, rng, self.options["horizon"])
+        yield from steps(with_safe_survival(algorithm_class, **arguments), problem, rng,
+                         self.options["horizon"])
 
 
-def directions(objectives: int, most: int) -> np.ndarray[Any, np.dtype[np.float64]]:
+def directions(objectives: int, max_directions: int) -> np.ndarray[Any, np.dtype[np.float64]]:
     """Return at most so many reference directions of Das and Dennis 1998, (n, objectives)."""
+    # Das and Dennis: all points whose coordinates are multiples of 1 / partitions and add up to 1.
     partitions = 1
     # There are comb(partitions + objectives - 1, objectives - 1) of them: as many as are allowed.
-    while comb(partitions + objectives, objectives - 1) <= most:
+    while comb(partitions + objectives, objectives - 1) <= max_directions:
         partitions += 1
     return np.asarray(get_reference_directions("das-dennis", objectives, n_partitions=partitions))
 
@@ -151,8 +156,9 @@ def from_pymoo(algorithm: Algorithm, *, name: str | None = None) -> type[Solver]
     if not isinstance(algorithm, Algorithm):
         raise TermselError(f"{algorithm!r:.100} is no algorithm of pymoo",
                            hint="Give an object, such as GA(pop_size=60, ...).")
-    homes = [one.__module__ for one in type(algorithm).__mro__
-             if one.__module__.startswith("pymoo.")]
+    homes = [base_class.__module__ for base_class in type(algorithm).__mro__
+             if base_class.__module__.startswith("pymoo.")]
+    # A class of a user's own derives from one of pymoo, whose module tells what it is.
     for reason in (UNFIT.get(home.rpartition(".")[2]) for home in homes):
         if reason in (_UNCONSTRAINED, _NUMBERS):
             raise TermselError(f"pymoo's {type(algorithm).__name__} {reason}",

@@ -28,6 +28,7 @@ class _AgeSurvival(AGEMOEA2Survival):
         on_front = _project(front, p)
         if 0.95 < p < 1.05:
             return np.asarray(np.linalg.norm(on_front[:, None] - on_front, axis=-1))
+        # Twice over the middle of the arc, which lies on the front as well: nearer to its length.
         middle = _project((on_front[:, None] + on_front) / 2, p)
         half = np.linalg.norm(on_front[:, None] - middle, axis=-1)
         return np.asarray(half + half.T)
@@ -48,9 +49,9 @@ class _Spea2Survival(SPEA2Survival):
     def __init__(self) -> None:
         super().__init__(normalize=True)
 
-    def _do(self, problem: PymooProblem, *args: Any, **given: Any) -> Any:
+    def _do(self, problem: PymooProblem, *args: Any, **arguments: Any) -> Any:
         self.norm = self.norm or _Ranges(problem.n_obj)
-        return super()._do(problem, *args, **given)
+        return super()._do(problem, *args, **arguments)
 
 
 class _Ranges(HyperplaneNormalization):
@@ -89,11 +90,11 @@ _SHORTER = 1 - 1e-14
 _SURVIVALS = {AGEMOEA2: _AgeSurvival, SPEA2: _Spea2Survival}
 
 
-def made(of: type[Algorithm], **arguments: Any) -> Algorithm:
+def with_safe_survival(algorithm_class: type[Algorithm], **arguments: Any) -> Algorithm:
     """Return a pymoo algorithm, its survival replaced by one that does not divide by zero."""
-    algorithm = of(**arguments)
-    if of in _SURVIVALS:
-        algorithm.survival = _SURVIVALS[of]()
+    algorithm = algorithm_class(**arguments)
+    if algorithm_class in _SURVIVALS:
+        algorithm.survival = _SURVIVALS[algorithm_class]()
     return algorithm
 
 
@@ -104,7 +105,7 @@ class AgeMoea2(Nsga2):
 
     def algorithm(self, **arguments: Any) -> Algorithm:
         """Return pymoo's algorithm."""
-        return made(AGEMOEA2, **arguments)
+        return with_safe_survival(AGEMOEA2, **arguments)
 
 
 class SmsEmoa(Nsga2):
@@ -114,7 +115,7 @@ class SmsEmoa(Nsga2):
 
     def algorithm(self, **arguments: Any) -> Algorithm:
         """Return pymoo's algorithm."""
-        return made(SMSEMOA, **arguments)
+        return with_safe_survival(SMSEMOA, **arguments)
 
 
 class Spea2(Nsga2):
@@ -128,4 +129,4 @@ class Spea2(Nsga2):
 
     def algorithm(self, **arguments: Any) -> Algorithm:
         """Return pymoo's algorithm."""
-        return made(SPEA2, **arguments)
+        return with_safe_survival(SPEA2, **arguments)

@@ -28,6 +28,7 @@ def correlation_sums(design: FloatArray) -> FloatArray:
     varies = unit.any(axis=0)
     sums = np.ones(design.shape[1])
     if varies.any():
+        # |r_ij| summed over j, with r = u_i'u_j of columns less their means, at unit length.
         sums[varies] = np.abs(unit[:, varies].T @ unit[:, varies]).sum(axis=0)
         # The correlation of a constant is undefined; every model needs one, and it rivals none.
         sums[~varies] = sums[varies].min()
@@ -47,19 +48,22 @@ def activation_probabilities(sums: FloatArray, scale: float, offset: float) -> F
         widest = float(freedom.max())
         # Rounded down, so that the printed value is accepted.
         largest = np.floor((1.0 - offset) / widest * 1e3) / 1e3
-        other = 1.0 - scale * widest
+        largest_offset = 1.0 - scale * widest
+        allowed = f"These data allow a scale of up to {largest:g} with offset {offset:g}"
+        if largest_offset >= 0:
+            rounded_offset = np.floor(largest_offset * 1e3) / 1e3
+            allowed += f", or an offset of up to {rounded_offset:g} with scale {scale:g}"
         raise TermselError(
             f"with scale {scale:g} and offset {offset:g} a gene has the probability "
             f"{probability.max():.3f}, which exceeds 1",
-            hint=f"These data allow a scale of up to {largest:g} with offset {offset:g}"
-                 + (f", or an offset of up to {np.floor(other * 1e3) / 1e3:g} with scale {scale:g}"
-                    if other >= 0 else "")
-                 + f". Use --set preset=own --set scale={largest:g} --set offset={offset:g}.")
+            hint=f"{allowed}. Use --set preset=own --set scale={largest:g} "
+                 f"--set offset={offset:g}.")
     return np.asarray(np.clip(probability, 0.0, 1.0))
 
 
 def seeded_population(probability: FloatArray, n: int, rng: np.random.Generator) -> BoolArray:
     """Return n chromosomes in which gene i is on exactly round(P_i n) times, at random."""
+    # The first round(P_i n) of each column, which are then put in a random order.
     on = np.arange(n)[:, None] < np.rint(probability * n)
     return rng.permuted(on, axis=0)  # each gene's column by itself
 
@@ -88,7 +92,7 @@ class CorrelationSeededGA(GeneticAlgorithm):
         "The columns are those of all control; forced genes and numbers of genes are kept.")
     segments = (Bits,)
     declared_options = (
-        *(one for one in GeneticAlgorithm.declared_options if one.name != "first"),
+        *(option for option in GeneticAlgorithm.declared_options if option.name != "first"),
         Option("preset", "case-3", "Scale and offset: own, or a case of Akhoundi Khezrabad et al. "
                                    "2020, table 3 (1.19 and 0.15, 1.69 and 0, 1 and 0).",
                choices=(*PRESETS, "own")),
@@ -99,12 +103,13 @@ class CorrelationSeededGA(GeneticAlgorithm):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
+        # Scale and offset are those of the preset, or the user's own, never a mixture.
         stated = [name for name in ("scale", "offset") if self.options[name] is not None]
-        own = self.options["preset"] == "own"
-        if own and len(stated) < 2:
+        own_preset = self.options["preset"] == "own"
+        if own_preset and len(stated) < 2:
             raise TermselError("preset=own requires scale and offset",
                                hint="For example --set preset=own --set scale=1 --set offset=0.")
-        if stated and not own:
+        if stated and not own_preset:
             raise TermselError(f"option {stated[0]!r} requires preset=own, but the preset is "
                                f"{self.options['preset']}", hint="Add --set preset=own.",
                                name=stated[0])
@@ -113,6 +118,7 @@ class CorrelationSeededGA(GeneticAlgorithm):
         """Return the toolbox of the GA with another population."""
         o = self.options
         box = super().toolbox(problem, rng)
+        # The design matrix is that of all genes over all control, whatever is forced.
         scale, offset = PRESETS.get(o["preset"], (o["scale"], o["offset"]))
         probability = activation_probabilities(correlation_sums(problem.design()), scale, offset)
 

@@ -27,6 +27,7 @@ SIMULATED = {
     for scene, control, check, _ in _COUNTS}
 """What simulates each scene, by its name; the package keeps what came of it."""
 
+# They are read from files of the package, not simulated, so that every machine has the same digits.
 DATASETS = [
     DatasetSpec(f"{scene}-{control}-{check}",
                 f"simulated scene {scene}: {control} control and {check} check points as in "

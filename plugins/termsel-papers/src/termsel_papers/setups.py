@@ -12,9 +12,11 @@ from termsel.toolkit import OF_BOTH, OF_TERMS, YAVARI, select_both, select_terms
 PATIENCE = 50
 """Generations without a gain after which a search has converged, where a paper states no number."""
 
+# Table 2 of the paper, for its own GA and for the one without correlations alike.
 AKHOUNDI_GA = {"population": 500, "mutation": 0.001}
 
 
+# Each is what its paper states: no limit on terms where it has none, and no refinement after it.
 PAPERS = (
     Recipe("valadan-zoej-2002", "Terms of a plane polynomial for each axis by a GA that crosses "
            "the two best, IKONOS with 63 control and 31 check points.", select_terms,

@@ -22,21 +22,22 @@ def deposit(ants: BoolArray) -> FloatArray:
     return np.stack([1.0 - on, on])
 
 
-def renew(pheromone: FloatArray, deposited: FloatArray, evaporation: float, least: float,
-          most: float) -> FloatArray:
+def renew(pheromone: FloatArray, deposited: FloatArray, evaporation: float, tau_min: float,
+          tau_max: float) -> FloatArray:
     """Return the pheromone (2, g) after evaporation and deposit, within its limits.
 
     The share rho, `evaporation`, evaporates and is replaced by the deposit; the limits are tau_min
     and tau_max.
     """
-    return np.clip((1.0 - evaporation) * pheromone + evaporation * deposited, least, most)
+    # tau <- (1 - rho) tau + rho deposit
+    return np.clip((1.0 - evaporation) * pheromone + evaporation * deposited, tau_min, tau_max)
 
 
 def grafts(stock: BoolArray, scion: BoolArray, genome: Genome) -> BoolArray:
     """Return one selection with each segment in turn replaced by that of another (segments, g)."""
     grafted = np.repeat(stock[None], len(genome.segments), axis=0)
-    for row, where in zip(grafted, genome.slices().values(), strict=True):
-        row[where] = scion[where]
+    for row, columns in zip(grafted, genome.slices().values(), strict=True):
+        row[columns] = scion[columns]
     return grafted
 
 
@@ -45,13 +46,13 @@ def settled(chance: FloatArray, limit: float) -> bool:
     return len(chance) > 0 and bool(np.minimum(chance, 1.0 - chance).mean() < limit)
 
 
-def _best(n: int, one: BoolArray, of_one: Evaluation, other: BoolArray, of_other: Evaluation,
-          ) -> tuple[BoolArray, Evaluation]:
+def _best(n: int, ants_1: BoolArray, evaluation_1: Evaluation, ants_2: BoolArray,
+          evaluation_2: Evaluation) -> tuple[BoolArray, Evaluation]:
     """Return the best n of two groups, from best to worst."""
-    both = Evaluation(np.concatenate([of_one.objectives, of_other.objectives]),
-                      np.concatenate([of_one.violation, of_other.violation]))
-    first = both.order()[:n]
-    return np.concatenate([one, other])[first], both.take(first)
+    evaluation = Evaluation(np.concatenate([evaluation_1.objectives, evaluation_2.objectives]),
+                            np.concatenate([evaluation_1.violation, evaluation_2.violation]))
+    first = evaluation.order()[:n]
+    return np.concatenate([ants_1, ants_2])[first], evaluation.take(first)
 
 
 class AntColony(Solver):
@@ -100,23 +101,30 @@ class AntColony(Solver):
         o = self.options
         ants = problem.genome.random(rng, o["population"])
         evaluation = problem.evaluate(ants)
-        champion, of_champion = ants[:0], evaluation.take(np.arange(0))
-        best, of_best = champion, of_champion
+        # The champion is the best of all earlier starts, of which there is none yet; `best` is that
+        # of this start.
+        champion = ants[:0]
+        champion_evaluation = evaluation.take(np.arange(0))
+        best = champion
+        best_evaluation = champion_evaluation
         pheromone = np.full((2, problem.genome.size), 0.5)
         for index in itertools.count():
             yield Generation(index, ants, evaluation, {"pheromone": pheromone})
-            ranked, of_ranked = _best(o["elite"], best, of_best, ants, evaluation)
-            best, of_best = ranked[:1], of_ranked.take(np.arange(1))
+            ranked, ranked_evaluation = _best(o["elite"], best, best_evaluation, ants, evaluation)
+            best = ranked[:1]
+            best_evaluation = ranked_evaluation.take(np.arange(1))
             pheromone = renew(pheromone, deposit(ranked), o["evaporation"], o["tau_min"],
                               o["tau_max"])
             chance = pheromone[1] / pheromone.sum(axis=0)  # limits change their sum
             if settled(chance[problem.genome.free], o["restart"]):
-                champion, of_champion = _best(1, champion, of_champion, best, of_best)
+                champion, champion_evaluation = _best(1, champion, champion_evaluation, best,
+                                                      best_evaluation)
                 grafted = grafts(champion[0], best[0], problem.genome)
-                champion, of_champion = _best(1, champion, of_champion, grafted,
+                champion, champion_evaluation = _best(1, champion, champion_evaluation, grafted,
                                               problem.evaluate(grafted))
                 # The next start knows nothing of this one; the champion is not lost to it.
-                best, of_best = best[:0], of_best.take(np.arange(0))
+                best = best[:0]
+                best_evaluation = best_evaluation.take(np.arange(0))
                 pheromone = np.full((2, problem.genome.size), 0.5)
                 chance = pheromone[1]
             ants = problem.genome.repair(rng.random(ants.shape) < chance, rng)

@@ -41,47 +41,54 @@ class FigureCondition(Criterion):
             raise TermselError(f"criterion {self.name!r} cannot judge model {fits.model.name!r}, "
                                "which corrects its predictions by the control",
                                hint="Choose --criterion check-rmse.")
-        places = places_of(fits)
-        image = fits.model.project(fits.coefficients, places)
-        below = fits.model.denominators(fits.coefficients, places)
+        grid = places_of(fits)
+        image = fits.model.project(fits.coefficients, grid)
+        denominators = fits.model.denominators(fits.coefficients, grid)
         # Columns of denominators have the image position as a factor: rows are linear in it.
         at_zero, at_one = (fits.model.equations(FeatureSet(Points(
-            tuple(map(str, range(len(places)))), np.full((len(places), 2), value), places))).A
+            tuple(map(str, range(len(grid)))), np.full((len(grid), 2), value), grid))).A
             for value in (0.0, 1.0))
-        found = np.empty(len(fits.terms))
+        figures = np.empty(len(fits.terms))
         for i, terms in enumerate(fits.terms):
             rows = at_zero + image[i].reshape(-1, 1) * (at_one - at_zero)
             variance = self._variance(fits, i, rows)
-            if below is not None:
-                variance = variance / below[i].reshape(-1) ** 2
-            found[i] = np.sqrt(2 * variance.mean()) * fits.pixels if terms.any() else np.inf
-        return found
+            if denominators is not None:
+                variance = variance / denominators[i].reshape(-1) ** 2
+            figures[i] = np.sqrt(2 * variance.mean()) * fits.pixels if terms.any() else np.inf
+        return figures
 
     def _variance(self, fits: Fits, i: int, rows: FloatArray) -> FloatArray:
         """Return the variance of model i in each row of the places, in scaled units."""
         total = np.zeros(len(rows))
-        for part in fits.parts:
-            on = fits.terms[i, part.columns]
-            used = fits.in_use[i][part.equations.feature]
-            A, b = part.equations.A[used][:, on], part.equations.b[used]
-            redundancy, least = len(b) - int(on.sum()), self.options["min_redundancy"]
-            if redundancy < (max(1, round(len(b) / 3)) if least is None else least):
+        for system in fits.parts:
+            on = fits.terms[i, system.columns]
+            used = fits.in_use[i][system.equations.feature]
+            A = system.equations.A[used][:, on]
+            b = system.equations.b[used]
+            redundancy = len(b) - int(on.sum())
+            min_redundancy = self.options["min_redundancy"]
+            if min_redundancy is None:
+                min_redundancy = max(1, round(len(b) / 3))
+            if redundancy < min_redundancy:
                 return np.full(len(rows), np.inf)
-            x = fits.coefficients[i, part.columns][on]
-            of_unit = float(((b - A @ x) ** 2).sum()) / redundancy
+            x = fits.coefficients[i, system.columns][on]
+            unit_variance = float(((b - A @ x) ** 2).sum()) / redundancy
             _, values, right = np.linalg.svd(A, full_matrices=False)
             if not len(values) or values[-1] <= 1e-12 * values[0]:
                 return np.full(len(rows), np.inf)
-            share = rows[:, part.columns][:, on] @ right.T / values
-            total += of_unit * (share**2).sum(axis=1)
+            # With A = U S V' the variance of a row a is sigma^2 |S^-1 V'a|^2.
+            share = rows[:, system.columns][:, on] @ right.T / values
+            total += unit_variance * (share**2).sum(axis=1)
         return total
 
 
 def places_of(fits: Fits) -> FloatArray:
     """Return a grid over the area of the control, in scaled coordinates, shape (n, 3)."""
     ground = np.concatenate([fits.control.ground, fits.lines.ground.reshape(-1, 3)])
-    low, high = ground[:, :2].min(axis=0), ground[:, :2].max(axis=0)
+    low = ground[:, :2].min(axis=0)
+    high = ground[:, :2].max(axis=0)
     x, y = np.meshgrid(*(np.linspace(low[j], high[j], SIDE) for j in (0, 1)))
     plan = np.column_stack([x.ravel(), y.ravel()])
+    # No terrain is known between the control: the height of the nearest one must do.
     nearest = np.linalg.norm(plan[:, None] - ground[:, :2], axis=2).argmin(axis=1)
     return np.column_stack([plan, ground[nearest, 2]])

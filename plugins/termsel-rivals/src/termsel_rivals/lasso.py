@@ -16,8 +16,8 @@ EXPLAINED = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class PathPiece:
-    """A piece of the path on which the same columns are in use."""
+class PathSegment:
+    """A segment of the path on which the same columns are in use."""
 
     above: float  # penalty at its start
     below: float  # penalty at its end
@@ -26,8 +26,8 @@ class PathPiece:
     end: FloatArray  # (k, r)
 
 
-def lasso_path(columns: FloatArray, target: FloatArray, most: int) -> list[PathPiece]:
-    """Return the path of the lasso from the largest penalty down to `most` columns in use.
+def lasso_path(columns: FloatArray, target: FloatArray, max_columns: int) -> list[PathSegment]:
+    """Return the path of the lasso from the largest penalty down to `max_columns` in use.
 
     Minimises ||y - X b||^2 / 2 + penalty sum |b| for every penalty, X (m, k) and y (m, r): least
     angle regression in which a column leaves as its coefficient passes 0 (Efron, Hastie, Johnstone,
@@ -35,45 +35,54 @@ def lasso_path(columns: FloatArray, target: FloatArray, most: int) -> list[PathP
     (Similä, Tikka 2005), in which no column leaves. Columns that depend on those in use do
     not enter.
     """
-    k, r = columns.shape[1], target.shape[1]
+    k = columns.shape[1]
+    r = target.shape[1]
     x = np.zeros((k, r))
-    least = DEPENDENT * np.linalg.norm(columns, axis=0)
+    dependent_lengths = DEPENDENT * np.linalg.norm(columns, axis=0)
     lengths = np.linalg.norm(columns.T @ target, axis=1)
     top = penalty = float(lengths.max(initial=0.0))
-    pieces: list[PathPiece] = []
-    if most < 1 or top == 0.0:
-        return pieces
+    path: list[PathSegment] = []
+    if max_columns < 1 or top == 0.0:
+        return path
     active = [int(lengths.argmax())]
-    gone = -1  # the column that has just left: by rounding it might enter again
-    # Many more pieces than columns would be steps of rounding size.
-    while active and penalty > EXPLAINED * top and len(pieces) < 20 * k:
-        rest = target - columns @ x
+    just_left = -1  # the column that has just left: by rounding it might enter again
+    # Many more segments than columns would be steps of rounding size.
+    while active and penalty > EXPLAINED * top and len(path) < 20 * k:
+        residuals = target - columns @ x
         # Along this step the columns in use keep equal correlations with what is left.
         q, triangle = np.linalg.qr(columns[:, active])
-        step = linalg.solve_triangular(triangle, q.T @ rest)
-        enters = _shares_to_enter(columns.T @ rest, columns.T @ (q @ (q.T @ rest)), penalty)
-        depends = np.linalg.norm(columns - q @ (q.T @ columns), axis=0) <= least
+        step = linalg.solve_triangular(triangle, q.T @ residuals)
+        enters = _shares_to_enter(columns.T @ residuals, columns.T @ (q @ (q.T @ residuals)),
+                                  penalty)
+        depends = np.linalg.norm(columns - q @ (q.T @ columns), axis=0) <= dependent_lengths
         enters[depends] = np.inf
-        if gone >= 0:
-            enters[gone] = np.inf
+        if just_left >= 0:
+            enters[just_left] = np.inf
         leaves = np.full(len(active), np.inf)
         if r == 1:  # with several targets no column leaves
+            # x + share step = 0
             turns = x[active, 0] * step[:, 0] < 0.0
             leaves[turns] = -x[active, 0][turns] / step[turns, 0]
+        # The first of what ends the step: the solution itself, a column that enters, or one that
+        # leaves.
         share = min(1.0, float(enters.min()), float(leaves.min()))
-        here, start, above = np.array(active), x.copy(), penalty
+        in_use = np.array(active)
+        start = x.copy()
+        above = penalty
         x[active] += share * step
+        # All correlations of the columns in use fall alike.
         penalty *= 1.0 - share
-        gone = -1
+        just_left = -1
         if share == leaves.min():
-            gone = active.pop(int(leaves.argmin()))
-            x[gone] = 0.0
-        pieces.append(PathPiece(above, penalty, here, start, x.copy()))
-        if gone < 0 and share < 1.0:  # at 1 the least-squares solution of those in use is reached
-            if len(active) == most:
+            just_left = active.pop(int(leaves.argmin()))
+            x[just_left] = 0.0
+        path.append(PathSegment(above, penalty, in_use, start, x.copy()))
+        # At 1 the least-squares solution of those in use is reached, and nothing enters.
+        if just_left < 0 and share < 1.0:
+            if len(active) == max_columns:
                 break
             active.append(int(enters.argmin()))
-    return pieces
+    return path
 
 
 def _shares_to_enter(c: FloatArray, a: FloatArray, penalty: float) -> FloatArray:
@@ -118,49 +127,51 @@ class Lasso(TermRegression):
                int, 2, 2**31 - 1),
     )
 
-    def choose(self, part: Regression) -> BoolArray:
+    def choose(self, regression: Regression) -> BoolArray:
         """Return the chosen columns."""
-        pieces = _path(part, np.ones(len(part.target), dtype=bool))
-        if not pieces:
-            return part.kept
-        # The middle of each piece, in logarithms.
-        penalties = np.array([np.sqrt(max(piece.above * piece.below, 0.0)) for piece in pieces])
-        square = np.zeros(len(pieces))
-        fold = np.arange(len(part.target)) % min(self.options["folds"], len(part.target))
-        for out in range(fold.max() + 1):
-            square += _squares_left_out(part, fold != out, penalties)
+        path = _path(regression, np.ones(len(regression.target), dtype=bool))
+        if not path:
+            return regression.kept
+        # The middle of each segment, in logarithms.
+        penalties = np.array([np.sqrt(max(segment.above * segment.below, 0.0)) for segment in path])
+        square = np.zeros(len(path))
+        m = len(regression.target)
+        fold = np.arange(m) % min(self.options["folds"], m)
+        for held_out in range(fold.max() + 1):
+            square += _held_out_squares(regression, fold != held_out, penalties)
         # Of those that leave rounding alone the first, with the largest penalty.
-        return _selection(part, pieces[int(np.maximum(square, part.rounding).argmin())])
+        return _selection(regression, path[int(np.maximum(square, regression.rounding).argmin())])
 
 
-def _path(part: Regression, rows: BoolArray) -> list[PathPiece]:
+def _path(regression: Regression, rows: BoolArray) -> list[PathSegment]:
     """Return the path of the free columns over some of the rows."""
-    standard = part.standardised(part.free, part.kept, rows)
+    standard = regression.standardised(regression.free, regression.kept, rows)
     # A redundancy of 1 is left within a fold, too.
-    room = min(part.most, int(rows.sum()) - 1) - int(part.kept.sum())
+    room = min(regression.most, int(rows.sum()) - 1) - int(regression.kept.sum())
     return lasso_path(standard.columns, standard.target, room)
 
 
-def _selection(part: Regression, piece: PathPiece) -> BoolArray:
-    """Return the columns in use on a piece, with the kept ones."""
-    chosen = part.kept.copy()
-    chosen[np.flatnonzero(part.free)[piece.active]] = True
-    return chosen
+def _selection(regression: Regression, segment: PathSegment) -> BoolArray:
+    """Return the columns in use on a segment, with the kept ones."""
+    selection = regression.kept.copy()
+    selection[np.flatnonzero(regression.free)[segment.active]] = True
+    return selection
 
 
-def _squares_left_out(part: Regression, rows: BoolArray, penalties: FloatArray) -> FloatArray:
+def _held_out_squares(regression: Regression, rows: BoolArray, penalties: FloatArray) -> FloatArray:
     """Return the squares of the errors at the rows not in use, for each penalty (p,).
 
     Penalties are for all rows; with unit columns they scale with the root of the number of rows.
     """
-    unit = part.unit
-    path = _path(part, rows)
-    choices = [part.kept, *(_selection(part, piece) for piece in path)]
+    unit = regression.unit
+    path = _path(regression, rows)
+    selections = [regression.kept, *(_selection(regression, segment) for segment in path)]
     squares = []
-    for chosen in choices:
-        x = np.linalg.lstsq(unit[np.ix_(rows, chosen)], part.target[rows], rcond=DEPENDENT)[0]
-        squares.append(((part.target[~rows] - unit[np.ix_(~rows, chosen)] @ x) ** 2).sum())
-    # Before the first piece nothing free is in use; below the last the path is not known.
-    above = np.array([piece.above for piece in path])
+    for selection in selections:
+        x = np.linalg.lstsq(unit[np.ix_(rows, selection)], regression.target[rows],
+                            rcond=DEPENDENT)[0]
+        squares.append(((regression.target[~rows] - unit[np.ix_(~rows, selection)] @ x) ** 2).sum())
+    # Before the first segment nothing free is in use; below the last the path is not known.
+    above = np.array([segment.above for segment in path])
     number = (above[None] >= penalties[:, None] * np.sqrt(rows.mean())).sum(axis=1)
     return np.asarray(np.array(squares)[number])

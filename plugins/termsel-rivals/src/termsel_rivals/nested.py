@@ -38,25 +38,26 @@ class NestedRegression(TermRegression):
                              "0.5 in the authors' code.", float, 0.0, 1e6),
     )
 
-    def choose(self, part: Regression) -> BoolArray:
+    def choose(self, regression: Regression) -> BoolArray:
         """Return the chosen columns."""
-        thumb = self.options["thumb"] / part.pixels
-        chosen = part.kept.copy()
-        errors = rational_errors(part, chosen)
-        while chosen.sum() < part.most:
+        thumb = self.options["thumb"] / regression.pixels
+        selection = regression.kept.copy()
+        errors = rational_errors(regression, selection)
+        while selection.sum() < regression.most:
             # By the errors of the quotient itself, not by those of the linear equations.
-            share = explained_share(part, chosen, errors)
-            best = part.largest(share)
+            share = explained_share(regression, selection, errors)
+            best = regression.largest(share)
             if share[best] <= 0.0:
                 break
-            chosen = chosen.copy()
-            chosen[best] = True
-            before, errors = rms(errors), rational_errors(part, chosen)
-            now = rms(errors)
-            if (chosen.sum() >= part.least and (now < thumb).all()
-                    and (np.abs(now - before) < thumb).all()):
+            selection = selection.copy()
+            selection[best] = True
+            former_rms = rms(errors)
+            errors = rational_errors(regression, selection)
+            new_rms = rms(errors)
+            if (selection.sum() >= regression.least and (new_rms < thumb).all()
+                    and (np.abs(new_rms - former_rms) < thumb).all()):
                 break
-        return chosen
+        return selection
 
 
 def rms(errors: FloatArray) -> FloatArray:
@@ -64,31 +65,36 @@ def rms(errors: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt((errors**2).mean(axis=0)))
 
 
-def rational_errors(part: Regression, chosen: BoolArray) -> FloatArray:
+def rational_errors(regression: Regression, selection: BoolArray) -> FloatArray:
     """Return the errors of image coordinates after adjusting the chosen columns, (m, r)."""
-    x = np.zeros((len(chosen), part.target.shape[1]))
-    lengths = np.linalg.norm(part.columns[:, chosen], axis=0)
-    x[chosen] = np.linalg.lstsq(part.unit[:, chosen], part.target, rcond=DEPENDENT)[0] \
-        / np.where(lengths > 0, lengths, 1.0)[:, None]
-    errors = part.target - part.columns @ x
-    if part.denominator is not None:
-        below = 1.0 + part.denominator @ x
+    x = np.zeros((len(selection), regression.target.shape[1]))
+    lengths = np.linalg.norm(regression.columns[:, selection], axis=0)
+    solution = np.linalg.lstsq(regression.unit[:, selection], regression.target,
+                               rcond=DEPENDENT)[0]
+    # Of columns of length 1; a column of zeros has the coefficient 0.
+    x[selection] = solution / np.where(lengths > 0, lengths, 1.0)[:, None]
+    # The linear equations are those of the image coordinate times the denominator.
+    errors = regression.target - regression.columns @ x
+    if regression.denominator is not None:
+        denominators = 1.0 + regression.denominator @ x
         # A pole on a point: its error is huge, and finite.
-        errors = errors / np.where(below == 0.0, ON_A_POLE, below)
+        errors = errors / np.where(denominators == 0.0, ON_A_POLE, denominators)
     return np.asarray(errors)
 
 
-def explained_share(part: Regression, chosen: BoolArray, errors: FloatArray) -> FloatArray:
+def explained_share(regression: Regression, selection: BoolArray, errors: FloatArray) -> FloatArray:
     """Return the share of the errors' squares that each free column explains alone, shape (k,).
 
     This is R^2 of a regression without intercept; R^2 / (1 - R^2) grows with it. It is 0 for
     columns that depend on the chosen ones.
     """
-    unit = part.unit
-    q = np.linalg.qr(unit[:, chosen])[0]
-    left = np.linalg.norm(unit - q @ (q.T @ unit), axis=0)
+    unit = regression.unit
+    q = np.linalg.qr(unit[:, selection])[0]
+    remaining_lengths = np.linalg.norm(unit - q @ (q.T @ unit), axis=0)
     square = float((errors**2).sum())
-    if part.explained(square):
-        return np.zeros(len(chosen))
+    if regression.explained(square):
+        return np.zeros(len(selection))
+    # R^2 = (a'e)^2 / (a'a e'e), of columns of length 1; both targets together.
     share = ((unit.T @ errors) ** 2).sum(axis=1) / square
-    return np.asarray(np.where(part.free & ~chosen & (left > DEPENDENT), share, 0.0))
+    return np.asarray(np.where(regression.free & ~selection & (remaining_lengths > DEPENDENT),
+                               share, 0.0))

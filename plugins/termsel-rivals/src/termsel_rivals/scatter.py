@@ -36,94 +36,111 @@ class ScatterMatrix(TermRegression):
         Option("tolerance", 1e-4, "Least share of a column that the chosen ones do not explain; a "
                                   "variance inflation of 10,000.", float, 1e-10, 1.0))
 
-    def choose(self, part: Regression) -> BoolArray:
+    def choose(self, regression: Regression) -> BoolArray:
         """Return the chosen columns; refuse limits at which terms leave more easily than enter."""
-        f_in, f_out = self.options["f_in"], self.options["f_out"]
+        f_in = self.options["f_in"]
+        f_out = self.options["f_out"]
         if f_out > f_in:
             raise TermselError(f"f_out is {f_out:g} and f_in {f_in:g}",
                                hint="Give an f_out of at most f_in; otherwise terms enter and "
                                     "leave forever.")
-        chosen = part.kept.copy()
-        scatter, left = scatter_of(part)
-        for j in np.flatnonzero(chosen & ~part.constant):
+        selection = regression.kept.copy()
+        scatter, lengths = scatter_of(regression)
+        # Columns that are always in use are swept first; the constant is in none of the products.
+        for j in np.flatnonzero(selection & ~regression.constant):
             if scatter[j, j] > self.options["tolerance"]:
                 scatter = swept(scatter, int(j))
-        seen = {chosen.tobytes()}
-        while chosen.sum() < part.most:
-            gain = explained(scatter, len(chosen))
-            ready = part.free & ~chosen & (left > 0) \
-                & (np.diag(scatter)[:len(chosen)] > self.options["tolerance"])
-            best = part.largest(np.where(ready, gain, -1.0))
-            if not ready[best]:
+        visited = {selection.tobytes()}
+        while selection.sum() < regression.most:
+            gain = explained(scatter, len(selection))
+            unexplained = np.diag(scatter)[:len(selection)]
+            can_enter = (regression.free & ~selection & (lengths > 0)
+                         & (unexplained > self.options["tolerance"]))
+            best = regression.largest(np.where(can_enter, gain, -1.0))
+            if not can_enter[best]:
                 break
-            other = chosen.copy()
-            other[best] = True
-            if chosen.sum() >= part.least \
-                    and self._f(part, scatter, gain[best], other, chosen, entering=True) <= f_in:
+            larger = selection.copy()
+            larger[best] = True
+            # Up to the fewest columns the best one enters whatever its F.
+            if selection.sum() >= regression.least and self._f(
+                    regression, scatter, gain[best], larger, selection, entering=True) <= f_in:
                 break
-            scatter, chosen = swept(scatter, best), other
+            scatter = swept(scatter, best)
+            selection = larger
             while True:
-                loss = np.where(chosen & part.free, explained(scatter, len(chosen)), np.inf)
+                loss = np.where(selection & regression.free, explained(scatter, len(selection)),
+                                np.inf)
                 worst = int(loss.argmin())
-                fewer = with_column(chosen, worst, False)
-                if worst == best or not np.isfinite(loss[worst]) or chosen.sum() <= part.least \
-                        or self._f(part, scatter, loss[worst], chosen, fewer,
-                                   entering=False) >= f_out:
+                smaller = with_column(selection, worst, False)
+                # What has just entered does not leave at once, or the two would alternate.
+                if (worst == best or not np.isfinite(loss[worst])
+                        or selection.sum() <= regression.least):
                     break
-                scatter, chosen = swept(scatter, worst), fewer
-            if chosen.tobytes() in seen:
+                if self._f(regression, scatter, loss[worst], selection, smaller,
+                           entering=False) >= f_out:
+                    break
+                scatter = swept(scatter, worst)
+                selection = smaller
+            if selection.tobytes() in visited:
                 break
-            seen.add(chosen.tobytes())
-        return chosen
+            visited.add(selection.tobytes())
+        return selection
 
-    def _f(self, part: Regression, scatter: FloatArray, change: float, with_it: BoolArray,
+    def _f(self, regression: Regression, scatter: FloatArray, change: float, with_it: BoolArray,
            without: BoolArray, *, entering: bool) -> float:
         """Return the F of a column, given the columns in use with it and without it (k,).
 
         Where these leave rounding alone it is 0, and where those do, infinite: differences of the
         scatter matrix would tell neither.
         """
-        if part.explained(square_left(part, without)):
+        if regression.explained(residual_square_of(regression, without)):
             return 0.0
-        if part.explained(square_left(part, with_it)):
+        if regression.explained(residual_square_of(regression, with_it)):
             return float("inf")
-        k, targets = len(with_it), part.target.shape[1]
-        rest = float(np.diag(scatter)[k:].sum()) - (change if entering else 0.0)
-        freedom = part.freedom(with_it)
+        # F = (change / r) / (RSS / f), with RSS and its degrees of freedom f of the larger set.
+        k = len(with_it)
+        targets = regression.target.shape[1]
+        residual_square = float(np.diag(scatter)[k:].sum()) - (change if entering else 0.0)
+        freedom = regression.freedom(with_it)
         if freedom < 1:
             return 0.0
-        return float("inf") if rest <= 0.0 else (change / targets) / (rest / freedom)
+        if residual_square <= 0.0:
+            return float("inf")
+        return float((change / targets) / (residual_square / freedom))
 
 
-def square_left(part: Regression, chosen: BoolArray) -> float:
+def residual_square_of(regression: Regression, selection: BoolArray) -> float:
     """Return the residual sum of squares of the adjustment with chosen columns (k,)."""
-    q = np.linalg.qr(part.unit[:, chosen])[0]
-    rest = part.target - q @ (q.T @ part.target)
-    return float((rest**2).sum())
+    q = np.linalg.qr(regression.unit[:, selection])[0]
+    residuals = regression.target - q @ (q.T @ regression.target)
+    return float((residuals**2).sum())
 
 
-def scatter_of(part: Regression) -> tuple[FloatArray, FloatArray]:
+def scatter_of(regression: Regression) -> tuple[FloatArray, FloatArray]:
     """Return the scatter matrix of columns and targets, (k + r, k + r), and lengths (k,)."""
-    together = np.column_stack([part.unit, part.target])
-    if part.constant.any():
-        constant = part.unit[:, part.constant]
-        together = together - constant @ (constant.T @ together)
-    k = len(part.constant)
-    lengths = np.linalg.norm(together[:, :k], axis=0)
-    lengths[part.constant] = 0.0
+    columns = np.column_stack([regression.unit, regression.target])
+    if regression.constant.any():
+        constant = regression.unit[:, regression.constant]
+        columns = columns - constant @ (constant.T @ columns)
+    k = len(regression.constant)
+    lengths = np.linalg.norm(columns[:, :k], axis=0)
+    lengths[regression.constant] = 0.0
     # Unit columns have a diagonal of 1: what is left of it later is the share not explained.
-    together[:, :k] = np.where(lengths > 1e-12, together[:, :k] / np.maximum(lengths, 1e-300), 0.0)
-    scale = np.linalg.norm(together[:, k:])
-    together[:, k:] /= scale if scale > 0 else 1.0
-    return together.T @ together, np.where(lengths > 1e-12, lengths, 0.0)
+    columns[:, :k] = np.where(lengths > 1e-12, columns[:, :k] / np.maximum(lengths, 1e-300), 0.0)
+    scale = np.linalg.norm(columns[:, k:])
+    columns[:, k:] /= scale if scale > 0 else 1.0
+    return columns.T @ columns, np.where(lengths > 1e-12, lengths, 0.0)
 
 
 def swept(scatter: FloatArray, pivot: int) -> FloatArray:
     """Return the matrix after the elimination transformation of a pivot; twice is once undone."""
     d = scatter[pivot, pivot]
-    row, column = scatter[pivot].copy(), scatter[:, pivot].copy()
+    row = scatter[pivot].copy()
+    column = scatter[:, pivot].copy()
+    # s_ij - s_ip s_pj / s_pp; row and column of the pivot by s_pp, its column with a minus sign.
     after = scatter - np.outer(column, row) / d
-    after[pivot], after[:, pivot] = row / d, -column / d
+    after[pivot] = row / d
+    after[:, pivot] = -column / d
     after[pivot, pivot] = 1.0 / d
     return np.asarray(after)
 
@@ -131,6 +148,7 @@ def swept(scatter: FloatArray, pivot: int) -> FloatArray:
 def explained(scatter: FloatArray, k: int) -> FloatArray:
     """Return the part of the targets that each of k columns adds, or takes away if it is in use."""
     diagonal = np.diag(scatter)[:k]
+    # Gain of column i: sum over the targets of s_it^2 / s_ii.
     cross = -scatter[:k, k:] * scatter[k:, :k].T
     # Of a column that is in use the two have opposite signs, of another the same.
     return np.asarray(np.abs(cross).sum(axis=1) / np.where(diagonal > 0, diagonal, np.inf))

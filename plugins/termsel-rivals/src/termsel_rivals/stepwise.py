@@ -12,40 +12,42 @@ from termsel_rivals.arrays import BoolArray, FloatArray
 from termsel_rivals.nested import DEPENDENT
 
 
-def gains(part: Regression, chosen: BoolArray) -> tuple[FloatArray, float]:
+def gains(regression: Regression, selection: BoolArray) -> tuple[FloatArray, float]:
     """Return how much each further column lowers the residual sum of squares (k,), and that sum.
 
     The gain is 0 for columns that depend on the chosen ones (k,), and for these; the sum is that
     with the chosen columns alone.
     """
-    unit = part.unit
-    q = np.linalg.qr(unit[:, chosen])[0]
-    rest = part.target - q @ (q.T @ part.target)
+    unit = regression.unit
+    q = np.linalg.qr(unit[:, selection])[0]
+    residuals = regression.target - q @ (q.T @ regression.target)
     unit = unit - q @ (q.T @ unit)
     # What a column adds is the target's part along what it does not share with the chosen ones.
     lengths = np.linalg.norm(unit, axis=0)
-    ready = (lengths > DEPENDENT) & ~chosen
-    share = np.where(ready[:, None], unit.T @ rest, 0.0) / np.where(ready, lengths, 1.0)[:, None]
-    return (share**2).sum(axis=1), float((rest**2).sum())
+    independent_columns = (lengths > DEPENDENT) & ~selection
+    products = np.where(independent_columns[:, None], unit.T @ residuals, 0.0)
+    share = products / np.where(independent_columns, lengths, 1.0)[:, None]
+    return (share**2).sum(axis=1), float((residuals**2).sum())
 
 
-def losses(part: Regression, chosen: BoolArray) -> tuple[FloatArray, float]:
+def losses(regression: Regression, selection: BoolArray) -> tuple[FloatArray, float]:
     """Return what dropping each chosen column adds to the residual sum of squares, and that sum.
 
     The loss (k,) is infinite for columns that are not chosen; the sum is that with all chosen ones,
     which are independent.
     """
     # The solution through the pseudo-inverse also survives kept columns that are dependent.
-    inverse = np.linalg.pinv(part.unit[:, chosen], rcond=DEPENDENT)
-    x = inverse @ part.target
+    inverse = np.linalg.pinv(regression.unit[:, selection], rcond=DEPENDENT)
+    x = inverse @ regression.target
     # Without column j the sum rises by x_j^2 over the diagonal of the cofactor matrix.
     variance = (inverse**2).sum(axis=1)
-    loss = np.full(len(chosen), np.inf)
-    loss[chosen] = (x**2).sum(axis=1) / np.where(variance > 0.0, variance, np.inf)
-    return loss, float(((part.target - part.unit[:, chosen] @ x) ** 2).sum())
+    loss = np.full(len(selection), np.inf)
+    loss[selection] = (x**2).sum(axis=1) / np.where(variance > 0.0, variance, np.inf)
+    return loss, float(((regression.target - regression.unit[:, selection] @ x) ** 2).sum())
 
 
-def significance(part: Regression, change: float, square: float, chosen: BoolArray) -> float:
+def significance(regression: Regression, change: float, square: float,
+                 selection: BoolArray) -> float:
     """Return the probability of a change this large if a column is not part of the target.
 
     The partial F test of one column: F = (change / r) / (square / f) with r and f degrees of
@@ -53,17 +55,18 @@ def significance(part: Regression, change: float, square: float, chosen: BoolArr
     the column, and it is among the chosen ones (k,). With one target, r = 1, it is the t test of
     its coefficient, F = t^2.
     """
-    r, freedom = part.target.shape[1], part.freedom(chosen)
-    if part.explained(square):  # F is a quotient of rounding errors
-        return 1.0 if part.explained(change) else 0.0
+    r = regression.target.shape[1]
+    freedom = regression.freedom(selection)
+    if regression.explained(square):  # F is a quotient of rounding errors
+        return 1.0 if regression.explained(change) else 0.0
     return float(special.fdtrc(r, freedom, (change / r) / (square / freedom)))
 
 
-def with_column(chosen: BoolArray, j: int, on: bool) -> BoolArray:
+def with_column(selection: BoolArray, j: int, on: bool) -> BoolArray:
     """Return the choice with column j on or off."""
-    other = chosen.copy()
-    other[j] = on
-    return other
+    changed = selection.copy()
+    changed[j] = on
+    return changed
 
 
 class Stepwise(TermRegression):
@@ -91,69 +94,75 @@ class Stepwise(TermRegression):
                "alpha_in.", float, 0.0, 1.0),
     )
 
-    def choose(self, part: Regression) -> BoolArray:
+    def choose(self, regression: Regression) -> BoolArray:
         """Return the chosen columns; refuse levels at which terms leave more easily than enter."""
-        alpha_in, alpha_out = self.options["alpha_in"], self.options["alpha_out"]
+        alpha_in = self.options["alpha_in"]
+        alpha_out = self.options["alpha_out"]
         if alpha_in > alpha_out:
             raise TermselError(f"alpha_in is {alpha_in:g} and alpha_out {alpha_out:g}",
                                hint="Give an alpha_out of at least alpha_in; otherwise terms enter "
                                     "and leave forever.")
-        chosen = part.kept.copy()
-        seen = {chosen.tobytes()}
+        selection = regression.kept.copy()
+        visited = {selection.tobytes()}
         while True:
-            grown = self._grow(part, chosen, alpha_in)
+            grown = self._grow(regression, selection, alpha_in)
             if grown is None:
-                return chosen
-            grown = _drop(part, grown, alpha_out)
-            if grown.tobytes() in seen:  # entering and leaving would go on for ever
-                return chosen
-            seen.add(grown.tobytes())
-            chosen = grown
+                return selection
+            grown = _drop(regression, grown, alpha_out)
+            if grown.tobytes() in visited:  # entering and leaving would go on for ever
+                return selection
+            visited.add(grown.tobytes())
+            selection = grown
 
-    def _grow(self, part: Regression, chosen: BoolArray, alpha: float) -> BoolArray | None:
+    def _grow(self, regression: Regression, selection: BoolArray, alpha: float) -> BoolArray | None:
         """Return the choice with the best further column, or None if none enters."""
-        count = int(chosen.sum())
-        gain, square = gains(part, chosen)
-        gain[~part.free] = 0.0
-        best = part.largest(gain)
-        if count >= part.most or gain[best] == 0.0:
+        count = int(selection.sum())
+        gain, square = gains(regression, selection)
+        gain[~regression.free] = 0.0
+        # Of columns that gain the same but for rounding the first one enters, on any machine.
+        best = regression.largest(gain)
+        if count >= regression.most or gain[best] == 0.0:
             return None
-        grown = with_column(chosen, best, True)
-        needed = count < part.least  # whatever its significance
-        if not needed and (part.explained(square) or
-                           significance(part, gain[best], max(square - gain[best], 0.0), grown)
-                           >= alpha):
+        grown = with_column(selection, best, True)
+        required = count < regression.least  # whatever its significance
+        if not required and (regression.explained(square)
+                             or significance(regression, gain[best], max(square - gain[best], 0.0),
+                                             grown) >= alpha):
             return None
         return grown
 
 
-def _drop(part: Regression, chosen: BoolArray, alpha: float) -> BoolArray:
+def _drop(regression: Regression, selection: BoolArray, alpha: float) -> BoolArray:
     """Return the choice after dropping insignificant columns, one at a time."""
-    while chosen.sum() > part.least:
-        loss, square = losses(part, chosen)
-        loss[~part.free] = np.inf
+    while selection.sum() > regression.least:
+        loss, square = losses(regression, selection)
+        loss[~regression.free] = np.inf  # columns that are always in use
         weakest = int(loss.argmin())
         if (not np.isfinite(loss[weakest])
-                or significance(part, loss[weakest], square, chosen) <= alpha):
+                or significance(regression, loss[weakest], square, selection) <= alpha):
             break
-        chosen = with_column(chosen, weakest, False)
-    return chosen
+        selection = with_column(selection, weakest, False)
+    return selection
 
 
-def independent(part: Regression, most: int) -> BoolArray:
-    """Return the kept columns and the first others that depend on no earlier one, up to `most`."""
-    chosen = part.kept.copy()
-    q = np.linalg.qr(part.unit[:, chosen])[0]
-    for j in np.flatnonzero(part.free):
-        if chosen.sum() >= most:
+def independent(regression: Regression, max_columns: int) -> BoolArray:
+    """Return the kept columns and the first others that depend on no earlier one.
+
+    They are `max_columns` at most.
+    """
+    selection = regression.kept.copy()
+    # Q grows by a column at a time: modified Gram-Schmidt, each column against all before it.
+    q = np.linalg.qr(regression.unit[:, selection])[0]
+    for j in np.flatnonzero(regression.free):
+        if selection.sum() >= max_columns:
             break
-        rest = part.unit[:, j] - q @ (q.T @ part.unit[:, j])
-        rest -= q @ (q.T @ rest)  # twice is enough against rounding
-        length = np.linalg.norm(rest)
+        remainder = regression.unit[:, j] - q @ (q.T @ regression.unit[:, j])
+        remainder -= q @ (q.T @ remainder)  # twice is enough against rounding
+        length = np.linalg.norm(remainder)
         if length > DEPENDENT:
-            chosen[j] = True
-            q = np.column_stack([q, rest / length])
-    return chosen
+            selection[j] = True
+            q = np.column_stack([q, remainder / length])
+    return selection
 
 
 class TTest(TermRegression):
@@ -181,8 +190,9 @@ class TTest(TermRegression):
                                    "a quarter of its equations.", int, 1, 2**31 - 1),
     )
 
-    def choose(self, part: Regression) -> BoolArray:
+    def choose(self, regression: Regression) -> BoolArray:
         """Return the chosen columns."""
-        m = len(part.target)
-        most = min(part.most, m - (self.options["redundancy"] or ceil(m / 4)))
-        return _drop(part, independent(part, most), self.options["alpha"])
+        m = len(regression.target)
+        # As many as possible, and yet enough redundancy for the first tests.
+        max_columns = min(regression.most, m - (self.options["redundancy"] or ceil(m / 4)))
+        return _drop(regression, independent(regression, max_columns), self.options["alpha"])

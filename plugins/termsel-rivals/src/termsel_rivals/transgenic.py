@@ -23,11 +23,12 @@ def qualification(genes: BoolArray, evaluation: Evaluation) -> FloatArray:
     chromosomes have the gene, and 0 if all or none have it.
     """
     p = len(genes)
-    both = np.column_stack([evaluation.violation, evaluation.objectives[:, 0]])
-    _, place, count = np.unique(both, axis=0, return_inverse=True, return_counts=True)
-    rank = (np.cumsum(count) - (count - 1) / 2.0)[place.ravel()]  # ties share one
+    criteria = np.column_stack([evaluation.violation, evaluation.objectives[:, 0]])
+    _, group, count = np.unique(criteria, axis=0, return_inverse=True, return_counts=True)
+    rank = (np.cumsum(count) - (count - 1) / 2.0)[group.ravel()]  # ties share one
     on = genes.sum(axis=0)
     ties = float((count**3 - count).sum()) / (p * (p - 1)) if p > 1 else 0.0
+    # Of the rank sum of n1 among p: n1 n2 / 12 (p + 1 - ties).
     variance = on * (p - on) / 12.0 * (p + 1 - ties)
     surplus = on * (p + 1) / 2.0 - rank @ genes
     tested = variance > _LEAST  # else all or none have the gene, or all rank alike
@@ -73,7 +74,9 @@ class TransgenicGA(GeneticAlgorithm):
         coefficient = qualification(genes, evaluation)
         limit = NormalDist().inv_cdf(1.0 - self.options["alpha"] / 2.0)
         # Rows 0 and 1 are a pair, 2 and 3, and so on: one of each pair at most.
-        made = slice(0, 2 * round(self.options["transgenic"] * n), 2)
-        parents[made] = (parents[made] | (coefficient > limit)) & (coefficient >= -limit)
+        transgenic = slice(0, 2 * round(self.options["transgenic"] * n), 2)
+        # Genes that good chromosomes have are switched on, those that they lack off.
+        switched_on = parents[transgenic] | (coefficient > limit)
+        parents[transgenic] = switched_on & (coefficient >= -limit)
         children: BoolArray = box.mutate(box.mate(parents))
         return children

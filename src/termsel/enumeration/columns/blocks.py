@@ -128,7 +128,7 @@ def eliminate(i: int, level: int, count: int, b: SubsetBlock) -> None:
 @_compiled
 def single(i: int, level: int, root_limit: float, error_accuracy: float, sum_accuracy: float,
            b: SubsetBlock) -> bool:
-    """Return whether with one more column the root of the score is certainly above `least`."""
+    """Return whether with one more column the root of the score is certainly above `root_limit`."""
     products = b.errors
     share = b.control.f[level, i] / b.control.diagonal[level, i]
     # |e - s v|^2 = e'e - s (2 e'v - s v'v)
@@ -144,7 +144,7 @@ def single(i: int, level: int, root_limit: float, error_accuracy: float, sum_acc
 @_compiled
 def pairs(i: int, level: int, count: int, share: float, root_limit: float, error_accuracy: float,
           sum_accuracy: float, b: SubsetBlock) -> int:
-    """Return how many subsets with column i and one to its right may score `least` squared.
+    """Return how many subsets with column i and one to its right may score `root_limit` squared.
 
     Where b.row is positive the score is certainly higher.
     """
