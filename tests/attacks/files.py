@@ -69,6 +69,14 @@ def pds(data: object) -> str:
             "END_OBJECT = IMAGE\r\nEND\r\n")
 
 
+def isis(data: object) -> str:
+    """Return a label of ISIS 3, which names the file of its bytes."""
+    return (f"Object = IsisCube\nObject = Core\n^Core = {data}\nStartByte = 1\nFormat = "
+            "BandSequential\nGroup = Dimensions\nSamples = 60\nLines = 60\nBands = 1\nEnd_Group\n"
+            "Group = Pixels\nType = UnsignedByte\nByteOrder = Lsb\nBase = 0.0\nMultiplier = 1.0\n"
+            "End_Group\nEnd_Object\nEnd_Object\nEnd\n")
+
+
 def ogr_vrt(source: object) -> str:
     """Return a virtual vector file."""
     return (f'<OGRVRTDataSource><OGRVRTLayer name="kept"><SrcDataSource relativeToVRT="0">{source}'

@@ -6,6 +6,7 @@ import json
 import sqlite3
 import subprocess
 import sys
+import zipfile
 from contextlib import closing
 from pathlib import Path
 
@@ -16,7 +17,19 @@ import termsel
 from termsel import TermselError, open_raster
 from termsel.files.drivers import RASTER_DRIVERS, VECTOR_DRIVERS, skipped
 from termsel.toolkit import open_layer
-from tests.attacks.files import auxiliary, ers, image, mrf, ogr_vrt, pds, pipeline, raw, vrt, wms
+from tests.attacks.files import (
+    auxiliary,
+    ers,
+    image,
+    isis,
+    mrf,
+    ogr_vrt,
+    pds,
+    pipeline,
+    raw,
+    vrt,
+    wms,
+)
 
 rasterio = pytest.importorskip("rasterio")
 pyogrio = pytest.importorskip("pyogrio")
@@ -89,6 +102,73 @@ def test_as_part_of_others(rasters, folder: Path, victim: Path) -> None:
             with pytest.raises(TermselError):
                 read(folder / name)
         assert files_of(folder) == before
+
+
+@pytest.mark.parametrize(("name", "before"), [
+    ("a.bmp", "BM = 1\n"), ("a.gif", "GIF8 = 1\n"), ("N34E048.hgt", ""), ("a.bil", ""),
+    ("a.dt0", " " * 80 + "UHL1 = 1\n")])
+def test_a_label_that_looks_like_pixels(name: str, before: str, folder: Path,
+                                        victim: Path) -> None:
+    """GDAL asks its drivers in turn, and one that names other files may come before a raw one."""
+    (folder / name).write_text(before + isis("../victim/kept.txt"))
+    (folder / "a.hdr").write_text("ENVI\nsamples = 60\nlines = 60\nbands = 1\ndata type = 1\n")
+    (folder / "a.vrt").write_text(vrt(folder / name))
+    with pytest.raises(TermselError, match=r"does not open|that termsel opens"):
+        read(folder / "a.vrt")
+
+
+@pytest.mark.parametrize("named", ["@F/part.mrf", ":::BASE:::part.mrf", ":::BASE:::../stranger/"
+                                   "part.mrf"])
+@pytest.mark.parametrize("how", ["inside", "next to it"])
+def test_overviews_that_a_source_names(how: str, named: str, folder: Path, victim: Path) -> None:
+    (folder / "part.mrf").write_text(mrf(image(folder / "source.tif"), victim / "made.bin"))
+    named = named.replace("@F", str(folder))
+    path = image(folder / "a.tif")
+    if how == "inside":
+        with rasterio.open(path, "r+") as raster:
+            raster.update_tags(ns="OVERVIEWX", OVERVIEW_FILE=named)
+        path.write_bytes(path.read_bytes().replace(b'domain="OVERVIEWX"', b'domain="OVERVIEWS" '))
+        assert not Path(f"{path}.aux.xml").exists()
+    else:
+        Path(f"{path}.aux.xml").write_text(auxiliary(named))
+    (folder / "a.vrt").write_text(vrt(path))
+    for name in ("a.vrt", "a.tif"):
+        with pytest.raises(TermselError, match="MRF"):
+            read(folder / name)
+
+
+@pytest.mark.parametrize("kind", ["two of one name", "a.tif.ovr", "a.tif.msk", "a.tif.aux.xml",
+                                  "a.tif.OVR", "sub"])
+def test_members_of_an_archive(kind: str, folder: Path, victim: Path) -> None:
+    source = image(folder / "source.tif")
+    part = mrf(source, victim / "made.bin")
+    (folder / "part.mrf").write_text(part)
+    inner = "sub/a.tif" if kind == "sub" else "a.tif"
+    others = {"two of one name": ("./a.tif", part), "sub": ("sub/a.tif.ovr", part),
+              "a.tif.aux.xml": (kind, auxiliary(folder / "part.mrf"))}
+    with zipfile.ZipFile(folder / "in.zip", "w") as archive:
+        archive.writestr(*others.get(kind, (kind, part)))
+        archive.write(source, inner)
+    name = f"/vsizip/{folder}/in.zip/{inner}"
+    (folder / "a.vrt").write_text(vrt(name))
+    for path in (folder / "a.vrt", Path(name)):
+        with pytest.raises(TermselError, match=r"MRF|two files of one name"):
+            read(path)
+
+
+def test_an_archive_with_overviews_is_read(folder: Path) -> None:
+    source = image(folder / "source.tif")
+    with rasterio.open(source, "r+") as raster:
+        raster.update_tags(note="kept")
+    with zipfile.ZipFile(folder / "in.zip", "w") as archive:
+        archive.write(source, "maps/a.tif")
+        archive.write(image(folder / "half.tif", 30), "maps/a.tif.ovr")
+        archive.writestr("maps/a.tif.aux.xml", "<PAMDataset></PAMDataset>")
+        archive.writestr("maps/a.vrt", vrt("a.tif", 1))
+    (folder / "a.vrt").write_text(vrt(f"/vsizip/{folder}/in.zip/maps/a.vrt"))
+    for name in (f"/vsizip/{folder}/in.zip/maps/a.tif", str(folder / "a.vrt")):
+        with open_raster(Path(name)) as raster:
+            assert raster.read(1).any()
 
 
 @pytest.mark.parametrize("name", ["CSV:@V", "ENVI:@V", "RAW:@V", "MRF:@V", "ISIS3:@V", "PDF:1:@V",
@@ -172,13 +252,16 @@ def test_a_virtual_table_of_a_geopackage(folder: Path, victim: Path) -> None:
                       crs="EPSG:4326", driver="GPKG")
     _, shapes, _ = open_layer(path, None, ("LineString",))
     assert len(shapes) == 1
-    with closing(sqlite3.connect(path)) as database:
-        database.execute("PRAGMA writable_schema = 1")
-        database.execute("INSERT INTO sqlite_master VALUES ('table', 'v', 'v', 0, "
-                         f"'CREATE VIRTUAL TABLE v USING VirtualOGR(''{victim}/kept.txt'')')")
-        database.commit()
-    with pytest.raises(TermselError, match="virtual table"):
-        open_layer(path, None, ("LineString",))
+    for hidden in ("v", "v /* USING rtree(a) */", '"v USING rtree"', "v -- USING fts3\n"):
+        with closing(sqlite3.connect(path)) as database:
+            database.execute("PRAGMA writable_schema = 1")
+            database.execute("DELETE FROM sqlite_master WHERE name = 'v'")
+            database.execute(
+                "INSERT INTO sqlite_master VALUES ('table', 'v', 'v', 0, ?)",
+                (f"CREATE VIRTUAL TABLE {hidden} USING VirtualOGR('{victim}/kept.txt')",))
+            database.commit()
+        with pytest.raises(TermselError, match=r"virtual table|malformed"):
+            open_layer(path, None, ("LineString",))
 
 
 def test_gml_leaves_nothing(folder: Path) -> None:

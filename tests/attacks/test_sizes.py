@@ -248,3 +248,12 @@ def test_a_file_of_any_size_without_content(name: str, folder: Path) -> None:
         termsel.read(folder / name, crs="local", format="points-csv")
     with pytest.raises(TermselError):
         termsel.read_rpc(folder / name)
+
+
+@pytest.mark.parametrize("crs", ["a" * 100_000, "(" * 100_000, "+proj=tmerc " + "+lon_0=1 " * 9000])
+def test_a_first_line_longer_than_what_is_looked_at(crs: str, folder: Path) -> None:
+    path = folder / "a.points"
+    rows = "".join(f"{48 + i / 10},{34 + i * 7 % 11},{i}0,-{i * 7 % 11}0,1\n" for i in range(12))
+    path.write_text(f"#CRS: {crs}\nmapX,mapY,sourceX,sourceY,enable\n{rows}")
+    with pytest.raises(TermselError):
+        termsel.read(path)

@@ -189,6 +189,11 @@ def claim_process() -> None:
     _own_process = True
 
 
+def drivers_are_off() -> bool:
+    """Return whether GDAL has only the drivers of the lists in this process."""
+    return _own_process
+
+
 @contextmanager
 def own_drivers() -> Iterator[None]:
     """Turn the other drivers off for good, in a process of termsel, while GDAL is being loaded.

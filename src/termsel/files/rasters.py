@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from termsel.errors import GIS, TermselError, requires
+from termsel.errors import GIS, TermselError, cut, requires
 from termsel.files.drivers import (
     NO_PROXY_EXISTS,
+    drivers_are_off,
     gdal_options,
     own_drivers,
     raster_drivers,
@@ -119,7 +120,7 @@ def open_raster(path: Path | str) -> Iterator[Any]:
 
     refuse_pipe(Path(path))
     path = _archived(path)
-    refuse_foreign(path)
+    sources = refuse_foreign(path)
     try:
         with (without_exceptions(), rasterio.Env(**gdal_options()), utf8_name(path) as name,
               _quiet_about_encodings(), np.errstate(over="ignore")):
@@ -131,6 +132,8 @@ def open_raster(path: Path | str) -> Iterator[Any]:
                 raster = rasterio.io.DatasetReader(str(name), driver=list(raster_drivers()))
             with raster:
                 refuse_named(path, _named_by(raster))
+                if not drivers_are_off():
+                    _require_drivers(path, sources)
                 _refuse_large_blocks(path, raster)
                 yield raster
     except (rasterio.errors.RasterioError, CPLE_BaseError) as error:
@@ -148,6 +151,27 @@ def _archived(path: Path | str) -> Path | str:
     if found is None or any(map(os.path.lexists, (found[2], found[2].partition("/")[0]))):
         return path
     return f"{found[1]}/{found[2]}"
+
+
+def _require_drivers(path: Path | str, sources: list[str]) -> None:
+    """Require that drivers of the list open the sources of a raster, and what those name, too.
+
+    GDAL opens a source with any driver that takes it, and reads the names of overviews within.
+    """
+    import rasterio
+
+    drivers = [name for name in raster_drivers() if name != "VRT"]
+    for name in sources:
+        if name == str(path):
+            continue
+        try:
+            source = rasterio.io.DatasetReader(name, driver=drivers)
+        except rasterio.errors.RasterioIOError as error:
+            raise TermselError(f"it refers to {cut(name, 100)!r}, which is no raster of a format "
+                               "that termsel opens", file=path,
+                               hint="Convert it: gdal_translate FILE map.tif.") from error
+        with source:
+            refuse_named(name, _named_by(source))
 
 
 def _named_by(raster: Any) -> Iterator[str]:

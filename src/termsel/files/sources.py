@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import gzip
 import os
+import posixpath
 import re
 import tarfile
 import zipfile
@@ -29,6 +30,8 @@ _REMOTE = re.compile(
     r"(/|%2f)vsi(curl|s3|gs|az|adls|oss|swift|hdfs|webhdfs)(_streaming)?([/?]|%2f|%3f)"
     r"|\b(https?|ftp|wss?)s?(:|%3a)/", re.IGNORECASE)
 _ARCHIVE = re.compile(r"/vsi(zip|tar|gzip)/(.*)", re.DOTALL)
+_BASE = ":::BASE:::"
+"""In front of the name of overviews: they are in the folder of the file that names them."""
 _CONTAINERS = re.compile(r"[a-z][\w+.-]+:", re.IGNORECASE)
 """What begins names such as NETCDF:FILE:VARIABLE; a single letter is a drive of Windows."""
 _PARTS = re.compile(r"(?:GTIFF_DIR:(?:off:)?\d+|NITF_IM:\d+):(.+)", re.IGNORECASE | re.DOTALL)
@@ -68,6 +71,11 @@ _FOREIGN = (
     (re.compile(rb"\A\s*\{[\s\S]*gdal_streamed_alg"), "GDALG"),
     (re.compile(rb"\A\s*\{[\s\S]*stac_version"), "STACIT"),
     (re.compile(rb"PDS_VERSION_ID"), "PDS"),
+    # Raw pixels may begin with any text; these are labels that name the file of the pixels.
+    (re.compile(rb"IsisCube"), "ISIS3"), (re.compile(rb"\^(QUBE|IMAGE)"), "PDS"),
+    (re.compile(rb"OziExplorer Map Data File"), "MAP"), (re.compile(rb"numTiles\s*="), "TIL"),
+    (re.compile(rb"\[Raw data\]", re.IGNORECASE), "FujiBAS"),
+    (re.compile(rb"AuxilaryTarget"), "PAux"),
     (re.compile(rb"\A\s*datasetheader\s+begin", re.IGNORECASE), "ERS"),
     (re.compile(rb"\ASQLite format 3\0"), "GPKG"), (re.compile(rb"\ASIMPLE  ="), "FITS"),
     (re.compile(rb"\ACDF[\1\2\5]"), "netCDF"), (re.compile(rb"\A\x89HDF"), "HDF5"),
@@ -76,13 +84,18 @@ _FOREIGN = (
 """Texts at the beginning of files of other drivers, of the more dangerous ones first."""
 
 
-def refuse_foreign(path: Path | str) -> None:
+def refuse_foreign(path: Path | str) -> list[str]:
     """Refuse a raster that is of a driver that is off, or that names such a one, or a server.
 
     Parameters
     ----------
     path : path-like
         Also a name of GDAL such as ``/vsizip/maps.zip/map.tif``.
+
+    Returns
+    -------
+    list of str
+        The rasters of pixels that it consists of.
 
     Raises
     ------
@@ -93,6 +106,7 @@ def refuse_foreign(path: Path | str) -> None:
     """
     chain = _Chain(str(path))
     chain.require(chain.start, "")
+    return chain.plain
 
 
 def refuse_named(path: Path | str, names: Iterator[str]) -> None:
@@ -125,11 +139,13 @@ def refused_format(path: object, head: bytes, of: object = None) -> TermselError
 class _Chain:
     """The files of one raster; `start` is its name, which messages give.
 
-    `reads` counts, for each file that was looked at, the sources that reading it reads.
+    `reads` counts, for each file that was looked at, the sources that reading it reads; `plain`
+    has those that are no virtual rasters.
     """
 
     start: str
     reads: dict[str, int] = field(default_factory=dict)
+    plain: list[str] = field(default_factory=list)
     elements: int = 0
 
     def error(self, what: str, hint: str | None = None) -> TermselError:
@@ -138,6 +154,9 @@ class _Chain:
     def require_each(self, name: str, folder: str, depth: int = 0) -> int:
         """Require a file as seen from a folder and from the current one; return its reads."""
         name = name.strip()
+        if name.startswith(_BASE):
+            name = os.path.normpath(os.path.join(folder, name.removeprefix(_BASE)))
+            return self.require(name, name, depth)
         places = [name]
         if folder and not os.path.isabs(name) and not _CONTAINERS.match(name) \
                 and name[:1] not in "<{":
@@ -199,6 +218,7 @@ class _Chain:
                 head = file.read(_HEAD)
                 if not _is_virtual(head):
                     self._require_known(path, head)
+                    self.plain.append(name)
                     return 1
                 content = head + file.read(_LARGEST_XML + 1 - len(head))
         except OSError:  # GDAL says why
@@ -260,6 +280,7 @@ class _Chain:
         if archive is None:
             return 1  # GDAL says that there is none
         require_regular(archive, self.start)
+        self._require_members_near(name, archive, member, depth)
         content = _content(name, archive, member)
         if content is None:
             raise self.error(f"there is no raster {cut(name, 100)!r}", "Check the name.")
@@ -267,7 +288,33 @@ class _Chain:
             folder = str(PurePosixPath(name).parent)
             return self._of_text(self._decoded(content, name), folder, depth)
         self._require_known(Path(member or archive.name), content[:_HEAD])
+        self.plain.append(name)
         return 1
+
+    def _require_members_near(self, name: str, archive: Path, member: str, depth: int) -> None:
+        """Require what GDAL would open next to a file in an archive, as next to one on the disk."""
+        members = _members(name, archive)
+        if members is None:  # a single file, next to which are those of the disk
+            self._require_neighbours(archive, depth)
+            return
+        if len(set(members)) < len(members):
+            raise self.error(f"{archive.name} has two files of one name",
+                             "Unpack it, and give the raster.")
+        place = PurePosixPath(member or members[0] if members else "")
+        prefix = name.removesuffix(member).rstrip("/") if member else name
+        stems = tuple(f"{stem}{sign}".casefold() for stem in (place.name, place.stem)
+                      for sign in "._")
+        for other in map(PurePosixPath, members):
+            known = other.name.casefold()
+            if other == place or other.parent != place.parent or not known.startswith(stems):
+                continue
+            if known.endswith((".ovr", ".msk", ".aux", ".rrd")):
+                self.require(f"{prefix}/{other}", str(other), depth + 1)
+            elif known.endswith(".aux.xml"):
+                content = _content(name, archive, str(other)) or b""
+                folder = str(PurePosixPath(f"{prefix}/{other}").parent)
+                if content.strip():
+                    self._of_text(self._decoded(content, str(other)), folder, depth, "")
 
     def _of_text(self, text: str, folder: str, depth: int, expected: str = "vrtdataset") -> int:
         """Require all that a virtual raster or auxiliary XML names; return the reads."""
@@ -406,6 +453,23 @@ def _divided(name: str) -> tuple[Path | None, str]:
         if os.path.isfile(start):
             return Path(start), str(parts.relative_to(start)) if start != parts else ""
     return None, ""
+
+
+def _members(name: str, archive: Path) -> list[str] | None:
+    """Return the files in an archive as GDAL calls them; None where it is one compressed file."""
+    if name.startswith("/vsigzip/"):
+        return None
+    try:
+        if name.startswith("/vsitar/"):
+            with tarfile.open(archive) as files:
+                names = [entry.name for entry in files if not entry.isdir()]
+        else:
+            with zipfile.ZipFile(archive) as packed:
+                names = [entry for entry in packed.namelist() if not entry.endswith("/")]
+    except (OSError, EOFError, ValueError, zlib.error, NotImplementedError, RuntimeError,
+            tarfile.TarError, zipfile.BadZipFile):
+        return []
+    return [posixpath.normpath(entry.replace("\\", "/")).lstrip("/") for entry in names]
 
 
 def _content(name: str, archive: Path, member: str) -> bytes | None:

@@ -340,7 +340,8 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
                     for path, features in sets.items()}
     except TermselError as error:
         columns = error.options.get("--columns", "?")
-        if crs is None and "?" not in columns:
+        # Where the same columns are asked for once more, nothing else would be asked next.
+        if crs is None and "?" not in columns and columns != (options or {}).get("columns"):
             try:  # what would be asked next
                 read_features(points, lines, areas=areas, crs=crs, readers=known, formats=formats,
                               options={**(options or {}), "columns": columns}, either=either,
