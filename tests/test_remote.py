@@ -139,7 +139,7 @@ def test_remote_sources_are_refused_before_gdal_sees_them(name: str, folder, ser
 @pytest.mark.parametrize("exceptions", ["", "*"])
 def test_gdal_makes_no_request_whatever_a_file_hides(name: str, exceptions: str, folder, server,
                                                      monkeypatch) -> None:
-    monkeypatch.setattr(rasters, "refuse_foreign", lambda path: None)
+    monkeypatch.setattr(rasters, "refuse_foreign", lambda path: [])
     monkeypatch.setattr(rasters, "refuse_named", lambda path, names: None)
     monkeypatch.setenv("no_proxy", exceptions)
     for key, text in FILES.items():  # GDAL remembers what it has asked for

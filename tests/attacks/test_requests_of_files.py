@@ -157,6 +157,15 @@ def test_names_that_a_user_types(folder: Path, server) -> None:
         read(Path(f"/vsicurl/{server.url}/a.tif"))
 
 
+def test_addresses_that_a_user_types_reach_the_server(folder: Path, running) -> None:
+    """Paths lose the second slash of an address."""
+    running.forget()
+    for name in ("/vsicurl/@U/typed.tif", "@U/typed-too.tif"):
+        with termsel.allow_remote(), pytest.raises(TermselError):
+            read(Path(name.replace("@U", running.url)))
+    assert {name.rpartition("/")[2] for name in running.requests} >= {"typed.tif", "typed-too.tif"}
+
+
 def test_requests_are_made_where_the_user_allows_them(folder: Path, running) -> None:
     running.forget()
     (folder / "x.vrt").write_text(vrt(f"/vsicurl/{running.url}/allowed.tif"))

@@ -119,7 +119,7 @@ def open_raster(path: Path | str) -> Iterator[Any]:
     from rasterio._err import CPLE_BaseError
 
     refuse_pipe(Path(path))
-    path = _archived(path)
+    path = gdal_name(path)
     sources = refuse_foreign(path)
     try:
         with (without_exceptions(), rasterio.Env(**gdal_options()), utf8_name(path) as name,
@@ -145,9 +145,18 @@ def open_raster(path: Path | str) -> Iterator[Any]:
                            ) from error
 
 
-def _archived(path: Path | str) -> Path | str:
-    """Return a name of GDAL with the second slash of an absolute place, which paths lose."""
-    found = re.fullmatch(r"(/vsi(?:zip|tar|gzip|7z|rar)/)([^/{].*)", str(path))
+def gdal_name(path: Path | str) -> Path | str:
+    """Return a name of GDAL with the second slash of places, which paths lose.
+
+    These are addresses such as ``/vsicurl/https://...`` and absolute places of archives.
+    """
+    name = str(path)
+    if os.path.lexists(name):
+        return path
+    address = re.sub(r"\b(https?|ftp):/(?!/)", r"\1://", name)
+    if address != name:
+        return address
+    found = re.fullmatch(r"(/vsi(?:zip|tar|gzip|7z|rar)/)([^/{].*)", name)
     if found is None or any(map(os.path.lexists, (found[2], found[2].partition("/")[0]))):
         return path
     return f"{found[1]}/{found[2]}"

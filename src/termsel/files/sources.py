@@ -12,6 +12,7 @@ import os
 import posixpath
 import re
 import tarfile
+import time
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -30,6 +31,8 @@ _REMOTE = re.compile(
     r"(/|%2f)vsi(curl|s3|gs|az|adls|oss|swift|hdfs|webhdfs)(_streaming)?([/?]|%2f|%3f)"
     r"|\b(https?|ftp|wss?)s?(:|%3a)/", re.IGNORECASE)
 _ARCHIVE = re.compile(r"/vsi(zip|tar|gzip)/(.*)", re.DOTALL)
+_CLOCK = 2_000_000_000
+"""Nanoseconds within which some file systems give two changes of a folder the same time."""
 _BASE = ":::BASE:::"
 """In front of the name of overviews: they are in the folder of the file that names them."""
 _CONTAINERS = re.compile(r"[a-z][\w+.-]+:", re.IGNORECASE)
@@ -434,6 +437,8 @@ def _entries(folder: str) -> tuple[str, ...]:
         changed = os.stat(folder).st_mtime_ns
     except OSError:
         return ()
+    if abs(time.time_ns() - changed) < _CLOCK:  # another file may have come within the same tick
+        return tuple(os.listdir(folder))
     return _cached_entries(os.path.realpath(folder), changed)
 
 

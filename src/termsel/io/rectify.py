@@ -14,7 +14,7 @@ from termsel.errors import TermselError
 from termsel.files.atomic import private_folder, write_text
 from termsel.files.cog import require_tiff_name
 from termsel.files.names import utf8_name
-from termsel.files.rasters import open_raster, refuse_empty_giant, require_rasterio
+from termsel.files.rasters import gdal_name, open_raster, refuse_empty_giant, require_rasterio
 from termsel.formats.heights import Dem, say_difference, surface_of, write_ellipsoidal
 from termsel.formats.pictures import Picture
 from termsel.formats.rpc_files import rpc_items
@@ -156,7 +156,9 @@ def _source(result: Result, picture: Picture, vrt: Path, surface: Dem | float, g
     if not isinstance(surface, Dem):
         middle = np.append(result.fit.ground_box()[0][:2], surface)
         return vrt, {"RPC_HEIGHT": float(to_ellipsoidal(middle[None])[0, 2])}
-    dem = surface.path.absolute()
+    dem = gdal_name(surface.path)
+    if isinstance(dem, Path):
+        dem = dem.absolute()
     if not (surface.is_as_stored and has_ellipsoidal_metres(result.features.crs)):
         dem = vrt.with_name("ellipsoidal.tif")
         write_ellipsoidal(surface, dem, grid.bounds, grid.crs)
