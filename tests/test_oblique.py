@@ -229,3 +229,62 @@ def test_two_exchanged_points_of_six_are_named() -> None:
 def test_a_mirrored_image_reverses_all_triangles_and_is_no_exchange() -> None:
     result = termsel.run(features=corners(CORNERS[:, :] * [1.0, -1.0] + [0.0, 3840.0]))
     assert not result.outliers
+
+
+# Exports of what an oblique photograph shows, and of what it does not
+
+def result_of(angle: int, relief: int) -> termsel.Result:
+    return termsel.run(features=scene(angle, relief, 20, 1).features)
+
+
+def test_exports_that_would_give_ground_to_the_sky_name_the_horizon(tmp_path: Path) -> None:
+    result = result_of(10, 0)
+    for to in ("rpb", "rpc-txt", "rpc-vrt", "gcp-grid-vrt", "world-file"):
+        path = tmp_path / "photo.out"
+        with pytest.raises(termsel.TermselError, match="% of the image is above the horizon") as no:
+            termsel.export(result, to, path)
+        assert "geolocation-vrt" in str(no.value.hint)
+        assert not path.exists()
+
+
+def test_a_geolocation_array_leaves_the_sky_empty_and_says_why(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    import rasterio
+
+    result = result_of(10, 0)
+    termsel.export(result, "geolocation-vrt", tmp_path / "photo.vrt", step=100)
+    with rasterio.open(tmp_path / "photo_xy.tif") as array:
+        x, y = array.read(masked=True)
+    assert "have no ground, as they are above the horizon" in caplog.text
+    assert x.mask[0].all()
+    assert not x.mask[-1].any()
+    places = np.column_stack([x.compressed(), y.compressed(), np.zeros(x.count())])
+    assert result.fit.holds(places).all()
+
+
+def test_points_of_a_photograph_with_sky_warn_of_what_others_make_of_it(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    termsel.export(result_of(10, 0), "gcp-vrt", tmp_path / "photo.vrt")
+    assert "of the image is above the horizon, and whatever is fitted" in caplog.text
+
+
+def test_an_rpc_of_an_oblique_view_follows_the_model_where_it_holds(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    from termsel.formats.rpc_files import read_rpc
+    from termsel.measurements.coordinates.crs import to_wgs84
+
+    drawn, result = scene(40, 100, 20, 1), result_of(40, 100)
+    termsel.export(result, "rpb", tmp_path / "photo.RPB")
+    rpc = read_rpc(tmp_path / "photo.RPB")
+    apart = rpc.project(to_wgs84("EPSG:32632")(drawn.ground)) - result.project(drawn.ground)
+    assert np.abs(apart).max() < 0.5
+    assert "horizon" not in caplog.text
+
+
+def test_an_image_from_above_shows_no_sky() -> None:
+    from termsel.fits.sky import part_said, sky_said
+
+    features = termsel.get("datasets", "ikonos-hamedan").load()
+    result = termsel.run(features=features)
+    assert sky_said(result.fit) == ""
+    assert part_said(result.fit) == ""

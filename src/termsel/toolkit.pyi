@@ -65,6 +65,9 @@ from .fits.figures import rmse_record as rmse_record
 from .fits.least_squares import LeastSquares as LeastSquares
 from .fits.residuals import Rmse as Rmse
 from .fits.scene import errors_on_ground as errors_on_ground
+from .fits.sky import ground_where_held as ground_where_held
+from .fits.sky import image_places as image_places
+from .fits.sky import refuse_sky as refuse_sky
 from .formats.base import IMAGE_NAME as IMAGE_NAME
 from .formats.base import image_of as image_of
 from .formats.base import located as located

@@ -9,6 +9,7 @@ import numpy as np
 
 from termsel.fits.fit import Fit
 from termsel.fits.least_squares import fit
+from termsel.fits.sky import ground_where_held, image_places, middle_height, sky_said
 from termsel.measurements.coordinates.metres import in_metres
 from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.measurements.scaling import scaling_of
@@ -35,15 +36,13 @@ _ACROSS = 15  # places along either side of the image at which files are compare
 
 
 def places_of(fitted: Fit) -> FloatArray:
-    """Return ground places (n, 3) over the image, at three heights, that the model can locate."""
+    """Return ground places (n, 3) over the image, at three heights, where the model holds."""
     middle, half = fitted.ground_box()
     # At the lowest, middle and highest control.
     levels: set[float] = {float(middle[2] + share * half[2]) for share in (-1.0, 0.0, 1.0)} \
-        if fitted.model.uses_height else {0.0}
-    (top, left), (bottom, right) = fitted.image_box()
-    image = np.stack(np.meshgrid(np.linspace(top, bottom, _ACROSS),
-                                 np.linspace(left, right, _ACROSS)), axis=-1).reshape(-1, 2)
-    ground = np.concatenate([fitted.locate(image, level) for level in sorted(levels)])
+        if fitted.model.uses_height else {middle_height(fitted)}
+    image = image_places(fitted, _ACROSS)
+    ground = np.concatenate([ground_where_held(fitted, image, level) for level in sorted(levels)])
     return np.asarray(ground[np.isfinite(ground[:, :2]).all(axis=1)])
 
 
@@ -97,6 +96,10 @@ def say_nearest(name: str, fitted: Fit, xy: FloatArray, image: FloatArray,
     `labels` are what the program calls the transformations that it offers, as `QGIS` and
     `GDALWARP`, the simplest first; `where` is the rest of the sentence, with ``{}`` for the label.
     """
+    sky = sky_said(fitted)
+    if sky:
+        log.warning("Warning: %s: %s, and whatever is fitted to these points gives it ground. "
+                    "Rectify the image with termsel, or crop it below the horizon.", name, sky)
     ground = places_of(fitted)
     exact = fitted.project(ground)
     made = {key: by_gcps for key in labels

@@ -15,6 +15,7 @@ from termsel.files.atomic import private_folder, write_text
 from termsel.files.cog import require_tiff_name
 from termsel.files.names import utf8_name
 from termsel.files.rasters import gdal_name, open_raster, refuse_empty_giant, require_rasterio
+from termsel.fits.sky import NEAR_OR_FAR, why_not_shown
 from termsel.formats.heights import Dem, say_difference, surface_of, write_ellipsoidal
 from termsel.formats.pictures import Picture
 from termsel.formats.rpc_files import rpc_items
@@ -173,7 +174,8 @@ def _rpc(result: Result) -> RpcFit | None:
     except TermselError as error:
         log.info("%s.", error.what)
         return None
-    return found if found.worst <= GOOD else None
+    # A map is a box, and shows ground beyond the part of an oblique image that the RPC follows.
+    return found if found.worst <= GOOD and not found.part else None
 
 
 def _say(result: Result, grid: MapGrid, chosen: str, share: float,
@@ -189,11 +191,8 @@ def _say(result: Result, grid: MapGrid, chosen: str, share: float,
 
 def _why_not(result: Result, dem: Path | str | None) -> str:
     """Return why a part of the image is not on the map."""
-    (top, left), (bottom, right) = result.fit.image_box()
-    corners = [(line, sample) for line in (top, bottom) for sample in (left, right)]
-    if result.fit.above_horizon(corners).any():
-        return "it is above the horizon or much farther away than any control"
-    if result.fit.view is not None and dem is None:
-        return "it is much nearer or farther away than any control"
+    reason = why_not_shown(result.fit)
+    if reason and (dem is None or reason != NEAR_OR_FAR):
+        return f"it is {reason}"
     return "the model has no ground position there" if dem is None \
         else f"{dem} has no heights there"

@@ -12,6 +12,7 @@ from termsel.adjustment.monomials import RPC00B
 from termsel.errors import TermselError
 from termsel.fits.fit import Fit
 from termsel.fits.least_squares import fit
+from termsel.fits.sky import part_said, refuse_sky
 from termsel.measurements.coordinates.crs import WGS84, normalise, to_wgs84
 from termsel.measurements.coordinates.longitudes import nearest
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points, select
@@ -39,13 +40,15 @@ class RpcFit:
     `how` is "exact" if it was taken over as it is, "its own" if the model knows it; else the terms
     it was refitted with: "the selected", "all 78" or "all 40 polynomial". Greatest
     and root mean square distance from the fitted model [px] are over the image and the heights of
-    the control, between the places the RPC was fitted to.
+    the control, between the places the RPC was fitted to. `part` says which part of an oblique
+    image the RPC does not follow.
     """
 
     rpc: Rpc
     how: str
     worst: float
     rms: float
+    part: str = ""
 
 
 def rpc_of(fitted: Fit) -> RpcFit:
@@ -60,7 +63,7 @@ def rpc_of(fitted: Fit) -> RpcFit:
     ------
     TermselError
         If the ground coordinates cannot be converted to WGS84 longitude and latitude, the model
-        cannot be inverted over the image, or no RPC comes near it.
+        cannot be inverted over the image, no RPC comes near it, or the image shows the sky.
 
     Notes
     -----
@@ -72,6 +75,8 @@ def rpc_of(fitted: Fit) -> RpcFit:
     all of them where that loses more than 0.05 px.
     """
     convert = to_wgs84(fitted.control.crs)
+    refuse_sky(fitted, "an RPC")
+    part = part_said(fitted)
     model = fitted.model
     rpc = own = (model.as_rpc(fitted.adjustment.coefficients)
                  if isinstance(model, SensorModel) else None)
@@ -84,13 +89,13 @@ def rpc_of(fitted: Fit) -> RpcFit:
             seen = fitted.project(places)
         worst, rms = _loss(rpc, convert(places), seen)
         if worst <= (EXACT if own is None else GOOD):
-            return RpcFit(rpc, "exact" if worst <= EXACT else "its own", worst, rms)
+            return RpcFit(rpc, "exact" if worst <= EXACT else "its own", worst, rms, part)
     image, ground = _grid(fitted, convert, _GRID, _LEVELS)
     between, ground_between = _grid(fitted, convert, _GRID - 1, _LEVELS - 1)
     candidates = []
     for how, terms in _term_sets(fitted):
         rpc = _refitted(image, ground, terms)
-        candidates.append(RpcFit(rpc, how, *_loss(rpc, ground_between, between)))
+        candidates.append(RpcFit(rpc, how, *_loss(rpc, ground_between, between), part))
         if candidates[-1].worst <= GOOD:
             break
     best = min(candidates, key=lambda candidate: candidate.worst)
@@ -101,6 +106,8 @@ def rpc_of(fitted: Fit) -> RpcFit:
             "RPC: refitted to the model in longitude, latitude and height with %s terms. It "
             "differs from the model by at most %.2g px (rms %.2g px).", best.how, best.worst,
             best.rms)
+    if part:
+        log.warning("Warning: %s. The RPC follows the model in the rest alone.", part)
     return best
 
 
@@ -156,7 +163,7 @@ def _seen(fitted: Fit) -> tuple[FloatArray, FloatArray]:
     ground = middle + share * half
     image = fitted.project(ground)
     low, high = fitted.image_box()
-    inside = ((image >= low) & (image <= high)).all(axis=1)
+    inside = ((image >= low) & (image <= high)).all(axis=1) & fitted.holds(ground)
     return ground[inside], image[inside]
 
 
@@ -176,6 +183,7 @@ def _grid(fitted: Fit, convert: Callable[[FloatArray], FloatArray], across: int,
         raise TermselError(
             f"the model has no ground position for {1 - seen.mean():.0%} of the image",
             hint="Do not use it: choose a simpler model, or fewer terms.")
+    seen &= fitted.holds(ground)
     return image[seen, :2], convert(ground[seen])
 
 

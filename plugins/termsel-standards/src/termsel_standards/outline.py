@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
-from termsel import Result
-from termsel.toolkit import FloatArray, to_wgs84
+from termsel import Fit, Result
+from termsel.toolkit import FloatArray, ground_where_held, image_places, to_wgs84
 
 _SIDE = 9  # places along either side of the image
 
@@ -14,6 +15,7 @@ def outline_of(result: Result) -> FloatArray:
     """Return longitude and latitude of the image's outline, closed, counter-clockwise (n, 2).
 
     At the middle height of the control; without a size of the image of the rectangle around them.
+    Of an oblique view it goes around what lies below the horizon, as far as the model holds.
     """
     features, fitted = result.features, result.exported
     seen = features.image_vertices()
@@ -26,6 +28,8 @@ def outline_of(result: Result) -> FloatArray:
         (zero, share), (share, one), (one, 1 - share), (1 - share, zero))])
     height = float(fitted.ground_box()[0][2])
     ground = fitted.locate(low + around * (high - low), np.full(len(around), height))
+    if fitted.view is not None and not fitted.holds(ground).all():
+        ground = _held(fitted, height)
     places = to_wgs84(features.crs)(ground)[:, :2]
     if not np.isfinite(places).all():
         known = to_wgs84(features.crs)(np.nan_to_num(result.residuals.ground))[:, :2]
@@ -35,3 +39,10 @@ def outline_of(result: Result) -> FloatArray:
     if x @ np.roll(y, -1) - y @ np.roll(x, -1) < 0:
         places = places[::-1]
     return np.asarray(np.round(np.concatenate([places, places[:1]]), 9))
+
+
+def _held(fitted: Fit, height: float) -> FloatArray:
+    """Return the hull of the ground where a model holds, at a height (n, 3)."""
+    ground = ground_where_held(fitted, image_places(fitted), height)
+    ground = ground[np.isfinite(ground).all(axis=1)]
+    return np.asarray(ground[ConvexHull(ground[:, :2]).vertices])

@@ -16,6 +16,7 @@ from termsel.files.names import is_there
 from termsel.files.rasters import require_rasterio, tiff_bytes
 from termsel.files.texts import xml_text
 from termsel.fits.fit import Fit
+from termsel.fits.sky import ground_where_held, refuse_sky, why_not_shown
 from termsel.formats.base import Writer
 from termsel.formats.deviation import by_splines, places_of, say_deviation
 from termsel.formats.heights import Dem, say_difference, surface_of
@@ -58,7 +59,8 @@ class GridWriter(Writer):
         image = np.stack(np.meshgrid(lines, samples, indexing="ij"), axis=-1)
         with surface_of(self.options["dem"], fitted.control.crs, height) as surface:
             say_difference(result.features, result.project, surface)
-            ground = fitted.locate(image.reshape(-1, 2), surface).reshape(*image.shape[:2], 3)
+            ground = ground_where_held(fitted, image.reshape(-1, 2), surface)
+            ground = ground.reshape(*image.shape[:2], 3)
             self.say_loss(fitted, image, ground, surface)
         unseen = int(np.isnan(ground).any(axis=-1).sum())
         if unseen > image[..., 0].size - 3:
@@ -66,8 +68,10 @@ class GridWriter(Writer):
                 "fewer than three places of the grid have ground", file=self.options["dem"],
                 hint="Give the image, a raster of heights that covers it, or a simpler model.")
         if unseen:
-            log.warning("Warning: %d of %d places of the grid have no ground; the image around "
-                        "them stays empty.", unseen, image[..., 0].size)
+            reason = why_not_shown(fitted)
+            log.warning("Warning: %d of %d places of the grid have no ground%s; the image around "
+                        "them stays empty.", unseen, image[..., 0].size,
+                        f", as they are {reason}" if reason else "")
         return ground
 
     @abstractmethod
@@ -100,6 +104,7 @@ class GcpGridVrt(GridWriter):
     def write(self, result: Result, path: Path) -> None:
         """Write a VRT with a list of GCPs, of at least three places that have ground."""
         picture = picture_for(result, self.options["image"])
+        refuse_sky(result.of_image(picture.size).fit, "a spline through GCPs")
         lines, samples = (np.linspace(0.0, size - 1.0, self.options["across"] + 1)
                           for size in picture.size)
         ground, crs = for_warping(self.ground(result, lines, samples), result.fit.control.crs)
@@ -116,7 +121,7 @@ class GcpGridVrt(GridWriter):
         if known.sum() < 3:
             return
         spline = by_splines(ground[known][:, :2], image[known])
-        between = fitted.locate(_middles(image), surface)
+        between = ground_where_held(fitted, _middles(image), surface)
         between = between[np.isfinite(between).all(axis=1)]
         say_deviation(self.name, fitted, between, spline(between), ", by gdalwarp -tps")
 

@@ -18,6 +18,7 @@ from termsel.toolkit import (
     horizontal,
     places_of,
     read_text,
+    refuse_sky,
     say_deviation,
     write_text,
 )
@@ -100,6 +101,7 @@ class WorldFileWriter(PointsWriter):
     def write(self, result: Result, path: Path) -> None:
         """Write the six numbers."""
         fitted = result.fit
+        refuse_sky(fitted, "an affine map")
         ground = places_of(fitted)
         if len(ground) < _FEWEST:  # a model that has no places on the ground: where its control is
             ground = fitted.control.points.ground
