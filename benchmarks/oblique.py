@@ -186,9 +186,9 @@ def case_of(depression: float, relief: float, count: int, seed: int, *,
     try:
         result = termsel.run(features=drawn.features)
     except TermselError as error:
-        return Case(np.inf, *rivals, str(error), np.nan)
+        return Case(np.inf, rivals[0], rivals[1], str(error), np.nan)
     seen = result.project(drawn.ground)
-    return Case(rmse(seen, drawn.image), *rivals,
+    return Case(rmse(seen, drawn.image), rivals[0], rivals[1],
                 result.strategy.chosen if result.strategy else "",
                 result.predicted.rmse if result.predicted else np.nan)
 
