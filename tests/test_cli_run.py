@@ -256,7 +256,7 @@ BAD_WORDS = {
         ["--problem", "rfm-terms", "--crs", "local"],
         "--crs requires --points or --lines. Give --points FILE, or leave --crs out."),
     "unwritable out": (["--problem", "rfm-terms", "--out", os.devnull],
-                       f"cannot make the folder {os.devnull}: "),
+                       f"{os.devnull} is no folder"),
     "no lines in the data": (
         ["--problem", "owdis-lines", "--dataset", "irs1c-mashad"],
         "the problem needs control lines and there are none. Give them with --lines FILE, or "),

@@ -166,7 +166,7 @@ def test_an_edited_layer_in_memory_of_another_crs_is_georeferenced(told: dict[st
     assert any("Accuracy" in line for line in told["said"])
     assert layer["OUTPUT"].endswith("of layer żółć 東京")
     record = record_of(layer["OUTPUT"])
-    assert record["data"]["counts"]["control"] == 33
+    assert record["data"]["counts"]["control"] == 37
     assert record["data"]["crs"] == "EPSG:32639"
     assert "Accuracy" in Path(layer["SUMMARY"]).read_text(encoding="utf-8")
 

@@ -138,7 +138,7 @@ def test_bad_files_of_constants(tmp_path: Path, content: str, said: str) -> None
 def test_unknown_names_and_files(tmp_path: Path) -> None:
     with pytest.raises(TermselError, match="no sensor"):
         Scanner(sensor="spot-9")
-    with pytest.raises(TermselError, match="cannot be read"):
+    with pytest.raises(TermselError, match="does not exist"):
         Scanner(sensor=str(tmp_path / "none.json"))
     bare = replace(spot(6).points, attributes={})
     with pytest.raises(TermselError, match="no column"):

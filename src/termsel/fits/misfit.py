@@ -130,6 +130,8 @@ def misfit_of(image: FloatArray, residuals: FloatArray, sigma: FloatArray | None
                 np.diag(noise) + ratio**2 * correlation, trend, residuals)
             logs.append(log + np.log(each))
             found.append((lengths, ratio, projection, square))
+    if not np.isfinite(logs).all():  # seen on one line of the image: no trend is determined
+        return None
     shares = np.exp(np.array(logs) - np.logaddexp.reduce(logs))
     return Misfit(image, tuple(
         Solution(float(share), lengths, ratio, projection @ residuals, projection,

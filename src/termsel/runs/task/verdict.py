@@ -23,6 +23,7 @@ from termsel.measurements.features import FeatureSet, Points, select
 from termsel.measurements.roles import Observations, leave_out
 from termsel.measurements.twins import with_twins
 from termsel.record.base import Role
+from termsel.record.chances import median
 from termsel.record.figures import BlunderTest, Outlier
 
 FEW = 17
@@ -66,7 +67,7 @@ def judge_features(observations: Observations, portfolio: Portfolio,
     verdict = Verdict(held, high=high if held else frozenset())
     both, pool = observations.pool.features, observations.pool
     found = portfolio.suspects(pool) or find_blunders(pool, portfolio)
-    limit = None if found is None else finite_or_none(float(np.median(found.limits)))
+    limit = None if found is None else finite_or_none(float(median(found.limits)))
     verdict = replace(verdict, test=BlunderTest(
         len(both), limit, float(np.ptp(both.image_vertices(), axis=0).max())))
     if found is None or not (found.blunders | found.undecided).any():
@@ -183,7 +184,7 @@ def _limits(both: FeatureSet, found: Suspects) -> Iterator[str]:
     """Yield which errors cannot be found, where features are few."""
     if len(both) >= FEW:
         return
-    worst, half = int(np.argmax(found.limits)), float(np.median(found.limits))
+    worst, half = int(np.argmax(found.limits)), float(median(found.limits))
     extent = float(np.ptp(both.image_vertices(), axis=0).max())
     if half > extent:
         yield (f"With {len(both)} {both.word} no blunder can be found for certain: any may be "
