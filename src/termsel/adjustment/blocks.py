@@ -67,6 +67,7 @@ def blocks_of(source: FloatArray, feature: IntArray, triangle: FloatArray) -> Fl
 
 @compiled
 def _fill(Q: FloatArray, b: FloatArray, feature: IntArray, blocks: FloatArray) -> None:
+    """Add up the rows of each feature: Q_i'Q_i and Q_i'b_i."""
     # Row x of the lower triangle of Q'Q, then its entry of Q'b: as `_reduce` reads them.
     for row in range(len(Q)):
         block = blocks[feature[row]]
@@ -189,9 +190,9 @@ def reduced(blocks: FloatArray, triangle: FloatArray, features: BoolArray, pays:
     lower = np.empty((k, k))
     system = np.zeros((k, k + 2))
     triangle = np.ascontiguousarray(triangle)
-    for run in np.split(np.arange(len(features)), np.flatnonzero(np.diff(pays)) + 1):
-        if run.size and not pays[run[0]]:
-            yield slice(int(run[0]), int(run[-1]) + 1), None
+    for equal_run in np.split(np.arange(len(features)), np.flatnonzero(np.diff(pays)) + 1):
+        if equal_run.size and not pays[equal_run[0]]:
+            yield slice(int(equal_run[0]), int(equal_run[-1]) + 1), None
     individuals = np.flatnonzero(pays)
     for start in range(0, len(individuals), _SUMMED):
         batch = individuals[start:start + _SUMMED]

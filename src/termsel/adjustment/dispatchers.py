@@ -69,6 +69,7 @@ class _Cache(FunctionCache):
             self._turn = None
 
     def _read(self, sig: Any, target_context: Any) -> Any:
+        """Return the code kept, None if there is none, or none that can be read."""
         try:
             # Numba first makes itself ready to compile, too, which takes 0.2 s.
             if self._allocates:
@@ -133,6 +134,7 @@ def dispatcher_of(function: Callable[..., Any], flags: dict[str, Any]) -> Any:
         _say_that_nothing_is_kept()
 
     def compile_locked(signature: Any) -> Any:
+        """Compile for a signature, at this level of optimisation, then let others go on."""
         with global_compiler_lock:  # as numba does: settings are those of all threads
             requested_level = numba.config.OPT
             # The level keeps its type, by which numba tells what the user set.

@@ -28,6 +28,7 @@ def approximate_image(features: FeatureSet, *, heights: bool = True) -> FloatArr
 
 
 def _approximate_image(features: FeatureSet, heights: bool) -> FloatArray:
+    """Fit A x = b of points, dl and ds, and of lines, n'(l, s) = rho; return (l, s) of vertices."""
     def columns(ground: FloatArray, degree: int) -> FloatArray:
         x, y, z = ground.T if heights else (*ground.T[:2], np.zeros(len(ground)))
         linear = [np.ones_like(x), x, y, z]
@@ -43,12 +44,12 @@ def _approximate_image(features: FeatureSet, heights: bool) -> FloatArray:
     rho = np.repeat(rho, 2)
     on_lines = columns(vertices, degree)
     on_points = columns(points.ground, degree)
-    nothing = np.zeros_like(on_points)
+    zeros = np.zeros_like(on_points)
     # A vertex lies on its image line; a point has its line and its sample.
     A = np.concatenate([
         np.concatenate([normal[:, :1] * on_lines, normal[:, 1:] * on_lines], axis=1),
-        np.concatenate([on_points, nothing], axis=1),
-        np.concatenate([nothing, on_points], axis=1)])
+        np.concatenate([on_points, zeros], axis=1),
+        np.concatenate([zeros, on_points], axis=1)])
     b = np.concatenate([rho, points.image[:, 0], points.image[:, 1]])
     x = np.linalg.lstsq(A, b, rcond=1e-6)[0].reshape(2, -1)
     return np.asarray(on_lines @ x.T)

@@ -39,7 +39,7 @@ def solve_near(equations: Equations, start: BoolArray, features: BoolArray,
     reference = _reference_solution(equations, start) if rows.shape[1] <= FEW else None
     if reference is None:
         return solve_many(equations, None, features)
-    x, V, by_row, residuals = reference
+    x, V, row_solutions, residuals = reference
     p, n = features.shape
     # The feature that each one adds and drops; number n, without rows, for none.
     individual, changed_feature = np.divmod(np.flatnonzero(features != start), n)
@@ -70,7 +70,7 @@ def solve_near(equations: Equations, start: BoolArray, features: BoolArray,
     changed = np.concatenate([rows[added], rows[dropped]], axis=1)
     factors = np.linalg.solve(system, residuals[changed][..., None])
     # x' = x + (V_s R^-T)' times the factors
-    coefficients[safe] = x + np.matmul(factors.transpose(0, 2, 1), by_row[changed])[:, 0]
+    coefficients[safe] = x + np.matmul(factors.transpose(0, 2, 1), row_solutions[changed])[:, 0]
     return coefficients, violation
 
 

@@ -68,6 +68,7 @@ def _reflector(count: int) -> Any:
         return current_row, carried
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        """Write the code of one call (see `_reflector` for what it computes)."""
         panels_type, reflections_type = signature.args[:2]
         panels_value, reflections_value, c, t, stop = args
         panels = context.make_array(panels_type)(context, builder, panels_value)

@@ -182,6 +182,7 @@ class ScoreSystems:
         return NodeResult(best, masks, pruned)
 
     def _walk_residuals(self, node: SubtreeNode, best: FloatArray, masks: Masks) -> NodeResult:
+        """Decide the subsets of a node by branch and bound of residuals."""
         columns = np.concatenate([node.used, node.candidates])
         k = len(columns)
         used = len(node.used)

@@ -85,6 +85,7 @@ def _plain(plugin_object: Any) -> bool:
 
 
 def _guarded(name: str, function: Callable[..., Any], check: Check | None) -> Callable[..., Any]:
+    """Return the guard of a method or of a property's function."""
     @wraps(function)
     def call(self: Any, *args: Any, **options: Any) -> Any:
         # Who fails is told by the outermost call alone.

@@ -58,6 +58,7 @@ class Genome:
         self._refuse_unreachable()
 
     def _refuse_unreachable(self) -> None:
+        """Refuse cardinalities that forced genes leave no selection for."""
         # As many as the minimum must be allowed on, and what is forced on must be allowed by the
         # maximum.
         for segment, labels in self._switched():
@@ -76,6 +77,7 @@ class Genome:
                 if isinstance(s, Bits | Subset)]
 
     def _mark(self, labels: Iterable[str]) -> BoolArray:
+        """Return which labels are named, shape (number of labels,); refuse names that none has."""
         marked = np.zeros(len(self.labels), dtype=bool)
         labels = list(labels)
         label_index: dict[str, int] = {}

@@ -190,6 +190,7 @@ class SelectionProblem(Problem):
         return self._evaluate(genes, self.masks(near[None])[1])
 
     def _evaluate(self, genes: Genes, near: BoolArray | None = None) -> Evaluation:
+        """Fit, judge by the criterion, and add up what is violated (see `evaluate`)."""
         inputs = self.inputs
         terms, features = self.masks(genes)
         model = _weighted(inputs)

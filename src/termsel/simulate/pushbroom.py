@@ -285,8 +285,8 @@ class Pushbroom:
         line : float, optional
             Line [px]; by default the middle of the image.
         """
-        at = np.array([self.centre[0] if line is None else line])
-        station, rotation = self.exposure(self.time(at))
+        lines = np.array([self.centre[0] if line is None else line])
+        station, rotation = self.exposure(self.time(lines))
         nadir = -station[0] / np.linalg.norm(station[0])
         ray = rotation[0, :, 2]
         return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(nadir, ray)), nadir @ ray)))

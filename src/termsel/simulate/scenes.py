@@ -157,6 +157,7 @@ def _scene(name: str) -> Scene:
 
 
 def _line_counts(scene: Scene, n_lines: int | None, wrong: int | None) -> tuple[int, int]:
+    """Return the numbers of lines and of mismatched ones; refuse what cannot be."""
     n_lines = scene.lines if n_lines is None else n_lines
     if wrong is None:
         wrong = round(n_lines * scene.wrong_lines / scene.lines) if scene.lines else 0
@@ -338,9 +339,9 @@ def _displaced(image: FloatArray, rng: Generator, wrong: int) -> FloatArray:
     """Return image lines (n, 2, 2) of which `wrong` are moved sideways."""
     picked = _picked(rng, len(image), wrong)
     # Across the line, by some pixels to either side: as if a neighbouring street had been taken.
-    run = image[picked, 1] - image[picked, 0]
-    sideways = np.column_stack([-run[:, 1], run[:, 0]])
-    sideways /= np.linalg.norm(run, axis=1, keepdims=True)
+    direction = image[picked, 1] - image[picked, 0]
+    sideways = np.column_stack([-direction[:, 1], direction[:, 0]])
+    sideways /= np.linalg.norm(direction, axis=1, keepdims=True)
     offset = rng.uniform(_SMALLEST, _LARGEST, wrong) * rng.choice([-1.0, 1.0], wrong)
     moved = image.copy()
     moved[picked] += (offset[:, None] * sideways)[:, None]

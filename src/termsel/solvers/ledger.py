@@ -83,6 +83,7 @@ class Ledger(ProblemAround):
             return self._evaluate(genes, near)
 
     def _evaluate(self, genes: Genes, near: Genes | None = None) -> Evaluation:
+        """Evaluate as far as the budget goes; then end the search."""
         if self.deadline is not None and self.count and time.perf_counter() > self.deadline:
             raise BudgetSpent
         if fault := self.genome.fault(genes):
@@ -125,6 +126,7 @@ class Ledger(ProblemAround):
         return [_genes(keys[row], self.genome) for row in front_rows]
 
     def _look_up(self, genes: Genes, near: Genes | None) -> Evaluation:
+        """Evaluate individuals that are not known yet, and return the evaluation of all."""
         # A front is made of all individuals; of one objective the best is remembered apart.
         if len(self.objectives) == 1 and len(self._row_of) > _KNOWN:
             self._row_of = {}
@@ -157,6 +159,7 @@ class Ledger(ProblemAround):
         return Evaluation(self._values[rows, :-1], self._values[rows, -1])
 
     def _remember(self, genes: Genes, evaluation: Evaluation) -> None:
+        """Keep the best individual, and the least feasible value of each objective."""
         # Of each objective the least that is feasible, of whichever individual: for `Patience`.
         feasible = evaluation.objectives[evaluation.violation == 0]
         self.least = np.minimum(self.least, feasible.min(axis=0, initial=np.inf))

@@ -158,7 +158,7 @@ def pairs(i: int, level: int, count: int, share: float, root_limit: float, error
     total = products.total[level] - ratio * (remaining_f + products.f[level, i])
     sum_i = b.sums[level, i]
     target_sum = b.target_sum[level] - ratio * b.sums[level, i]
-    open_ = 0
+    not_ruled_out = 0
     for k in range(i + 1, count):
         # Column k less its part a along column i, then the target less its share of what remains.
         a = control.M[level, i, k] * inverse
@@ -176,5 +176,5 @@ def pairs(i: int, level: int, count: int, share: float, root_limit: float, error
         # Too badly conditioned for inner products: the vectors decide.
         value = value if length * b.inverse[k] * share > SHARE else -1.0
         b.row[k] = value
-        open_ += not value > 0.0
-    return open_
+        not_ruled_out += not value > 0.0
+    return not_ruled_out

@@ -83,27 +83,27 @@ def _rational_squares(t: FloatArray, v: FloatArray, t_below: FloatArray, v_below
 
 
 @_compiled
-def _press_squares(at: Depth, n: int, c: int, j: int, limits: Limits) -> float:
+def _press_squares(level: Depth, n: int, c: int, j: int, limits: Limits) -> float:
     """Return the sum of squared leave-one-out errors, or infinity if there is none.
 
     With residual e, leverage h and the denominator's cross-leverage g, a row's leave-one-out
     error is e / (1 - h), and its denominator is lower by g e / (1 - h).
     """
-    t = at.top[0, n + j]
-    v = at.top[0, c]
-    t_below = at.extra[0, n + j]
-    v_below = at.extra[0, c]
-    ratio = at.share[0, c, j]
-    per_square = 1.0 / at.square[0, c]
+    t = level.top[0, n + j]
+    v = level.top[0, c]
+    t_below = level.extra[0, n + j]
+    v_below = level.extra[0, c]
+    ratio = level.share[0, c, j]
+    per_square = 1.0 / level.square[0, c]
     total = 0.0
     without_error = 0
     for row in range(len(t)):
         residual = t[row] - ratio * v[row]
         # The column's own part of h and g is added here; the depth holds that of those in use.
-        redundancy = 1.0 - at.leverage[row] - per_square * v[row] * v[row]
+        redundancy = 1.0 - level.leverage[row] - per_square * v[row] * v[row]
         # Error and denominator are both taken times 1 - h, which may be 0.
         denominator = ((ratio * v_below[row] - t_below[row]) * redundancy
-                       - (at.cross[row] + per_square * v[row] * v_below[row]) * residual)
+                       - (level.cross[row] + per_square * v[row] * v_below[row]) * residual)
         error = residual / denominator
         too_small = denominator < limits.margin * redundancy
         without_error += (redundancy <= limits.tolerance) | too_small
@@ -119,21 +119,21 @@ def at_depth(vectors: Vectors, depth: int) -> Depth:
 
 
 @_compiled
-def score_of(kind: int, at: Depth, c: int, systems: int, r: int, limits: Limits) -> float:
+def score_of(kind: int, level: Depth, c: int, systems: int, r: int, limits: Limits) -> float:
     """Return the score of one depth's column c, by any kind but PRESS."""
-    n = at.top.shape[1] - r
-    half = at.extra.shape[2] // 2
+    n = level.top.shape[1] - r
+    half = level.extra.shape[2] // 2
     total = limits.offset
     for f in range(systems):
         for j in range(r):
             if kind == LINEAR:
-                total += squares(at.extra[f, n + j], at.extra[f, c], at.share[f, c, j])
+                total += squares(level.extra[f, n + j], level.extra[f, c], level.share[f, c, j])
             elif kind == RSS:
-                total += squares(at.top[f, n + j], at.top[f, c], at.share[f, c, j])
+                total += squares(level.top[f, n + j], level.top[f, c], level.share[f, c, j])
             else:
-                total += _rational_squares(
-                    at.extra[f, n + j, :half], at.extra[f, c, :half], at.extra[f, n + j, half:],
-                    at.extra[f, c, half:], at.share[f, c, j], limits.margin)
+                total += _rational_squares(level.extra[f, n + j, :half], level.extra[f, c, :half],
+                                           level.extra[f, n + j, half:], level.extra[f, c, half:],
+                                           level.share[f, c, j], limits.margin)
     return total
 
 

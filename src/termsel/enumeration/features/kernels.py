@@ -58,7 +58,7 @@ def walk(rows: FeatureRows, state: WalkState, space: EntrySpace, first: int, siz
     # With plain numbers everything below would be compiled for these constants too.
     depth = int(np.intp(0))
     count = int(np.intp(0))
-    nothing = int(np.intp(-1))
+    no_feature = int(np.intp(-1))
     entering = size < max_size and first < n
     status[0] = _open(rows, state, space, depth=depth, first=first, further=entering,
                      floor=limits.floor, limit=square_limits[size])
@@ -68,7 +68,7 @@ def walk(rows: FeatureRows, state: WalkState, space: EntrySpace, first: int, siz
         current_size = size + depth
         # A selection that is carried scores all with one more feature at once.
         if entering and status[depth] == CARRIED and current_size + 1 >= min_size:
-            _scan(rows, state, space, depth, nothing, cursor[depth])
+            _scan(rows, state, space, depth, no_feature, cursor[depth])
             count = _keep_all(rows, space, cursor[depth], mask=mask[depth],
                               limit=square_limits[current_size + 1], remaining=remaining,
                               count=count)

@@ -157,10 +157,10 @@ class Selections:
         free = len(self.free)
         fixed = int(self.on.sum())
         # Limits of y'y alone, for the sizes that are possible with the features fixed.
-        of_free = (self.reach(limits) - self.floor)[fixed:fixed + free + 1]
+        squares_of_sizes = (self.reach(limits) - self.floor)[fixed:fixed + free + 1]
         walk_limits = SelectionLimits(max(self.min_size - fixed, 0),
                                       min(self.max_size - fixed, free),
-                                      np.ascontiguousarray(of_free), self.floor)
+                                      np.ascontiguousarray(squares_of_sizes), self.floor)
         count = walk(self._rows, state, space, first=branch.first, size=len(branch.used),
                      limits=walk_limits, remaining=remaining)
         selections = np.tile(self.on, (count, 1))
@@ -169,6 +169,7 @@ class Selections:
         return selections, remaining.scores[:count] + self.floor
 
     def _every(self, branch: Branch) -> BoolArray:
+        """Return all selections of a branch, one by one, where none is scored."""
         fixed = int(self.on.sum())
         used = len(branch.used)
         candidates = range(branch.first, len(self.free))
@@ -188,6 +189,7 @@ class Selections:
 
     @cached_property
     def _rows(self) -> FeatureRows:
+        """The rows of all systems, made equally many and equally wide, as the kernels take them."""
         height = max(len(system.target) for system in self._parts)
         width = max(system.design.shape[1] for system in self._parts)
         design = np.zeros((len(self._parts), height, width))
@@ -260,6 +262,7 @@ class _InErrorUnits:
 
     @classmethod
     def of(cls, system: RowSystem, free: IntArray, on: BoolArray) -> _InErrorUnits:
+        """Return a system in units of the check points' errors."""
         k = system.design.shape[1]
         # With C = Q R of the check points and y = R x - Q'c, errors are a constant part and -Q y.
         q, r = np.linalg.qr(system.check_design)

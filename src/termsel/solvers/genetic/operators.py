@@ -95,6 +95,7 @@ def _crossed(segment: AnySegment, parents_1: Genes, parents_2: Genes,
 
 def _blended(segment: Integers | Reals, parents_1: Genes, parents_2: Genes,
              rng: np.random.Generator) -> tuple[Genes, Genes]:
+    """Cross numbers by simulated binary crossover (Deb, Agrawal 1995)."""
     from pymoo.operators.crossover.sbx import cross_sbx
 
     # Of each pair the spread, the chance that a number is crossed, and that children change places.
@@ -107,6 +108,7 @@ def _blended(segment: Integers | Reals, parents_1: Genes, parents_2: Genes,
 
 
 def _ordered(parents_1: Genes, parents_2: Genes, rng: np.random.Generator) -> tuple[Genes, Genes]:
+    """Cross permutations by order crossover (Davis 1985)."""
     from pymoo.operators.crossover.ox import ox, random_sequence
 
     children = parents_1.copy(), parents_2.copy()
@@ -120,6 +122,7 @@ def _ordered(parents_1: Genes, parents_2: Genes, rng: np.random.Generator) -> tu
 
 def _mutated(segment: AnySegment, genes: Genes, probability: float,
              rng: np.random.Generator) -> Genes:
+    """Return mutated genes of one segment, by its type."""
     match segment:
         case Bits():
             return flip_bits(genes.astype(bool), probability, rng)
@@ -141,6 +144,7 @@ def _mutated(segment: AnySegment, genes: Genes, probability: float,
 
 def _polynomial(segment: Integers | Reals, genes: Genes, probability: float,
                 rng: np.random.Generator) -> Genes:
+    """Change numbers by polynomial mutation (Deb, Goyal 1996)."""
     from pymoo.operators.mutation.pm import mut_pm
 
     p = len(genes)
@@ -156,6 +160,7 @@ def _polynomial(segment: Integers | Reals, genes: Genes, probability: float,
 
 
 def _reversed_parts(genes: Genes, probability: float, rng: np.random.Generator) -> Genes:
+    """Reverse a random part of some permutations."""
     # Inversion: neighbours stay neighbours, but for the two ends of the part.
     mutants = genes.copy()
     n = genes.shape[1]
@@ -303,6 +308,7 @@ def from_keys(keys: FloatArray, genome: Genome) -> Genes:
 
 
 def _keys_of(segment: AnySegment) -> int:
+    """Return how many random keys stand for the genes of a segment."""
     match segment:
         case Categories():
             return segment.size * len(segment.choices)
@@ -315,6 +321,7 @@ def _keys_of(segment: AnySegment) -> int:
 
 
 def _unlocked(segment: AnySegment, keys: FloatArray) -> Genes:
+    """Return the genes of one segment that random keys stand for, by its type."""
     match segment:
         case Bits():
             return keys > 0.5

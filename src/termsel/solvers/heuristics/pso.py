@@ -35,8 +35,8 @@ def leaders(order: IntArray, reach: int) -> IntArray:
         return np.full(n, order[0])
     rank = np.argsort(order)  # the inverse permutation: the place of each particle
     # Particles are in a ring by their number, not by their rank.
-    around = (np.arange(n)[:, None] + np.arange(-reach, reach + 1)) % n
-    return np.asarray(order[rank[around].min(axis=1)])
+    ring_neighbours = (np.arange(n)[:, None] + np.arange(-reach, reach + 1)) % n
+    return np.asarray(order[rank[ring_neighbours].min(axis=1)])
 
 
 def sigmoid(velocity: FloatArray) -> FloatArray:

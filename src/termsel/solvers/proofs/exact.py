@@ -131,7 +131,7 @@ class Exact(Solver):
                  space, amount(len(subproblems), "part"),
                  _estimate(problem, subproblems, max_terms, workers))
         index, reported, decided = 0, 0.0, 0
-        nothing = np.zeros((1, problem.genome.size), dtype=bool)
+        placeholder = np.zeros((1, problem.genome.size), dtype=bool)
         proof: Proof | None = None
         for state, proof in enumerate(prove(problem, max_terms, workers)):
             share = proof.decided / proof.total
@@ -144,7 +144,7 @@ class Exact(Solver):
                 continue
             reported = share
             if proof.complete or proof.front():
-                generation = generation_of(problem, proof, index, space, nothing)
+                generation = generation_of(problem, proof, index, space, placeholder)
                 if proof.complete and proof.front():
                     _require_unbeaten(problem, proof, generation, max_terms)
                     if certify is not None:
@@ -182,8 +182,8 @@ def _require_unbeaten(problem: Problem, proof: Proof, generation: Generation,
         if max_terms is not None:  # larger ones are outside of the space that is proven
             sizes = [genes[:, subproblem.genes].sum(axis=1) for subproblem in proof.parts]
             genes = genes[np.all(np.array(sizes) <= max_terms, axis=0)]
-        around = problem.evaluate(genes)
-        values.append(around.objectives[around.violation == 0, 0])
+        neighbour_evaluation = problem.evaluate(genes)
+        values.append(neighbour_evaluation.objectives[neighbour_evaluation.violation == 0, 0])
     lowest = float(np.concatenate(values).min())
     if lowest < best - TIE * abs(best):
         raise TermselError(

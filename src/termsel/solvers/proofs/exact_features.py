@@ -137,17 +137,17 @@ def proof_generations(problem: Problem, systems: tuple[RowSystem, ...], workers:
     total = selections.count(selections.root)
     if selections.needs_compilation:
         log.info("Compiling: the first proof on this machine takes some 6 s longer.")
-    how = (f"; about {duration(estimate_seconds(selections, workers))}" if systems
+    outlook = (f"; about {duration(estimate_seconds(selections, workers))}" if systems
            else "; each is evaluated, as the criterion or the model allows no other way")
-    log.info("exact: deciding %s (%s)%s", amount(total, "subset"), space, how)
+    log.info("exact: deciding %s (%s)%s", amount(total, "subset"), space, outlook)
     index, last = 0, 0
-    nothing = problem.genome.random(np.random.default_rng(0), 1)
+    placeholder = problem.genome.random(np.random.default_rng(0), 1)
     for state, proof in enumerate(prove_features(problem, selections, workers)):
         # Reports become rarer as the proof goes on, as each costs an evaluation.
-        soon = state - last <= index // _REPORTS
-        if index and not proof.complete and (soon or not proof.front()):
+        too_early = state - last <= index // _REPORTS
+        if index and not proof.complete and (too_early or not proof.front()):
             continue
-        yield generation_of(problem, proof, index, space, nothing)
+        yield generation_of(problem, proof, index, space, placeholder)
         index += 1
         last = state
 

@@ -204,14 +204,14 @@ class FeatureProof:
 
 
 def generation_of(problem: Problem, proof: Proof | FeatureProof, index: int, space: str,
-                  nothing: Genes) -> Generation:
+                  placeholder: Genes) -> Generation:
     """Return the best of every size once all is proven, the best of all until then.
 
     The details have the share that is decided and the certificate, of a space in words. As long as
     nothing is known to be feasible, the genes are those given for this, shape (1, size).
     """
     front = proof.front()
-    genes = np.array(front if proof.complete else front[-1:]) if front else nothing
+    genes = np.array(front if proof.complete else front[-1:]) if front else placeholder
     evaluation = problem.evaluate(genes)
     best = float(evaluation.objectives[-1, 0])
     feasible = bool(front) and evaluation.violation[-1] == 0

@@ -122,6 +122,7 @@ def regressions(problem: Problem) -> list[Regression]:
 
 
 def _regression(problem: Problem, subproblem: EnumerablePart) -> Regression:
+    """Return the control rows of one axis, or of both, as a regression."""
     rows = subproblem.system
     m, k = rows.design.shape
     none = np.zeros(k, dtype=bool)
