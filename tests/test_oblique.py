@@ -50,6 +50,13 @@ def test_five_points_of_level_ground_suffice_without_heights() -> None:
         assert error < 3.0
 
 
+@pytest.mark.parametrize(("count", "seed"), [(10, 1), (10, 4), (12, 0)])
+def test_birds_eye_views_that_are_drawn_roughly_are_projective(count: int, seed: int) -> None:
+    found, error = chosen_by(scene(40, 0, count, seed, heights=False, noise=10.0))
+    assert found == "projective"
+    assert error < 10.0
+
+
 def test_heights_count_by_what_they_do_in_the_image() -> None:
     """Hills of 3 m in a plain of kilometres, near a camera that looks along the ground."""
     low, level = (scene(10, relief, 20, 4).features for relief in (8, 0))

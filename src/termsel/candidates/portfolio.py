@@ -39,6 +39,10 @@ OBLIQUE = 0.02
 """RMSE of an affine transformation of four points, by the half extent of the image, from which on
 they show an oblique view."""
 
+DEEP = 0.8
+"""Distance of the nearest point by that of the middle, along the view, below which a view is
+oblique: a map has none, and points of a photo from above are at about the same distance."""
+
 EXACT = 3
 """Number of points up to which a model fits them exactly, and none is chosen."""
 
@@ -182,7 +186,8 @@ def choose(control: Control, portfolio: Portfolio | None = None, watch: Watch | 
     BETTER standard errors (the rule of Breiman et al. 1984), and likewise any further candidate
     with a prior of its own. What none of them contains is taken only if it is better by CLEARLY
     standard errors, since the best of several is so partly by luck: rational models, and few terms
-    of their own. There is one central projection, for which EXPECTED is enough. Where the points
+    of their own. There is one central projection, for which EXPECTED is enough, and BETTER where
+    the points call for an oblique view. Where the points
     call for a random field, the shrunken polynomial with it takes the place of those without.
     Logarithms of squared errors are compared, lest a few great errors make everything uncertain.
     Where features are too few for any candidate with a prior, the smallest sum of squares decides:
@@ -297,7 +302,12 @@ def _asked(one: Judged, base: Judged) -> float:
     """Return by how many standard errors a candidate that no prior contains must be better."""
     if base.candidate.from_one > one.candidate.from_one:
         return _sure(base)
-    return EXPECTED if one.candidate.central else CLEARLY
+    if not one.candidate.central:
+        return CLEARLY
+    # Few points measured roughly, as in a drawn bird's-eye view, hardly tell standard errors apart;
+    # that they call for an oblique view, is evidence of its own.
+    view = one.fit.view
+    return BETTER if view is not None and view.depth < DEEP else EXPECTED
 
 
 def _sure(base: Judged) -> float:
