@@ -11,6 +11,7 @@ import pytest
 import termsel
 from benchmarks.oblique import LINES, SAMPLES, Scene, case_of, rmse, scene
 from termsel.candidates.base import has_pole, refusal
+from termsel.candidates.blunders import find_blunders
 from termsel.candidates.portfolio import choose
 from termsel.candidates.structures import named
 from termsel.measurements.control import Control
@@ -302,3 +303,17 @@ def test_an_image_from_above_shows_no_sky() -> None:
     result = termsel.run(features=features)
     assert sky_said(result.fit) == ""
     assert part_said(result.fit) == ""
+@pytest.mark.parametrize(("angle", "relief", "count"), [(30, 100, 24), (40, 100, 30), (30, 60, 22)])
+def test_what_an_oblique_view_predicts_is_no_blunder(angle: int, relief: int, count: int) -> None:
+    """Polynomials name a right point for the bend of the view; a blunder is still named alone."""
+    features = scene(angle, relief, count, 2).features
+    right = find_blunders(Control.of(features))
+    assert right is not None
+    assert not (right.blunders | right.undecided).any()
+
+    image = features.points.image.copy()
+    image[7] += [200.0, -200.0]
+    wrong = find_blunders(Control.of(replace(features, points=replace(features.points,
+                                                                      image=image))))
+    assert wrong is not None
+    assert np.flatnonzero(wrong.blunders | wrong.undecided).tolist() == [7]

@@ -61,6 +61,20 @@ def test_errors_and_relief_are_no_two_groups(seed: int) -> None:
         assert two_groups(features) is None
 
 
+def test_a_wide_area_around_a_pole_is_no_two_groups() -> None:
+    """Degrees are no plane there: an affine transformation leaves kilometres."""
+    from pyproj import Transformer
+
+    generator = np.random.default_rng(1)
+    image = np.column_stack([generator.uniform(20, 680, 12), generator.uniform(20, 880, 12)])
+    x, y = -1.2e6 + (image[:, 1] - 450) * 900, 6e5 + (350 - image[:, 0]) * 900
+    lon, lat = Transformer.from_crs(3031, 4326, always_xy=True).transform(x, y)
+    ground = np.column_stack([lon, lat, np.full(12, np.nan)])
+    features = FeatureSet(Points(tuple(f"q{i}" for i in range(12)), image, ground),
+                          crs="EPSG:4326")
+    assert two_groups(features) is None
+
+
 @pytest.mark.parametrize("name", SCENES)
 def test_scenes_are_no_two_groups(name: str) -> None:
     assert two_groups(simulate_scene(name)) is None

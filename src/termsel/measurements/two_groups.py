@@ -28,6 +28,9 @@ _REST = 0.25
 _APART = 6.0
 """Least distance of the groups [standard deviations within them]."""
 _ROUNDS = 50
+_FARTHEST = 2000.0
+"""Longest shift [m]: datums of the Earth are less apart. Longer ones are of what an affine
+transformation does not follow, such as an area of many degrees or an oblique view."""
 
 
 _MODERN = re.compile(r"\(|ITRF|IGS|IGb|WGS 84|GTRF")
@@ -124,6 +127,8 @@ def two_groups(features: FeatureSet) -> TwoGroups | None:
         return None
     # Ground coordinates that are d too far to the east have the image of what is d to the west.
     shift = -np.linalg.solve(coefficients[1:3].T, move)
+    if np.linalg.norm(shift) > _FARTHEST:
+        return None
     if second.sum() > len(plan) / 2:
         second = ~second
         shift = -shift

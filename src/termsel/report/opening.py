@@ -209,7 +209,7 @@ def _none_found(record: Record) -> str:
         return (f"none can be told, as no model agrees with the {record.data.counts.word} better "
                 f"than {rounded(size)} px: several are wrong, or no model holds.")
     if test.limit > _BLUNT * test.extent:
-        return f"none found; with {features} errors below {rounded(test.limit)} px are not seen."
+        return f"none found; with {features} errors below {rounded(test.limit)} px may go unseen."
     return "none found."
 
 

@@ -31,6 +31,7 @@ log = logging.getLogger(__name__)
 
 _TELLING = 4  # points from which on a mirror image shows, or half as many again lines
 MIRRORED = 3  # points from which on it shows next to other images
+_UPWARDS = "line numbers grow to the north"
 _UNLIKE = 0.2  # share of the image coordinates' variance that relief and distortion may leave
 _FLAT = 0.05  # ratio of the axes of what a matrix makes of a circle, below which nothing tells
 _WIDE = 20.0  # degrees that a scene may be wide
@@ -70,8 +71,10 @@ def note_on_turned(features: FeatureSet) -> str:
         return (f"{doubt}.{where} Name the columns the other way round, as in --columns {which}; "
                 f"or else --columns {other}.")
     if counted := _counted(features):
-        return (f"{counted} here, as on maps whose y points up and in some radar images. If "
-                "this is neither, check whether x and y are swapped.")
+        upwards = (" If lines count from the lower edge of the image, say --set "
+                   "image_origin=bottom-left and --image FILE." if counted == _UPWARDS else "")
+        return (f"{counted} here, as on maps whose y points up and in some radar images.{upwards} "
+                "If this is neither, check whether x and y are swapped.")
     return ""
 
 
@@ -126,7 +129,7 @@ def _counted(features: FeatureSet) -> str:
     turn = _turn(features)
     if turn is None or np.linalg.det(turn) >= 0:
         return ""
-    return ("line numbers grow to the north" if turn[0, 0] > turn[1, 1]
+    return (_UPWARDS if turn[0, 0] > turn[1, 1]
             else "sample numbers grow to the west")
 
 
