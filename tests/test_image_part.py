@@ -115,3 +115,19 @@ def test_what_is_stated_is_used(tmp_path: Path) -> None:
             termsel.read(tmp_path / "points.csv", rpc=vendor, **options)
     with pytest.raises(TermselError, match="none is given"):
         termsel.read(tmp_path / "points.csv", rpc_scale=2)
+
+
+@needs_rpc
+def test_heights_in_feet_are_no_part_of_an_image() -> None:
+    """Longitude and latitude state no feet: the RPC tells them by the range of its heights."""
+    features = control(5)
+    ground = features.points.ground.copy()
+    ground[:, 2] = (ground[:, 2] + 3 * camera().ground_scale[2]) / 0.3048
+    raised = replace(camera(), ground_offset=(
+        *camera().ground_offset[:2], camera().ground_offset[2] + 3 * camera().ground_scale[2]))
+    typed = replace(features, rpc=raised, points=replace(features.points, ground=ground))
+    with pytest.raises(TermselError, match="As feet they are inside") as no:
+        termsel.run(features=typed)
+    assert "--set z_unit=ft" in str(no.value.hint)
+    ground[:, 2] *= 0.3048
+    termsel.run(features=replace(typed, points=replace(features.points, ground=ground)))

@@ -8,10 +8,16 @@ import numpy as np
 
 from termsel.errors import TermselError
 from termsel.measurements.coordinates.crs import LOCAL, normalise, to_wgs84
-from termsel.measurements.features import FeatureSet
+from termsel.measurements.coordinates.height_units import FOOT, UNITS
+from termsel.measurements.features import FeatureSet, FloatArray
 from termsel.models.image_part import ImagePart, recognised
 from termsel.models.rpc import Rpc
 from termsel.runs.task.request import Setup
+
+_OUTSIDE = 2.0
+"""Half ranges of the RPC's heights from their middle beyond which heights are surely outside."""
+_NEARER = 0.5
+"""Part of the distance to the measured places that feet must leave."""
 
 
 def part_of_rpc(control: FeatureSet) -> ImagePart | None:
@@ -29,8 +35,33 @@ def part_of_rpc(control: FeatureSet) -> ImagePart | None:
     except TermselError as error:
         raise TermselError(f"the RPC takes ellipsoidal heights, and {error.what}",
                            hint=error.hint) from error
+    _refuse_feet(rpc, places, points.image)
     with np.errstate(all="ignore"):
         return recognised(rpc.project(places), points.image)
+
+
+def _refuse_feet(rpc: Rpc, places: FloatArray, image: FloatArray) -> None:
+    """Refuse heights that the RPC holds as feet alone, and sees the points by much better.
+
+    As metres they move the points, and another part of the image would seem to explain that.
+    """
+    if not len(places):
+        return
+    middle, half = rpc.ground_offset[2], rpc.ground_scale[2]
+    in_metres = places * [1.0, 1.0, UNITS[FOOT]]
+    metres, feet = (float(np.median(heights)) for heights in (in_metres[:, 2], places[:, 2]))
+    if abs(feet - middle) <= _OUTSIDE * half or abs(metres - middle) > half:
+        return
+    with np.errstate(all="ignore"):
+        distances = [np.linalg.norm(rpc.project(ground) - image, axis=1)
+                     for ground in (places, in_metres)]
+        as_read, converted = (float(np.nanmedian(lengths)) for lengths in distances)
+    if converted < as_read * _NEARER:
+        raise TermselError(
+            f"the heights of the control, {feet:,.0f} m (median), are outside those of the RPC, "
+            f"{middle - half:,.0f} to {middle + half:,.0f} m. As feet they are inside, and the RPC "
+            f"sees the points {converted:,.0f} px from where they were measured, in place of "
+            f"{as_read:,.0f} px", hint="State the unit of z: --set z_unit=ft (or us-ft).")
 
 
 def with_part(setup: Setup, part: ImagePart) -> Setup:
