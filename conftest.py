@@ -1,5 +1,5 @@
 """What all tests share, those of the plugins too: commands run in this process, BLAS in one thread,
-and which tests are slow.
+and which cases of a test are slow.
 
 Matrices are small here, and the tests run in several processes. Threads of BLAS beyond the first
 wait for each other in busy loops, which on busy cores took twenty times the processor time of the
@@ -23,10 +23,6 @@ import pytest
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
 
-SLOW = Path(__file__).parent / "tests" / "slow.txt"
-"""Tests of more than a second, where quicker ones see the same; without a parameter, with all."""
-
-
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Iterator[None]:
     """Let garbage collection wait for the tests, and leave what they are made of out of it.
@@ -46,11 +42,19 @@ def pytest_collection() -> Iterator[None]:
 
 @pytest.hookimpl(tryfirst=True)  # before pytest takes out what `-m` leaves out
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests that are slow."""
-    listed = set(SLOW.read_text(encoding="utf-8").splitlines())
+    """Mark the cases that `slow_cases` lists as slow; an id that no case has is an error."""
+    cases: dict[str, set[str]] = {}
     for item in items:
-        if listed & {item.nodeid, item.nodeid.partition("[")[0]}:
-            item.add_marker("slow")
+        test, _, case = item.nodeid.partition("[")
+        cases.setdefault(test, set()).add(case.removesuffix("]"))
+    for item in items:
+        test, _, case = item.nodeid.partition("[")
+        for mark in item.iter_markers("slow_cases"):
+            # One case alone was asked for where only one is there.
+            if len(cases[test]) > 1 and (unknown := set(mark.args) - cases[test]):
+                raise pytest.UsageError(f"{test}: slow_cases names no case: {sorted(unknown)}")
+            if case.removesuffix("]") in mark.args:
+                item.add_marker("slow")
 
 
 def _known() -> dict[Any, Any]:

@@ -189,6 +189,7 @@ def test_a_header_beside_a_link_to_another_file(folder: Path, victim: Path) -> N
         read(folder / "a.bil")
 
 
+@pytest.mark.slow_cases("raw", "wms")
 @pytest.mark.parametrize("kind", ["mrf", "wms", "raw"])
 def test_in_a_process_of_termsel(kind: str, rasters, folder: Path, made_result: Path, typed,
                                  ) -> None:

@@ -119,6 +119,7 @@ def test_names_that_the_user_types_are_followed(control: Path, folder: Path, cal
     assert (folder / "elsewhere" / "page.html").is_file()
 
 
+@pytest.mark.slow_cases("journal.jsonl", "points.csv")
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes by name")
 @pytest.mark.parametrize("name", [".lock", "journal.jsonl", "result.json", "points.csv"])
 def test_pipes(name: str, control: Path, folder: Path, typed) -> None:

@@ -86,6 +86,7 @@ def sheet(path: Path, rows: str, extra: str = "") -> Path:
     return path
 
 
+@pytest.mark.slow_cases("long and wide")
 @pytest.mark.parametrize("rows", [
     '<row r="1"><c r="A1"><v>1</v></c></row><row r="1048576"><c r="XFD1048576"><v>1</v></c></row>',
     '<row r="1"><c r="A1"><v>1</v></c></row><row r="9"><c r="A1048576"><v>1</v></c>'
@@ -95,6 +96,7 @@ def test_a_sheet_of_billions_of_cells(rows: str, folder: Path, refused) -> None:
     refused("run", "--points", "a.xlsx", "--crs", "EPSG:4979")
 
 
+@pytest.mark.slow
 def test_an_archive_that_grows(folder: Path, refused) -> None:
     sheet(folder / "a.xlsx", "<row><c><v>1</v></c></row>" * 2_000_000)
     refused("run", "--points", "a.xlsx", "--crs", "EPSG:4979")
@@ -114,6 +116,7 @@ def test_an_open_document_that_repeats(folder: Path, refused) -> None:
     refused("run", "--points", "a.ods", "--crs", "EPSG:4979")
 
 
+@pytest.mark.slow_cases("sum")
 @pytest.mark.parametrize("view", [
     "WITH RECURSIVE n(fid) AS (SELECT 1 UNION ALL SELECT fid + 1 FROM n) SELECT fid, "
     "(SELECT geom FROM x) AS geom FROM n",
@@ -222,6 +225,7 @@ def test_pipes_and_devices(what: str, kind: str, folder: Path, made_result: Path
             or "there is no result here" in done.stderr, done.stderr
 
 
+@pytest.mark.slow_cases("DIM_a.XML", "a.IMD", "a.RPB", "a.tfw")
 @pytest.mark.parametrize("name", ["a.tif.aux.xml", "a_RPC.TXT", "a.RPB", "a.tfw", "a.tif.ovr",
                                   "a.IMD", "DIM_a.XML", "a.aux"])
 def test_pipes_next_to_a_raster(name: str, folder: Path, made_result: Path, typed) -> None:

@@ -29,18 +29,21 @@ ROOT = Path(__file__).parents[2]
 CHUNK = 50
 
 
+@pytest.mark.slow_cases("0", "2", "3")
 @pytest.mark.parametrize("first", range(4))
 def test_what_is_not_mutated_is_read(first: int) -> None:
     for seed in cases.seeds()[first::4]:
         cases.used_as_it_is(seed)
 
 
+@pytest.mark.slow_cases("100", "150", "200", "250", "300", "350", "50")
 @pytest.mark.parametrize("first", range(0, 400, CHUNK))
 def test_mutated_files_and_hostile_options(first: int) -> None:
     found = [cases.run_case(seed) for seed in range(first, first + CHUNK)]
     assert [outcome for outcome in found if outcome.fault] == []
 
 
+@pytest.mark.slow
 @settings(max_examples=50, deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.data())
 def test_tables_of_any_cells(data: st.DataObject) -> None:
@@ -74,6 +77,7 @@ def test_options_take_a_value_or_refuse_it(value: object, kind: type) -> None:
         assert kind not in (int, float) or 0 <= parsed <= 10
 
 
+@pytest.mark.slow_cases("1")
 @pytest.mark.parametrize("number", range(2))
 def test_whole_commands(number: int, tmp_path: Path) -> None:
     """A command in a process of its own, as the console shows it."""
@@ -111,6 +115,7 @@ def test_what_is_at_fault_is_found(monkeypatch, tmp_path: Path) -> None:
         assert any(fault in cases.run_case(seed).fault for seed in range(4)), fault
 
 
+@pytest.mark.slow
 def test_the_long_run_from_the_command_line() -> None:
     done = subprocess.run([sys.executable, "-m", "tests.fuzz", "--cases", "5", "--first", "5000"],
                           cwd=ROOT, capture_output=True, text=True, timeout=120, check=False)

@@ -74,6 +74,7 @@ def test_forty_sets_of_nine_kinds() -> None:
     assert len({one.kind for one in SETS.values()}) == len(QUICK) == 9
 
 
+@pytest.mark.slow_cases("lines-1")
 @pytest.mark.parametrize("name", ["steady-1", "radar-1", "old-map-1", "vendor-rpc-1", "lines-1"])
 def test_a_set_is_the_frozen_one(name: str) -> None:
     one = simulated(name)
@@ -170,6 +171,7 @@ def test_a_faulty_package_has_no_result(package: str, function: str, why: str) -
     assert why in found.why
 
 
+@pytest.mark.slow_cases("pymoo-script", "scikit-learn")
 @pytest.mark.parametrize("peer", [*PEERS])
 def test_peers_do_what_they_say(peer: str) -> None:
     name = "vendor-rpc-4" if peer == "orthority" else "steady-4"

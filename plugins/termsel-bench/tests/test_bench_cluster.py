@@ -15,6 +15,7 @@ from termsel_bench.protocol import scores
 from termsel_bench.submitted import check, read_submitted
 
 
+@pytest.mark.slow
 def test_workers_of_a_scheduler_give_the_scores_of_this_process() -> None:
     distributed = pytest.importorskip("distributed")
     methods = [Method("model", "affine"), Method("peer", "gdal-polynomial")]
@@ -28,12 +29,14 @@ def test_workers_of_a_scheduler_give_the_scores_of_this_process() -> None:
     assert all(one.rmse > 0 for one in shared)
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_is_not_there_is_named() -> None:
     pytest.importorskip("distributed")
     with pytest.raises(TermselError, match="does not answer"):
         list(scores([Method("model", "affine")], ["frame-1"], scheduler="tcp://127.0.0.1:1"))
 
 
+@pytest.mark.slow_cases("auto.json")
 @pytest.mark.parametrize("name", ["gdal-polynomial.json", "gdal-tps.json", "auto.json"])
 def test_published_results_are_confirmed_by_recomputation(name: str) -> None:
     folder = Path(__file__).parents[1] / "results"

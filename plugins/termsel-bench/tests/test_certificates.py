@@ -145,6 +145,7 @@ def test_a_changed_file_is_refused(proof: tuple[dict[str, Any], Path],
                 check.check(file)
 
 
+@pytest.mark.slow
 @settings(max_examples=80, deadline=None)
 @given(data=st.data())
 def test_no_forged_tree_proves_a_limit_that_a_selection_is_below(
@@ -444,6 +445,7 @@ def test_a_search_is_not_lost_where_its_certificate_is(
     assert f"no certificate is written: {error}" in caplog.text
 
 
+@pytest.mark.slow
 def test_an_rfm_of_second_order_is_certified(tmp_path: Path) -> None:
     termsel.run("rfm-terms", solver="exact",
                 options={"order": 2, "max_terms": 6, "certificate": True}, out=tmp_path)

@@ -167,6 +167,7 @@ def test_the_step_is_that_of_lapack() -> None:
         np.testing.assert_allclose(block, covariance[at, at], rtol=1e-8, atol=1e-12)
 
 
+@pytest.mark.slow_cases("0")
 @pytest.mark.parametrize("whole", [0, 10_000])
 def test_a_large_block_is_solved_as_a_small_one(
         monkeypatch: pytest.MonkeyPatch, whole: int) -> None:

@@ -75,6 +75,7 @@ def test_control_of_the_other_image_tells_how_high_a_plain_is() -> None:
     assert error(flat, 1) < 1.5
 
 
+@pytest.mark.slow
 def test_a_dem_holds_a_pair_even_if_it_refers_to_another_surface(tmp_path: Path) -> None:
     simulated = pair()
     without = adjust(simulated.block)
@@ -174,6 +175,7 @@ def test_the_rpc_of_another_image_of_the_place_is_doubted() -> None:
     assert any("I3" in note and "another image" in note for note in notes)
 
 
+@pytest.mark.slow_cases("300.0")
 @pytest.mark.parametrize("off", [300.0, -1500.0])
 def test_a_dem_hundreds_of_metres_off_moves_nothing(off: float, tmp_path: Path) -> None:
     simulated = pair()
@@ -184,6 +186,7 @@ def test_a_dem_hundreds_of_metres_off_moves_nothing(off: float, tmp_path: Path) 
     assert f"{abs(off):,.0f} m {'above' if off > 0 else 'below'} the ground" in note
 
 
+@pytest.mark.slow_cases("1500.0-True")
 @pytest.mark.parametrize(("off", "said"), [(0.0, False), (300.0, True), (1500.0, True)])
 def test_without_control_a_block_says_that_the_dem_is_another(
         off: float, said: bool, tmp_path: Path) -> None:

@@ -81,6 +81,7 @@ def test_a_scanner_has_its_derivatives(scanners: BlockResult) -> None:
         np.testing.assert_allclose(rows[:, :, at], (ahead - back) / 2e-3, rtol=1e-3, atol=0.05)
 
 
+@pytest.mark.slow
 def test_the_result_of_a_scanner_is_its_model(scanners: BlockResult, tmp_path: Path) -> None:
     record = record_of(scanners)
     assert [image.model for image in record.images] == ["scanner"] * 3
@@ -235,6 +236,7 @@ def test_a_sensor_is_one_claim_of_all_images_that_state_it(
         "The 2 images that state it are adjusted as those of an unknown sensor.",)
 
 
+@pytest.mark.slow
 def test_a_view_straight_down_that_is_not_is_seen(
         simulated: Simulated, tmp_path: Path) -> None:
     """Views are 20 degrees off: terms say so, or agree with what is known as the ground bends."""
@@ -261,6 +263,7 @@ def test_options_are_read(tmp_path: Path) -> None:
     assert second.options == {}
 
 
+@pytest.mark.slow
 def test_a_scanner_begins_with_ties_where_it_has_no_control(simulated: Simulated) -> None:
     images = list(modelled(simulated.block, "scanner").images)
     images[:2] = simulated.block.images[:2]
@@ -303,6 +306,7 @@ def test_a_sensor_is_read_from_the_folder_of_the_block(tmp_path: Path) -> None:
         read_block(tmp_path / "m/block.toml")
 
 
+@pytest.mark.slow
 def test_a_sensor_that_is_nearly_right_is_said_and_not_used(simulated: Simulated) -> None:
     """A field of 4 m seen straight down meets six points of a view of 2.5 m to the side."""
     images = list(simulated.block.images)
@@ -315,6 +319,7 @@ def test_a_sensor_that_is_nearly_right_is_said_and_not_used(simulated: Simulated
     assert errors(result)[0] < 2.0  # 13 px, and a predicted 4
 
 
+@pytest.mark.slow
 def test_a_sensor_that_is_right_stays(simulated: Simulated, tmp_path: Path) -> None:
     """As the simulated scanner is: 680 km high, whose pixel is 2.2 m straight down."""
     (tmp_path / "mine.json").write_text(json.dumps({
@@ -329,6 +334,7 @@ def test_a_sensor_that_is_right_stays(simulated: Simulated, tmp_path: Path) -> N
     assert errors(result)[0] < 2.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("i", [0, 2])
 def test_a_camera_of_another_kind_is_said(simulated: Simulated, i: int) -> None:
     """As a frame a scanner is 26 to 48 px off under a predicted 7 to 10."""

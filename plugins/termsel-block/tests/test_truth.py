@@ -39,6 +39,7 @@ def chi_square(simulated: Simulated, result: BlockResult) -> float:
     return float(of_each[times_seen(result) > 1].mean()) / 3
 
 
+@pytest.mark.slow
 def test_images_without_geometry_know_how_uncertain_they_are() -> None:
     """Their perspective is common to all, so that ties cannot show it."""
     found, off = [], []
@@ -86,6 +87,7 @@ def test_a_correction_is_dropped_only_after_those_that_contain_it() -> None:
     assert len(record_of(result).wrong_ties) < 3  # 42
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rpcs", [True, False])
 def test_wrong_ties_cost_little(rpcs: bool) -> None:
     """A tenth of them, and at most 15 %."""
@@ -98,6 +100,7 @@ def test_wrong_ties_cost_little(rpcs: bool) -> None:
     assert np.mean(ratios) < 1.15
 
 
+@pytest.mark.slow
 def test_a_dem_holds_ties_that_no_image_in_use_sees(tmp_path: Path) -> None:
     rasterio = pytest.importorskip("rasterio")
     n, half = 400, 0.3

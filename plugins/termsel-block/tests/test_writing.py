@@ -40,6 +40,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
     return result, images, folder
 
 
+@pytest.mark.slow
 def test_a_failure_while_writing_changes_nothing(
         written: Written, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     result, images, _ = written

@@ -81,6 +81,7 @@ def _plain(study: termsel.Study) -> list[dict[str, object]]:
     return [{key: value for key, value in row.items() if key not in TIMES} for row in study.rows]
 
 
+@pytest.mark.slow
 def test_a_cluster_gives_what_one_process_gives_whatever_is_lost(cluster: Cluster) -> None:
     asked = {**ASKED, "seeds": 10, "budget": {"evaluations": 1000}}
     alone = termsel.compare(**asked)
@@ -106,6 +107,7 @@ def test_a_cluster_gives_what_one_process_gives_whatever_is_lost(cluster: Cluste
     assert _plain(found) == _plain(alone)
 
 
+@pytest.mark.slow
 def test_workers_without_a_plugin_are_named_before_anything_runs(
         cluster: Cluster, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
@@ -128,6 +130,7 @@ echo Submitted batch job 1
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a shell")
 def test_the_page_on_clusters_starts_workers_through_a_queue(
         tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -160,6 +163,7 @@ def test_the_page_on_clusters_starts_workers_through_a_queue(
     assert _plain(found) == _plain(termsel.compare(**asked))
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_does_not_answer_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     from termsel_cluster import cluster
 

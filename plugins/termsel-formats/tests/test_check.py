@@ -27,6 +27,7 @@ WITH_GDAL = shutil.which("gdaltransform") is not None
 WITH_QGIS = WITH_GDAL and shutil.which("qgis_process") is not None
 
 
+@pytest.mark.slow_cases("modest_import")
 @pytest.mark.parametrize("check", checks("termsel-formats"), ids=lambda check: check.name)
 def test_conforms(check: Check) -> None:
     check.run()
@@ -65,6 +66,7 @@ def exact(result: termsel.Result, moved: float = 0.0) -> object:
                   right[1] - corner[1], down[1] - corner[1], corner[1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moved", [0.0, 20.0])
 def test_an_affine_transformation_is_as_far_off_as_it_was_moved(
         result: termsel.Result, tmp_path: Path, moved: float) -> None:
@@ -97,6 +99,7 @@ def test_a_geotransform_hides_gcps_from_nobody(result: termsel.Result, tmp_path:
             assert one.over_image.largest < 0.01, one
 
 
+@pytest.mark.slow
 def test_a_raster_without_place_has_no_transformation(result: termsel.Result, tmp_path: Path,
                                                       ) -> None:
     found, _ = compared(raster(tmp_path / "plain.tif"), result)
@@ -104,6 +107,7 @@ def test_a_raster_without_place_has_no_transformation(result: termsel.Result, tm
     assert found[0].transformation == "none: places are pixels"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not WITH_QGIS, reason="qgis_process is not installed")
 @pytest.mark.parametrize("held", [None, b"<PAMDataset><Metadata/></PAMDataset>"])
 def test_a_check_writes_nothing_next_to_the_raster(held: bytes | None, tmp_path: Path) -> None:
@@ -118,6 +122,7 @@ def test_a_check_writes_nothing_next_to_the_raster(held: bytes | None, tmp_path:
     assert (sidecar.read_bytes() if sidecar.exists() else None) == held
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("beside", [True, False])
 def test_a_world_file_is_read_with_or_without_its_image(result: termsel.Result, tmp_path: Path,
                                                         beside: bool) -> None:
@@ -136,6 +141,7 @@ def test_a_world_file_is_read_with_or_without_its_image(result: termsel.Result, 
     assert sorted(tmp_path.iterdir()) == before
 
 
+@pytest.mark.slow
 def test_an_rpc_is_told_apart_from_one_at_the_height_0(tmp_path: Path) -> None:
     scene = termsel.simulate_scene("ikonos-hamedan", n_lines=0)
     own = termsel.run("rfm-terms", features=scene, solver="all-terms", options={"order": 2})
@@ -161,6 +167,7 @@ def call(*words: object) -> Result:
     return invoke(*words)
 
 
+@pytest.mark.slow
 def test_the_command_warns_and_prints_json(result: termsel.Result, tmp_path: Path) -> None:
     (tmp_path / "r").mkdir()
     write_result(result, tmp_path / "r")
@@ -187,6 +194,7 @@ def test_what_cannot_be_checked(name: str, said: str, tmp_path: Path) -> None:
     assert "Traceback" not in done.output
 
 
+@pytest.mark.slow
 def test_another_image_is_refused(result: termsel.Result, tmp_path: Path) -> None:
     other = raster(tmp_path / "map.tif", exact(result), size=(410, 500))
     with pytest.raises(TermselError, match="410 lines and 500 samples, and the image of the"):

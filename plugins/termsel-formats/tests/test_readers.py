@@ -254,6 +254,7 @@ def test_bad_asp_files(tmp_path: Path, old: str, new: str, line: int, column: st
     assert (caught.value.line, caught.value.column) == (line, column)
 
 
+@pytest.mark.slow
 def test_many_points(tmp_path: Path) -> None:
     n = 20_000
     values = np.random.default_rng(1).random((n, 5)) * 1000

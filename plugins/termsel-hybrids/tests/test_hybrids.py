@@ -141,6 +141,7 @@ def test_fitness_under_hybrid_3_is_that_after_interpolation() -> None:
         assert fitness == pytest.approx(rmse, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_best_terms_under_hybrid_3_are_proven() -> None:
     found = termsel.run("poly-terms", model="hybrid-3", solver="exact", options={"degree": 3})
     searched = termsel.run("poly-terms", model="hybrid-3", options={"degree": 3}, generations=20)
@@ -346,6 +347,7 @@ def test_other_models_need_no_leave_one_out() -> None:
     assert "\n  leave-one-out" not in result.summary(verbose=True)
 
 
+@pytest.mark.slow
 def test_a_line_is_left_out_as_a_whole() -> None:
     result = termsel.run("poly-terms", model="hybrid-1", solver="all-terms",
                          options={"mixed": True, "degree": 1})
@@ -359,6 +361,7 @@ def test_a_line_is_left_out_as_a_whole() -> None:
     assert np.abs(without.line_errors()[-1]).max() > np.abs(result.fit.line_errors()[-1]).max()
 
 
+@pytest.mark.slow_cases("hybrid-3", "multiquadric", "pointwise")
 @pytest.mark.parametrize("name", MODELS)
 def test_features_are_judged_with_the_correction_by_those_in_use(name: str) -> None:
     task = termsel.prepare("owdis-points", dataset="ikonos-hamedan", model=name)

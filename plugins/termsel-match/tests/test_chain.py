@@ -50,6 +50,7 @@ def candidates(place: Any, wrong: float, turned: float = 1.0) -> FeatureSet:
                       image_size=(500, 500))
 
 
+@pytest.mark.slow
 def test_half_of_the_candidates_may_be_wrong(place: Any) -> None:
     true, errors = place.world.independent(), []
     for wrong in (0.0, 0.5):
@@ -72,6 +73,7 @@ def test_few_that_agree_by_chance_are_no_success(place: Any) -> None:
         select_points(candidates(place, 1.0), "rpc-drift", {"rpc": str(place / "image.RPB")})
 
 
+@pytest.mark.slow
 def test_a_map_shows_the_ground_where_it_is(place: Any, says: Any, tmp_path: Path) -> None:
     output, folder = tmp_path / "map.tif", tmp_path / "out"
     words = ("auto-georeference", place / "image.tif", "--reference", place / "ortho.tif", "--dem",
@@ -100,6 +102,7 @@ def test_a_map_shows_the_ground_where_it_is(place: Any, says: Any, tmp_path: Pat
                                        likeness(0, -2))
 
 
+@pytest.mark.slow
 def test_a_result_that_is_not_good_enough_ends_with_three(place: Any, says: Any, tmp_path: Path,
                                                          altered: Callable[..., Path]) -> None:
     output = tmp_path / "map.tif"
@@ -116,6 +119,7 @@ def test_a_result_that_is_not_good_enough_ends_with_three(place: Any, says: Any,
     assert not output.exists()
 
 
+@pytest.mark.slow
 def test_lines_that_cannot_be_used_lose_no_map(place: Any, says: Any, tmp_path: Path) -> None:
     words = ("auto-georeference", place / "image.tif", "--reference", place / "ortho.tif", "--dem",
              place / "dem.tif", "--count", 60, "--overwrite", "-o", tmp_path / "map.tif")
@@ -129,6 +133,7 @@ def test_lines_that_cannot_be_used_lose_no_map(place: Any, says: Any, tmp_path: 
         assert (tmp_path / "map.tif").exists()
 
 
+@pytest.mark.slow
 def test_lines_that_contradict_the_points_are_refused(place: Any) -> None:
     options = {"rpc": str(place / "image.RPB")}
     selected = select_points(candidates(place, 0.0), "rpc-drift", options)
@@ -146,6 +151,7 @@ def test_lines_that_contradict_the_points_are_refused(place: Any) -> None:
                        .result.features.lines) == 20
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("wrong", "made"), [(0.2, True), (0.7, False)])
 def test_a_map_needs_half_of_all_independent_candidates(place: Any, tmp_path: Path, wrong: float,
                                                         made: bool) -> None:

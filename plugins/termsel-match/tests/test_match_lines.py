@@ -93,6 +93,7 @@ def test_most_candidates_are_wrong_and_many_pieces_have_a_right_one(
     assert np.abs(found.lines.attributes["offset"].astype(float)).max() <= 63
 
 
+@pytest.mark.slow
 def test_rounds_find_the_camera_from_thirty_px_off(place: Any, tmp_path: Path) -> None:
     done = iterate_lines(place / "image.tif", place / "roads.gpkg", "rpc-drift",
                          {"rpc": str(place / "image.RPB")}, dem=place / "dem.tif",
@@ -142,6 +143,7 @@ def traced(sigma: float, seed: int, count: int) -> tuple[MatchedLines, Any, floa
     return problem, chosen, float(np.sqrt((away**2).sum(axis=1).mean()))
 
 
+@pytest.mark.slow_cases("1.0", "2.5")
 @pytest.mark.parametrize("sigma", [0.0, 1.0, 2.5])
 def test_what_errors_of_tracing_leave_is_told(sigma: float) -> None:
     told, true = [], []
@@ -182,6 +184,7 @@ def test_it_is_said_why_tracing_cannot_be_told() -> None:
     assert found.vectors == 1
 
 
+@pytest.mark.slow
 def test_the_table_runs_as_a_problem(place: Any, found: LineCandidates, tmp_path: Path) -> None:
     termsel.write_lines_csv(found.lines, tmp_path / "lines.csv", found.crs)
     features = termsel.read(lines=tmp_path / "lines.csv")
@@ -302,6 +305,7 @@ def test_the_command_names_the_run_that_selects(place: Any, says: Any, tmp_path:
     assert f"--lines '{table}' --out result" in text
 
 
+@pytest.mark.slow
 def test_a_start_beyond_the_search_is_no_success(place: Any) -> None:
     rpc = place.world.rpc
     far = Start("a wrong RPC", "EPSG:4979", 520.0, lambda ground: rpc.project(ground) + 70,

@@ -31,6 +31,7 @@ def polygons(path: Path, shapes: list[Any], crs: str | None) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_nothing_is_matched_in_polygons(place: Any, tmp_path: Path) -> None:
     left = shapely.box(0, 0, 250, 500)
     in_px = polygons(tmp_path / "px.gpkg", [left], None)
@@ -154,6 +155,7 @@ def test_otsu_divides_two_classes() -> None:
     assert otsu(rng.normal(0, 1, 1000))[1] < 0.75
 
 
+@pytest.mark.slow
 def test_chips_and_tiles_are_a_reference(place: Any, says: Any, tmp_path: Path) -> None:
     folder = tmp_path / "chips"
     folder.mkdir()
@@ -186,6 +188,7 @@ def test_chips_and_tiles_are_a_reference(place: Any, says: Any, tmp_path: Path) 
         match(place / "image.tif", folder, dem=place / "dem.tif")
 
 
+@pytest.mark.slow
 def test_time_ends_the_matching_with_what_there_is(place: Any, monkeypatch: pytest.MonkeyPatch,
                                                    ) -> None:
     from termsel_match.points import cells

@@ -82,6 +82,7 @@ def test_their_standard_deviations_hold(place: Any, found: Candidates) -> None:
     assert (np.abs(np.log(chi_squares(place, found))) < np.log(1.6)).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("texture", ["moon", "gravel"])
 def test_their_standard_deviations_hold_on_photographs(place: Any, texture: str,
                                                        tmp_path: Path) -> None:
@@ -111,6 +112,7 @@ def test_they_are_spread_over_the_image_and_have_scores(found: Candidates) -> No
     assert sum(found.cells.values()) >= found.cells["found"] > 15
 
 
+@pytest.mark.slow
 def test_without_a_start_the_place_is_found(place: Any) -> None:
     other = match(place / "image.tif", place / "ortho.tif", dem=place / "dem.tif", count=60,
                   start="none")
@@ -118,6 +120,7 @@ def test_without_a_start_the_place_is_found(place: Any) -> None:
     assert (place.errors(other.points, other.crs) < 1).mean() > 0.8
 
 
+@pytest.mark.slow
 def test_what_takes_long_is_said_before(
         place: Any, altered: Callable[..., Path], caplog: pytest.LogCaptureFixture,
         monkeypatch: pytest.MonkeyPatch) -> None:
@@ -132,6 +135,7 @@ def test_what_takes_long_is_said_before(
     assert "A --start saves it" in caplog.text
 
 
+@pytest.mark.slow
 def test_three_corners_are_a_start(place: Any, tmp_path: Path) -> None:
     points = place.world.independent().take([0, 40, 80, 120])
     rough = termsel.Points(points.ids, points.image + np.array([9, -7]), points.ground)
@@ -146,6 +150,7 @@ def test_three_corners_are_a_start(place: Any, tmp_path: Path) -> None:
     assert "# crs: EPSG:32633" in (error.value.hint or "")
 
 
+@pytest.mark.slow
 def test_bands_and_types_do_not_matter(place: Any, altered: Callable[..., Path]) -> None:
     image = altered("image.tif", lambda pixels: np.concatenate(
         [pixels * 7, pixels * 0 + 5, pixels * 3]).astype(np.float32))
@@ -155,6 +160,7 @@ def test_bands_and_types_do_not_matter(place: Any, altered: Callable[..., Path])
         match(image, place / "ortho.tif", band=4)
 
 
+@pytest.mark.slow
 def test_a_coarser_reference_is_matched_at_its_resolution(place: Any,
                                                          altered: Callable[..., Path]) -> None:
     west, north = place.world.corner
@@ -192,6 +198,7 @@ def _cloud(pixels: Any) -> Any:
     return (1700 + 60 * soft + rng.normal(0, 10, soft.shape)).round().astype(np.uint16)[None]
 
 
+@pytest.mark.slow_cases("cloud")
 @pytest.mark.parametrize(("change", "reason"), [
     (_cloud, "not enough candidates"),
     (lambda pixels: np.full_like(pixels, 100), "no texture"),
@@ -203,6 +210,7 @@ def test_an_image_without_likeness_ends_with_the_reason(
     assert reason in str(caught.value)
 
 
+@pytest.mark.slow
 def test_a_reference_elsewhere_or_nowhere_is_refused(place: Any,
                                                     altered: Callable[..., Path]) -> None:
     west, north = place.world.corner
@@ -219,6 +227,7 @@ def test_a_reference_elsewhere_or_nowhere_is_refused(place: Any,
         match(place / "image.tif", place / "ortho.tif", dem=far)
 
 
+@pytest.mark.slow
 def test_without_heights_it_is_said(place: Any, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level("INFO", logger="termsel.match"):
         other = match(place / "image.tif", place / "ortho.tif", count=60)

@@ -43,6 +43,7 @@ def views(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Vie
     return folder, made
 
 
+@pytest.mark.slow
 def test_ties_of_a_triplet_hold_a_block(views: tuple[Path, dict[str, View]], says: Any) -> None:
     folder, worlds = views
     code, text = says("match-ties", *(folder / f"{name}.tif" for name in "ABC"), "--dem",

@@ -142,6 +142,7 @@ def test_options_of_a_matcher_are_checked(place: Any, says: Any, words: Any, sai
     assert said in text
 
 
+@pytest.mark.slow
 def test_an_inverted_image_is_matched_by_structure(
         place: Any, altered: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
     image = altered("image.tif", lambda pixels: 2047 - pixels)
@@ -152,6 +153,7 @@ def test_an_inverted_image_is_matched_by_structure(
     assert _good(place, found) > 0.8
 
 
+@pytest.mark.slow
 def test_structure_is_asked_where_sift_finds_few(
         place: Any, altered: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
     def infrared(pixels: Any) -> Any:  # fields of another order of brightness

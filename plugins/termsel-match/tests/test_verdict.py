@@ -36,12 +36,15 @@ from termsel_match.simulated.world_files import write_world
 SIZE = (1000, 1000)
 
 
+@pytest.mark.slow_cases(
+    "31-seam", "32-half replaced", "33-another place", "34-wrong heights", "36-clouds")
 @pytest.mark.parametrize(("seed", "kind"), list(enumerate(BAD, 31)))
 def test_a_bad_reference_does_not_pass_without_a_remark(tmp_path: Path, seed: int,
                                                         kind: str) -> None:
     assert verdict(kind, seed, 300, tmp_path).end != PASSED
 
 
+@pytest.mark.slow
 def test_a_good_reference_is_not_refused(tmp_path: Path) -> None:
     case = verdict("good", 41, 400, tmp_path)
     assert case.end != REFUSED
@@ -57,6 +60,7 @@ def measured(place: Any, seam: float = 0.0, noise: float = 0.2) -> FeatureSet:
                       image_size=(500, 500))
 
 
+@pytest.mark.slow
 def test_the_limit_does_not_grow_with_a_fault_of_the_reference(place: Any) -> None:
     for accept in (2.0, 1.5):
         limit = select_points(measured(place, 5.0), "rpc-drift",
@@ -70,6 +74,7 @@ def straight(place: Any) -> Selected:
     return select_points(measured(place), "rpc-drift", {"rpc": str(place / "image.RPB")})
 
 
+@pytest.mark.slow_cases("4.0-400")
 @pytest.mark.parametrize(("seam", "before"), [(1.0, 300), (4.0, 400)])
 def test_a_smooth_correction_that_follows_a_seam_is_remarked(
         place: Any, seam: float, before: int) -> None:
@@ -88,6 +93,7 @@ def test_a_smooth_correction_that_follows_a_seam_is_remarked(
     assert change.away @ np.array([0.6, -0.8]) > 0.4 * seam
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seam", [2.0, 7.8])
 def test_a_seam_is_seen_and_named(place: Any, tmp_path: Path, seam: float) -> None:
     table = tmp_path / "candidates.csv"
@@ -99,6 +105,7 @@ def test_a_seam_is_seen_and_named(place: Any, tmp_path: Path, seam: float) -> No
     assert "Look at this:" in done.text()
 
 
+@pytest.mark.slow
 def test_jitter_is_corrected_as_far_as_candidates_call_for_it() -> None:
     quiet, shaken = (World(size=500, seed=3, jitter=jitter) for jitter in (0.0, 1.2))
     for world, most in ((quiet, 0.2), (shaken, 0.5)):
@@ -113,6 +120,7 @@ def test_jitter_is_corrected_as_far_as_candidates_call_for_it() -> None:
     assert chosen.correction.model == "rpc-jitter"
 
 
+@pytest.mark.slow_cases("1.2-3-False", "2.0-3-True")
 @pytest.mark.parametrize(("jitter", "seed", "refused"), [(1.2, 3, False), (2.0, 3, True)])
 def test_a_smooth_correction_is_not_taken_where_no_candidate_holds_it(
         tmp_path: Path, jitter: float, seed: int, refused: bool) -> None:
@@ -169,6 +177,7 @@ def test_what_a_correction_misses_is_neither_noise_nor_wrong_candidates() -> Non
             assert abs(told - true) < 0.35
 
 
+@pytest.mark.slow
 def test_where_no_plainer_correction_is_possible_the_richer_one_stays(
         tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     world = World(size=400, seed=3, jitter=1.2)
@@ -204,6 +213,7 @@ def test_a_correction_without_a_seam_changes_nowhere(straight: Selected) -> None
     assert certificate is None or certificate.of == 1  # all are used: nothing to prove
 
 
+@pytest.mark.slow
 def test_large_corrections_and_strange_heights_are_remarked(place: Any, tmp_path: Path) -> None:
     for above, said in ((0.0, False), (300.0, True)):
         features = measured(place)
@@ -219,6 +229,7 @@ def test_large_corrections_and_strange_heights_are_remarked(place: Any, tmp_path
         assert f"Correction to the start: {np.median(moved):.1f} px" in text
 
 
+@pytest.mark.slow
 def test_a_reference_of_a_part_is_no_reason_to_refuse(place: Any, altered: Callable[..., Path],
                                                       tmp_path: Path) -> None:
     def quarter(pixels: Any) -> Any:
@@ -243,6 +254,7 @@ def test_a_reference_of_a_part_is_no_reason_to_refuse(place: Any, altered: Calla
         assert whole.shape >= part.shape
 
 
+@pytest.mark.slow
 def test_the_recommended_run_is_the_run_of_the_chain(place: Any, says: Any,
                                                      tmp_path: Path) -> None:
     common = ("--reference", place / "ortho.tif", "--dem", place / "dem.tif")
@@ -265,6 +277,7 @@ def test_the_recommended_run_is_the_run_of_the_chain(place: Any, says: Any,
         assert (one.read() == two.read()).all()
 
 
+@pytest.mark.slow
 def test_independent_points_of_a_table_stay_so(place: Any, tmp_path: Path) -> None:
     points, table = measured(place).points, tmp_path / "points.csv"
     roles = tuple("independent" if i < 40 else "off" if i < 50 else "control" for i in range(200))
@@ -313,6 +326,7 @@ def test_structure_is_seen_where_there_is_some(seed: int, noise: float) -> None:
     assert 0.6 < found.size < 1.2
 
 
+@pytest.mark.slow
 def test_structure_of_noise_is_rarely_seen() -> None:
     rng, seen = np.random.default_rng(5), 0
     for _ in range(100):
@@ -379,6 +393,7 @@ def test_ground_that_repeats_is_told_from_other_ground(tmp_path: Path) -> None:
     assert distance == 59  # the tile has 118 px of 0.5 m
 
 
+@pytest.mark.slow
 def test_a_large_reference_is_read_by_windows(place: Any, tmp_path: Path,
                                                monkeypatch: pytest.MonkeyPatch) -> None:
     side, away, path = 8704, (4100, 3000), tmp_path / "large.tif"

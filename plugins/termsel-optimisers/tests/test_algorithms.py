@@ -23,6 +23,7 @@ for compiled in (age.find_corner_solutions, age.point_2_line_distance,
     compiled.enable_caching()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("problem", "options"), [
     ("poly-terms", {"degree": 4}), ("rfm-terms", {"order": 2}), ("owdis-points", {})])
 def test_ga_is_the_batched_twin_of_deap(problem: str, options: dict[str, Any]) -> None:
@@ -42,6 +43,9 @@ def test_ga_is_the_batched_twin_of_deap(problem: str, options: dict[str, Any]) -
     assert ks_2samp(batched, weak).pvalue < 0.001
 
 
+@pytest.mark.slow_cases(
+    "age-moea2-narrow_genomes", "age-moea2-typed_genomes", "sms-emoa-typed_genomes",
+    "spea2-narrow_genomes", "spea2-typed_genomes")
 @pytest.mark.parametrize("check", [
     pytest.param(check, id=f"{solver.name}-{check.name}")
     # A small population is quick, and goes through the same code.

@@ -240,6 +240,7 @@ def test_generators_that_pymoo_makes_without_a_seed_have_one(algorithm: str) -> 
     assert seen[:7] == seen[7:]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("check", [
     check for algorithm in ALGORITHMS for check in checks(
         Pymoo, options=[{"algorithm": algorithm}], expected_failures={

@@ -64,6 +64,7 @@ def _map_of_dask(_start: str) -> Iterator[Any]:
             client.map(function, *each, pure=False)))
 
 
+@pytest.mark.slow_cases("_map_of_dask-", "_map_of_processes-spawn")
 @pytest.mark.parametrize(("pool", "start"), [
     pytest.param(_map_of_processes, "fork", marks=pytest.mark.skipif(
         "fork" not in multiprocessing.get_all_start_methods(), reason="no fork here")),

@@ -104,6 +104,7 @@ def test_local_deformation_is_no_blunder(seed: int) -> None:
     assert found.blunders.mean() <= 0.02
 
 
+@pytest.mark.slow_cases("1", "2")
 @pytest.mark.parametrize("seed", range(3))
 def test_no_spline_bends_to_a_blunder(seed: int) -> None:
     mine, others = scattered(seed, 60)
@@ -122,6 +123,7 @@ def test_no_spline_bends_to_a_blunder(seed: int) -> None:
     assert total(again.chosen.fit.errors(others)) < 1.1 * total(clean.chosen.fit.errors(others))
 
 
+@pytest.mark.slow
 def test_independent_points_of_a_map_take_no_part_in_the_choice() -> None:
     features = simulate_map(n_points=45, local=15.0)
     independent = np.array(features.points.roles) == "independent"

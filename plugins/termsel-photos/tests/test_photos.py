@@ -25,6 +25,7 @@ DISTORTED = {"control_kinds": "distortion bends lines", "axis": "distortion coup
              "translation": "the centre of distortion stays", "fit": "drawn distortions fold"}
 
 
+@pytest.mark.slow_cases("modest_import")
 @pytest.mark.parametrize("check", [
     *checks(Radial2D, expected_failures=DISTORTED), *checks(Radial3D, expected_failures=DISTORTED),
     *checks(RECIPE), *checks(photo.PHOTO), *checks("termsel-photos")], ids=lambda check: check.name)

@@ -102,6 +102,7 @@ def test_finds_of_different_starts_come_together() -> None:
     assert in_one_start < 3
 
 
+@pytest.mark.slow_cases("5")
 @pytest.mark.parametrize("degree", [4, 5])
 def test_polynomials_with_a_shared_mask(degree: int) -> None:
     task = termsel.prepare("poly-terms", dataset="ikonos-hamedan",

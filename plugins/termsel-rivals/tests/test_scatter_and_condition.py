@@ -93,6 +93,7 @@ def test_figure_condition_is_the_predicted_error_of_the_fit() -> None:
     assert value == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_figure_condition_prefers_fewer_terms_than_the_control_rmse_does() -> None:
     task = termsel.prepare("rfm-terms", dataset="ikonos-hamedan", criterion="figure-condition",
                            options={"order": 2})

@@ -124,6 +124,7 @@ def bumpy(n: int, seed: int, noise: float = 0.3) -> FeatureSet:
     return replace(features, points=replace(features.points, image=image))
 
 
+@pytest.mark.slow
 def test_local_errors_of_an_rpc_call_for_a_random_field(tmp_path: Path) -> None:
     for check in checks(LOCAL, features=[scene(3), scene(30, 2), bumpy(40, 0)]):
         check.run()
@@ -178,6 +179,7 @@ def test_errors_without_each_are_those_of_the_rest() -> None:
     assert density[0] == pytest.approx(whole.log - rest.log, abs=1e-6)
 
 
+@pytest.mark.slow_cases("12-3-0.6")
 @pytest.mark.parametrize(("n", "width", "allowed"), [
     (1, 1, 3.0), (2, 1, 1.0), (4, 1, 0.6), (6, 2, 0.8), (12, 3, 0.6)])
 def test_the_error_of_an_rpc_is_found(n: int, width: int, allowed: float) -> None:
@@ -216,6 +218,7 @@ def test_a_result_keeps_the_rpc(tmp_path: Path) -> None:
         termsel.read_result(tmp_path / "r")
 
 
+@pytest.mark.slow_cases("8-rpc_IKONOS.txt", "8-rpc_WV3.xml")
 @pytest.mark.parametrize("vendor", ["rpc_IKONOS.txt", "rpc_WV3.xml", "rpc_PLANET_L1B.txt"])
 @pytest.mark.parametrize("n", [1, 8])
 def test_an_exported_rpc_has_the_correction_through_gdal(
@@ -237,6 +240,7 @@ def test_an_exported_rpc_has_the_correction_through_gdal(
     assert np.abs(away).max() < 0.05
 
 
+@pytest.mark.slow
 def test_one_blunder_among_five_is_named() -> None:
     for seed in range(5):
         features = scene(5, 2, seed=seed)
@@ -281,6 +285,7 @@ def test_points_that_cannot_correct_it_are_named(change: dict[str, object], said
     assert any("The RPC is not used" in note and said in note for note in result.notes)
 
 
+@pytest.mark.slow
 def test_clearly_better_points_are_preferred_to_an_rpc() -> None:
     """Of an image that was resampled after its RPC was made."""
     features = scene(40, 1)

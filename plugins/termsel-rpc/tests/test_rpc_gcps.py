@@ -49,6 +49,7 @@ def test_runs_by_its_name_and_drops_the_blunders(run_by_name: Path) -> None:
     assert record["rmse"]["independent"]["total"] < 1.1
 
 
+@pytest.mark.slow
 def test_the_note_says_what_the_search_drove_down() -> None:
     notes = " ".join(termsel.run("rpc-gcps", generations=2,
                                  options={"blunders": "keep", "polish": False}).notes)
@@ -189,6 +190,7 @@ def test_bad_input_gives_one_message(arguments: list[str], said: str, call: Call
     assert not done.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("model", "option"), [("rpc-drift", "rpc"),
                                                ("pushbroom-refine", "geometry")])
 def test_a_result_is_whole_without_the_vendors_file(

@@ -85,6 +85,7 @@ def suites() -> dict[str, tuple[Check, ...]]:
     return found
 
 
+@pytest.mark.slow_cases("pushbroom-refine-fit")
 @pytest.mark.parametrize("check", [pytest.param(check, id=f"{name}-{check.name}")
                                    for name, listed in suites().items() for check in listed])
 def test_conforms(check: Check) -> None:

@@ -79,6 +79,7 @@ def test_golden_positions(kind: str) -> None:
     assert rmse(fitted, scene) < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_auto_chooses_the_camera_and_reads_it_back(mirrored: bool, tmp_path: Path) -> None:
     scene = photo("panoramic", 10)
@@ -112,6 +113,7 @@ def test_candidates_keep_the_rules(candidate: termsel.Candidate) -> None:
         check.run()
 
 
+@pytest.mark.slow_cases("30.0")
 @pytest.mark.parametrize("relief", [8.0, 30.0])
 def test_low_hills_serve_a_camera_though_polynomials_do_not_see_them(relief: float) -> None:
     """What polynomials leave of a panorama is more than such heights do."""

@@ -88,6 +88,7 @@ def test_one_blunder_hardly_moves_it() -> None:
     assert rmse(termsel.fit(bad, "named-scanner"), scene) < 6.0
 
 
+@pytest.mark.slow
 def test_errors_left_out_are_those_of_fits_without_the_point() -> None:
     scene = spot(8)
     fitted = termsel.fit(scene, "named-scanner")
@@ -99,6 +100,7 @@ def test_errors_left_out_are_those_of_fits_without_the_point() -> None:
         assert np.abs(there - fitted.held_out.errors[out]).max() < 0.3
 
 
+@pytest.mark.slow
 def test_auto_chooses_it_and_reads_it_back(tmp_path: Path) -> None:
     scene = spot(5)
     result = termsel.run(features=scene, out=tmp_path / "out")

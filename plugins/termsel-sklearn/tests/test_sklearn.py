@@ -25,6 +25,7 @@ from termsel_sklearn import (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("estimator", "excused"), [
     (SensorModelRegressor(degree=1), set(EXPECTED_FAILED_CHECKS)), (TermSelector(), set())],
     ids=["regressor", "selector"])

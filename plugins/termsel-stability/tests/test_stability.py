@@ -185,6 +185,7 @@ def with_lines() -> FeatureSet:
     return FeatureSet(points, Lines(tuple(f"L{i}" for i in range(40)), image, ground), "local")
 
 
+@pytest.mark.slow
 def test_lines_go_with_points_and_are_in_the_command(tmp_path: Path) -> None:
     features = with_lines()
     write_points_csv(features.points, tmp_path / "p.csv")

@@ -35,6 +35,7 @@ def files(tmp_path_factory: pytest.TempPathFactory, example_files: Path) -> Path
     return folder
 
 
+@pytest.mark.slow_cases("relief")
 @pytest.mark.parametrize("name", ["relief", "plain"])
 def test_each_pixel_is_what_the_model_says_there(files: Path, tmp_path: Path, name: str) -> None:
     result = termsel.read_result(files / name)
@@ -85,6 +86,7 @@ def _is_inside(control: np.ndarray, places: np.ndarray) -> np.ndarray:
                       & (places[:, 2] <= high))
 
 
+@pytest.mark.slow
 def test_it_is_cloud_optimised_with_statistics(files: Path, tmp_path: Path) -> None:
     path = tmp_path / "s.tif"
     done = call("sigma", files / "plain", "-o", path, "--bounds", 312000, 3852000, 316000, 3855000,
@@ -101,6 +103,7 @@ def test_it_is_cloud_optimised_with_statistics(files: Path, tmp_path: Path) -> N
             assert float(tags["STATISTICS_MAXIMUM"]) == pytest.approx(np.nanmax(pixels), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_rectify_writes_it_next_to_the_map_with_the_accuracy(files: Path, tmp_path: Path) -> None:
     done = call("rectify", files / "relief", files / "scene.tif", "--dem", files / "dem.tif",
                 "-o", tmp_path / "map.tif", "--sigma", tmp_path / "s.tif", "--res", 40, "--quiet")
@@ -171,6 +174,7 @@ def test_it_replaces_nothing_that_it_reads_and_nothing_unasked(files: Path, tmp_
     assert (done.exit_code, "name the same file" in done.stderr) == (2, True)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such limit")
 def test_a_full_disk_leaves_no_half_file(files: Path, tmp_path: Path) -> None:
     code = ("import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "

@@ -44,6 +44,7 @@ def test_an_arrow_of_a_drawing_points_from_computed_to_measured() -> None:
     assert right > 50 * abs(down)
 
 
+@pytest.mark.slow
 def test_the_page_of_two_hundred_images_is_small() -> None:
     many = small_map(termsel.run("poly-terms", solver="all-terms", features=scene(1000, 1.0),
                                  options={"degree": 1}).view)

@@ -1,0 +1,312 @@
+"""Blunders among points: the strategy auto finds them, names them and does without them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.special import fdtrc
+
+import termsel
+from termsel import FeatureSet, Points
+from termsel.adjustment.monomials import graded_exponents, monomials
+from termsel.candidates import contradictions
+from termsel.candidates.blunders import find_blunders, judge_others
+from termsel.candidates.contradictions import Test as Contradictions
+from termsel.candidates.portfolio import choose
+from termsel.candidates.shrunken import average
+from termsel.measurements.control import Control
+from termsel.measurements.features import no_lines, no_points
+from termsel.measurements.scaling import scaling_of
+from termsel.priors.held_out import chance_of
+from termsel.priors.posterior import posterior, scales_of
+from termsel.record.base import plain
+
+
+def scene(n: int, seed: int = 1, name: str = "ikonos-hamedan") -> FeatureSet:
+    return termsel.simulate_scene(name, seed=seed, n_points=n).with_(lines=no_lines())
+
+
+def moved(features: FeatureSet, shifts: dict[int, tuple[float, float]]) -> FeatureSet:
+    image = features.points.image.copy()
+    for at, shift in shifts.items():
+        image[at] += shift
+    return features.with_(points=replace(features.points, image=image))
+
+
+def all_control(features: FeatureSet) -> FeatureSet:
+    points = features.points
+    return FeatureSet(Points(points.ids, points.image, points.ground), crs=features.crs,
+                      lines=no_lines())
+
+
+@pytest.mark.slow_cases(
+    "ikonos-hamedan-1", "ikonos-hamedan-2", "ikonos-hamedan-3", "irs1c-mashad-1", "irs1c-mashad-2",
+    "irs1c-mashad-3", "spot-isfahan-1", "spot-isfahan-2", "spot-isfahan-3")
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("name", ["ikonos-hamedan", "spot-isfahan", "irs1c-mashad"])
+def test_a_fifth_of_blunders_is_found_and_nothing_else(name: str, seed: int) -> None:
+    clean = all_control(scene(50, seed, name))
+    rng = np.random.default_rng(seed)
+    wrong = rng.choice(50, 10, replace=False)
+    angle, size = rng.uniform(0, 2 * np.pi, 10), 0.5 * 10 ** rng.uniform(1.2, 2, 10)
+    spoilt = moved(clean, {int(at): (s * np.cos(a), s * np.sin(a))
+                           for at, s, a in zip(wrong, size, angle, strict=True)})
+    found = find_blunders(Control.of(spoilt, True))
+    assert found is not None
+    assert set(np.flatnonzero(found.blunders)) == set(wrong)
+    nothing = find_blunders(Control.of(clean, True))
+    assert nothing is not None
+    assert not nothing.blunders.any()
+
+
+def test_of_many_points_some_compare_the_polynomials(monkeypatch: pytest.MonkeyPatch) -> None:
+    control = Control.of(all_control(scene(50)), True)
+    used = np.arange(50) != 7
+
+    def compared() -> np.ndarray:
+        found = contradictions._of_points(contradictions.Division(control, used), 2)
+        assert found is not None
+        return found.squares
+
+    every = compared()
+    assert every.shape == (49,)
+    monkeypatch.setattr(contradictions, "COMPARED", 20)
+    np.testing.assert_allclose(compared(), every[::3], rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_blunders_do_not_spoil_the_accuracy_and_are_told() -> None:
+    clean = scene(74)
+    control, check, independent = (clean.points.roles.index(role)
+                                   for role in ("control", "check", "independent"))
+    ids = clean.points.ids
+    spoilt = termsel.run("rfm-terms", features=moved(
+        clean, {control: (30.0, -12.0), check: (0.0, 25.0), independent: (40.0, 0.0)}))
+    before = termsel.run("rfm-terms", features=clean)
+    assert [(one.id, one.role, one.kind, one.excluded) for one in spoilt.outliers] == [
+        (ids[control], "control", "point", True), (ids[check], "check", "point", True),
+        (ids[independent], "independent", "point", False)]
+    assert [one.error for one in spoilt.outliers] == pytest.approx([30.0, 25.0, 40.0], abs=2.5)
+    assert {one.certainty for one in spoilt.outliers} == {"certain"}
+    assert before.outliers == ()
+    assert spoilt.notes == before.notes == ()
+    said, = (line for line in spoilt.summary().splitlines() if line.startswith("Blunders: "))
+    assert said.startswith(f"Blunders: {ids[control]} (")
+    assert said.count(" px") == 3
+    assert f"; {ids[independent]} (" in said
+    assert f"leave it out by --off {ids[independent]}." in " ".join(spoilt.summary().split())
+    independent_rmse, plain = spoilt.rmse["independent"], before.rmse["independent"]
+    assert independent_rmse is not None
+    assert plain is not None
+    assert independent_rmse.total > 5 * plain.total  # it counts, and is told without
+    assert spoilt.accuracy_without is not None
+    assert before.accuracy_without is None
+    assert spoilt.accuracy_without.image.total == pytest.approx(plain.total, rel=0.1)
+    assert spoilt.strategy is not None
+    assert before.strategy is not None
+    assert spoilt.strategy.predicted == pytest.approx(before.strategy.predicted, rel=0.1)
+
+
+@pytest.mark.slow
+def test_independent_points_change_nothing_but_their_own_figures() -> None:
+    clean = scene(60)
+    at = clean.points.roles.index("independent")
+    runs = [termsel.run("rfm-terms", features=one).to_dict()
+            for one in (clean, moved(clean, {at: (500.0, 80.0)}))]
+    for key in ("selection", "coefficients", "strategy", "scaling"):
+        assert runs[0][key] == runs[1][key]
+    assert runs[0]["rmse"]["check"] == runs[1]["rmse"]["check"]
+    assert runs[1]["outliers"][0]["role"] == "independent"
+    assert not runs[1]["outliers"][0]["excluded"]
+
+
+@pytest.mark.slow
+def test_a_result_without_its_blunders_is_read_back_as_it_was(tmp_path: Path) -> None:
+    clean = scene(40)
+    at = clean.points.roles.index("control")
+    result = termsel.run("rfm-terms", features=moved(clean, {at: (25.0, 25.0)}), out=tmp_path)
+    again = termsel.read_result(tmp_path)
+    assert again.outliers == result.outliers != ()
+    assert again.summary() == result.summary()
+    record = json.loads((tmp_path / "result.json").read_text())
+    assert record["data"]["roles"]["off"] == [clean.points.ids[at]]
+    assert record["outliers"][0]["id"] == clean.points.ids[at]
+
+
+def test_a_point_that_says_it_is_inexact_is_no_blunder() -> None:
+    clean = all_control(scene(45))
+    spoilt = moved(clean, {7: (40.0, 0.0)})
+    sigma = np.full((45, 2), 0.5)
+    sigma[7] = 40.0
+    told = spoilt.with_(points=replace(spoilt.points, sigma=sigma))
+    found, known = find_blunders(Control.of(spoilt, True)), find_blunders(Control.of(told, True))
+    assert found is not None
+    assert known is not None
+    assert list(np.flatnonzero(found.blunders)) == [7]
+    assert not known.blunders.any()
+
+
+def test_rounding_errors_are_no_blunders() -> None:
+    rng = np.random.default_rng(0)
+    ground = rng.uniform(0, [1000, 1000, 100], (40, 3))
+    image = ground[:, 1::-1] * 2 + ground[:, 2:] * [0.1, -0.2] + ground[:, :1] ** 2 * [1e-4, 0]
+    exact = FeatureSet(Points(tuple(map(str, range(40))), image, ground), no_lines(), "local")
+    found = termsel.run("rfm-terms", options={"fractions": "1:1:0"}, features=exact)
+    assert found.strategy is not None
+    assert found.strategy.predicted < 1e-6
+    assert found.outliers == ()
+    assert found.notes == ()
+
+
+@pytest.mark.parametrize(("error", "blunder"), [(5e-7, False), (5e-5, True)])
+def test_an_error_below_rounding_is_no_blunder(error: float, blunder: bool) -> None:
+    rng = np.random.default_rng(0)
+    ground = rng.uniform(0, [1000, 1000, 100], (40, 3))
+    image = ground[:, 1::-1] * 2 + ground[:, 2:] * [0.1, -0.2] + ground[:, :1] ** 2 * [1e-4, 0]
+    image[7, 0] += error
+    found = find_blunders(Control.of(FeatureSet(Points(tuple(map(str, range(40))), image, ground),
+                                     no_lines(), "local"), True))
+    assert found is not None
+    assert list(np.flatnonzero(found.blunders)) == ([7] if blunder else [])
+    points = Points(tuple(map(str, range(40))), image, ground)
+    there = np.isin(np.arange(40), [7, 8, 9])
+    choice = choose(Control.of(FeatureSet(points.take(~there), no_lines(), "local"), True))
+    assert choice is not None
+    others = judge_others(choice.chosen, True, points.take(there))
+    assert others is not None
+    assert list(others.blunders) == [blunder, False, False]
+
+
+@pytest.mark.slow
+def test_few_points_say_what_cannot_be_found() -> None:
+    points = scene(74).points.take(np.arange(9))
+    few = FeatureSet(replace(points, roles=("control",) * 9), no_lines(), "EPSG:4979")
+    note, = (one for one in termsel.run("rfm-terms", features=few).notes
+             if one.startswith("With 9 points an error must exceed "))
+    worst = find_blunders(Control.of(few, True)).limits.argmax()
+    assert note.endswith(f" px at {points.ids[int(worst)]}.")
+    more = termsel.run("rfm-terms", features=scene(60))
+    assert not any(note.startswith("With ") for note in more.notes)
+
+
+def blank(n: int) -> FeatureSet:
+    points = scene(74).points.take(np.arange(n) * 5)
+    return FeatureSet(Points(points.ids, points.image, points.ground), no_lines(), "EPSG:4979")
+
+
+@pytest.mark.slow_cases("8")
+@pytest.mark.parametrize("n", [5, 8, 11, 14])
+def test_few_points_without_roles_are_all_control(n: int) -> None:
+    result = termsel.run("rfm-terms", features=blank(n))
+    assert plain(result.data.counts) == {
+        "control": n, "check": 0, "independent": 0, "lines": 0, "off": 0}
+    assert result.strategy is not None
+    assert result.strategy.predicted is not None
+
+
+@pytest.mark.slow
+def test_roles_are_assigned_where_shares_are_given() -> None:
+    for options in ({"fractions": "2:1:1"}, {"fractions": "1:1:1"}, {"roles": "random"}):
+        result = termsel.run("rfm-terms", features=blank(11), options=options)
+        assert result.data.counts.independent > 0
+
+
+def test_no_others_are_not_judged() -> None:
+    choice = choose(Control.of(termsel.simulate_scene("ikonos-hamedan", n_lines=0), True))
+    assert choice is not None
+    assert judge_others(choice.chosen, True, no_points()) is None
+
+
+def test_the_chance_of_a_statistic_is_that_of_the_f_distribution() -> None:
+    statistic = np.array([0.0, 0.3, 2.0, 40.0])
+    for freedom in (2, 7, 1400):
+        for pairs in (1, 2, 5):
+            np.testing.assert_allclose(chance_of(statistic, freedom, pairs),
+                                       fdtrc(2 * pairs, freedom, statistic), rtol=1e-9)
+
+
+@pytest.mark.parametrize("few", [0, 100])
+def test_a_prediction_is_the_mean_over_all_solutions(
+        few: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The means, compiled and not, against those by logarithms, with points not in use."""
+    monkeypatch.setattr("termsel.priors.held_out.FEW", few)
+    features = scene(60)
+    used = np.arange(60) < 45
+    scaled = scaling_of(features).points(features.points)
+    exponents = graded_exponents(2, 3)
+    order = np.array(exponents).sum(axis=1)
+    found = posterior(monomials(scaled.ground, exponents), scaled.image, order,
+                      np.where(used, 1.0, 1e-3)[:, None] * np.ones((60, 2)),
+                      scales_of(np.array(exponents)[order > 1]), int(used.sum()))
+    assert found is not None
+    left, errors = (np.array([getattr(side, name)[side.cell].T for side in found.at(slice(45))])
+                    for name in ("left", "errors"))                               # (2, n, c)
+    half = found.freedom // 2 - 1
+    parts = (errors**2 / left).sum(axis=0)
+    rest = found.square - parts
+    logs = np.log(found.cells.share) + found.cells.log + (half + 1) * np.log(found.square) \
+        - half * np.log(rest) - np.log(left).sum(axis=0) / 2
+    total = np.logaddexp.reduce(logs, axis=1)
+    share = np.exp(logs - total[:, None])
+    statistic = half * parts / rest
+    direct = {"errors": np.einsum("nc,anc->na", share, errors / left), "log": total,
+              "chance": (share * fdtrc(2, 2 * half, statistic)).sum(axis=1),
+              "statistic": (share * statistic).sum(axis=1),
+              "spread": np.einsum("nc,anc->na", share, 1 / left)}
+    for name, expected in direct.items():
+        np.testing.assert_allclose(getattr(found.left_out, name), expected, rtol=1e-7, atol=1e-12)
+
+
+def test_many_points_are_left_out_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    exponents = graded_exponents(2, 3)
+    order = np.array(exponents).sum(axis=1)
+    points = scaling_of(scene(61)).points(scene(61).points)
+
+    def predicted() -> dict[str, np.ndarray]:
+        found = posterior(monomials(points.ground, exponents), points.image, order, None,
+                          scales_of(np.array(exponents)[order > 1]), len(points))
+        assert found is not None
+        return vars(found.left_out)
+
+    whole = predicted()
+    monkeypatch.setattr("termsel.priors.posterior.AT_ONCE", 20)
+    for name, values in predicted().items():
+        np.testing.assert_allclose(values, whole[name], rtol=1e-9, atol=1e-12)
+
+
+def test_a_prediction_without_a_point_is_that_of_the_others() -> None:
+    """The closed form against the posterior computed again; a tiny weight against both."""
+    rng = np.random.default_rng(5)
+    ground = rng.uniform(-1, 1, (20, 3))
+    exponents = graded_exponents(2, 3)
+    order = np.array(exponents).sum(axis=1)
+    image = monomials(ground, exponents) @ rng.standard_normal((10, 2)) \
+        + 0.01 * rng.standard_normal((20, 2))
+    scales = scales_of(np.array(exponents)[order > 1])
+    columns = monomials(ground, exponents)
+    whole = posterior(columns, image, order, None, scales, 20)
+    weights = np.ones((20, 2))
+    weights[19] = 1e-3
+    others = posterior(columns, image, order, weights, scales, 19)
+    assert whole is not None
+    assert others is not None
+    closed, direct = whole.left_out, others.beyond(1e-3)
+    keep = np.arange(20) != 19
+    alone = average(ground[keep], image[keep], exponents)
+    assert alone is not None
+    there = image[19] - columns[19] @ alone.coefficients
+    np.testing.assert_allclose(closed.errors[19], there, rtol=1e-6)
+    np.testing.assert_allclose(direct.errors[0], there, rtol=1e-4)
+    for name in ("chance", "statistic", "spread"):
+        np.testing.assert_allclose(getattr(closed, name)[19], getattr(direct, name)[0], rtol=1e-4)
+
+
+def test_an_error_says_nothing_where_its_prediction_is_as_uncertain() -> None:
+    none = np.zeros(3)
+    found = Contradictions(none, none, np.array([0.9, 4.5, 5.5]), np.array([1.0, 5.0, 5.0]), 0.3,
+                           20, none)
+    assert found.decided().tolist() == [False, False, True]

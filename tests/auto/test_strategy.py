@@ -1,0 +1,387 @@
+"""The strategy auto: what it chooses, what it promises, and what it never looks at."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import termsel
+from termsel.adjustment.monomials import graded_exponents, monomials
+from termsel.candidates.portfolio import choose
+from termsel.candidates.repetition import repeated
+from termsel.candidates.selected import select_forward
+from termsel.candidates.shrunken import average
+from termsel.candidates.structures import CANDIDATES
+from termsel.io.result_folder import read_result
+from termsel.measurements.control import Control
+from termsel.measurements.features import FeatureSet, Points
+from termsel.simulate import simulate_scene
+
+CUBIC = graded_exponents(3, 3)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of `result`."""
+    return tmp_path_factory.mktemp("auto")
+
+
+@pytest.fixture(scope="module")
+def result(folder: Path) -> termsel.Result:
+    return termsel.run("rfm-terms", out=folder)
+
+
+def scene(count: int, seed: int = 0, **more: object) -> FeatureSet:
+    return simulate_scene("ikonos-hamedan", seed=seed, n_points=count, n_lines=0, **more)
+
+
+def drawn(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Ground points, and image points of a known polynomial with noise."""
+    rng = np.random.default_rng(seed)
+    ground = rng.uniform(-1, 1, (n, 3))
+    truth = rng.normal(size=(20, 2)) * np.array(
+        [1000.0 if sum(e) < 2 else 5.0 if sum(e) == 2 else 0.3 for e in CUBIC])[:, None]
+    return ground, monomials(ground, CUBIC) @ truth + rng.normal(0, 0.5, (n, 2))
+
+
+def frame_camera(n: int, seed: int = 1) -> FeatureSet:
+    """An oblique aerial photograph, of which the DLT is the exact model."""
+    rng = np.random.default_rng(seed)
+    ground = rng.uniform(-1, 1, (n, 3)) * [1000, 800, 120]
+    turn = np.radians(35)
+    seen = (ground - [0, -1500, 2500]) @ np.array(
+        [[1, 0, 0], [0, np.cos(turn), -np.sin(turn)], [0, np.sin(turn), np.cos(turn)]]).T
+    image = np.column_stack([-seen[:, 1], seen[:, 0]]) / -seen[:, 2:] * 6000
+    roles = ("control", "control", "check", "independent") * (n // 4)
+    return FeatureSet(Points(tuple(f"P{i}" for i in range(n)),
+                             image + rng.normal(0, 0.5, (n, 2)), ground, None, roles))
+
+
+def test_auto_is_the_default_where_only_points_are_given(result: termsel.Result) -> None:
+    assert result.strategy is not None
+    assert result.strategy.name == "auto"
+    names = [one.name for one in result.strategy.candidates]
+    assert result.strategy.chosen in names
+    assert {"affine", "dlt", "quadratic", "cubic", "selected", "shrunken-quadratic",
+            "shrunken-cubic"} <= set(names)
+    quadratic = next(b for b in result.baselines if b.name == "quadratic")
+    assert result.rmse["independent"].total < quadratic.rmse["independent"].total
+    # Check points are fitted to, and yet shown by themselves.
+    assert result.strategy.fitted_to == ("control", "check")
+    assert result.rmse["control"].n == result.data.counts.control == 24
+    assert result.rmse["check"].n == result.data.counts.check == 24
+
+
+def example() -> FeatureSet:
+    """Control and check points of the embedded scene."""
+    points = simulate_scene("ikonos-hamedan").points
+    return FeatureSet(points.take(np.array(points.roles) != "independent"), crs="EPSG:4979")
+
+
+def by_shrunken(one: str, other: str, judged: dict) -> float:
+    """Return by how many standard errors the logarithms of squared errors of one are smaller."""
+    gain = np.log(judged[other].squares) - np.log(judged[one].squares)
+    return float(gain.mean() / gain.std(ddof=1) * np.sqrt(len(gain)))
+
+
+@pytest.mark.parametrize(("features", "heights", "chosen"), [
+    (scene(48), True, "shrunken-quadratic"), (example(), True, "shrunken-cubic"),
+    (frame_camera(40), True, "dlt")])
+def test_the_reason_states_the_figures_that_decided(
+        features: FeatureSet, heights: bool, chosen: str) -> None:
+    found = choose(Control.of(features, heights))
+    assert found is not None
+    judged = {one.name: one for one in found.judged}
+    assert found.chosen.name == chosen
+    cubic = by_shrunken("shrunken-cubic", "shrunken-quadratic", judged)
+    assert found.reason.startswith(
+        f"shrunken cubic is {'better' if cubic > 0 else 'worse'} than shrunken quadratic by "
+        f"{abs(cubic):.2g} standard errors; it must be better by more than 1. ")
+    against = "shrunken-cubic" if cubic > 1 else "shrunken-quadratic"
+    rival, gain = max(((name, by_shrunken(name, against, judged)) for name in judged
+                      if name in ("dlt", "rfm-2", "rfm-3", "selected")), key=lambda one: one[1])
+    asked = 2 if rival == "dlt" else 3
+    assert (gain > asked) == (chosen == "dlt")
+    words = "better" if gain > 0 else "worse"
+    assert (f"is {words} than {against.replace('-', ' ')} by {abs(gain):.2g} standard errors; it "
+            f"must be better by more than {asked}") in found.reason
+    least = min(judged, key=lambda name: judged[name].predicted)
+    assert ("is a limit of the shrunken polynomials" in found.reason) == (
+        least in ("affine", "quadratic", "cubic"))
+
+
+def test_the_page_states_the_reason_of_the_choice(result: termsel.Result) -> None:
+    assert result.strategy is not None
+    assert result.strategy.reason in " ".join(result.summary(verbose=True).split())
+
+
+def test_without_shrunken_polynomials_the_least_error_is_the_reason() -> None:
+    features = simulate_scene("ikonos-hamedan", n_points=0, n_lines=5, wrong_lines=0)
+    found = choose(Control.of(features, True))
+    assert found is not None
+    assert found.chosen.predicted == min(one.predicted for one in found.judged)
+    assert found.reason == "It has the smallest leave-one-out RMSE."
+
+
+@pytest.mark.parametrize("asked", [
+    {"solver": "ridge"}, {"criterion": "press", "generations": 1},
+    {"model": "affine", "generations": 1}, {"generations": 1}, {"evaluations": 100},
+    {"options": {"order": 1}, "evaluations": 100}, {"strategy": "as-asked", "evaluations": 100}])
+def test_a_method_asked_for_runs_as_it_is(asked: dict) -> None:
+    found = termsel.run("rfm-terms", **asked)
+    assert found.strategy is None
+    assert found.solver == asked.get("solver", "ga")
+    assert "which the rule of auto chooses" in found.judgement
+
+
+def test_options_of_the_data_leave_the_strategy() -> None:
+    features = scene(20)
+    other = termsel.run("rfm-terms", features=features, options={"roles": "random", "split": 3})
+    assert other.strategy is not None
+    given = dict(zip(features.points.ids, features.points.roles, strict=True))
+    assert any(given[name] != role for role in ("control", "check", "independent")
+               for name in getattr(other.data.roles, role))
+
+
+@pytest.mark.parametrize(("problem", "more", "message"), [
+    ("rfm-terms", {"solver": "ga"}, "chooses the method itself, and solver is asked for"),
+    ("rfm-terms", {"options": {"order": 2}}, "the option order is asked for"),
+    ("rfm-terms", {"seconds": 3}, "a budget is asked for"),
+    ("hybrid-2", {}, "not for the problem hybrid-2"),
+    ("owdis-lines", {"options": {"max_features": 20}}, "the option max_features is asked for")])
+def test_auto_and_a_method_exclude_each_other(problem: str, more: dict, message: str) -> None:
+    with pytest.raises(termsel.TermselError, match=message):
+        termsel.run(problem, strategy="auto", **more)
+
+
+def test_an_unknown_strategy_is_refused() -> None:
+    with pytest.raises(termsel.TermselError, match="no strategy 'best'"):
+        termsel.run("rfm-terms", strategy="best")
+
+
+def test_one_independent_point_that_contradicts_is_told_in_the_singular() -> None:
+    features = simulate_scene("ikonos-hamedan", roles=(24, 24, 1), n_lines=0)
+    alone = (np.array(features.points.roles) == "independent")[:, None]
+    other = termsel.run("rfm-terms", features=features.with_(
+        points=replace(features.points, image=features.points.image + 50.0 * alone)))
+    assert other.notes[0].startswith("The independent point contradicts control and check. "
+                                     "Either it was measured differently")
+
+
+@pytest.mark.slow
+def test_independent_points_are_touched_once(result: termsel.Result) -> None:
+    features = simulate_scene("ikonos-hamedan")
+    independent = np.array(features.points.roles) == "independent"
+    moved = features.points.image + 7.0 * independent[:, None]
+    other = termsel.run("rfm-terms", features=features.with_(
+        points=replace(features.points, image=moved)), source=result.data.source)
+    first, second = result.to_dict(), other.to_dict()
+    assert first["rmse"].pop("independent") != second["rmse"].pop("independent")
+    note, = other.notes
+    assert note.startswith("26 of 26 independent points contradict control and check.")
+    for record in (first, second):
+        for changing in ("judgement", "seconds", "notes", "accuracy", "final"):
+            record.pop(changing)
+        record["data"].pop("sha256")
+        for one in record["baselines"]:
+            one["rmse"].pop("independent")
+    assert first == second
+
+
+def test_what_a_search_does_never_depends_on_independent_points() -> None:
+    features = scene(48)
+    independent = np.array(features.points.roles) == "independent"
+    moved = features.points.image + 7.0 * independent[:, None]
+    other = features.with_(points=replace(features.points, image=moved))
+    first, second = (termsel.run("rfm-terms", features=one, generations=2).to_dict()
+                     for one in (features, other))
+    for key in ("selection", "coefficients", "objectives", "options"):
+        assert first[key] == second[key]
+    for one, two in zip(first["baselines"], second["baselines"], strict=True):
+        assert one["predicted"] == two["predicted"]
+        assert one["rmse"]["check"] == two["rmse"]["check"]
+
+
+def test_leave_one_out_is_that_of_the_whole_procedure() -> None:
+    ground, image = drawn(15)
+    found = average(ground, image, CUBIC)
+    assert found is not None
+    for i in range(15):
+        others = np.arange(15) != i
+        without = average(ground[others], image[others], CUBIC)
+        assert without is not None
+        error = image[i] - monomials(ground[i:i + 1], CUBIC)[0] @ without.coefficients
+        np.testing.assert_allclose(found.errors[i], error, rtol=1e-3, atol=1e-3)
+
+
+def test_with_many_points_the_average_is_as_good_as_least_squares() -> None:
+    ground, image = drawn(400)
+    found = average(ground, image, CUBIC)
+    assert found is not None
+    free = np.linalg.lstsq(monomials(ground, CUBIC), image)[0]
+    places = np.random.default_rng(5).uniform(-1, 1, (100, 3))
+    difference = monomials(places, CUBIC) @ (found.coefficients - free)
+    assert np.sqrt((difference**2).mean()) < 0.1
+    assert 20 < found.effective < 40
+
+
+def test_units_do_not_matter_to_the_average() -> None:
+    ground, image = drawn(20)
+    one, other = average(ground, image, CUBIC), average(ground, 1e-4 * image + 3.0, CUBIC)
+    assert one is not None
+    assert other is not None
+    np.testing.assert_allclose(other.errors, 1e-4 * one.errors, rtol=1e-4, atol=1e-9)
+
+
+def test_a_measurement_without_weight_does_not_matter() -> None:
+    ground, image = drawn(20)
+    wrong = image.copy()
+    wrong[3] += 50.0
+    weights = np.ones((20, 2))
+    weights[3] = 1e-4
+    one, other = (average(ground, values, CUBIC, weights) for values in (image, wrong))
+    assert one is not None
+    assert other is not None
+    difference = monomials(ground, CUBIC) @ (one.coefficients - other.coefficients)
+    assert np.abs(difference).max() < 0.5
+
+
+def test_exact_data_are_fitted_exactly() -> None:
+    ground, _ = drawn(60)
+    truth = np.random.default_rng(2).normal(size=(20, 2))
+    found = average(ground, monomials(ground, CUBIC) @ truth, CUBIC)
+    assert found is not None
+    np.testing.assert_allclose(found.coefficients, truth, atol=1e-5)
+
+
+def test_too_few_points_give_no_average() -> None:
+    ground, image = drawn(5)
+    assert average(ground, image, CUBIC) is None
+
+
+@pytest.mark.parametrize("n", [40, 120])  # of more than 100, folds of two are left out
+def test_forward_selection_finds_the_terms_and_leaves_out_honestly(n: int) -> None:
+    rng = np.random.default_rng(4)
+    ground = rng.uniform(-1, 1, (n, 3))
+    columns = monomials(ground, CUBIC)
+    affine = np.array([sum(e) < 2 for e in CUBIC])
+    wanted = affine.copy()
+    wanted[[5, 12]] = True
+    target = columns[:, wanted] @ np.array([3.0, 4.0, 5.0, 6.0, 2.0, -2.0])
+    target += rng.normal(0, 0.05, n)
+    both = select_forward(np.stack([columns, columns]), np.stack([target, columns[:, 7]]), affine)
+    assert both is not None
+    found, other = both
+    np.testing.assert_array_equal(np.flatnonzero(other.terms & ~affine), [7])
+    np.testing.assert_array_equal(found.terms, wanted)
+    for i in (0, 17):
+        others = np.arange(n) % 100 != i
+        alone = select_forward(columns[None, others], target[None, others], affine)
+        assert alone is not None
+        again, = alone
+        x = np.linalg.lstsq(columns[others][:, again.terms], target[others])[0]
+        assert found.errors[i] == pytest.approx(target[i] - columns[i, again.terms] @ x, abs=1e-9)
+
+
+@pytest.mark.slow
+def test_the_dlt_is_chosen_for_a_photograph() -> None:
+    found = termsel.run("rfm-terms", features=frame_camera(40))
+    assert found.strategy is not None
+    assert found.strategy.chosen == "dlt"
+    assert found.model == "dlt3d"
+
+
+@pytest.mark.slow
+def test_predictions_come_true() -> None:
+    ratios = []
+    for seed in range(5):
+        features = scene(100, seed)
+        order = np.random.default_rng(seed).permutation(100)
+        mine = FeatureSet(features.points.take(order[:40]))
+        choice, errors = choose(Control.of(mine, True)), repeated(Control.of(mine, True))
+        assert choice is not None
+        assert errors is not None
+        found = choice.chosen.fit.errors(features.points.take(order[40:]))
+        ratios.append(np.sqrt((found**2).sum(axis=1).mean() / (errors**2).sum(axis=1).mean()))
+    assert 0.8 < np.median(ratios) < 1.25
+
+
+def test_the_full_rfm_is_chosen_where_it_is_the_truth_and_can_be_named() -> None:
+    rng = np.random.default_rng(0)
+    ground = rng.uniform(-1, 1, (90, 3))
+    columns = monomials(ground, CUBIC)
+    numerators = rng.normal(size=(20, 2)) * np.array(
+        [1000.0 if sum(e) < 2 else 20.0 for e in CUBIC])[:, None]
+    denominators = rng.uniform(-0.03, 0.03, (20, 2))
+    denominators[0] = 1.0
+    image = (columns @ numerators) / (columns @ denominators) + rng.normal(0, 0.01, (90, 2))
+    points = Points(tuple(f"P{i}" for i in range(90)), image, ground)
+    choice = choose(Control.of(FeatureSet(points), True))
+    assert choice is not None
+    assert choice.chosen.name == "rfm-3"
+    assert {one.name for one in choice.judged} <= {one.name for one in CANDIDATES}
+
+
+def test_plane_points_get_plane_models() -> None:
+    points = simulate_scene("ikonos-hamedan").points
+    flat = points.ground.copy()
+    flat[:, 2] = np.nan
+    found = termsel.run("poly-terms", features=FeatureSet(replace(points, ground=flat)))
+    assert found.strategy is not None
+    assert "projective" in {one.name for one in found.strategy.candidates}
+    assert not found.fit.model.uses_height
+
+
+@pytest.mark.slow
+def test_check_points_are_not_needed() -> None:
+    points = scene(30).points
+    roles = tuple("control" if role == "check" else role for role in points.roles)
+    found = termsel.run("rfm-terms", features=FeatureSet(replace(points, roles=roles)))
+    assert found.strategy is not None
+    assert found.rmse["check"] is None
+
+
+def test_too_few_points_are_said_to_be() -> None:
+    points = simulate_scene("ikonos-hamedan").points.take(np.arange(6))
+    roles = ("control",) * 4 + ("independent",) * 2
+    lying = points.ground.copy()
+    lying[:4, :2] = lying[0, :2] + np.arange(4)[:, None] * [0.01, 0.005]
+    with pytest.raises(termsel.TermselError, match="on one straight line"):
+        termsel.run("rfm-terms", features=FeatureSet(replace(points, roles=roles, ground=lying)))
+    result = termsel.run("rfm-terms", features=FeatureSet(replace(points, roles=roles)))
+    assert any("nothing tells what a height does" in note for note in result.notes)
+
+
+def test_the_result_is_whole_in_its_folder(result: termsel.Result, folder: Path) -> None:
+    found, again = result, read_result(folder)
+    assert again.strategy == found.strategy
+    assert again.to_dict() == found.to_dict()
+    np.testing.assert_allclose(again.project(found.features.points.ground),
+                               found.project(found.features.points.ground))
+    used = {r.role for r in found.residuals if r.used}
+    assert used == {"control", "check"} == {r.role for r in again.residuals if r.used}
+    text = (folder / "summary.txt").read_text()
+    assert "strategy auto" in text
+    assert "predicted RMSE" in text
+
+
+def test_every_result_has_the_baselines(result: termsel.Result) -> None:
+    searched = termsel.run("owdis-lines", generations=1, options={"polish": False})
+    for found in (result, searched):
+        rows = {b.name: b for b in found.baselines}
+        assert {"affine", "dlt", "quadratic", "cubic", "rfm-2", "rfm-3", "ridge"} <= set(rows)
+        assert all(b.rmse["independent"] or not b.determined for b in found.baselines)
+        text = found.to_dict()["baselines"]
+        assert [one["name"] for one in text] == list(rows)
+
+
+def test_heights_on_a_plane_are_no_heights() -> None:
+    points = simulate_scene("ikonos-hamedan").points
+    tilted = points.ground.copy()
+    tilted[:, 2] = 1800 + 500 * (tilted[:, 0] - 48.5) - 300 * (tilted[:, 1] - 34.8)
+    found = termsel.run("rfm-terms", features=FeatureSet(replace(points, ground=tilted)))
+    assert found.strategy is not None
+    assert not found.fit.model.uses_height

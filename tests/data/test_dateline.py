@@ -1,0 +1,144 @@
+"""Scenes on the 180 degree meridian are as good as any other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import termsel
+from termsel.formats.readers.csv_tables import write_points_csv
+from termsel.measurements.coordinates.longitudes import continuous, without_jump
+from termsel.measurements.features import FeatureSet
+
+Call = Callable[..., SimpleNamespace]
+
+
+def turned(lon: float, low: float = -180.0) -> FeatureSet:
+    """A scene whose middle is at a longitude; longitudes begin at `low`."""
+    scene = termsel.simulate_scene("ikonos-hamedan", n_points=60)
+    moved = []
+    for part in (scene.points, scene.lines):
+        ground = part.ground.copy()
+        ground[..., 0] = (ground[..., 0] - 48.49 + lon - low) % 360 + low
+        moved.append(replace(part, ground=ground))
+    return scene.with_(points=moved[0], lines=moved[1])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fit_crs", [None, "geodetic", "projected", "geocentric"])
+@pytest.mark.parametrize("problem", ["rfm-terms", "owdis-lines"])
+def test_a_jump_of_longitudes_changes_nothing(problem: str, fit_crs: str | None) -> None:
+    options: dict[str, object] = {} if fit_crs is None else {"fit_crs": fit_crs}
+    if problem == "owdis-lines":
+        options |= {"population": 20, "polish": False}
+    given = {"generations": 2} if problem == "owdis-lines" else {}
+    jumping, plain = (termsel.run(problem, features=turned(180.0, low), options=options, **given)
+                      for low in (-180.0, 0.0))
+    assert jumping.features.points.ground[:, 0].max() > 180.0
+    assert jumping.selection == plain.selection
+    for role in ("control", "independent"):
+        ours, theirs = jumping.rmse[role], plain.rmse[role]
+        assert ours is not None
+        assert theirs is not None
+        assert ours.total == pytest.approx(theirs.total, rel=1e-4)
+    said = "The longitudes jump by a full turn between points."
+    assert any(note.startswith(said) for note in jumping.notes)
+    assert not any(note.startswith(said) for note in plain.notes)
+
+
+@pytest.mark.slow
+def test_places_are_projected_from_either_side() -> None:
+    result = termsel.run("rfm-terms", features=turned(180.0))
+    image = result.project(np.array([[180.01, 34.8, 1800.0], [-179.99, 34.8, 1800.0],
+                                     [179.99, 34.8, 1800.0], [-180.01, 34.8, 1800.0]]))
+    np.testing.assert_allclose(image[0], image[1], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(image[2], image[3], rtol=0, atol=1e-6)
+    assert np.hypot(*(image[0] - image[2])) > 100.0
+    # The places stay far apart where they are: no other number is taken for a longitude.
+    assert np.abs(result.project(np.array([[500_000.0, 34.8, 1800.0]]))).max() > 1e6
+    ground = result.locate(image[:1], 1800.0)
+    np.testing.assert_allclose(ground[0, :2], [180.01, 34.8], rtol=0, atol=1e-6)
+    rpc = result.to_rpc()
+    assert abs(rpc.ground_offset[0]) <= 180.0
+    for lon in (180.01, -179.99):
+        np.testing.assert_allclose(rpc.project(np.array([[lon, 34.8, 1800.0]])), image[:1],
+                                   rtol=0, atol=0.05)
+
+
+@pytest.mark.slow
+def test_a_result_is_read_back_and_exported(call: Call, tmp_path: Path) -> None:
+    write_points_csv(turned(180.0).points, tmp_path / "p.csv", crs="EPSG:4979")
+    done = call("run", "--problem", "rfm-terms", "--points", tmp_path / "p.csv", "--out",
+                tmp_path / "r", "--quiet")
+    assert done.exit_code == 0, done.stderr
+    (tmp_path / "q.csv").write_text("# crs: EPSG:4979\nid,x,y,z\na,180.01,34.8,1800\n"
+                                    "b,-179.99,34.8,1800\n")
+    done = call("project", tmp_path / "r", "--points", tmp_path / "q.csv")
+    first, second = (row.split(",") for row in done.stdout.splitlines() if row[:2] in ("a,", "b,"))
+    assert [float(cell) for cell in first[1:3]] == pytest.approx(
+        [float(cell) for cell in second[1:3]], abs=1e-6)
+    assert float(first[-1]) == float(second[-1]) == 0.0  # neither is outside the control
+    done = call("export", tmp_path / "r", "--to", "rpb", "-o", tmp_path / "r.rpb")
+    assert done.exit_code == 0, done.stderr
+    offset = next(row for row in (tmp_path / "r.rpb").read_text().splitlines()
+                  if "longOffset" in row)
+    assert abs(float(offset.partition("=")[2].strip(" ;"))) <= 180.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", ["rpc", "geolocation"])
+def test_a_map_shows_what_is_on_either_side(how: str, tmp_path: Path,
+                                            monkeypatch: pytest.MonkeyPatch) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    from termsel.io.rectify import rectify
+
+    if how == "geolocation":
+        monkeypatch.setattr("termsel.io.rectify.GOOD", -1.0)
+    scene = turned(180.0)
+    image = scene.points.image / 10.0
+    small = FeatureSet(replace(scene.points, image=image), crs=scene.crs, image_size=(700, 800))
+    result = termsel.run("rfm-terms", features=small)
+    pixels = np.add.outer(np.arange(700.0), 1000.0 * np.arange(800.0)).astype(np.float32)
+    with rasterio.open(tmp_path / "s.tif", "w", driver="GTiff", height=700, width=800, count=1,
+                       dtype="float32") as raster:
+        raster.write(pixels, 1)
+    for crs in ("EPSG:4326", "EPSG:32601"):
+        rectify(result, tmp_path / "s.tif", tmp_path / "m.tif", height=1800.0, crs=crs,
+                overwrite=True, resampling="nearest")
+        with rasterio.open(tmp_path / "m.tif") as found:
+            assert max(found.shape) < 2000
+            for lon in (179.98, 180.02):
+                x, y = lon, 34.8
+                if crs != "EPSG:4326":
+                    from pyproj import Transformer
+                    x, y = Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(x, y)
+                value = float(next(found.sample([(x, y)]))[0])
+                line, sample = result.project(np.array([[lon, 34.8, 1800.0]]))[0]
+                assert value % 1000 == pytest.approx(line, abs=2.0)
+                assert value // 1000 == pytest.approx(sample, abs=2.0)
+
+
+def test_independent_points_do_not_decide_where_longitudes_begin() -> None:
+    scene = turned(180.0)
+    points = scene.points
+    ground = points.ground.copy()
+    ground[np.array(points.roles) == "independent", 0] = 0.0
+    moved = scene.with_(points=replace(points, ground=ground))
+    apart = np.array(points.roles) != "independent"
+    np.testing.assert_array_equal(without_jump(moved).points.ground[apart],
+                                  without_jump(scene).points.ground[apart])
+
+
+@pytest.mark.parametrize(("given", "expected"), [
+    ([179.0, -179.0], [179.0, 181.0]), ([-179.0, 178.0, 181.0], [181.0, 178.0, 181.0]),
+    ([10.0, 20.0], [10.0, 20.0]), ([181.0, 359.0], [181.0, 359.0]),
+    ([-175.0, -60.0, 60.0, 175.0], [-175.0, -60.0, 60.0, 175.0]),
+    ([0.5, 359.5], [0.5, -0.5])])
+def test_longitudes_that_go_on(given: list[float], expected: list[float]) -> None:
+    np.testing.assert_allclose(continuous(np.array(given)) % 360, np.array(expected) % 360)
+    assert np.ptp(continuous(np.array(given))) == pytest.approx(np.ptp(expected))

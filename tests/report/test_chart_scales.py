@@ -1,0 +1,118 @@
+"""Scales, units and bands of charts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import termsel
+
+altair = pytest.importorskip("altair")
+pytest.importorskip("vl_convert")
+
+
+def rows_of(chart: object) -> dict[str, list[dict[str, object]]]:
+    """Return all data of a chart."""
+    return chart.to_dict()["datasets"]  # type: ignore[attr-defined]
+
+
+def test_the_empires_in_the_history_are_those_of_the_search() -> None:
+    seen: list[list[int]] = []
+
+    def look(progress: Any) -> None:
+        details = progress.generation.details
+        if "empire" in details:
+            seen.append([int((details["empire"] == i).sum()) for i in range(3)])
+
+    result = termsel.run("poly-terms", solver="ica", evaluations=900, observers=[look],
+                         options={"population": 12, "imperialists": 0.25, "contested": 3})
+    assert [list(one.empires) for one in result.history] == seen
+    assert 0 in seen[-1]  # one has vanished, and keeps its place
+
+
+def test_a_long_search_is_thinned_and_keeps_its_ends() -> None:
+    from termsel.report.charts.search import spaced
+
+    history = [{"evaluations": i} for i in range(10_007)]
+    shown = spaced(history, 400)
+    assert len(shown) == 400
+    assert (shown[0], shown[-1]) == (history[0], history[-1])
+    gaps = np.diff([one["evaluations"] for one in shown])
+    assert gaps.max() - gaps.min() <= 1
+    assert spaced(history[:400], 400) == history[:400]
+
+
+@pytest.mark.slow_cases("residuals", "worst")
+@pytest.mark.parametrize("kind", ["residuals", "ground", "worst"])
+def test_residuals_of_rounding_alone_are_not_exaggerated(kind: str, tmp_path: Path) -> None:
+    ground = np.array([[0.0, 0, 0], [900, 100, 5], [300, 800, 9]])
+    image = np.array([[5.5, 7.25], [455.1, 30.4], [160.7, 401.3]])
+    result = termsel.run("poly-terms", features=termsel.FeatureSet(
+        termsel.Points(("a", "b", "c"), image, ground, roles=("control",) * 3)))
+    drawn = getattr(result.plot, kind)()
+    for param in drawn.to_dict().get("params", []):
+        if param.get("name") == "exaggeration":
+            assert param["value"] == 1
+    from termsel.report.plots import save
+    save(drawn, tmp_path / "map.png")
+    assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_map_of_uncertainty_reaches_to_the_last_feature() -> None:
+    features = termsel.simulate_scene("ikonos-hamedan", n_lines=0)
+    view = termsel.run("poly-terms", solver="all-terms", features=replace(
+        features, image_size=None)).view
+    image = features.points.image
+    for axis, (low, high) in (("line", ("line", "line2")), ("sample", ("sample", "sample2"))):
+        column = image[:, 0 if axis == "line" else 1]
+        margin = 0.04 * np.ptp(column)
+        assert min(cell[low] for cell in view.sigma) < column.min() + margin
+        assert max(cell[high] for cell in view.sigma) > column.max() - margin
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("error")
+def test_a_result_without_heights_is_shown_in_metres() -> None:
+    scene = termsel.run(dataset="old-map").features
+    assert np.isnan(scene.points.ground[:, 2]).all()
+    result = termsel.run("poly-terms", features=replace(scene, crs="EPSG:2100"))
+    assert result.view.units_per_metre == 1.0
+
+
+@pytest.mark.parametrize(("errors", "broken"), [
+    ([60.0, 1, 0.9, 0.8], {"F0"}), ([80.0, 40, 1, 0.9, 0.8, 0.7, 0.5], {"F0", "F1"}),
+    ([8.0, 4, 2, 1], set()), ([1.0], set()), ([0.0, 0.0], set()), ([], set())])
+def test_one_blunder_does_not_flatten_all_bars(errors: list[float], broken: set[str]) -> None:
+    from termsel.report.charts import bars
+
+    view: Any = SimpleNamespace(worst=[
+        {"id": f"F{i}", "role": "control", "distance": error,
+         "blunder": "certain" * (i == 0 and error > 9)}
+        for i, error in enumerate(errors)])
+    shown = max(rows_of(bars.worst_bars(view)).values(), key=len, default=[])
+    assert {row["id"] for row in shown if row.get("broken")} == broken
+    assert {row["label"] for row in shown if row.get("broken")} == {
+        f"{error:.3g} px" + ", blunder" * (i == 0) for i, error in enumerate(errors)
+        if f"F{i}" in broken}
+    ends = [row["end"] for row in shown]
+    assert not broken or max(ends) < 12 * float(np.median(ends))
+    assert bool(bars.broken(view)) == bool(broken)  # which the caption says
+
+
+@pytest.mark.parametrize(("crs", "unit", "axes"), [
+    ("EPSG:4979", 9e-6, ("longitude [°], EPSG:4979", "latitude [°]")),
+    ("EPSG:32639", 1.0, ("x [m], EPSG:32639", "y [m]")),
+    ("EPSG:2263", 1 / 0.3048006, ("x [0.3048 m], EPSG:2263", "y [0.3048 m]")),
+    ("local", None, ("x [unit not known], local", "y [unit not known]"))])
+def test_axes_on_the_ground_have_units(crs: str, unit: float | None,
+                                       axes: tuple[str, str]) -> None:
+    from termsel.report.charts import maps
+
+    view: Any = SimpleNamespace(record=SimpleNamespace(data=SimpleNamespace(crs=crs)),
+                                units_per_metre=unit)
+    assert maps._axes(view) == axes

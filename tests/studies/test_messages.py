@@ -1,0 +1,36 @@
+"""What a study says while it runs names the image it is about."""
+
+from __future__ import annotations
+
+import logging
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from termsel.formats.readers.csv_tables import write_points_csv
+from termsel.simulate import simulate_scene
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [1, 2])
+def test_messages_of_many_images_name_the_image(
+        workers: int, tmp_path: Path) -> None:
+    for seed, name in ((1, "100 %d"), (2, "b")):  # a name that looks like a format
+        scene = simulate_scene("ikonos-hamedan", seed=seed, n_points=24, n_lines=0)
+        write_points_csv(scene.points, tmp_path / f"{name}.csv", crs=scene.crs)
+    done = subprocess.run(
+        [sys.executable, "-m", "termsel", "compare", "--points", "*.csv", "--crs", "EPSG:4979",
+         "--out", "out", "--quiet", "--workers", str(workers), "--export", "qgis-points"],
+        cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    warnings = sorted(line for line in done.stderr.splitlines() if "qgis-points: at most" in line)
+    assert [line.partition(": qgis-points")[0] for line in warnings] == [
+        "Warning: 100 %d.csv", "Warning: b.csv"]
+
+
+def test_messages_outside_a_study_stay_as_they_are(caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level("INFO", logger="termsel"):
+        logging.getLogger("termsel.io.export").warning("Warning: %d px", 3)
+    assert caplog.messages == ["Warning: 3 px"]

@@ -1,0 +1,61 @@
+"""Warnings of places far outside the control."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+
+import termsel
+from termsel.measurements.coordinates.places import beyond, hull
+from termsel.measurements.features import FeatureSet
+from termsel.simulate import simulate_scene
+
+SQUARE = np.array([(0.0, 0.0), (0.0, 10.0), (10.0, 0.0), (10.0, 10.0), (5.0, 5.0)])
+
+
+def test_distances_from_a_square() -> None:
+    places = np.array([(5.0, 5.0), (10.0, 3.0), (15.0, 5.0), (-2.0, 20.0)])
+    np.testing.assert_allclose(beyond(SQUARE, places), [0, 0, 0.5, 1.0], atol=1e-12)
+
+
+def test_control_without_a_hull_reaches_nothing() -> None:
+    assert np.isinf(beyond(np.arange(6.0).reshape(3, 2), SQUARE)).all()
+    assert np.isinf(beyond(SQUARE[:2], SQUARE)).all()
+
+
+@pytest.mark.parametrize("start", [(500000.1, 5500000.3), (51.25, 35.7)])
+def test_places_on_one_oblique_line_have_no_hull(start: tuple[float, float]) -> None:
+    """In UTM and in degrees, whose last digits are rounded."""
+    for seed in range(50):
+        rng = np.random.default_rng(seed)
+        along = rng.uniform(0, 1000 if start[0] > 1e3 else 0.01, 6)
+        line = np.array(start) + along[:, None] * rng.uniform(-2, 2, 2)
+        assert hull(line) == []
+
+
+@pytest.mark.parametrize("n", [3, 10, 1000])
+def test_a_hull_is_that_of_scipy(n: int) -> None:
+    places = np.random.default_rng(n).random((n, 2)) * [3.0, 1000.0] + 4e6
+    corners = ConvexHull(places).vertices.tolist()
+    found = hull(np.concatenate([places, places.mean(axis=0)[None], places[corners[:2]]]))
+    assert sorted(map(tuple, np.concatenate([places, [[0, 0]], places[corners[:2]]])[found])) \
+        == sorted(map(tuple, places[corners]))
+
+
+def test_control_in_one_corner_is_warned_of() -> None:
+    scene = simulate_scene("ikonos-hamedan", n_points=90, n_lines=0)
+    near = (scene.points.image < 3000).all(axis=1)
+    roles = np.where(near, "control", "check").astype(object)
+    roles[::3] = "independent"
+    corner = FeatureSet(replace(scene.points, roles=tuple(roles)), image_size=scene.image_size)
+    found = termsel.run("rfm-terms", model="affine", solver="all-terms", features=corner)
+    assert any("check points and 3 of 4 corners of the image lie far outside" in note
+               for note in found.notes)
+
+
+@pytest.mark.slow
+def test_control_over_the_scene_is_not() -> None:
+    assert not any("Extrapolation" in note for note in termsel.run("rfm-terms").notes)
