@@ -93,7 +93,8 @@ def run(arguments, feedback, program=None, show=False):
             env=clean_environment(), encoding="utf-8", errors="replace", **options)
     except OSError as error:
         raise QgsProcessingException(f"{command[0]} cannot be run: {error.strerror}.") from error
-    printed, messages = [], queue.Queue()
+    printed = []
+    messages = queue.Queue()
     stdout = messages.put if show else printed.append
     readers = [threading.Thread(target=_read, args=(process.stdout, stdout), daemon=True),
                threading.Thread(target=_read, args=(process.stderr, messages.put), daemon=True)]

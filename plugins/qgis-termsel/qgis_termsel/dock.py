@@ -22,7 +22,8 @@ from qgis.PyQt.QtWidgets import (
 from .algorithms.georeference import inputs_of, model_named
 from .layers import blunder_style
 
-CHECKED, UNCHECKED = Qt.CheckState.Checked, Qt.CheckState.Unchecked
+CHECKED = Qt.CheckState.Checked
+UNCHECKED = Qt.CheckState.Unchecked
 _COLUMNS = ("leave out", "id", "role", "line [px]", "sample [px]", "distance [px]")
 
 
@@ -50,7 +51,8 @@ class ResultDock(QDockWidget):
             button.clicked.connect(act)
             buttons.addWidget(button)
             self.buttons[name] = button
-        inside, rows = QWidget(), QVBoxLayout()
+        inside = QWidget()
+        rows = QVBoxLayout()
         rows.addWidget(self.accuracy)
         rows.addWidget(self.candidates)
         rows.addWidget(self.table)

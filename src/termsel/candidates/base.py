@@ -295,7 +295,8 @@ def left_out_squares(fitted: Fit) -> FloatArray:
     are found again without each. Infinite throughout where some feature is indispensable, and where
     a denominator falls short.
     """
-    model, control = fitted.model, fitted.scaled_control
+    model = fitted.model
+    control = fitted.scaled_control
     weighted = isinstance(model, RationalModel) and model.weighted
     equations = model.linearised(control, fitted.adjustment.coefficients) if weighted else None
     parts = independent_parts(equations or first_order(model, control), model.axis)

@@ -59,7 +59,8 @@ def compare(observations: Observations, choice: Choice | None = None,
     are then fitted to the features that it chooses. By default it is that of `choose`, from the
     built-in candidates.
     """
-    portfolio, both = portfolio or Portfolio(), observations.pool
+    portfolio = portfolio or Portfolio()
+    both = observations.pool
     choice = choice or choose(both, portfolio)
     if choice and choice.chosen.fit.control is not both.features:
         both = Control.of(choice.chosen.fit.control, both.heights)
@@ -94,7 +95,8 @@ def compare_robustly(observations: Observations, blunders: Collection[str]) -> Y
     These are M-estimators, and the candidate that is chosen without the blunders. Where there are
     some, it is the reference.
     """
-    both, portfolio = observations.pool, Portfolio()
+    both = observations.pool
+    portfolio = Portfolio()
     yardsticks = compare(observations, portfolio=portfolio)
     fits = ((one.name, portfolio.ask(one, "fit_control", both)) for one in ROBUST
             if one.model(both.heights))

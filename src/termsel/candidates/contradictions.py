@@ -117,7 +117,9 @@ class Division:
         found = self._collocated
         if found is None or found.probability <= LIKELY:
             return None
-        points, scaling, used = self.every.features.points, self.in_use.scaling, self.used
+        points = self.every.features.points
+        scaling = self.in_use.scaling
+        used = self.used
         scaled = scaling.points(points)
         variance, unit = found.spread(scaled.ground)
         noise = unit / weights_of(points) ** 2
@@ -209,11 +211,14 @@ class _OfPoints:
 
 
 def _of_points(division: Division, degree: int) -> _OfPoints | None:
-    points, used, scaling = division.every.features.points, division.used, division.in_use.scaling
+    points = division.every.features.points
+    used = division.used
+    scaling = division.in_use.scaling
     scaled = scaling.points(points)
     exponents = polynomial_of(division.every.heights, degree).exponents
     powers = np.array(exponents).sum(axis=1)
-    weights, order = weights_of(points), np.argsort(~used, kind="stable")
+    weights = weights_of(points)
+    order = np.argsort(~used, kind="stable")
     found = posterior(monomials(scaled.ground[order], exponents), scaled.image[order], powers,
                       (weights * np.where(used, 1.0, UNUSED)[:, None])[order],
                       scales_of(np.array(exponents)[powers > 1]), int(used.sum()))
@@ -222,7 +227,8 @@ def _of_points(division: Division, degree: int) -> _OfPoints | None:
 
 def _test_of_lines(division: Division, degree: int) -> Test | None:
     """Test points and lines, without factors of single terms: many tests are made."""
-    control, used = division.every, division.used
+    control = division.every
+    used = division.used
     scaling = division.in_use.scaling
     scaled = scaling.features(control.features)
     model = polynomial_of(control.heights, degree)

@@ -51,7 +51,8 @@ FRAMED = 7
 """Points up to which frame cameras are among the kinds: from more a DLT tells photos, and without a
 prior. One more than the fewest, as a point is held out."""
 
-FROM_ORBIT, FROM_THE_AIR = (0.1, 2000.0), (0.002, 20.0)
+FROM_ORBIT = (0.1, 2000.0)
+FROM_THE_AIR = (0.002, 20.0)
 """Sizes of a pixel on the ground [m] that images have, resampled ones included."""
 
 STRONG = 20 / 21
@@ -93,7 +94,8 @@ class Averaged(Average):
         prior that may be wrong.
         """
         beyond = local.probability if local and local.probability > asked_of(local) else 0.0
-        mine, others = self.probability * (1.0 - beyond), 1.0 - self.probability
+        mine = self.probability * (1.0 - beyond)
+        others = 1.0 - self.probability
         asked = LIKELY if len(self.errors) <= FEWEST else STRONG
         least = WORSE if len(self.errors) <= FEW else -WORSE
         return mine <= asked * (mine + others) or self.worse > least
@@ -111,7 +113,8 @@ def averaged(points: Points, scaling: Scaling, crs: str, exponents: Exponents) -
     grid = in_space(scaling, crs, scaled)
     if found is None or grid is None or not FEWEST <= len(points) <= MOST:
         return None
-    plan, pixel = found[0][:, :2], 1.0 / scaling.image_scale
+    plan = found[0][:, :2]
+    pixel = 1.0 / scaling.image_scale
     slopes, _, rank, _ = np.linalg.lstsq(
         np.column_stack([np.ones(len(plan)), plan]), points.image)
     if rank < 3:
@@ -132,13 +135,14 @@ def averaged(points: Points, scaling: Scaling, crs: str, exponents: Exponents) -
         return None
     weights = weights_of(points)
     equations = Equations(monomials(points.ground, exponents), points.image, weights)
-    physical = [Solutions(equations, one, pixel) for one in priors]
+    physical = [Solutions(equations, prior, pixel) for prior in priors]
     least = max(one.log for one in physical) - NEGLIGIBLE
     physical = [one for one in physical if one.log > least]
     logs, each, errors, coefficients, effective = (
         [getattr(one, name) for one in physical]
         for name in ("log", "log_each", "errors", "coefficients", "effective"))
-    shrunken, own = [], None if points.sigma is None else weights
+    shrunken = []
+    own = None if points.sigma is None else weights
     height = scaling.ground_scale[2] * float(np.linalg.norm(slopes[1:], axis=0).mean())
     for degree in (2, 3):
         powers = graded_exponents(degree, variables)
@@ -198,7 +202,8 @@ class Physical(Estimator):
     def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
         """Return the mean square errors of a fit at scaled places, under all priors."""
         assert isinstance(fitted.model, Polynomial)
-        found, parts = averaged_of(fitted), []
+        found = averaged_of(fitted)
+        parts = []
         columns = monomials(ground, fitted.model.exponents)
         for one in found.physical:
             parts.append((columns @ one.coefficients, *one.spread(columns)))

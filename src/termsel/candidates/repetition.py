@@ -44,7 +44,8 @@ def repeated(control: Control, portfolio: Portfolio | None = None,
     by, or lines alone that are too few to shrink. `choice` is that from all features, if it is
     known.
     """
-    portfolio, seen = portfolio or Portfolio(), list[None]()
+    portfolio = portfolio or Portfolio()
+    seen = list[None]()
     folds = folds_of(control.features)
 
     def see(one: Judged | None) -> None:
@@ -61,17 +62,20 @@ def repeated(control: Control, portfolio: Portfolio | None = None,
 
 def _errors(control: Control, portfolio: Portfolio, watch: Watch, folds: int,
             choice: Choice | None) -> FloatArray | None:
-    features, whole = control.features, cache(lambda: choose(control, portfolio, whole=False))
+    features = control.features
+    whole = cache(lambda: choose(control, portfolio, whole=False))
     many = len(features.points) >= MANY and not len(features.lines)
     parts = portfolio.for_parts_of(control, (choice or whole()) if many else None)
     order = spatial_order(ground_centres(features))
-    count, owner = len(features.points), features.feature
+    count = len(features.points)
+    owner = features.feature
     errors = np.empty((len(owner), 2))
     least = portfolio.least(control)
     for fold in range(folds):
         out = np.zeros(len(control), dtype=bool)
         out[order[fold::folds]] = True
-        rest, held = control.take(~out), features.take(out)
+        rest = control.take(~out)
+        held = features.take(out)
         # Relief that rests on one feature of the others tells nothing of those held out.
         flat = replace(rest, heights=rest.heights and not carriers(rest, most=1))
         found = None if len(rest) < least else choose_features(flat, parts, watch, whole=False)

@@ -35,10 +35,12 @@ class RidgeByOrder(Estimator):
             used: BoolArray) -> Fit:
         """Fit a model (see `Estimator.fit`); its adjustment is that of least squares."""
         plain = LeastSquares(iterated=False).fit(model, control, scaling, terms, used)
-        coefficients, trace = np.zeros(len(terms)), 0.0
+        coefficients = np.zeros(len(terms))
+        trace = 0.0
         weights = np.array([_weight(name) for name in model.terms])
         for part in independent_parts(plain.model.equations(plain.scaled_control), model.axis):
-            rows, chosen = used[part.equations.feature], terms & part.columns
+            rows = used[part.equations.feature]
+            chosen = terms & part.columns
             columns = part.equations.A[rows][:, chosen[part.columns]]
             coefficients[chosen], effective = _ridge(columns, part.equations.b[rows],
                                                      weights[chosen])
@@ -66,7 +68,9 @@ def _ridge(columns: FloatArray, target: FloatArray,
     if rest.size:
         u, s, vt = np.linalg.svd(rest, full_matrices=False)
         live = s > TOLERANCE * s.max(initial=0.0)
-        u, s, vt = u[:, live], s[live], vt[live]
+        u = u[:, live]
+        s = s[live]
+        vt = vt[live]
         inner = u.T @ y
         if len(s):
             outside = max(float(y @ y - inner @ inner), 0.0)

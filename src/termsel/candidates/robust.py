@@ -58,8 +58,10 @@ def reweighted(equations: Equations, biweight: bool) -> tuple[FloatArray, FloatA
     The scale is the median absolute residual of each iteration. With `biweight` the estimator is
     Tukey's, after Huber's.
     """
-    A, b = equations.A, equations.b
-    x, weights = np.linalg.lstsq(A, b)[0], np.ones(len(b))
+    A = equations.A
+    b = equations.b
+    x = np.linalg.lstsq(A, b)[0]
+    weights = np.ones(len(b))
     for with_biweight in (False, True)[:1 + biweight]:
         for _ in range(ITERATIONS):
             left = np.abs(b - A @ x)
@@ -69,7 +71,8 @@ def reweighted(equations: Equations, biweight: bool) -> tuple[FloatArray, FloatA
             weights = _biweight(left / scale) if with_biweight else \
                 HUBER / np.maximum(left / scale, HUBER)
             root = np.sqrt(weights)
-            before, x = x, np.linalg.lstsq(A * root[:, None], b * root)[0]
+            before = x
+            x = np.linalg.lstsq(A * root[:, None], b * root)[0]
             if np.linalg.norm(x - before) <= SETTLED * np.linalg.norm(x):
                 break
     return np.asarray(x), weights

@@ -49,7 +49,8 @@ class ForwardSelection(Estimator):
         """Fit a polynomial (see `Estimator.fit`), offering all its terms."""
         assert isinstance(model, Polynomial)
         given = points_alone(control, used, "a selection of terms")
-        points, weights = scaling.points(given), weights_of(given)
+        points = scaling.points(given)
+        weights = weights_of(given)
         columns = monomials(points.ground, model.exponents)
         affine = np.array(model.exponents).sum(axis=1) < 2
         sides = select_forward(columns * weights.T[:, :, None], (points.image * weights).T, affine)
@@ -81,19 +82,22 @@ def select_forward(columns: FloatArray, target: FloatArray,
     # Line and sample have the same columns unless their weights differ.
     if (columns == columns[0]).all():
         rows = np.concatenate([columns[0], target.T], axis=1)
-        augmented, factors = [rows] * axes, [_without_each(rows, fold)] * axes
+        augmented = [rows] * axes
+        factors = [_without_each(rows, fold)] * axes
         own = range(k, k + axes)
     else:
         augmented = [np.concatenate([one, aim[:, None]], axis=1)
                      for one, aim in zip(columns, target, strict=True)]
-        factors, own = [_without_each(rows, fold) for rows in augmented], range(k, k + 1)
+        factors = [_without_each(rows, fold) for rows in augmented]
+        own = range(k, k + 1)
     which = [np.append(np.arange(k), own[axis % len(own)]) for axis in range(axes)]
     systems = np.concatenate([one[:, :, some] for one, some in zip(factors, which, strict=True)])
     equations = np.tile(np.append(n - np.bincount(fold), n).astype(np.float64), axes)
     found = _chosen(systems, equations, int(forced.sum()), most)
     if found is None:
         return None
-    best, each = found.reshape(axes, folds + 1, k), np.split(systems, axes)
+    best = found.reshape(axes, folds + 1, k)
+    each = np.split(systems, axes)
     return [AxisTerms(chosen[folds][np.argsort(order)],
                       _errors(rows[:, some], fold, system, chosen[:folds]))
             for rows, some, system, chosen in zip(augmented, which, each, best, strict=True)]
@@ -132,16 +136,20 @@ def _chosen(systems: FloatArray, equations: FloatArray, forced: int,
     The systems (s, r, k + 1) are triangular factors of columns and target, of so many equations
     (s,). Forced terms come first and are always in; at most so many others are selected.
     """
-    count, free = len(systems), systems.shape[2] - 1 - forced
+    count = len(systems)
+    free = systems.shape[2] - 1 - forced
     lengths = np.linalg.norm(systems[:, :, :-1], axis=1)
     lead = np.abs(np.diagonal(systems, axis1=1, axis2=2)[:, :forced])
     if (lead <= TOLERANCE * lengths[:, :forced]).any():
         return None
     # The forced terms are taken out: their rows of the triangle are.
-    rest, left = systems[:, forced:, forced:-1].copy(), systems[:, forced:, -1]
+    rest = systems[:, forced:, forced:-1].copy()
+    left = systems[:, forced:, -1]
     lengths = lengths[:, forced:]
     chosen = np.zeros((count, free), dtype=bool)
-    best, least, rows = chosen.copy(), np.full(count, np.inf), np.arange(count)
+    best = chosen.copy()
+    least = np.full(count, np.inf)
+    rows = np.arange(count)
     # All terms are a candidate of their own. No selection leaves less than they do.
     counts = range(max(min(most, free - 1), 0) + 1)
     rounding = (ROUNDING * np.linalg.norm(systems[:, :, -1], axis=1)) ** 2
@@ -150,7 +158,8 @@ def _chosen(systems: FloatArray, equations: FloatArray, forced: int,
     for added in counts:
         value = _criterion(left, rounding, equations, added, free, forced + added)
         better = value < least
-        least, best = np.where(better, value, least), np.where(better[:, None], chosen, best)
+        least = np.where(better, value, least)
+        best = np.where(better[:, None], chosen, best)
         squares = np.einsum("bnk,bnk->bk", rest, rest)
         usable = ~chosen & (squares > (TOLERANCE * lengths) ** 2)
         if (not usable.any(axis=1).all()
@@ -172,7 +181,8 @@ def _errors(rows: FloatArray, fold: IntArray, systems: FloatArray, best: BoolArr
     masks, which = np.unique(best, axis=0, return_inverse=True)
     which = which.ravel()
     for one, mask in enumerate(masks):
-        outs, count = np.flatnonzero(which == one), int(mask.sum())
+        outs = np.flatnonzero(which == one)
+        count = int(mask.sum())
         r = _triangle(systems[outs][:, :, np.append(mask, True)])
         place = np.empty(len(best), dtype=np.intp)
         place[outs] = np.arange(len(outs))

@@ -83,10 +83,12 @@ class Averaging(Estimator):
 def fit_of(estimator: Estimator, model: Polynomial, control: FeatureSet, scaling: Scaling,
            used: BoolArray, found: Average) -> Fit:
     """Return the fit that an average of solutions for the features in use is."""
-    coefficients, equations = found.coefficients.T.ravel(), model.equations(
+    coefficients = found.coefficients.T.ravel()
+    equations = model.equations(
         scaling.features(control))
     in_use = (equations.b - equations.A @ coefficients)[used[equations.feature]]
-    freedom, count = len(in_use) - found.effective, round(found.effective)
+    freedom = len(in_use) - found.effective
+    count = round(found.effective)
     sigma0 = float(np.sqrt(in_use @ in_use / freedom)) if freedom > 0.5 else np.nan
     adjustment = Adjustment(coefficients, np.full(len(coefficients), np.nan), count, len(in_use),
                             count, np.nan, sigma0)
@@ -131,7 +133,8 @@ def average_with_lines(features: FeatureSet, model: Polynomial) -> Average | Non
     found = averaged(equations, model.exponents)
     if found is None:
         return None
-    k, (shrunk, effective, errors) = len(model.exponents), found
+    k = len(model.exponents)
+    (shrunk, effective, errors) = found
     free = np.tile(np.array(model.exponents).sum(axis=1) < 2, 2)
     coefficients = np.empty(2 * k)
     coefficients[~free] = shrunk

@@ -191,4 +191,4 @@ CANDIDATES: tuple[Structure, ...] = (
 
 def named(name: str) -> Candidate | None:
     """Return the built-in candidate of a name, or None; the registry knows those of plugins."""
-    return next((one for one in CANDIDATES if one.name == name), None)
+    return next((candidate for candidate in CANDIDATES if candidate.name == name), None)

@@ -115,7 +115,8 @@ def _checked(content: Any) -> tuple[list[str], int]:
         if value + Fraction(axis.checks, _ONE) > axis.limit * (1 + Fraction(1, 10**8)):
             raise Refused(f"axis {axis.name}: the limit is too far below the selection's score")
         decided, left, steps = axis.proven()
-        total, open_ = total + value, open_ + left
+        total = total + value
+        open_ = open_ + left
         lines.append(f"axis {axis.name}: {decided:,} selections of up to {axis.room} of "
                      f"{axis.k} terms are decided by {steps:,} steps, {left:,} are open")
     alone = f" in {axes[0].name}, of this axis alone" if len(axes) == 1 else ""
@@ -197,17 +198,20 @@ class Axis:
     """
 
     def __init__(self, given: dict[str, Any]) -> None:
-        self.name, self.nodes = given["axis"], iter(given["nodes"])
+        self.name = given["axis"]
+        self.nodes = iter(given["nodes"])
         if self.name not in ("line", "sample"):  # it is printed
             raise ValueError("an axis that is neither line nor sample")
         self.terms = [_name(term) for term in given["terms"]]
-        self.k, self.room = len(self.terms), int(given["room"])
+        self.k = len(self.terms)
+        self.room = int(given["room"])
         if not 0 < self.k <= _MOST or not 0 <= self.room <= self.k:
             raise ValueError(f"terms: not 1 to {_MOST}, or no such room")
         self.limit, self.margin, self.pixels = _exact(
             [given["limit"], given["margin"], given["pixels"]])
         a, e, d = (self._rows(given[key]) for key in ("control", "errors", "denominators"))
-        self.checks, self.rational = len(e), bool(d)
+        self.checks = len(e)
+        self.rational = bool(d)
         if not e or not min(self.limit, self.pixels) > 0 or (d and (
                 len(d) != len(e) or not self.margin > 0)) or any(row[-1] != -1 for row in d):
             raise ValueError("limit, margin, pixels, errors or denominators")
@@ -240,7 +244,8 @@ class Axis:
 
     def proven(self) -> tuple[int, int, int]:
         """Walk the tree; return the selections decided and left open, and the number of steps."""
-        counts, todo = [0, 0, 0], [self.root()]
+        counts = [0, 0, 0]
+        todo = [self.root()]
         while todo:
             counts[2] += 1
             try:
@@ -294,7 +299,8 @@ class Axis:
         """Return the selections without an open column and, if there is room, those that use it."""
         if type(j) is not int or j not in node.rest:
             raise Refused("a split is by a term that is not open")
-        p, rest = node.columns.index(j), tuple(i for i in node.rest if i != j)
+        p = node.columns.index(j)
+        rest = tuple(i for i in node.rest if i != j)
         fewer = [row if i < p else row[:p] + row[p + 1:]
                  for i, row in enumerate(node.form) if i != p]
         without = replace(node, rest=rest, form=fewer,
@@ -356,7 +362,8 @@ class Axis:
         scale = Fraction(_ONE, 2 * self.unit_a**2)
         half = dict(zip(node.rest, (_floor(alpha * scale) for alpha in _exact(spheres)),
                         strict=True))
-        alphas, n = [half.get(i, 0) for i in node.columns], len(node.columns)
+        alphas = [half.get(i, 0) for i in node.columns]
+        n = len(node.columns)
         h = (n + 2) * (2 * n + 1)  # above the norm of all that is rounded
         drop = _ONE.bit_length() - 1 - _PLACES
         rows = []
@@ -418,7 +425,8 @@ def _eliminated(rows: list[list[int]], n: int) -> list[list[int]] | None:
         pivot, *firsts = [row[0] for row in rows]
         if pivot <= 0 or max(map(int.bit_length, firsts)) > bits:
             return None
-        column, below = firsts[:n - k], []
+        column = firsts[:n - k]
+        below = []
         for i, (first, row) in enumerate(zip(firsts, rows[1:], strict=True)):
             ratio = (first << bits) // pivot
             other = column if i < n - k else [*column, first]
@@ -439,7 +447,8 @@ def _solved(matrix: list[list[int]], target: list[int]) -> tuple[list[int], int]
 
     The matrix is one of inner products; d is 0 if it is singular.
     """
-    n, last = len(matrix), 1
+    n = len(matrix)
+    last = 1
     rows = [[*row, value] for row, value in zip(matrix, target, strict=True)]
     for k in range(n):
         if rows[k][k] == 0:  # inner products: a zero pivot is a dependent column

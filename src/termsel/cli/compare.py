@@ -164,8 +164,8 @@ def _keys_of(given: dict[str, Any]) -> dict[str, Any]:
     if files:
         from termsel.io.read import READ_OPTIONS
 
-        of_reading = {one.name: settings.pop(one.name) for one in READ_OPTIONS
-                      if one.name in settings}
+        of_reading = {option.name: settings.pop(option.name) for option in READ_OPTIONS
+                      if option.name in settings}
         keys["data"] = [{**files, **({"crs": given["crs"]} if given["crs"] else {}),
                          **({"options": of_reading} if of_reading else {})}]
     budget = {name: given[name] for name in ("evaluations", "generations", "patience", "seconds",
@@ -221,7 +221,9 @@ def _show_plan(study: Path | None, keys: dict[str, Any], workers: int) -> None:
     from termsel.studies.execution.progress import duration
 
     _list_files(study, keys)
-    total, cells, rows = 0.0, 0, []
+    total = 0.0
+    cells = 0
+    rows = []
     for kind, number, seconds, reason in estimate(study, **keys):
         rows.append((*kind, str(number), "-" if seconds is None else f"{seconds:.2f}", reason))
         total += (seconds or 0.0) * number

@@ -114,7 +114,8 @@ def _describe_criterion(entry: Entry) -> None:
 
 
 def _describe_function(entry: Entry) -> None:
-    one, (made_by, use) = entry.object, _FUNCTIONS[type(entry.object).__name__]
+    one = entry.object
+    (made_by, use) = _FUNCTIONS[type(entry.object).__name__]
     # The docstring's first line says what the function returns; the summary says what that is.
     more = (inspect.getdoc(getattr(one, made_by)) or "").partition("\n")[2].strip("\n")
     echo(f"\n{entry.summary}" + f"\n\n{more}" * bool(more))

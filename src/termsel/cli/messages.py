@@ -22,7 +22,8 @@ def take_stdout() -> None:
     # Once for a command and not for each call into a plugin, as other threads may be printing.
     global _results
     if _results is None:
-        _results, sys.stdout = sys.stdout, sys.stderr
+        _results = sys.stdout
+        sys.stdout = sys.stderr
 
 
 def give_back_stdout() -> None:

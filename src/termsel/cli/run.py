@@ -50,7 +50,8 @@ def run(verbose: bool, **given: Any) -> None:
         require_replaceable(files_of_result(out), reads=asked.reads, overwrite=True,
                             makes_folder=True)
     # A name that is not known is said before a long search.
-    exported, page = asked.exported(), asked.page()
+    exported = asked.exported()
+    page = asked.page()
     features, options = asked.read()
     with search_bar(asked.problem or asked.solver or "auto", asked.quiet) as observe:
         result = running.run(

@@ -30,7 +30,8 @@ class _LeftOut(Criterion):
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
         if self.options["loss"] != SQUARES:  # no sum over rows, and no standard error
-            self.is_rmse, self.subset_score = False, ""
+            self.is_rmse = False
+            self.subset_score = ""
 
     def combined(self, fits: Fits, squares: FloatArray) -> FloatArray:
         """Return the RMSE, or the figure of another loss."""

@@ -95,7 +95,8 @@ def write_cog(
     from rasterio.shutil import copy
     from rasterio.windows import Window
 
-    lines, samples = profile["height"], profile["width"]
+    lines = profile["height"]
+    samples = profile["width"]
     tiles = [Window(column, row, min(across, samples - column), min(TILE, lines - row))
              for row in range(0, lines, TILE) for column in range(0, samples, across)]
     options: dict[str, Any] = {"STATISTICS": "YES"} if statistics else {}
@@ -113,7 +114,8 @@ def write_cog(
         with atomic_path(path) as temporary, utf8_folder(temporary.parent) as folder, \
                 warnings.catch_warnings(), rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True):
             warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-            plain, made = folder / "tiles.tif", folder / "made.tif"
+            plain = folder / "tiles.tif"
+            made = folder / "made.tif"
             # This file is read once: it is packed lightly, which is quick.
             with rasterio.open(plain, "w", driver="GTiff", tiled=True, compress="deflate",
                                zlevel=1, bigtiff="if_safer", **profile) as raster:

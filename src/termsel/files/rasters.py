@@ -77,7 +77,8 @@ def tiff_bytes(pixels: Any, driver: str = "GTiff", **profile: Any) -> bytes:
 def _quiet_about_encodings() -> Iterator[None]:
     """Keep Python from printing that rasterio cannot log a message that is not UTF-8."""
     # It prints that twice, through either hook, before the error comes as an exception.
-    unraisable, uncaught = sys.unraisablehook, sys.excepthook
+    unraisable = sys.unraisablehook
+    uncaught = sys.excepthook
 
     def not_raised(what: sys.UnraisableHookArgs) -> None:
         if not isinstance(what.exc_value, UnicodeDecodeError):
@@ -88,11 +89,13 @@ def _quiet_about_encodings() -> Iterator[None]:
         if not isinstance(error, UnicodeDecodeError):
             uncaught(kind, error, trace)
 
-    sys.unraisablehook, sys.excepthook = not_raised, not_caught
+    sys.unraisablehook = not_raised
+    sys.excepthook = not_caught
     try:
         yield
     finally:
-        sys.unraisablehook, sys.excepthook = unraisable, uncaught
+        sys.unraisablehook = unraisable
+        sys.excepthook = uncaught
 
 
 @contextmanager

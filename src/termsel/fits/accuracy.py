@@ -60,7 +60,8 @@ def predicted_rmse(errors: FloatArray, effective: float, points: int,
 
     No constant says how large the uncertainties of its logarithm are.
     """
-    n, freedom = len(errors), freedom_of(errors)
+    n = len(errors)
+    freedom = freedom_of(errors)
     rmse = float(np.sqrt((errors**2).sum(axis=1).mean()))
     if freedom is None:
         return Predicted(rmse, rmse, rmse, points=points or None)
@@ -73,7 +74,8 @@ def predicted_rmse(errors: FloatArray, effective: float, points: int,
     variance = min(spread / redundancy / 2 + (spread / points if points else 0.0) / 4 + shared / 4,
                    quantile**2)
     # The prediction is the mean of a log-normal RMSE.
-    middle, half = np.log(rmse) - variance / 2, quantile * np.sqrt(variance)
+    middle = np.log(rmse) - variance / 2
+    half = quantile * np.sqrt(variance)
     return Predicted(rmse, float(np.exp(middle - half)), float(np.exp(middle + half)),
                      points=points or None)
 

@@ -25,7 +25,8 @@ def outside(control: FloatArray, places: FloatArray) -> FloatArray:
     whichever is larger; 0 inside. Infinite if the control has no hull, NaN for no place.
     """
     apart = beyond(control[:, :2], places[:, :2])
-    low, high = control[:, 2].min(), control[:, 2].max()
+    low = control[:, 2].min()
+    high = control[:, 2].max()
     if high > low:
         above = np.maximum(places[:, 2] - high, low - places[:, 2]) / (high - low)
         apart = np.maximum(apart, np.where(np.isnan(above), 0.0, above))
@@ -50,7 +51,8 @@ def warnings_of(control: FeatureSet, used: BoolArray, check: Points) -> Iterator
     Of the control, features in the adjustment count: `used`, shape (len(control),).
     """
     mine = centres(control)[used]
-    found, n = [], 0
+    found = []
+    n = 0
     if len(check):
         far = beyond(mine, check.image) > FAR
         if far.any():
@@ -66,7 +68,8 @@ def warnings_of(control: FeatureSet, used: BoolArray, check: Points) -> Iterator
     if found:
         yield (f"Extrapolation: {' and '.join(found)} lie{'s' * (n == 1)} far outside the control "
                "in use. The given RMSE does not hold there.")
-    heights, others = control.ground_vertices()[:, 2], check.ground[:, 2]
+    heights = control.ground_vertices()[:, 2]
+    others = check.ground[:, 2]
     span = float(np.ptp(heights))
     if len(others) and span > 0:
         above = np.maximum(others - heights.max(), heights.min() - others)

@@ -124,8 +124,9 @@ def residuals_of(chosen: Fit, observations: Observations, outliers: Iterable[Out
     Outliers are told, and those that lost their role are among them. Whether check points, and the
     ids of which independent points, took part in the adjustment too.
     """
-    check, independent = observations.check, observations.independent
-    certainty = {one.id: one.certainty for one in outliers}
+    check = observations.check
+    independent = observations.independent
+    certainty = {outlier.id: outlier.certainty for outlier in outliers}
     points = observations.features.points
     off = points.take([name in certainty and role == "off"
                        for name, role in zip(points.ids, points.roles, strict=True)])

@@ -275,7 +275,8 @@ class Fit(Glance):
         TermselError
             If the array has another shape.
         """
-        places, coefficients = self._places(ground), self.adjustment.coefficients
+        places = self._places(ground)
+        coefficients = self.adjustment.coefficients
         below = self.model.denominators(coefficients, self.scaling.ground(places))
         if below is None:
             return np.zeros(len(places), dtype=bool)
@@ -350,7 +351,8 @@ class Fit(Glance):
         TermselError
             If the array has another shape.
         """
-        made, places = self.made or self, self._places(ground)
+        made = self.made or self
+        places = self._places(ground)
         found = made.estimator.spread(made, made.scaling.ground(places))
         missed = made.missed_at(places)
         variance = (found.variance + missed + found.noise * measured) * self.scaling.image_scale**2
@@ -458,7 +460,8 @@ class Fit(Glance):
             raise Undetermined("without one of its control features the fit is not determined",
                                hint="Measure more control, or choose a model with fewer terms.")
         n = len(self.control.points)
-        points, lines = self.errors(self.control.points), self.line_errors()
+        points = self.errors(self.control.points)
+        lines = self.line_errors()
         for out, errors in zip(np.flatnonzero(self.used), each, strict=True):
             if out < n:
                 points[out] = errors[0]

@@ -51,7 +51,8 @@ class LeastSquares(Estimator):
         Where equations are not exact, they are those about the solution: each fit is then one
         Gauss-Newton step away from it. Models that correct by their control are fitted again.
         """
-        model, features = fitted.model, fitted.scaled_control
+        model = fitted.model
+        features = fitted.scaled_control
         equations = (model.linearised(features, fitted.adjustment.coefficients)
                      if self.iterated else None) or first_order(model, features)
         solutions = None if model.corrects else solutions_without_each(
@@ -117,7 +118,10 @@ def adjust(model: Fittable, features: FeatureSet, terms: BoolArray,
         there = solve(nearer, terms, used)
         if not there.feasible:  # near a pole, where the equations say nothing of what is determined
             break
-        x, equations, v, steps = tried, nearer, w, steps + 1
+        x = tried
+        equations = nearer
+        v = w
+        steps = steps + 1
         adjustment = replace(there, coefficients=x)
     return replace(adjustment, steps=steps, converged=converged)
 

@@ -45,7 +45,8 @@ def locate(
     image = np.asarray(image, dtype=np.float64)
     if image.ndim != 2 or image.shape[1] != 2:
         raise TermselError(f"image points have shape {image.shape}, expected (n, 2)")
-    middle, unit = np.asarray(centre, dtype=np.float64), np.asarray(scale, dtype=np.float64)
+    middle = np.asarray(centre, dtype=np.float64)
+    unit = np.asarray(scale, dtype=np.float64)
     ground = np.tile(middle, (len(image), 1))
     if not callable(height):
         heights = np.asarray(height, dtype=np.float64)
@@ -79,7 +80,8 @@ def _newton(project: Projection, image: FloatArray, ground: FloatArray, unit: Fl
             going = np.flatnonzero(np.abs(error).max(axis=1) > TOLERANCE / 100)
             if not going.size:
                 break
-            before, at = error[going], ground[going]
+            before = error[going]
+            at = ground[going]
             moves = (_inverse(project, at, unit) if step and not step % _KEPT
                      else inverse[going])
             ground[going, :2] += np.einsum("nij,nj->ni", moves, before)
@@ -99,7 +101,8 @@ def _shortened(project: Projection, image: FloatArray, ground: FloatArray, error
                unit: FloatArray) -> FloatArray:
     """Return ground points moved by their own Newton steps, or shares of these that help."""
     full = np.einsum("nij,nj->ni", _inverse(project, ground, unit), error)
-    moved, todo = ground.copy(), np.arange(len(ground))
+    moved = ground.copy()
+    todo = np.arange(len(ground))
     for halving in range(_SHORTER):
         tried = ground[todo]
         tried[:, :2] += 0.5**halving * full[todo]
@@ -134,7 +137,8 @@ def _meet(project: Projection, image: FloatArray, surface: Surface, ground: Floa
         return places, surface(places[:, :2]) - places[:, 2]
 
     above = surface(ground[:, :2]) - ground[:, 2]
-    low, high = ground[:, 2].copy(), ground[:, 2].copy()
+    low = ground[:, 2].copy()
+    high = ground[:, 2].copy()
     slope = np.zeros(len(ground))  # of the surface's height over the height of the ray
     for _ in range(_SECANTS):
         going = np.flatnonzero(np.abs(above) > _AT_SURFACE)
@@ -143,7 +147,8 @@ def _meet(project: Projection, image: FloatArray, surface: Surface, ground: Floa
         before = above[going]
         step = before / (1.0 - np.clip(slope[going], -3.0, 0.7))
         ground[going], above[going] = moved(going, ground[going, 2] + step)
-        low, high = np.fmin(low, ground[:, 2]), np.fmax(high, ground[:, 2])
+        low = np.fmin(low, ground[:, 2])
+        high = np.fmax(high, ground[:, 2])
         with np.errstate(all="ignore"):
             slope[going] = np.nan_to_num(1.0 + (above[going] - before) / step)
     # The rest is too steep for that: halve the interval of heights where the ray meets the surface.
@@ -154,6 +159,7 @@ def _meet(project: Projection, image: FloatArray, surface: Surface, ground: Floa
         middle = (below + over) / 2
         ground[going], above[going] = moved(going, middle)
         rises = above[going] > 0
-        below, over = np.where(rises, middle, below), np.where(rises, over, middle)
+        below = np.where(rises, middle, below)
+        over = np.where(rises, over, middle)
     ground[~(np.abs(above) <= _CLOSE)] = np.nan
     return ground

@@ -112,16 +112,19 @@ def misfit_of(image: FloatArray, residuals: FloatArray, sigma: FloatArray | None
     if len(image) > MOST:
         rows = np.linspace(0, len(image) - 1, MOST).round().astype(int)
         effective *= MOST / len(image)
-        image, residuals = image[rows], residuals[rows]
+        image = image[rows]
+        residuals = residuals[rows]
         sigma = None if sigma is None else sigma[rows]
-    n, trend = len(image), _trend(image)
+    n = len(image)
+    trend = _trend(image)
     freedom = n - trend.shape[1]
     if n < FEWEST or 2 * n - effective < 2.0 or freedom < 2 or not residuals.any():
         return None
     # The model has taken up more than the trend: as much larger its residuals would be else.
     residuals = residuals * np.sqrt(2 * freedom / (2 * n - effective))
     noise = np.ones(n) if sigma is None else (sigma**2).mean(axis=1) / np.median(sigma**2)
-    logs, found = [_solved(np.diag(noise), trend, residuals)[0] + np.log(1.0 - FIELD)], []
+    logs = [_solved(np.diag(noise), trend, residuals)[0] + np.log(1.0 - FIELD)]
+    found = []
     each = FIELD / len(LENGTHS) / len(RATIOS)
     for lengths in LENGTHS:
         correlation = matern(image, image, lengths)

@@ -60,10 +60,12 @@ def rank_places(fitted: Fit, candidates: FloatArray, scene: FloatArray, count: i
         raise TermselError("the uncertainty of this model is not known",
                            hint="Plan with 4 or more control points alone; with lines, by a model "
                                 "of least squares, such as --model poly3d.")
-    at, there = both.factors[:len(candidates)], both.factors[len(candidates):]
+    at = both.factors[:len(candidates)]
+    there = both.factors[len(candidates):]
     left = np.eye(at.shape[2])  # what measurements leave of the directions of doubt
     over = np.einsum("mad,mae->de", there, there) / len(there)
-    image, box = fitted.project(candidates), np.array(fitted.image_box())
+    image = fitted.project(candidates)
+    box = np.array(fitted.image_box())
     distance = apart * float(np.ptp(box, axis=0).max())
     free = np.ones(len(candidates), dtype=bool)
     near = np.zeros(len(candidates), dtype=bool)
@@ -105,7 +107,8 @@ def _with_misfit(spread: Spread, made: Fit, ground: FloatArray) -> Spread:
     """Return a spread whose factors span what the model does not fit, too (see `Misfit`)."""
     assert made.misfit is not None
     assert spread.factors is not None
-    image, spans = made.scaling.image(made.project(ground)), [spread.factors]
+    image = made.scaling.image(made.project(ground))
+    spans = [spread.factors]
     seen = np.isfinite(image).all(axis=1)
     for axis in (0, 1):
         values, vectors = np.linalg.eigh(made.misfit.covariance(image[seen], axis))
@@ -128,7 +131,8 @@ def share_left(fitted: Fit, ground: FloatArray) -> float:
     spread = covariances(fitted.made or fitted, ground, misfit=True)
     if spread is None or spread.factors is None or not (spread.noise > 0).all():
         return 1.0
-    alone, among = np.zeros(2), np.zeros(2)
+    alone = np.zeros(2)
+    among = np.zeros(2)
     for axis, noise in enumerate(spread.noise):
         factors = spread.factors[:, axis]                                          # (m, d)
         # C = F F' + s I, so that C^-1 = (I - F (s I + F' F)^-1 F') / s.

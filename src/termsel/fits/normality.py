@@ -27,7 +27,8 @@ def chances_if_normal(errors: FloatArray) -> tuple[float, float] | None:
         return None
     normal = NormalDist()
     expected = np.array([normal.inv_cdf((i - 0.375) / (n + 0.25)) for i in range(1, n + 1)])
-    u, inner = n**-0.5, expected[2:-2]
+    u = n**-0.5
+    inner = expected[2:-2]
     ends = expected[-2:] / np.sqrt(expected @ expected) + (
         np.polyval([-3.582633, 5.682633, -1.752461, -0.293762, 0.042981, 0.0], u),
         np.polyval([-2.706056, 4.434685, -2.071190, -0.147981, 0.221157, 0.0], u))
@@ -40,7 +41,8 @@ def chances_if_normal(errors: FloatArray) -> tuple[float, float] | None:
         mean = np.polyval([-6.714e-4, 0.025054, -0.39978, 0.5440], n)
         deviation = np.exp(np.polyval([-0.0020322, 0.062767, -0.77857, 1.3822], n))
     else:
-        statistic, log = beyond, np.log(n)
+        statistic = beyond
+        log = np.log(n)
         mean = np.polyval([0.0038915, -0.083751, -0.31082, -1.5861], log)
         deviation = np.exp(np.polyval([0.0030302, -0.082676, -0.4803], log))
     first, second = map(normal.cdf, ((mean - statistic) / deviation).tolist())

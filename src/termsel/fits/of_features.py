@@ -49,7 +49,8 @@ def require_determined(fitted: Fit) -> Fit:
     """Return a fit; raise `Undetermined` for one that is not `Fit.determined`."""
     if fitted.determined:
         return fitted
-    adjustment, name = fitted.adjustment, fitted.model.name
+    adjustment = fitted.adjustment
+    name = fitted.model.name
     if not adjustment.converged:
         raise Undetermined(f"the fit of model {name!r} did not converge (it ended after "
                            f"{counted(adjustment.steps or 0, 'step')})",

@@ -60,7 +60,7 @@ class Residuals(tuple[Residual, ...], Framed):
         return self.ground
 
     def _columns(self) -> dict[str, list[Any]]:
-        return {one.name: [getattr(r, one.name) for r in self] for one in fields(Residual)}
+        return {field.name: [getattr(r, field.name) for r in self] for field in fields(Residual)}
 
     @property
     def __geo_interface__(self) -> dict[str, Any]:
@@ -89,7 +89,8 @@ def point_residuals(points: Points, errors: FloatArray, role: str,
 
 def _of_control(control: FeatureSet, used: tuple[bool, ...], errors: FloatArray,
                 line_errors: FloatArray) -> Iterator[Residual]:
-    points, lines = control.points, control.lines
+    points = control.points
+    lines = control.lines
     yield from _rows(points.ids, errors, points.ground, "control", used[:len(points)])
     piece = _pieces(lines)
     for i in range(piece.max(initial=-1) + 1):

@@ -99,7 +99,8 @@ def shared_variance(model: Fittable, control: FeatureSet) -> float | None:
     believed = _Belief.of(model, control)
     if believed is None:
         return None
-    points, local = control.points, model.interpolation(control)
+    points = control.points
+    local = model.interpolation(control)
     left_out = (local if isinstance(local, Collocation) else believed.found).left_out
     weights = weights_of(points)
     # What places have in common, those of the control points, the posterior sees.
@@ -133,7 +134,8 @@ class _Belief:
             return None
         degree = max(DEGREE, model.polynomial_degree or 0)
         heights = model.uses_height if heights is None else heights
-        points, variables = control.points, 3 if heights else 2
+        points = control.points
+        variables = 3 if heights else 2
         found = polynomial_posterior(points.ground, points.image,
                                      graded_exponents(degree, variables),
                                      None if points.sigma is None else weights_of(points))

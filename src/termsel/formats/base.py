@@ -178,7 +178,9 @@ def located(error: TermselError, file: Path | None, line: int | None = None,
             column: str | None = None) -> TermselError:
     """Return `error` with the place where it was found; line and column stay where not given."""
     placed = copy(error)
-    placed.file, placed.line, placed.column = file, line or error.line, column or error.column
+    placed.file = file
+    placed.line = line or error.line
+    placed.column = column or error.column
     return placed
 
 

@@ -50,7 +50,8 @@ def by_splines(xy: FloatArray, image: FloatArray) -> Transformation:
     """Return the thin plate spline from ground to image through GCPs (n, 2), as GDAL does."""
     from scipy.interpolate import RBFInterpolator
 
-    middle, unit = xy.mean(axis=0), float(np.ptp(xy, axis=0).max())
+    middle = xy.mean(axis=0)
+    unit = float(np.ptp(xy, axis=0).max())
     spline = RBFInterpolator((xy - middle) / unit, image, kernel="thin_plate_spline")
     return lambda ground: np.asarray(spline((ground[:, :2] - middle) / unit))
 
@@ -143,7 +144,8 @@ def _by_gcps(key: str, xy: FloatArray, image: FloatArray, crs: str) -> Transform
 
 def _similarity(xy: FloatArray, image: FloatArray) -> Transformation:
     """Return the similarity that fits the ground to the image best on the ground, as in QGIS."""
-    place, pixel = xy @ [1, 1j], image @ [-1j, 1]  # samples to the right, lines down
+    place = xy @ [1, 1j]
+    pixel = image @ [-1j, 1]  # samples to the right, lines down
     away = pixel - pixel.mean()
     turn = np.vdot(away, place - place.mean()) / np.vdot(away, away)
 

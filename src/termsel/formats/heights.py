@@ -68,7 +68,8 @@ class Dem:
         x, y = self.to_raster.transform(*np.asarray(xy, dtype=np.float64).T)
         if self.turns:
             x = nearest(np.asarray(x), (self.raster.bounds.left + self.raster.bounds.right) / 2)
-        x, y = np.asarray(x), np.asarray(y)
+        x = np.asarray(x)
+        y = np.asarray(y)
         return self.converted(x, y, self._interpolated(x, y))
 
     def converted(self, x: FloatArray, y: FloatArray, heights: FloatArray) -> FloatArray:
@@ -129,7 +130,8 @@ def _bilinear(pixels: FloatArray, first: Any, share: FloatArray) -> FloatArray:
     for down in (0, 1):
         for right in (0, 1):
             weight = np.abs(1 - down - share[:, 0]) * np.abs(1 - right - share[:, 1])
-            row, column = first[:, 0] + down * (weight > 0), first[:, 1] + right * (weight > 0)
+            row = first[:, 0] + down * (weight > 0)
+            column = first[:, 1] + right * (weight > 0)
             heights += np.where(weight > 0, weight * pixels[row, column], 0.0)
     return heights
 

@@ -106,6 +106,7 @@ def _turned(features: FeatureSet, origin: str, size: tuple[int, int] | None) -> 
             line = size[0] - 1 + 2 * half - line
         return np.stack([line - half, sample - half], axis=-1)
 
-    points, lines = features.points, features.lines
+    points = features.points
+    lines = features.lines
     return features.with_(points=replace(points, image=turned(points.image)),
                           lines=replace(lines, image=turned(lines.image)))

@@ -84,7 +84,8 @@ def with_rpc(features: FeatureSet, rpc: Rpc | Path | str,
     """
     if isinstance(rpc, Rpc):
         return replace(features, rpc=rpc if part is None else part.rpc(rpc))
-    path, size = Path(rpc), features.image_size
+    path = Path(rpc)
+    size = features.image_size
     found = read_rpc(path)
     if part is not None:
         return replace(features, rpc=part.rpc(found))
@@ -235,7 +236,8 @@ def _parsed(content: bytes) -> ElementTree.Element:
 
 def _from_dimap(root: ElementTree.Element) -> Rpc:
     """Return the RPC from ground to image of a DIMAP file, as GDAL takes it."""
-    model, domain = root.find(".//Global_RFM"), root.find(".//RFM_Validity")
+    model = root.find(".//Global_RFM")
+    domain = root.find(".//RFM_Validity")
     if model is None or domain is None:
         raise TermselError("this DIMAP file has no Global_RFM with RFM_Validity",
                            hint="The RPC of an image is in the file RPC_*.XML next to it.")
@@ -320,8 +322,10 @@ def rpc_items(rpc: Rpc) -> dict[str, str]:
 
 def _values(rpc: Rpc) -> dict[str, float | tuple[float, ...]]:
     """Return numbers by GDAL's names."""
-    (line, sample), (line_scale, sample_scale) = rpc.image_offset, rpc.image_scale
-    (lon, lat, height), (lon_scale, lat_scale, height_scale) = rpc.ground_offset, rpc.ground_scale
+    (line, sample) = rpc.image_offset
+    (line_scale, sample_scale) = rpc.image_scale
+    (lon, lat, height) = rpc.ground_offset
+    (lon_scale, lat_scale, height_scale) = rpc.ground_scale
     values = (line, sample, lat, lon, height, line_scale, sample_scale, lat_scale, lon_scale,
               height_scale, rpc.line_numerator, rpc.line_denominator, rpc.sample_numerator,
               rpc.sample_denominator)

@@ -60,7 +60,8 @@ def _require_inside(result: Result, size: tuple[int, int] | None, image: Path | 
     away = [role == "off" for role in features.points.roles]
     places = features.with_(points=features.points.take(~np.array(away, dtype=bool))) \
         .image_vertices()
-    least, most = places.min(axis=0), places.max(axis=0)
+    least = places.min(axis=0)
+    most = places.max(axis=0)
     if size is not None and (most > np.array(size) - 0.5 + MARGIN).any():
         raise _other_image(size, f"but features extend to line {most[0]:g} and sample {most[1]:g}",
                            image)

@@ -22,7 +22,8 @@ def accuracy_tags(result: Result) -> dict[str, str]:
     tags = {"TIFFTAG_SOFTWARE": f"termsel {__version__}", "ACCURACY_DATE": f"{now:%Y-%m-%d}",
             "TIFFTAG_DATETIME": f"{now:%Y:%m:%d %H:%M:%S}"}
     record = result.record
-    accuracy, expected = result.accuracy, expected_of(record)
+    accuracy = result.accuracy
+    expected = expected_of(record)
     predicted = "" if expected is None else (
         f"predicted RMSE {expected.rmse:.3g} px "
         f"({100 * expected.level:g} % interval {expected.low:.3g} to {expected.high:.3g} px)")

@@ -90,7 +90,8 @@ def _scene(folder: Path) -> Points:
     pixels, points = picture_and_points()
     (folder / "scene.tif").write_bytes(tiff_bytes(pixels[None]))
     step, n = 0.0002, 520
-    west, north = LON - n / 2 * step, LAT + n / 2 * step
+    west = LON - n / 2 * step
+    north = LAT + n / 2 * step
     place = _middles(west, north, step, (n, n))
     heights = terrain()(place).reshape(n, n).astype(np.float32)
     _write_map(folder / "dem.tif", heights, west, north, step, "EPSG:4326")
@@ -118,7 +119,8 @@ def _matches(folder: Path, to_map: Callable[[FloatArray], FloatArray]) -> None:
     """Write a map of the board, and matches of the image with it; every 7th is wrong."""
     to_ground = transformation(MAP_CRS, CRS)
     east, north, _ = np.array(to_map(corners())).T
-    west, top = np.floor(east.min() / GSD) * GSD - 200.0, np.ceil(north.max() / GSD) * GSD + 200.0
+    west = np.floor(east.min() / GSD) * GSD - 200.0
+    top = np.ceil(north.max() / GSD) * GSD + 200.0
     shape = (int((top - north.min()) / GSD) + 20, int((east.max() - west) / GSD) + 20)
     place = np.column_stack([_middles(west, top, GSD, shape), np.zeros(shape[0] * shape[1])])
     board = BOARD(np.asarray(to_ground(place))[:, :2]).reshape(shape).astype(np.uint8)
@@ -130,7 +132,8 @@ def _matches(folder: Path, to_map: Callable[[FloatArray], FloatArray]) -> None:
     image[::7] += rng.choice([-1, 1], image[::7].shape) * rng.uniform(8, 40, image[::7].shape)
     mapped = np.asarray(to_map(ground))
     reference = np.column_stack([top - mapped[:, 1], mapped[:, 0] - west]) / GSD - 0.5
-    image, reference = image.round(3), reference.round(3)
+    image = image.round(3)
+    reference = reference.round(3)
     _write_rows(folder / "matches.csv", np.hstack([image, reference]).tolist(),
                 "image_line,image_sample,reference_line,reference_sample")
     rest = [0] * 9

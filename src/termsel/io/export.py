@@ -90,7 +90,8 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
         If there is no such format or option, the format cannot hold this result, the file
         exists and may not be replaced, is read itself, or cannot be written.
     """
-    path, result = Path(path), as_exported(result, final)
+    path = Path(path)
+    result = as_exported(result, final)
     writer = writer_of(to, **options)
     for key in sorted(options.keys() & _of_others(type(writer))):
         log.info("Note: the format %s has no option %s, which is ignored.", to, key)

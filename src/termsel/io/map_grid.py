@@ -69,7 +69,8 @@ def within(grid: MapGrid, bounds: tuple[float, float, float, float], crs: str) -
     from rasterio.warp import transform_bounds
 
     west, south, east, north = transform_bounds(horizontal(crs), grid.crs, *bounds)
-    (left, top), (right, bottom) = ~grid.transform @ (west, north), ~grid.transform @ (east, south)
+    (left, top) = ~grid.transform @ (west, north)
+    (right, bottom) = ~grid.transform @ (east, south)
     first = max(int(np.floor(left)), 0), max(int(np.floor(top)), 0)
     last = min(int(np.ceil(right)), grid.samples), min(int(np.ceil(bottom)), grid.lines)
     if last[0] <= first[0] or last[1] <= first[1]:
@@ -141,7 +142,8 @@ def grid_of_image(result: Result, crs: str, resolution: float | None = None, *,
     """
     from affine import Affine
 
-    outline, unit = _ground(result, dem, height, crs), _unit(crs)
+    outline = _ground(result, dem, height, crs)
+    unit = _unit(crs)
     known = outline[np.isfinite(outline).all(axis=-1)]
     along, across = (np.linalg.norm(np.diff(outline, axis=axis), axis=-1) for axis in (0, 1))
     if np.isnan(along).all() or np.isnan(across).all():
@@ -166,7 +168,8 @@ def grid_of_image(result: Result, crs: str, resolution: float | None = None, *,
     high = np.ceil(known.max(axis=0) / resolution) + 1
     width, lines = high - low
     least, most = _USUAL
-    sides, own = (high - low).tolist(), (np.ptp(known, axis=0) / of_image).tolist()
+    sides = (high - low).tolist()
+    own = (np.ptp(known, axis=0) / of_image).tolist()
     # An image may have such sides itself; a map that alone has them mixes up degrees and metres.
     if min(sides) < least <= min(own) or max(sides) > most >= max(own) or max(sides) > _LARGEST:
         raise TermselError(f"with pixels of {resolution:g} {unit} the map would have {lines:.0f} "
@@ -174,7 +177,8 @@ def grid_of_image(result: Result, crs: str, resolution: float | None = None, *,
                            hint=f"Give --res in the units of the map, {unit}: the image has "
                                 f"{of_image:g}. Or give a --crs whose edge does not run through "
                                 "the image.")
-    west, north = low[0] * resolution, high[1] * resolution
+    west = low[0] * resolution
+    north = high[1] * resolution
     return MapGrid(crs, int(lines), int(width), Affine(
         resolution, 0.0, west, 0.0, -resolution, north)), \
         float(np.isfinite(outline).all(axis=-1).mean())
@@ -198,7 +202,8 @@ def _even_pixel(outline: FloatArray, pixels: float) -> float:
 
     `outline` are ground places (n, n, 2) of a grid over the image.
     """
-    along, across = outline[1:, 1:] - outline[:-1, :-1], outline[1:, :-1] - outline[:-1, 1:]
+    along = outline[1:, 1:] - outline[:-1, :-1]
+    across = outline[1:, :-1] - outline[:-1, 1:]
     areas = np.abs(along[..., 0] * across[..., 1] - along[..., 1] * across[..., 0]) / 2
     return float(np.sqrt(np.nansum(areas) / (np.isfinite(areas).mean() * pixels)))
 

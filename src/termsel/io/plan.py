@@ -68,7 +68,8 @@ def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
     scene = scene_grid(fitted, GRID)[1]
     scene = scene[np.isfinite(scene).all(axis=1)]
     if candidates is None:
-        ids, places = tuple(f"N{i + 1:03d}" for i in range(len(scene))), scene
+        ids = tuple(f"N{i + 1:03d}" for i in range(len(scene)))
+        places = scene
     else:
         named, places = read_ground(result, candidates)
         ids = tuple(named)

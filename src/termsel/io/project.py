@@ -49,10 +49,12 @@ def project_table(
     TermselError for tables that cannot be read, a CRS other than that of the control, and heights
     that are missing.
     """
-    model, crs = result.fit.model, result.fit.control.crs
+    model = result.fit.model
+    crs = result.fit.control.crs
     if inverse:
         table = _table(path, columns, "line", "sample")
-        ids, image = table.ids(), table.stack("line", "sample")
+        ids = table.ids()
+        image = table.stack("line", "sample")
         if dem is not None and height is not None:
             raise TermselError("--dem and --height exclude each other", hint="Give one of them.")
         if height is not None and not np.isfinite(height):
@@ -77,7 +79,8 @@ def project_table(
     with np.errstate(all="ignore"):
         sigma = result.sigma(ground)
     sigma[~np.isfinite(sigma)] = np.nan
-    control, near = _control(result), ground.copy()
+    control = _control(result)
+    near = ground.copy()
     if is_geographic(crs):
         lon = control[:, 0]
         near[:, 0] = nearest(ground[:, 0], float(lon.min() + lon.max()) / 2)
@@ -124,7 +127,8 @@ def _control(result: Result) -> FloatArray:
 
 def read_ground(result: Result, path: Path, columns: str = "") -> tuple[list[str], FloatArray]:
     """Return ids and ground positions, shape (n, 3), of a table, as `project_table` reads it."""
-    model, crs = result.fit.model, result.fit.control.crs
+    model = result.fit.model
+    crs = result.fit.control.crs
     names = ("x", "y", "z") if model.uses_height else ("x", "y")
     table = _table(path, columns, *names)
     if table.crs and normalise(crs) not in (table.crs, with_stated_heights(table.crs, crs)):

@@ -394,7 +394,8 @@ def _from_origin(path: Path, features: FeatureSet, reader: Reader, origin: Origi
 
 def _say_misspelt(path: Path, features: FeatureSet) -> None:
     """Warn of columns that take no part in the fit and have nearly the name of one that does."""
-    points, lines = features.points, features.lines
+    points = features.points
+    lines = features.lines
     for part, columns, roles in ((points, POINTS, points.roles), (lines, LINES, ())):
         there = {"role": any(roles), "enabled": any(roles)}
         missing = [name for meaning in sorted(OPTIONAL & columns.keys())
@@ -450,7 +451,8 @@ def _check_kinds(path: Path, counts: dict[str, int], asked: dict[str, bool]) -> 
 
 
 def _agreed_crs(sets: dict[Path, FeatureSet], stated: str | None) -> str:
-    agreed, source = stated, "--crs"
+    agreed = stated
+    source = "--crs"
     for path, features in sets.items():
         if not features.crs:
             continue
@@ -459,7 +461,8 @@ def _agreed_crs(sets: dict[Path, FeatureSet], stated: str | None) -> str:
         except TermselError as error:
             raise located(error, path) from error
         if agreed is None:
-            agreed, source = declared, str(path)
+            agreed = declared
+            source = str(path)
         # EPSG:4979 only adds the meaning of the heights to EPSG:4326, as the user may.
         elif declared != agreed and (stated, declared) != ("EPSG:4979", "EPSG:4326"):
             raise TermselError(

@@ -106,7 +106,8 @@ def rectify(
         not be replaced, or cannot be written.
     """
     require_rasterio()
-    image, output = Path(image), Path(output)
+    image = Path(image)
+    output = Path(output)
     require_tiff_name(output)
     require_replaceable([output], reads=[image, dem], overwrite=overwrite)
     for name, value in (("height", height), ("resolution", resolution)):

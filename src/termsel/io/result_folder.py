@@ -113,7 +113,9 @@ def write_result(result: Result, folder: Path) -> None:
 
 def _files(result: Result) -> dict[str, str]:
     """Return the content of each file of a result."""
-    points, lines, crs = result.features.points, result.features.lines, result.features.crs
+    points = result.features.points
+    lines = result.features.lines
+    crs = result.features.crs
     return {**({POINTS: points_text(points, crs)} if len(points) else {}),
             **({LINES: lines_text(lines, crs)} if len(lines) else {}),
             RESIDUALS: residuals_csv(result), SUMMARY: result.summary(verbose=True),
@@ -184,7 +186,8 @@ def read_result(folder: Path | str) -> Result:
         _refuse_changed(record.checksums is None or record.checksums.record != of_record(content),
                         path)
         features = _read_features(Path(folder), record)
-        seals, files = record.checksums, [
+        seals = record.checksums
+        files = [
             name for name, part in ((POINTS, features.points), (LINES, features.lines))
             if len(part)]
         _refuse_changed(seals is None or seals.features != of_features(features)

@@ -30,12 +30,15 @@ def with_spent(result: Result, folder: Path) -> Result:
     """
     if result.accuracy is None:
         return result
-    mine, this_fit = _independent(result.features.points), _fit_of(result.record)
-    shown, names = set[str](), set[str]()
+    mine = _independent(result.features.points)
+    this_fit = _fit_of(result.record)
+    shown = set[str]()
+    names = set[str]()
     for file in sorted(folder.resolve().parent.glob(f"*/{RECORD}")):
         with suppress(TermselError):  # another program's, or damaged
             record = record_from(parse_json(read_text(file), AGAIN))
-            another_fit, known = _fit_of(record) != this_fit, _spent_before(record)
+            another_fit = _fit_of(record) != this_fit
+            known = _spent_before(record)
             if not another_fit and not known:
                 continue
             both = mine & _independent(PointsCsv().read(file.with_name(POINTS)).points)
@@ -49,7 +52,8 @@ def with_spent(result: Result, folder: Path) -> Result:
                 names.add(file.parent.name)
     if not shown:
         return result
-    named, single = tuple(sorted(names)), len(shown) == 1
+    named = tuple(sorted(names))
+    single = len(shown) == 1
     of_all = "" if len(shown) == len(mine) else f" of {len(mine)}"
     note = (f"{len(shown)}{of_all} independent point{'s' * (len(mine) > 1)} "
             f"{'is' if single else 'are'} spent: "

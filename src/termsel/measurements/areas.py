@@ -55,7 +55,8 @@ class Area:
                 f"{ground.shape} on the ground, expected (n, 2) and (n, 3)", ids=[self.id],
                 hint="Measure each corner in the image and on the ground.")
         if n > 1 and (image[0] == image[-1]).all() and (ground[0, :2] == ground[-1, :2]).all():
-            image, ground = image[:-1], ground[:-1]
+            image = image[:-1]
+            ground = ground[:-1]
         object.__setattr__(self, "image", image)
         object.__setattr__(self, "ground", ground)
         for values, what in ((image, "image"), (ground[:, :2], "ground")):

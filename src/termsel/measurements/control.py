@@ -35,7 +35,8 @@ MEASURED_PART = 1e-3
 OTHER = 1.5
 """How many times as far off a plane other places are whose heights are not those of the control."""
 
-MANY, BEST = 12, 5 / 6
+MANY = 12
+BEST = 5 / 6
 """Number of points from which on they show how well they are measured, and the part by which."""
 
 ENOUGH = 8
@@ -96,7 +97,8 @@ def carriers(control: Control, most: int = 2) -> tuple[str, ...]:
     """
     most = most if len(control) >= ENOUGH else 1
     plane, z, owner = _vertices(control)
-    keep, chosen = np.ones(len(z), dtype=bool), list[int]()
+    keep = np.ones(len(z), dtype=bool)
+    chosen = list[int]()
     rest, free = _about_plane(plane, z)
     if not _tells(control, rest, keep):
         return control.features.ids
@@ -122,7 +124,8 @@ def off_plane(control: Control, ground: FloatArray) -> tuple[FloatArray, FloatAr
     carrying = () if control.features.without_height() else carriers(control)
     if not carrying or not np.isfinite(_effect(control)):
         return none, none
-    (plane, z, owner), scaled = _vertices(control), control.scaling.ground(ground)
+    (plane, z, owner) = _vertices(control)
+    scaled = control.scaling.ground(ground)
     keep = ~np.isin(np.array(control.features.ids)[owner], carrying) | (
         len(carrying) == len(control))
     fitted = _plane_at(scaled) @ np.linalg.lstsq(plane[keep], z[keep])[0]
@@ -137,7 +140,8 @@ def with_usual_heights(control: Control, ground: FloatArray) -> FloatArray:
     """
     if control.features.without_height() or not np.isfinite(_effect(control)):
         return ground
-    (plane, z, _), scaled = _vertices(control), control.scaling.ground(ground)
+    (plane, z, _) = _vertices(control)
+    scaled = control.scaling.ground(ground)
     fitted = np.linalg.lstsq(plane, z)[0]
     off = np.nan_to_num(scaled[:, 2] - _plane_at(scaled) @ fitted)
     usual = np.linalg.norm(z - plane @ fitted) / np.sqrt(max(len(z) - plane.shape[1], 1))
@@ -168,15 +172,18 @@ def _noise(control: Control) -> float:
     if len(control.features.lines) or len(points) < MANY:
         return least
     x, y, z = points.ground.T
-    columns, image = np.stack([x**0, x, y, z, x * x, x * y, y * y], axis=1), points.image
+    columns = np.stack([x**0, x, y, z, x * x, x * y, y * y], axis=1)
+    image = points.image
     for kept in (len(points), round(BEST * len(points))):
         q = np.linalg.qr(columns)[0]
         left = image - q @ (q.T @ image)
         free = np.maximum(1.0 - (q**2).sum(axis=1), np.finfo(float).eps)
         best = np.argsort(np.linalg.norm(left, axis=1) / free)[:round(BEST * kept)]
         square = (left**2).sum() / (len(image) - columns.shape[1]) / 2
-        columns, image = columns[best], image[best]
-    view, noise = view_of(points), float(np.sqrt(square))
+        columns = columns[best]
+        image = image[best]
+    view = view_of(points)
+    noise = float(np.sqrt(square))
     if view is not None:
         noise = min(noise, view.noise)
     return max(least, noise * control.scaling.image_scale)
@@ -187,7 +194,8 @@ def _effects(control: Control, scaled: FloatArray) -> FloatArray:
 
     In an oblique view it does more the nearer a place is to the camera.
     """
-    view, effect = _view(control), _effect(control)
+    view = _view(control)
+    effect = _effect(control)
     if view is None or not np.isfinite(effect):
         return np.full(len(scaled), effect)
     metres = _metres(control)
@@ -201,7 +209,8 @@ def _view(control: Control) -> View | None:
 
 def _metres(control: Control) -> FloatArray:
     """Return how many metres a scaled step is along X, Y, Z."""
-    features, scaling = control.features, control.scaling
+    features = control.features
+    scaling = control.scaling
     crs = features.fit_crs or features.crs
     corners = np.array(scaling.ground_offset) + np.diag(scaling.ground_scale)
     plan = plan_of(crs, np.concatenate([[scaling.ground_offset], corners]))

@@ -37,7 +37,8 @@ GEOID = "geoid and ellipsoid?"
 
 _MAD = 1.4826  # from the median absolute deviation to the standard deviation of normal errors
 _EFFICIENCY = float(np.sqrt(np.pi / 2))  # standard deviation of a median by that of a mean
-_FEET, _EXACT = 1 / 3, 3.0  # what is left where heights are read as feet: a share, and metres
+_FEET = 1 / 3
+_EXACT = 3.0  # what is left where heights are read as feet: a share, and metres
 _VISIBLE = 0.1  # px
 
 
@@ -97,7 +98,9 @@ def dem_difference(control: FloatArray, dem: FloatArray, name: str = "") -> DemD
     """
     over = dem - control
     telling = np.isfinite(over) & (np.abs(over) > TAKEN)
-    over, control, dem = over[telling], control[telling], dem[telling]
+    over = over[telling]
+    control = control[telling]
+    dem = dem[telling]
     n = len(over)
     if not n:
         return None

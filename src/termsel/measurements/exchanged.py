@@ -36,7 +36,8 @@ def exchange_of(control: Control) -> Exchange | None:
     if control.heights or len(control.features.lines) or not FEWEST <= count <= MOST:
         return None
     points = control.scaled.points
-    ground, image = points.ground[:, :2], points.image
+    ground = points.ground[:, :2]
+    image = points.image
     if not _mixed(_turnings(ground, image)):
         return None
     repairs: list[tuple[float, Exchange]] = []
@@ -83,7 +84,8 @@ def _turnings(ground: FloatArray, image: FloatArray) -> IntArray:
 
 def _turning(corners: FloatArray) -> FloatArray:
     """Return by which sign triangles (n, 3, 2) turn; 0 of thin ones."""
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    first = corners[:, 1] - corners[:, 0]
+    second = corners[:, 2] - corners[:, 0]
     double = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
     sides = np.linalg.norm(np.stack([first, second, second - first]), axis=2)
     extent = np.ptp(corners.reshape(-1, 2), axis=0).max()

@@ -22,7 +22,8 @@ def image_extent(features: FeatureSet, options: Container[str],
     image = features.image_vertices()
     if (rpc := features.rpc) is not None and "rpc" in options:
         image = np.concatenate([_of_rpc(rpc), image])
-    (top, left), (bottom, right) = image.min(axis=0).tolist(), image.max(axis=0).tolist()
+    (top, left) = image.min(axis=0).tolist()
+    (bottom, right) = image.max(axis=0).tolist()
     return (top, left), (bottom, right)
 
 
@@ -32,7 +33,8 @@ def _of_rpc(rpc: KnownGeometry) -> FloatArray:
     RPCs are in the middle of their images, and scaled by no less than half of these; so the margin
     before the first pixel is beyond the last one, too.
     """
-    middle, half = np.array(rpc.image_offset), np.abs(rpc.image_scale)
+    middle = np.array(rpc.image_offset)
+    half = np.abs(rpc.image_scale)
     half = np.where(middle > 0.0, np.minimum(half, middle), half)
     return np.stack([middle - half, middle + half])
 

@@ -138,7 +138,8 @@ def with_roles(features: FeatureSet, named: Mapping[str, str]) -> FeatureSet:
     """Return the features with the roles that are named; lines that are off are not among them."""
     if not named:
         return features
-    points, lines = features.points, features.lines
+    points = features.points
+    lines = features.lines
     for name, role in named.items():
         if name not in features.ids:
             raise unknown_name("feature", name, features.ids)

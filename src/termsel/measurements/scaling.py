@@ -131,7 +131,8 @@ heights that hardly differ must not become large numbers at other places."""
 def scaling_of(features: FeatureSet) -> Scaling:
     """Return the scaling that brings these control features to [-1, 1]."""
     own = (features.crs, features.fit_crs) if features.fit_crs else ("", "")
-    ground, image = in_fit_crs(features.ground_vertices(), *own), features.image_vertices()
+    ground = in_fit_crs(features.ground_vertices(), *own)
+    image = features.image_vertices()
     turns = is_in_degrees(features.fit_crs or features.crs)
     if turns:
         ground = np.column_stack([continuous(ground[:, 0]), ground[:, 1:]])
@@ -139,12 +140,14 @@ def scaling_of(features: FeatureSet) -> Scaling:
     blank = bool(np.isnan(ground[:, 2]).any())
     if blank:
         known[:, 2] = 0.0
-    low, high = known.min(axis=0), known.max(axis=0)
+    low = known.min(axis=0)
+    high = known.max(axis=0)
     half = (high - low) / 2
     plan = None if blank else plan_of(features.fit_crs or features.crs, known)
     if plan is not None:
         half[2] = max(half[2], SHALLOW * np.ptp(plan, axis=0).max() / 2)
-    middle, image_half = (image.max(axis=0) + image.min(axis=0)) / 2, np.ptp(image, axis=0) / 2
+    middle = (image.max(axis=0) + image.min(axis=0)) / 2
+    image_half = np.ptp(image, axis=0) / 2
     scale = float(image_half.max())
     gx, gy, gz = ((low + high) / 2).tolist()
     sx, sy, sz = np.where(half > 0, half, 1.0).tolist()

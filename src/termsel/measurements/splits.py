@@ -69,7 +69,8 @@ def _in_turn(order: Sequence[int] | np.ndarray, shares: FloatArray,
     # that lag alike the draw decides, so that different seeds give different splits.
     names = ASSIGNABLE
     if not shares[0]:  # the same draws, whether points or lines are the control
-        names, shares = (*names[1:], names[0]), np.roll(shares, -1)
+        names = (*names[1:], names[0])
+        shares = np.roll(shares, -1)
     given = np.zeros(3)
     roles = [""] * len(order)
     for place, i in enumerate(order):

@@ -33,7 +33,8 @@ def twins(ground: FloatArray, typical: FloatArray | None = None) -> IntArray:
     typical = ground if typical is None else typical
     if n < 2 or len(typical) < 2:
         return np.arange(n, dtype=np.intp)
-    places, typical = np.nan_to_num(ground), np.nan_to_num(typical)
+    places = np.nan_to_num(ground)
+    typical = np.nan_to_num(typical)
     # Half of the points span half of an even spread, wherever a few wild ones are.
     low, high = (quantile(typical.T, share) for share in (0.25, 0.75))
     unit = NEAR * 2 * (high - low) * np.array([len(typical) ** -0.5] * 2 + [1.0])
@@ -83,7 +84,8 @@ def merged(features: FeatureSet) -> FeatureSet:
 
 def with_twins(points: Points, ids: Iterable[str]) -> frozenset[str]:
     """Return ids of points together with those of their twins."""
-    labels, given = twins(points.ground), frozenset(ids)
+    labels = twins(points.ground)
+    given = frozenset(ids)
     wanted = {label for name, label in zip(points.ids, labels, strict=True) if name in given}
     return frozenset(name for name, label in zip(points.ids, labels, strict=True)
                      if label in wanted)

@@ -147,7 +147,8 @@ def _fitted(columns: FloatArray, points: Points) -> View | None:
     if matrix is None:
         return None
     left = np.linalg.norm(points.image - _seen(matrix, columns), axis=1)
-    unknown, noise = 3 * matrix.shape[1] - 1, np.inf
+    unknown = 3 * matrix.shape[1] - 1
+    noise = np.inf
     kept = np.argsort(left)[:round(BEST * len(left))]
     again = _least_distances(columns[kept], points.image[kept])
     if again is not None:
@@ -188,7 +189,8 @@ def _least_distances(columns: FloatArray, image: FloatArray) -> FloatArray | Non
         else:
             break
         gain = 1.0 - (after**2).sum() / (left**2).sum()
-        matrix, left = tried / np.linalg.norm(tried), after
+        matrix = tried / np.linalg.norm(tried)
+        left = after
         if gain < _GAIN:
             break
     return np.asarray(matrix)
@@ -196,8 +198,10 @@ def _least_distances(columns: FloatArray, image: FloatArray) -> FloatArray | Non
 
 def _step(matrix: FloatArray, columns: FloatArray, left: FloatArray) -> FloatArray:
     """Return the Gauss-Newton step of a matrix, at right angles to it as its size is free."""
-    seen, below = _seen(matrix, columns), columns @ matrix[2]
-    by, zero = columns / below[:, None], np.zeros_like(columns)
+    seen = _seen(matrix, columns)
+    below = columns @ matrix[2]
+    by = columns / below[:, None]
+    zero = np.zeros_like(columns)
     design = np.concatenate([np.concatenate([by, zero, -seen[:, :1] * by], axis=1),
                              np.concatenate([zero, by, -seen[:, 1:] * by], axis=1),
                              matrix.reshape(1, -1)])

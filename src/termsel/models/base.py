@@ -132,7 +132,8 @@ class SensorModel(Configurable, ABC):
         if (self.scaling, self.crs) == (scaling, crs):
             return self
         ready = copy(self)
-        ready.scaling, ready.crs = scaling, crs
+        ready.scaling = scaling
+        ready.crs = crs
         return ready
 
     def with_parameters(self, parameters: Mapping[str, Any]) -> Self:
@@ -359,7 +360,8 @@ class SensorModel(Configurable, ABC):
         ndarray, shape (..., n, 2)
             Scaled line and sample.
         """
-        image, points = self.project(coefficients, ground), control.points
+        image = self.project(coefficients, ground)
+        points = control.points
         weights = self.residual_weights(points.ground, ground) if len(points) else None
         if weights is not None:
             image = image + weights @ (points.image - self.project(coefficients, points.ground))

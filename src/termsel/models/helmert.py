@@ -65,7 +65,8 @@ class Helmert2D(SensorModel):
         """Return the rows of line and sample over all terms, shape (n, 2, 4)."""
         x, y = (ground[:, :2] * plane_units(self)).T
         y = -y if self.options["mirrored"] else y
-        one, none = np.ones_like(x), np.zeros_like(x)
+        one = np.ones_like(x)
+        none = np.zeros_like(x)
         return np.stack([np.stack([one, none, -y, -x], axis=1),
                          np.stack([none, one, x, -y], axis=1)], axis=1)
 

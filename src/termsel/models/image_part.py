@@ -129,7 +129,8 @@ def recognised(whole: FloatArray, measured: FloatArray) -> ImagePart | None:
     Medians let less than half of the points be blunders.
     """
     known = np.isfinite(whole).all(axis=1)
-    whole, measured = whole[known], measured[known]
+    whole = whole[known]
+    measured = measured[known]
     if len(whole) < _LEAST or np.median(np.linalg.norm(whole - measured, axis=1)) < _FAR:
         return None
     factor = _factor(whole, measured)

@@ -54,7 +54,8 @@ def guard_points(control: FeatureSet, check: Points, wider: float = 1.0) -> Floa
     # X, Y, Z are not along the ground: the box is turned to the features.
     if control.fit_crs and is_geocentric(control.fit_crs):
         axes = np.linalg.svd(vertices - vertices.mean(axis=0), full_matrices=False)[2].T
-    low, high = (vertices @ axes).min(axis=0), (vertices @ axes).max(axis=0)
+    low = (vertices @ axes).min(axis=0)
+    high = (vertices @ axes).max(axis=0)
     if len(vertices) > GUARDED:  # an even choice over the scene
         even = np.linspace(0, len(vertices) - 1, GUARDED).astype(int)
         vertices = vertices[spatial_order(vertices[:, :2])[even]]

@@ -167,7 +167,8 @@ class RationalModel(SensorModel):
         termsel's own: the published line equations of line-based RFMs (Teo 2013; Yavari et al.
         2018) could not be consulted.
         """
-        points, lines = features.points, features.lines
+        points = features.points
+        lines = features.lines
         if self.exact_for_lines or not len(lines):
             # The place along the image line cancels.
             normal, rho = line_normals(lines)

@@ -116,7 +116,8 @@ def taken_over(fitted: Fit) -> Rpc | None:
 
     None if its terms are not those of an RPC.
     """
-    above, below = np.zeros((2, N_COEFFICIENTS)), np.zeros((2, N_COEFFICIENTS))
+    above = np.zeros((2, N_COEFFICIENTS))
+    below = np.zeros((2, N_COEFFICIENTS))
     below[:, 0] = 1.0
     for name, value in zip(fitted.model.terms, fitted.adjustment.coefficients, strict=True):
         if value == 0:
@@ -203,5 +204,6 @@ def _loss(rpc: Rpc, ground: FloatArray, image: FloatArray) -> tuple[float, float
         return float("inf"), float("inf")
     with np.errstate(all="ignore"):
         distance = np.hypot(*(rpc.project(ground) - image).T)
-    worst, rms = float(distance.max()), float(np.sqrt((distance**2).mean()))
+    worst = float(distance.max())
+    rms = float(np.sqrt((distance**2).mean()))
     return (worst, rms) if np.isfinite(worst) else (float("inf"), float("inf"))

@@ -41,7 +41,9 @@ def call(hook: str, slots: Iterable[Slot], taken: Taken, arguments: Arguments | 
     `taken` raises TypeError for what a plugin may not return. Each plugin may take so many seconds,
     by default as long as an import.
     """
-    answers, givers, arguments = Answers(), _Givers(), arguments or {}
+    answers = Answers()
+    givers = _Givers()
+    arguments = arguments or {}
     # ``tryfirst``, ``trylast`` and wrappers work as pluggy documents them. Without them the
     # built-in plugin is called first, and others follow by distribution and name.
     manager = new_manager()

@@ -70,7 +70,8 @@ class Kind:
                 raise TypeError(f"returned the class {thing.__name__}, which lacks {missing}")
         elif base is None or not isinstance(thing, base):
             raise TypeError(f"returned an object of type {type(thing).__name__}, not {wanted}")
-        name, cls = getattr(thing, "name", None), thing if isinstance(thing, type) else type(thing)
+        name = getattr(thing, "name", None)
+        cls = thing if isinstance(thing, type) else type(thing)
         if not isinstance(name, str) or not _NAME.fullmatch(name):
             raise TypeError(f"returned {cls.__name__} with the name {name!r}; a name is text "
                             "without blanks and colons")

@@ -204,7 +204,8 @@ class Loader:
         if slot.loaded:
             return
         slot.loaded = True
-        plugin, manager = slot.plugin, new_manager()
+        plugin = slot.plugin
+        manager = new_manager()
         remember(slot.package, f"{plugin.distribution} {plugin.version}".strip())
         module, reason = slot.attempt(slot.load)
         if reason is not None:
@@ -253,7 +254,8 @@ def hooks_in_source(point: EntryPoint) -> Callable[[str], bool]:
 
 def _source(module: str) -> str:
     """Return the text of a module; nothing where it cannot be found without an import."""
-    spec, path = None, None
+    spec = None
+    path = None
     parts = module.split(".")
     for i in range(len(parts)):
         spec = PathFinder.find_spec(".".join(parts[:i + 1]), path)

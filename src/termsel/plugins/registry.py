@@ -155,8 +155,8 @@ class Registry:
 
     def version(self, distribution: str) -> str:
         """Return the version of a distribution that provides a plugin; none of this session."""
-        return next((one.version for one in self._loader.plugins
-                     if one.distribution == distribution), "")
+        return next((plugin.version for plugin in self._loader.plugins
+                     if plugin.distribution == distribution), "")
 
     def failures(self, *kinds: str) -> list[Remark]:
         """Return what does not work: plugins that cannot be loaded, then things of the kinds.

@@ -40,9 +40,11 @@ def blunder_odds(parts: Iterable[tuple[float, Posterior, bool]], points: IntArra
     parts are solutions for all points, with their probability, and whether a random field is part
     of them; points (m,) are the numbers of those to judge.
     """
-    wrong, right = [], []
+    wrong = []
+    right = []
     for probability, posterior, local in parts:
-        share, form = np.log(probability * posterior.cells.share), FORM if local else 1.0
+        share = np.log(probability * posterior.cells.share)
+        form = FORM if local else 1.0
         wrong.append(share + _log_density(posterior, points, form, SIZES))
         right.append(share + _log_density(posterior, points, form, np.ones(1)))
     return np.asarray(_total(wrong) - _total(right))

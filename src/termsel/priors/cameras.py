@@ -39,12 +39,16 @@ CLIMB = 50.0
 """Standard deviation of how fast the height changes at which ranges are put on the ground [m/s]:
 processors take that of the terrain along the flight."""
 
-VIEW, TILT, ASIDE = (0.1, 1.0), np.radians(3.0), 0.25
+VIEW = (0.1, 1.0)
+TILT = np.radians(3.0)
+ASIDE = 0.25
 """Half the extent of the places by the height of a frame camera above them, from long lenses and
 parts of a photo to wide angles; standard deviations of its tilt, which vertical photos have, and of
 where it is aside of the middle, by the extent."""
 
-YAW, RATE, CHANGE = np.radians(3.0), 3e-5, 5e-7
+YAW = np.radians(3.0)
+RATE = 3e-5
+CHANGE = 5e-7
 """Standard deviations of the angle between flight and scan, which compensates the rotation of the
 Earth, of rates of attitude [rad/s], of which steady platforms state some 1e-5 to 5e-5, and of how
 these change [rad/s^2], within about a minute."""
@@ -63,13 +67,15 @@ def in_space(scaling: Scaling, crs: str, scaled: FloatArray) -> tuple[FloatArray
     NaN where the latitude is not known. None on other bodies than the Earth, and for geocentric
     coordinates.
     """
-    own, middle = scaling.fit_crs or crs, np.array(scaling.ground_offset)
+    own = scaling.fit_crs or crs
+    middle = np.array(scaling.ground_offset)
     ground = scaled * scaling.ground_scale + middle
     if body_of(own) != EARTH or (own and plan_of(own, ground) is None):
         return None
     if own and is_in_degrees(own):
         lon, lat = np.radians(middle[:2])
-        east, north = np.array([-np.sin(lon), np.cos(lon), 0.0]), np.array(
+        east = np.array([-np.sin(lon), np.cos(lon), 0.0])
+        north = np.array(
             [-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)])
         away = to_ecef(ground) - to_ecef(middle[None])
         return away @ np.stack([east, north, np.cross(east, north)], axis=1), float(middle[1])
@@ -106,7 +112,8 @@ def _flights(rng: np.random.Generator, heading: FloatArray, latitude: float, til
     lat = np.radians(np.where(np.isnan(latitude), rng.uniform(-LATITUDE, LATITUDE, len(tilt)),
                               latitude))
     ray = np.stack([np.sin(tilt) * np.sin(toward), np.sin(tilt) * np.cos(toward), np.cos(tilt)], 1)
-    radius, along = RADIUS + altitude, RADIUS * np.cos(tilt)
+    radius = RADIUS + altitude
+    along = RADIUS * np.cos(tilt)
     station = [0.0, 0.0, RADIUS] + ray * (
         np.sqrt(along**2 - RADIUS**2 + radius**2) - along)[:, None]
     up = station / radius[:, None]
@@ -123,7 +130,8 @@ def seen_by_scanners(places: FloatArray, azimuth: float,
     The azimuth of the scan is clockwise from north [rad]; the latitude is in degrees, or NaN.
     Cameras that do not see all places are left out.
     """
-    rng, n = np.random.default_rng(0), CAMERAS  # a prior is the same for all data
+    rng = np.random.default_rng(0)
+    n = CAMERAS  # a prior is the same for all data
     altitude, tilt, toward = (rng.uniform(0.0, 1.0, n) for _ in range(3))
     yaw, rate, change = (scale * rng.standard_normal((n, 3))
                          for scale in (YAW, RATE, CHANGE))
@@ -153,7 +161,8 @@ def seen_by_radars(places: FloatArray, azimuth: float, latitude: float, *,
     range is first that along the ray, then that on the ground, of a sphere at the height of the
     middle.
     """
-    rng, n = np.random.default_rng(0), CAMERAS // 2
+    rng = np.random.default_rng(0)
+    n = CAMERAS // 2
     altitude, tilt = (rng.uniform(0.0, 1.0, n) for _ in range(2))
     heading = azimuth + YAW * rng.standard_normal(n)
     flights = _flights(rng, heading, latitude, SIDEWAYS[0] + tilt * (SIDEWAYS[1] - SIDEWAYS[0]),
@@ -177,11 +186,14 @@ def seen_by_radars(places: FloatArray, azimuth: float, latitude: float, *,
 
 def seen_by_frames(places: FloatArray, azimuth: float) -> tuple[FloatArray, ...]:
     """Return slopes of places in photos of so many frame cameras (see `seen_by_scanners`)."""
-    rng, n = np.random.default_rng(0), CAMERAS
+    rng = np.random.default_rng(0)
+    n = CAMERAS
     extent = 2.0 * np.abs(places[:, :2]).max()
     above = extent / 2 / VIEW[0] * (VIEW[0] / VIEW[1]) ** rng.uniform(0.0, 1.0, n)
-    aside, tilt = ASIDE * extent * rng.standard_normal((n, 2)), TILT * rng.standard_normal((n, 2))
-    east, north = np.sin(azimuth), np.cos(azimuth)
+    aside = ASIDE * extent * rng.standard_normal((n, 2))
+    tilt = TILT * rng.standard_normal((n, 2))
+    east = np.sin(azimuth)
+    north = np.cos(azimuth)
     x = places @ np.array([east, north, 0.0]) - aside[:, :1]
     y = places @ np.array([north, -east, 0.0]) - aside[:, 1:]
     down = above[:, None] - places[:, 2]
@@ -198,13 +210,15 @@ def _seen(view: Callable[[FloatArray], FloatArray], places: FloatArray, azimuth:
     """
     along = places @ np.array([np.sin(azimuth), np.cos(azimuth), 0.0]) / SPEED
     step = np.tile(np.where(np.abs(along) < STEP, STEP, along), (cameras, 1))
-    time, seen = np.zeros_like(step), view(np.zeros_like(step))
+    time = np.zeros_like(step)
+    seen = view(np.zeros_like(step))
     with np.errstate(all="ignore"):
         for _ in range(ROUNDS):  # the secant method
             if np.abs(step).max() < CLOSE:
                 break
             time = np.clip(time + step, -FAR, FAR)
-            before, seen = seen, view(time)
+            before = seen
+            seen = view(time)
             change = seen[..., 0] - before[..., 0]
             step = np.where(np.abs(change) > 1e-13, -seen[..., 0] * step / change, 0.0)
     seen[..., 0] = time

@@ -57,7 +57,8 @@ RATIOS = (0.02, 0.2, 2.0)
 """Standard deviations of the field by those of quadratic coefficients, which `posterior.SIZES`
 takes from the noise to where they are as good as free."""
 
-FALLS, RELIEF = (0.01, 0.1), 0.1
+FALLS = (0.01, 0.1)
+RELIEF = 0.1
 """Cubic coefficients by quadratic ones, and those of one power of Z more, next to a field. With one
 fall alone a field must stand in for the cubic terms that it does not allow."""
 
@@ -202,8 +203,11 @@ class Collocation:
         """Averaged coefficients of the monomials, and those of the knots of each field by lengths.
         """
         lead = len(self.turn)
-        terms, weights = len(self.exponents), weights_of(self.points)
-        total, rest, fields = np.zeros((terms, 2)), np.zeros_like(self.points.image), []
+        terms = len(self.exponents)
+        weights = weights_of(self.points)
+        total = np.zeros((terms, 2))
+        rest = np.zeros_like(self.points.image)
+        fields = []
         columns = monomials(self.points.ground, self.exponents)
         places = columns[:, :lead] @ self.turn
         for share, part in self._likely:
@@ -251,7 +255,8 @@ def _collocated(image: bytes, ground: bytes, sigma: bytes | None,
     rules = [fall ** (order[order > 1] - 2.0) * RELIEF ** shrunk[:, 2] for fall in FALLS]
     # Every fall with every ratio; the columns of the field share one scale.
     mixed = np.array([[*rule, *np.full(len(knots), ratio)] for rule in rules for ratio in RATIOS])
-    parts, weights = [], None if sigma is None else weights_of(points)
+    parts = []
+    weights = None if sigma is None else weights_of(points)
     few = float(np.clip((FEW - len(points)) / (FEW - SURE), 0.0, 1.0)) if variables == 2 else 0.0
     for lengths in (None, *LENGTHS, *[SPLINE] * (few > 0.0)):
         inverse = _inverse(knots, lengths)

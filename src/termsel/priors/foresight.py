@@ -46,7 +46,8 @@ def foresee(posterior: Posterior, free: FloatArray, shrunken: FloatArray,
     image, variance = np.zeros((2, len(free), 2))
     factors = np.zeros((len(free), 2, 2 * count))
     for axis in (0, 1):
-        side, design = posterior.sides[axis], posterior.designs[axis]
+        side = posterior.sides[axis]
+        design = posterior.designs[axis]
         lead = np.linalg.solve(design.lead.T, free.T).T
         rest = shrunken - lead @ design.cross  # w; `lead` is q
         weight = _weights(posterior, axis, noises)
@@ -61,14 +62,16 @@ def foresee(posterior: Posterior, free: FloatArray, shrunken: FloatArray,
 
 def _weights(posterior: Posterior, axis: int, noises: FloatArray) -> FloatArray:
     """Return the noise of each solution of an axis by its probability, shape (g, s)."""
-    which, count = posterior.cells.which[axis], len(posterior.odds[axis].square)
+    which = posterior.cells.which[axis]
+    count = len(posterior.odds[axis].square)
     return np.asarray(np.bincount(which, posterior.cells.share * noises, count), dtype=np.float64
                       ).reshape(len(posterior.scales), -1)
 
 
 def _shrunken(posterior: Posterior, axis: int, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return mean and root of the covariance of the shrunken coefficients, (k,) and (k, k)."""
-    side, design = posterior.sides[axis], posterior.designs[axis]
+    side = posterior.sides[axis]
+    design = posterior.designs[axis]
     k = posterior.scales.shape[1]
     share = np.bincount(side.cell, posterior.cells.share, len(side.coefficients))
     mean = share @ side.coefficients

@@ -141,8 +141,8 @@ def together(parts: Sequence[Prediction]) -> Prediction:
     """Return the predictions of several parts of the points as one."""
     if len(parts) == 1:
         return parts[0]
-    return Prediction(*(np.concatenate([getattr(part, one.name) for part in parts])
-                        for one in fields(Prediction)))
+    return Prediction(*(np.concatenate([getattr(part, field.name) for part in parts])
+                        for field in fields(Prediction)))
 
 
 def mean_chance(strain: tuple[FloatArray, FloatArray], cell: tuple[IntArray, IntArray],
@@ -186,7 +186,8 @@ def _of_solutions(one: OfAxis, start: int, m: int, of_axis: FloatArray) -> None:
     """Fill in 1 / l, its root, e / l and e^2 / l of m points."""
     for u in range(len(one.left)):
         for p in range(m):
-            inverse, error = 1.0 / one.left[u, start + p], one.errors[u, start + p]
+            inverse = 1.0 / one.left[u, start + p]
+            error = one.errors[u, start + p]
             of_axis[0, u, p] = inverse
             of_axis[1, u, p] = np.sqrt(inverse)
             of_axis[2, u, p] = error * inverse
@@ -209,7 +210,8 @@ def _leave_out(line: OfAxis, sample: OfAxis, square: FloatArray, least: FloatArr
         for p in range(m):
             sums[i, p] = 0.0
     for c in range(len(weight)):
-        u, v = line.cell[c], sample.cell[c]
+        u = line.cell[c]
+        v = sample.cell[c]
         for p in range(m):
             less = of_line[3, u, p] + of_sample[3, v, p]
             # S' is the sum of squares of the others: not below what counts as no noise.
@@ -221,7 +223,9 @@ def _leave_out(line: OfAxis, sample: OfAxis, square: FloatArray, least: FloatArr
     for first in range(0, len(weight), CELLS):
         last = min(first + CELLS, len(weight))
         for c in range(first, last):
-            u, v, at = line.cell[c], sample.cell[c], (c - first) * m
+            u = line.cell[c]
+            v = sample.cell[c]
+            at = (c - first) * m
             for p in range(m):
                 share[at + p] = weight[c] * of_line[1, u, p] * of_sample[1, v, p]
                 sums[1, p] += share[at + p]
@@ -229,7 +233,9 @@ def _leave_out(line: OfAxis, sample: OfAxis, square: FloatArray, least: FloatArr
                 power[at + p] = part if part > lowest else lowest
         _raise(power, half, (last - first) * m, share)  # of the cells at once
         for c in range(first, last):
-            u, v, at = line.cell[c], sample.cell[c], (c - first) * m
+            u = line.cell[c]
+            v = sample.cell[c]
+            at = (c - first) * m
             for p in range(m):
                 one = share[at + p]
                 sums[2, p] += one * grown[c, p]
@@ -240,7 +246,8 @@ def _leave_out(line: OfAxis, sample: OfAxis, square: FloatArray, least: FloatArr
                 sums[7, p] += one * of_sample[0, v, p]
     for p in range(m):
         # Powers are relative to the largest, which only the logarithm gets back.
-        logarithm, total = half * np.log1p(sums[0, p]), sums[3, p]
+        logarithm = half * np.log1p(sums[0, p])
+        total = sums[3, p]
         figures[start + p, 0] = sums[4, p] / total
         figures[start + p, 1] = sums[6, p] / total
         figures[start + p, 2] = sums[1, p] / total * np.exp(-logarithm)

@@ -46,12 +46,14 @@ class Spans:
 
         The affine columns there are (m, 3), those of the points (n, 3); `w` are their weights.
         """
-        (n, f), apart = lead.shape, self(there)
+        (n, f) = lead.shape
+        apart = self(there)
         if self.root is None:
             # Universal kriging: the kernel at distance 0, which is 0, less right' system^-1 right.
             system = np.zeros((n + f, n + f))
             system[:n, :n] = kernel(places, places) + np.diag(smoothing / w**2)
-            system[:n, n:], system[n:, :n] = lead, lead.T
+            system[:n, n:] = lead
+            system[n:, :n] = lead.T
             right = np.concatenate([apart, columns], axis=1)
             return np.asarray(-(right * np.linalg.solve(system, right.T).T).sum(axis=1))
         rows = np.concatenate([columns, apart], axis=1)
@@ -115,7 +117,8 @@ def spread_out(places: FloatArray, count: int) -> FloatArray:
         return places
     # From the place nearest to the middle, always the place farthest from those taken.
     taken = [int(np.argmin(np.linalg.norm(places - places.mean(axis=0), axis=1)))]
-    columns, apart = np.ascontiguousarray(places.T), np.full(len(places), np.inf)
+    columns = np.ascontiguousarray(places.T)
+    apart = np.full(len(places), np.inf)
     while len(taken) < count:
         line, sample = columns - columns[:, taken[-1:]]
         apart = np.minimum(apart, line * line + sample * sample)

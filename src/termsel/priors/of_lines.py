@@ -111,20 +111,25 @@ class Coupled:
                 some = (weights[group.feature] == 1.0) == on
                 if not some.any():
                     continue
-                feature, rows = group.feature[some], group.rows[some]
+                feature = group.feature[some]
+                rows = group.rows[some]
                 left = group.left if some.all() else group.left[..., some]
                 held_out, share, rest, quadratic = self._without(left, rows)
                 if on:
                     freedom = self.freedom - rows.shape[1]
-                    variance, widest = rest / freedom, 1.0 / _eigenvalue(left, least=True)
+                    variance = rest / freedom
+                    widest = 1.0 / _eigenvalue(left, least=True)
                 else:
-                    weight, identity = weights[feature], np.eye(rows.shape[1])[:, :, None]
+                    weight = weights[feature]
+                    identity = np.eye(rows.shape[1])[:, :, None]
                     # Its rows are multiplied by a tiny weight: back to the unit of the others.
                     held_out /= weight
                     covariance = identity + (identity - left) / weight**2
                     quadratic = (held_out * _solved(covariance, held_out)[0]).sum(axis=1)
-                    share, freedom = self.share[:, None], self.freedom
-                    variance, widest = self.square[:, None] / freedom, _eigenvalue(covariance)
+                    share = self.share[:, None]
+                    freedom = self.freedom
+                    variance = self.square[:, None] / freedom
+                    widest = _eigenvalue(covariance)
                 statistic = quadratic / rows.shape[1] / variance
                 errors[rows] = np.einsum("cf,crf->fr", np.broadcast_to(
                     share, statistic.shape), held_out)
@@ -142,7 +147,8 @@ def _solved(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
         every = np.moveaxis(a, 3, 1)
         x = np.asarray(np.linalg.solve(every, np.moveaxis(b, 2, 1)[..., None]), dtype=np.float64)
         return np.moveaxis(x[..., 0], 1, 2), np.asarray(np.linalg.det(every), dtype=np.float64)
-    x, across = np.empty_like(b), a[:, 0, 1]
+    x = np.empty_like(b)
+    across = a[:, 0, 1]
     determinant = a[:, 0, 0] * a[:, 1, 1] - across**2
     x[:, 0] = (a[:, 1, 1] * b[:, 0] - across * b[:, 1]) / determinant
     x[:, 1] = (a[:, 0, 0] * b[:, 1] - across * b[:, 0]) / determinant
@@ -153,8 +159,10 @@ def _eigenvalue(a: FloatArray, *, least: bool = False) -> FloatArray:
     """Return the largest or the least eigenvalue of symmetric matrices (..., r, r, f)."""
     if a.shape[-2] != 2:
         return np.asarray(np.linalg.eigvalsh(np.moveaxis(a, -1, -3))[..., 0 if least else -1])
-    one, other = a[..., 0, 0, :], a[..., 1, 1, :]
-    middle, half = (one + other) / 2, (one - other) / 2
+    one = a[..., 0, 0, :]
+    other = a[..., 1, 1, :]
+    middle = (one + other) / 2
+    half = (one - other) / 2
     return np.asarray(middle + (-1 if least else 1) * np.sqrt(half**2 + a[..., 0, 1, :]**2))
 
 
@@ -186,10 +194,12 @@ def coupled(equations: Equations, exponents: Exponents, draws: int,
     the same k exponents; affine ones are not shrunk. Factors of single terms are drawn `draws`
     times (see `scales_of`). The weight of `in_use` rows matters.
     """
-    A, b = equations.A, equations.b
+    A = equations.A
+    b = equations.b
     powers = np.array(exponents)
     order = powers.sum(axis=1)
-    free, scales = np.tile(order < 2, 2), scales_of(powers[order > 1], draws)
+    free = np.tile(order < 2, 2)
+    scales = scales_of(powers[order > 1], draws)
     count = int(free.sum())
     freedom = in_use - count
     alike = _of_equal_number(equations.feature)
@@ -219,7 +229,8 @@ def coupled(equations: Equations, exponents: Exponents, draws: int,
     likely = evidence - freedom / 2 * np.log(square)
     which = np.argwhere(likely > likely.max() - NEVER)
     group, size = which.T
-    keep, strength = keep[group, size], strength[group, size]
+    keep = keep[group, size]
+    strength = strength[group, size]
     part = keep * along[group]
     basis = q[:, count:]
     errors = outside + np.matmul(part[:, None], u[group].transpose(0, 2, 1))[:, 0] @ basis.T
@@ -246,7 +257,8 @@ def coupled(equations: Equations, exponents: Exponents, draws: int,
 
 def _of_equal_number(feature: IntArray) -> list[tuple[IntArray, IntArray]]:
     """Return the features of each number of rows, (f,), and their rows, (f, r)."""
-    number, order = np.bincount(feature), np.argsort(feature, kind="stable")
+    number = np.bincount(feature)
+    order = np.argsort(feature, kind="stable")
     first = np.cumsum(number) - number
     alike = [(np.flatnonzero(number == rows), np.arange(rows)) for rows in np.unique(number)]
     return [(some, order[first[some, None] + rows]) for some, rows in alike]

@@ -137,10 +137,14 @@ class Equations:
     """
 
     def __init__(self, columns: FloatArray, image: FloatArray, weights: FloatArray) -> None:
-        self.columns, self.image, self.weights = columns, image, weights
-        lead, rest = _stacked(columns[:, :FREE], weights), _stacked(columns[:, FREE:], weights)
+        self.columns = columns
+        self.image = image
+        self.weights = weights
+        lead = _stacked(columns[:, :FREE], weights)
+        rest = _stacked(columns[:, FREE:], weights)
         q, r = np.linalg.qr(lead, mode="complete")
-        self.lead, self.basis = r[:2 * FREE], q[:, 2 * FREE:]
+        self.lead = r[:2 * FREE]
+        self.basis = q[:, 2 * FREE:]
         self.cross, self.rest = q[:, :2 * FREE].T @ rest, self.basis.T @ rest
         self.target = self.basis.T @ (image * weights).T.ravel()
 
@@ -149,7 +153,9 @@ class Solutions:
     """All solutions of equations with a prior, for all noises; `pixel` is a pixel, scaled."""
 
     def __init__(self, equations: Equations, prior: Prior, pixel: float) -> None:
-        self._equations, self._prior, self.kind = equations, prior, prior.kind
+        self._equations = equations
+        self._prior = prior
+        self.kind = prior.kind
         # Along U, what the prior lets vary has the variance S^2, to which comes that of the noise.
         varying = equations.rest @ prior.root
         u, values, self._vt = np.linalg.svd(varying,
@@ -199,7 +205,8 @@ class Solutions:
         rank = min(len(known), len(self._vt))
         rest = self._prior.mean + self._prior.root @ (self._vt[:rank].T @ known[:rank])
         rest = rest.reshape(2, -1).T
-        columns, image = self._equations.columns, self._equations.image
+        columns = self._equations.columns
+        image = self._equations.image
         found = np.empty((columns.shape[1], 2))
         found[FREE:] = rest
         lead = columns[:, :FREE]
@@ -217,7 +224,8 @@ class Solutions:
     def spread(self, columns: FloatArray) -> tuple[FloatArray, float]:
         """Return the variance of what is predicted at places (m, k), shape (m, 2), and the noise's.
         """
-        variance, noise = np.empty((len(columns), 2)), float(self.share @ self.noise**2)
+        variance = np.empty((len(columns), 2))
+        noise = float(self.share @ self.noise**2)
         rank = min(len(self._strength), len(self._vt))
         for axis in (0, 1):
             lead, rest = (_stacked(part, np.ones((len(columns), 2)))[
@@ -243,12 +251,13 @@ def marginal(found: Posterior, coefficients: FloatArray, variables: int, height:
     On the scale of `Solutions.log`. The coefficients (k, 2) are their average; `height` is what a
     scaled height of 1 moves on the ground, in scaled units of the image.
     """
-    half, sizes = found.freedom / 2, np.exp(believed_sizes())
+    half = found.freedom / 2
+    sizes = np.exp(believed_sizes())
     some = sizes[SIZES > 0.0].sum() ** 2 + sizes[0] ** 2
     # The integral over the noise of its density 1 / sigma; what the affine terms determine.
     log = found.cells.log - np.log(len(found.scales) * some) + lgamma(half) - np.log(2.0) \
-        - half * np.log(np.pi) - sum(np.log(np.abs(np.diag(one.lead))).sum()
-                                     for one in found.designs)
+        - half * np.log(np.pi) - sum(np.log(np.abs(np.diag(design.lead))).sum()
+                                     for design in found.designs)
     noise = 0.5 * np.log(float(found.cells.share @ (found.square / found.freedom))) - np.log(pixel)
     log += _density(noise - np.log(NOISE), SPREAD)
     if variables == 3:
@@ -263,6 +272,8 @@ def _density(value: float, deviation: float) -> float:
 
 def _stacked(columns: FloatArray, weights: FloatArray) -> FloatArray:
     """Return the rows of line, then those of sample, each with columns of its own."""
-    (n, k), rows = columns.shape, np.zeros((2 * len(columns), 2 * columns.shape[1]))
-    rows[:n, :k], rows[n:, k:] = columns * weights[:, :1], columns * weights[:, 1:]
+    (n, k) = columns.shape
+    rows = np.zeros((2 * len(columns), 2 * columns.shape[1]))
+    rows[:n, :k] = columns * weights[:, :1]
+    rows[n:, k:] = columns * weights[:, 1:]
     return rows

@@ -62,8 +62,10 @@ class Odds:
 def scales_of(exponents: FloatArray, draws: int | None = None) -> FloatArray:
     """Return standard deviations of the shrunken coefficients for size 1, shape (g, k)."""
     draws = DRAWS if draws is None else draws
-    order, height = exponents.sum(axis=1), exponents[:, 2]
-    reliefs, falls = RELIEFS if height.any() else (1.0,), FALLS if order.max() > 2 else (1.0,)
+    order = exponents.sum(axis=1)
+    height = exponents[:, 2]
+    reliefs = RELIEFS if height.any() else (1.0,)
+    falls = FALLS if order.max() > 2 else (1.0,)
     rule = np.array([fall ** (order - 2.0) * relief ** height
                      for fall in falls for relief in reliefs])
     rng = np.random.default_rng(0)  # a prior is the same for all data
@@ -76,7 +78,8 @@ def believed_sizes() -> FloatArray:
 
     That of 0 is half of that of an affine image, as line and sample are affine together.
     """
-    logs, some = -0.5 * np.log1p((SIZES / TYPICAL) ** 2), SIZES > 0.0
+    logs = -0.5 * np.log1p((SIZES / TYPICAL) ** 2)
+    some = SIZES > 0.0
     logs[~some] = np.log(np.exp(logs[some]).sum()) + 0.5 * np.log(AFFINE / (1.0 - AFFINE))
     return np.asarray(logs)
 
@@ -227,14 +230,16 @@ class Posterior:
 
     def without(self, some: slice) -> Prediction:
         """Return what all points but one predict for it, for some of the points in use."""
-        square, half = self.square, self.freedom // 2 - 1
+        square = self.square
+        half = self.freedom // 2 - 1
         return leave_each_out(*self.at(some), square, self.noise + TINY * square,
                               self.cells.share, self.cells.log, half)
 
     def beyond(self, weight: float) -> Prediction:
         """Return what the points in use predict for the others, which weigh too little to matter.
         """
-        share, strains = self.cells.share, []
+        share = self.cells.share
+        strains = []
         errors, spread, mean = (np.zeros((len(self.targets) - self.in_use, 2)) for _ in range(3))
         at = self.at(slice(self.in_use, None))
         for axis, side in enumerate(at):
@@ -244,7 +249,8 @@ class Posterior:
             strains.append(error**2 / own / 2)
             each, sure = (np.bincount(side.cell, one, len(left))
                           for one in (share, share * self.freedom / self.square))
-            errors[:, axis], spread[:, axis] = each @ error, each @ own
+            errors[:, axis] = each @ error
+            spread[:, axis] = each @ own
             mean[:, axis] = sure @ strains[axis]
         return Prediction(errors, mean_chance((strains[0], strains[1]), (at[0].cell, at[1].cell),
                                               2.0 / self.square, share, self.freedom // 2),

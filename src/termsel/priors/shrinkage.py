@@ -63,7 +63,8 @@ class Design:
     @cached_property
     def _known(self) -> tuple[BoolArray, FloatArray, FloatArray, FloatArray]:
         """Of which groups the decompositions are known, and these."""
-        (count, k), m = self.scales.shape, len(self.rest)
+        (count, k) = self.scales.shape
+        m = len(self.rest)
         return (np.zeros(count, dtype=bool), np.empty((count, m, m)), np.empty((count, m)),
                 np.empty((count, m, k)))
 
@@ -129,10 +130,12 @@ class Shrinkage:
     def __init__(self, design: Design, group: IntArray, size: IntArray,
                  sizes: FloatArray) -> None:
         groups, which = np.unique(group, return_inverse=True)
-        least, most = int(size.min()), int(size.max())
+        least = int(size.min())
+        most = int(size.max())
         # Where the solutions stand among all of these groups and sizes.
         self._place = which * (most + 1 - least) + size - least
-        self._design, self._scales = design, design.scales[groups]
+        self._design = design
+        self._scales = design.scales[groups]
         self._u, values, self._vt = design.decomposed(groups)
         some = sizes[least:most + 1, None]
         ratio = some * values[:, None]                                            # (g, s, m)
@@ -147,7 +150,8 @@ class Shrinkage:
 
     def left(self, points: Some) -> FloatArray:
         """Return 1 minus the leverage of points, shape (u, n)."""
-        design, (count, sizes, m) = self._design, self._keep.shape
+        design = self._design
+        (count, sizes, m) = self._keep.shape
         places = np.ascontiguousarray(design.basis[points].T)
         n = places.shape[1]
         left = np.empty((count, sizes, n))
@@ -189,7 +193,8 @@ class SharedShrinkage:
     def __init__(self, design: Design, group: IntArray, size: IntArray,
                  sizes: FloatArray) -> None:
         few = design.few
-        self._design, self._own = design, sizes[size, None] * design.scales[group]
+        self._design = design
+        self._own = sizes[size, None] * design.scales[group]
         u, values, self._bare = design.many
         self._keep = 1.0 / (1.0 + (self._own[:, few:few + 1] * values) ** 2)         # (u, m)
         self._columns = self._own[:, :few, None] * (design.rest[:, :few].T @ u)  # C', (u, f, m)
@@ -213,7 +218,8 @@ class SharedShrinkage:
 
     def side(self, target: FloatArray, which: IntArray) -> Side:
         """Return the solutions for what is measured of one axis (see `Shrinkage.side`)."""
-        design, left = self._design, self.all_left
+        design = self._design
+        left = self.all_left
         assert left is not None
         along = self._along @ target
         mixed = self._turned @ along                                                 # (u, f)

@@ -88,10 +88,12 @@ class ThinPlates:
 
         That of the random field whose best prediction the spline is.
         """
-        variance, noise = np.empty((len(ground), 2)), np.empty(2)
+        variance = np.empty((len(ground), 2))
+        noise = np.empty(2)
         lead = monomials(self.points.ground, PLANE)
         n, f = lead.shape
-        columns, places = monomials(ground, PLANE), ground[:, :2] * self.units
+        columns = monomials(ground, PLANE)
+        places = ground[:, :2] * self.units
         for axis, (smoothing, one, w) in enumerate(zip(
                 self.smoothing, self.axes, weights_of(self.points).T, strict=True)):
             fields = float(one.w @ (self.points.image[:, axis] * w)) / (n - f)
@@ -112,7 +114,8 @@ class ThinPlates:
 
     def _local(self, ground: FloatArray) -> FloatArray:
         """Return the field at places, shape (m, 2)."""
-        places, image = ground[:, :2] * self.units, np.empty((len(ground), 2))
+        places = ground[:, :2] * self.units
+        image = np.empty((len(ground), 2))
         for some in parts(len(ground)):
             image[some] = self.spans(places[some]) @ self._coefficients
         return image
@@ -120,7 +123,8 @@ class ThinPlates:
     @cached_property
     def _affine(self) -> FloatArray:
         """Coefficients of the affine functions, shape (3, 2)."""
-        columns, local = monomials(self.points.ground, PLANE), self._local(self.points.ground)
+        columns = monomials(self.points.ground, PLANE)
+        local = self._local(self.points.ground)
         coefficients = np.empty((len(PLANE), 2))
         for axis, (one, smoothing, w) in enumerate(zip(
                 self.axes, self.smoothing, weights_of(self.points).T, strict=True)):
@@ -151,7 +155,8 @@ def _splines(image: bytes, ground: bytes, sigma: bytes | None, units: tuple[floa
     points = Points(tuple(map(str, range(len(measured)))), measured,
                     np.frombuffer(ground).reshape(-1, 3),
                     None if sigma is None else np.frombuffer(sigma).reshape(-1, 2))
-    lead, places = monomials(points.ground, PLANE), points.ground[:, :2] * units
+    lead = monomials(points.ground, PLANE)
+    places = points.ground[:, :2] * units
     spans = Spans(places, whole=smoothing == 0)
     smoothings = SMOOTHINGS if smoothing is None else np.array([smoothing])
     weights = weights_of(points)
@@ -198,7 +203,8 @@ def _basis(lead: FloatArray, places: FloatArray, weights: FloatArray,
         return None
     whole = spans.root is None
     every = np.linalg.qr(lead, mode="complete" if whole else "reduced")[0]
-    q, rest = every[:, :f], every[:, f:]
+    q = every[:, :f]
+    rest = every[:, f:]
     if np.linalg.matrix_rank(lead, TOLERANCE) < f or \
             (1.0 - (q**2).sum(axis=1)).min() < TOLERANCE:
         return None
@@ -237,15 +243,17 @@ def _axes(basis: _Basis, targets: FloatArray, smoothings: FloatArray,
     choices = [_choice(basis, *one, smoothings, criterion)
                for one in zip(along.T, over.tolist(), strict=True)]
     n = len(targets)
-    axes = [Axis(one.best, np.empty(n), np.empty(n), np.empty(n)) for one in choices]
+    axes = [Axis(choice.best, np.empty(n), np.empty(n), np.empty(n)) for choice in choices]
     for some in parts(n):
         mine = basis.u(some)
         left = np.maximum(1.0 - (basis.q[some]**2).sum(axis=1) - (mine**2).sum(axis=1), 0.0)
         beyond = free[some] - mine @ along
         for axis, one, far in zip(axes, choices, beyond.T, strict=True):
             w, own, without = one.at(mine.T, left, far, n)
-            least, column = without.argmin(axis=0), np.arange(len(mine))
-            axis.w[some], axis.own[some] = w[one.chosen], own[one.chosen]
+            least = without.argmin(axis=0)
+            column = np.arange(len(mine))
+            axis.w[some] = w[one.chosen]
+            axis.own[some] = own[one.chosen]
             axis.errors[some] = w[least, column] / own[least, column]
     return axes
 
@@ -276,7 +284,8 @@ class _Choice:
             return w, own, (self.freedom - 1) * np.log(others) + self.log[:, None] + np.log(own)
         # M without a point is M less the product of its column by itself, over the diagonal.
         twice = self.below**2 @ mine**2 + self.apart**2 * left
-        again, ratio = (self.below**2 * self.along) @ mine + self.apart**2 * far, w / own
+        again = (self.below**2 * self.along) @ mine + self.apart**2 * far
+        ratio = w / own
         others = np.maximum(self.square[:, None] - 2 * ratio * again + ratio**2 * twice, 0.0)
         return w, own, (n - 1) * others / (self.trace[:, None] - twice / own) ** 2
 

@@ -31,7 +31,8 @@ def quantile(values: NDArray[np.float64], share: float) -> NDArray[np.float64]:
     ordered = np.sort(values)  # any NaN is last
     below = int(share * (values.shape[-1] - 1))
     part = share * (values.shape[-1] - 1) - below
-    low, high = ordered[..., below], ordered[..., min(below + 1, values.shape[-1] - 1)]
+    low = ordered[..., below]
+    high = ordered[..., min(below + 1, values.shape[-1] - 1)]
     # Exact at both ends.
     between = low + part * (high - low) if part < 0.5 else high - (1 - part) * (high - low)
     return np.asarray(np.where(np.isnan(ordered[..., -1]), np.nan, between))
@@ -39,7 +40,8 @@ def quantile(values: NDArray[np.float64], share: float) -> NDArray[np.float64]:
 
 def median(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the median of values along their last axis, as `numpy.median` does; NaN of none."""
-    ordered, count = np.sort(values), values.shape[-1]
+    ordered = np.sort(values)
+    count = values.shape[-1]
     if not count:
         return np.full(values.shape[:-1], np.nan)
     middle = (ordered[..., (count - 1) // 2] + ordered[..., count // 2]) / 2
@@ -55,9 +57,12 @@ def chi_squared_quantile(share: float, freedom: float) -> float:
     half = freedom / 2
 
     def below(x: float) -> float:
-        total, term, n = 0.0, 1.0, half
+        total = 0.0
+        term = 1.0
+        n = half
         while term > EPS * total:
-            total, n = total + term, n + 1
+            total = total + term
+            n = n + 1
             term *= x / 2 / n
         return total * exp(half * log(x / 2) - x / 2 - lgamma(half + 1))
 
@@ -94,14 +99,18 @@ def _beta(x: float, rest: float, a: float, b: float) -> float:
     """Return the incomplete beta function of x = 1 - `rest` by its continued fraction."""
     if x == 0.0:
         return 0.0
-    above, below, change, m = 1.0, 1 / (1 - (a + b) * x / (a + 1)), 0.0, 0
+    above = 1.0
+    below = 1 / (1 - (a + b) * x / (a + 1))
+    change = 0.0
+    m = 0
     value = below / a * exp(
         a * log(x) + b * log(rest) + lgamma(a + b) - lgamma(a) - lgamma(b))
     while abs(change - 1) > NEAR:  # by the method of Lentz
         m += 1
         for part in (m * (b - m) / (a + 2 * m - 1), -(a + m) * (a + b + m) / (a + 2 * m + 1)):
             part *= x / (a + 2 * m)
-            above, below = 1 + part / above, 1 / (1 + part * below)
+            above = 1 + part / above
+            below = 1 / (1 + part * below)
             change = above * below
             value *= change
     return value
@@ -109,7 +118,8 @@ def _beta(x: float, rest: float, a: float, b: float) -> float:
 
 def _where(rising: Callable[[float], float], value: float, x: float) -> float:
     """Return where a function of positive numbers has a value, by secants that begin at x."""
-    y, after = rising(x), 1.01 * x
+    y = rising(x)
+    after = 1.01 * x
     for _ in range(STEPS):
         if abs(after - x) <= NEAR * x or (z := rising(after)) == y:
             break

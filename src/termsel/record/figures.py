@@ -31,7 +31,8 @@ def rmse_interval(total: float, freedom: float) -> tuple[float, float]:
     The squares of independent errors have a chi-squared distribution of so many degrees of freedom:
     two of a point if its errors are normal and alike in line and sample, otherwise fewer.
     """
-    tail, freedom = (1 - CONFIDENCE) / 2, max(freedom, 1.0)
+    tail = (1 - CONFIDENCE) / 2
+    freedom = max(freedom, 1.0)
     return (total * sqrt(freedom / chi_squared_quantile(1 - tail, freedom)),
             total * sqrt(freedom / chi_squared_quantile(tail, freedom)))
 

@@ -85,7 +85,8 @@ def _fitted_in(record: Record) -> Iterator[Block]:
 
 def _accuracy(record: Record) -> Iterator[Block]:
     yield Statement(statement(record))
-    accuracy, predicted = record.accuracy, record.predicted
+    accuracy = record.accuracy
+    predicted = record.predicted
     if accuracy:
         yield from _figures(accuracy, f", which took no part in any choice{_seen_before(accuracy)}")
         if record.accuracy_without:
@@ -118,7 +119,8 @@ def _seen_before(accuracy: Accuracy) -> str:
 
 def statement(record: Record) -> str:
     """Return the accuracy as a statement that can be pasted, the surer figure first."""
-    accuracy, expected = record.accuracy, expected_of(record)
+    accuracy = record.accuracy
+    expected = expected_of(record)
     sentences = []
     if expected and predicted_first(record):
         sentences.append(_prediction(expected, exported=_of_all(record)))
@@ -142,14 +144,16 @@ def _measured(record: Record, accuracy: Accuracy) -> Iterator[str]:
     yield _rmse_on(accuracy)
     if less := record.accuracy_without:
         yield f"Without {contradicting(record)}: {_rmse_on(less)}"
-    spent, n = accuracy.spent_count, accuracy.image.n
+    spent = accuracy.spent_count
+    n = accuracy.image.n
     if spent and 2 * spent >= n:
         which = "The points" if spent == n else f"{spent} of the points"
         yield f"{which} are spent: errors of another fit had been shown."
 
 
 def _rmse_on(accuracy: Accuracy) -> str:
-    image, ground = accuracy.image, accuracy.ground
+    image = accuracy.image
+    ground = accuracy.ground
     low, high = image.interval
     metres = f", {rounded(ground.total)} m on the ground" if ground else ""
     return (f"RMSE {rounded(image.total)} px{metres} on {counted(image.n, 'independent point')} "
@@ -157,7 +161,8 @@ def _rmse_on(accuracy: Accuracy) -> str:
 
 
 def _figures(accuracy: Accuracy, of: str) -> Iterator[Block]:
-    image, ground = accuracy.image, accuracy.ground
+    image = accuracy.image
+    ground = accuracy.ground
     rows = [("in the image", *_distances(image, "px", image.line, image.sample))]
     shapes = [*_shape(image, "px", {"line": image.line, "sample": image.sample})]
     if ground:
@@ -211,8 +216,8 @@ def _compared(record: Record, view: View | None) -> Iterator[Block]:
     yield from map(Note, record.notes)
     yield from figure(view, "baselines")
     yield Detail(_fits(record))
-    yield from (Detail(f"Refused: {label_of(one.name)}, as {one.refused}.")
-                for one in record.baselines if one.refused)
+    yield from (Detail(f"Refused: {label_of(baseline.name)}, as {baseline.refused}.")
+                for baseline in record.baselines if baseline.refused)
     yield from map(Detail, _legend(record, view))
 
 
@@ -222,10 +227,10 @@ def _legend(record: Record, view: View | None) -> Iterator[str]:
     if record.rmse.leave_one_out is not None:
         yield (f"{LEAVE_ONE_OUT}: each control feature by the fit without it, as "
                f"{record.model} corrects by control")
-    if any("check" in one.fitted_to for one in baselines):
+    if any("check" in baseline.fitted_to for baseline in baselines):
         yield ("* fitted to control and check together; its check figure is a fit"
                + " (a hollow symbol in the chart)" * (view is not None))
-    if any(not any(rmse.n for rmse in one.rmse.by_role.values()) for one in baselines):
+    if any(not any(rmse.n for rmse in baseline.rmse.by_role.values()) for baseline in baselines):
         yield "- not determined with redundancy"
     objective = next(iter(record.objectives), "")
     if record.strategy or not objective or record.solver == "all-terms":  # nothing was minimised
@@ -238,7 +243,8 @@ def _legend(record: Record, view: View | None) -> Iterator[str]:
 
 def _fits(record: Record) -> TableBlock:
     """Return the RMSE of this result and of all fits without a search."""
-    rows, keys = [], []
+    rows = []
+    keys = []
     for name, fitted_to_check, n_terms, rmse in fits_of(record):
         figures = [_figure(rmse.control)]
         for of_role in (rmse.check, rmse.independent):

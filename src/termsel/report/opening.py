@@ -67,7 +67,7 @@ def _data(record: Record, brief: bool) -> Iterator[Note]:
     yield Note(f"{source}: {kinds}{heights}; {crs}{near}{unit}{origin}.", "Read")
     control = [counted(n, word) for n, word in ((counts.control, "point"), (counts.lines, "line"))
                if n]
-    blunders = sum(one.excluded for one in record.outliers)
+    blunders = sum(outlier.excluded for outlier in record.outliers)
     left = [*[counted(blunders, "blunder")] * bool(blunders),
             *(f"{len(ids)} {reason}" for reason, ids in read.left_out.items())]
     if brief and left:
@@ -97,7 +97,9 @@ def title_of(record: Record) -> str:
 
 
 def _model(record: Record) -> str:
-    title, selection, offered = title_of(record), record.selection, record.offered
+    title = title_of(record)
+    selection = record.selection
+    offered = record.offered
     if record.strategy:
         meaning = next((f" ({text})" for word, text in reversed(_PLAIN.items())
                         if word in title), "")
@@ -121,7 +123,8 @@ def share(chosen: int, offered: int) -> str:
 
 def accuracy_of(record: Record) -> str:
     """Return the accuracy in one sentence: the surer figure first."""
-    accuracy, expected = record.accuracy, expected_of(record)
+    accuracy = record.accuracy
+    expected = expected_of(record)
     confirmed = "" if accuracy is None else _confirmed(record, accuracy)
     if expected is None:
         return f"{confirmed}." if accuracy else "not known, as there are no independent points."
@@ -152,7 +155,8 @@ def _confirmed(record: Record, accuracy: Accuracy) -> str:
 
 def independent_points(accuracy: Accuracy) -> str:
     """Return how many independent points there are, and how many are spent where most are."""
-    spent, n = accuracy.spent_count, accuracy.image.n
+    spent = accuracy.spent_count
+    n = accuracy.image.n
     if not spent or 2 * spent < n:
         return counted(n, "independent point")
     if spent == n:
@@ -191,8 +195,10 @@ def blunders_of(record: Record, brief: bool) -> str:
 
 def _none_found(record: Record) -> str:
     """Return that no blunder was found, and why this may say little."""
-    test, size = record.blunder_test, _size_of_errors(record)
-    accuracy, predicted = record.accuracy, record.predicted
+    test = record.blunder_test
+    size = _size_of_errors(record)
+    accuracy = record.accuracy
+    predicted = record.predicted
     if accuracy and predicted and accuracy.image.total > _CONTRADICTED * predicted.high:
         points = counted(accuracy.image.n, "independent point")
         return (f"none found, but {points} {'is' if accuracy.image.n == 1 else 'are'} "
@@ -259,7 +265,7 @@ def _next(record: Record) -> str:
         return "the run was interrupted; run it again to its end."
     if not record.feasible:
         return "measure more control, or choose a smaller model."
-    if any(not one.excluded for one in record.outliers):
+    if any(not outlier.excluded for outlier in record.outliers):
         return "look at the blunders in use: correct them, or leave them out and run again."
     if not record.data.counts.independent:
         return "measure further points, some of the role independent; termsel plan names places."

@@ -42,13 +42,15 @@ def page(document: Document) -> str:
         If altair or vl-convert-python is not installed.
     """
     specs: dict[str, Any] = {}
-    title, parts = document.title, list(_blocks(document.facts, specs))
+    title = document.title
+    parts = list(_blocks(document.facts, specs))
     for number, section in enumerate(document.sections, 1):
         shown = "\n".join(_blocks(section.blocks, specs))
         parts.append(f'<section aria-labelledby="s{number}"><h2 id="s{number}">'
                      f"{_text(section.title)}</h2>\n{shown}\n</section>")
     style = _resource("page.css") + dark_style()
-    script, drawing = _resource("page.js"), library()
+    script = _resource("page.js")
+    drawing = library()
     policy = (f"default-src 'none'; script-src {_checksum(drawing)} {_checksum(script)}; "
               f"style-src {_checksum(style)}; img-src data:; base-uri 'none'; form-action 'none'")
     # Nothing in a block of data may end it.

@@ -209,7 +209,8 @@ def _method(kind: ChartKind) -> Callable[[Plots], Any]:
     def draw(plots: Plots) -> Any:
         return chart(plots._view, kind.name)
 
-    draw.__name__, draw.__qualname__ = kind.name, f"Plots.{kind.name}"
+    draw.__name__ = kind.name
+    draw.__qualname__ = f"Plots.{kind.name}"
     draw.__doc__ = f"Return the chart \"{kind.title}\".\n\n{kind.look}"
     return draw
 

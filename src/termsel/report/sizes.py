@@ -26,10 +26,13 @@ def proven(row: SizeRow) -> str:
 
 def others(by_size: Sequence[SizeRow], criterion: str) -> Iterator[str]:
     """Yield what is proven of the sizes that are no better than a smaller one, by the criterion."""
-    settled, open_, least = [], [], float("inf")
+    settled = []
+    open_ = []
+    least = float("inf")
     words = counted_by(by_size)
     for row in by_size:
-        size, value = int(row.objectives[size_of(row)] or 0), row.objectives[criterion]
+        size = int(row.objectives[size_of(row)] or 0)
+        value = row.objectives[criterion]
         if row.better and value is not None:
             least = value
         elif row.bound is not None and row.bound >= least - _TIE * abs(least):

@@ -20,13 +20,13 @@ STEP = 9
 def convergence_table(view: View) -> TableBlock:
     """Return the search, generation by generation."""
     rows = spaced(view.record.history, GENERATIONS)
-    empires = any(one.empires for one in rows)
+    empires = any(row.empires for row in rows)
     return TableBlock("The search, generation by generation", (
         "evaluations", "best", "median", "infeasible", *["empires left"] * empires), [
-            (str(one.evaluations), *("-" if value is None else f"{value:.4g}"
-                                        for value in (one.best, one.median)),
-             f"{1 - one.feasible:.0%}",
-             *[str(sum(map(bool, one.empires)))] * empires) for one in rows],
+            (str(row.evaluations), *("-" if value is None else f"{value:.4g}"
+                                        for value in (row.best, row.median)),
+             f"{1 - row.feasible:.0%}",
+             *[str(sum(map(bool, row.empires)))] * empires) for row in rows],
         folded=True)
 
 

@@ -224,7 +224,7 @@ class Result(Glance):
             **{name: getattr(self, name) for name in CARRIED}, schema=SCHEMA,
             options=convert(plain(self.options), Options), selection=self.selection.record(),
             offered=Offered(len(terms), len(self.fit.control)), rmse=rmse_record(self.rmse),
-            baselines=tuple(one.row() for one in self.baselines),
+            baselines=tuple(baseline.row() for baseline in self.baselines),
             final=None if final is None else FinalFit(
                 final.control.ids, final.scaling.numbers(), final.coefficients,
                 final.standard_deviations, adjustment_figures(final), fit_record(final),
@@ -241,7 +241,8 @@ class Result(Glance):
 
     def fit_of(self, member: Member) -> Fit:
         """Return the fit of a member of the front, or of the best selection of a size."""
-        observations, selected = by_roles(self.features), member.selection
+        observations = by_roles(self.features)
+        selected = member.selection
         model = cast("SensorModel", self.fit.model).with_parameters(selected.parameters or {})
         iterated = None if member.iterated is UNSET else member.iterated
         return least_squares_of(
@@ -283,7 +284,7 @@ class Result(Glance):
             return replace(self, final=None, predicted_final=None)
         observations = by_roles(self.features)
         # Of independent points, the outliers stay out of the final fit; twins of others are in it.
-        taken = set(observations.independent.ids) - {one.id for one in self.outliers}
+        taken = set(observations.independent.ids) - {outlier.id for outlier in self.outliers}
         return replace(self, fit=self.final, final=None, residuals=residuals_of(
             in_role(self.final, observations), observations, self.outliers, check_used=True,
             independent_used=taken))
@@ -378,7 +379,8 @@ class Result(Glance):
         if not overwrite and is_there(path):
             raise TermselError("this file already exists", file=path,
                                hint="Choose another name, or pass overwrite=True.")
-        shown, picture = self, ""
+        shown = self
+        picture = ""
         if image is not None:
             picture, size = thumbnail(image, self.features.image_size)
             shown = self.of_image(size)
@@ -398,12 +400,13 @@ class Result(Glance):
         return text if verbose else f"{text}\n{_SHORTENED}\n"
 
     def _glance(self) -> tuple[str, Mapping[str, str]]:
-        counts, record = self.data.counts, self.record
+        counts = self.data.counts
+        record = self.record
         features = [counted(n, word) for n, word in (
             (counts.control, "control point"), (counts.lines, "control line"),
             (counts.check, "check point"), (counts.independent, "independent point")) if n]
         used = len(record.selection.features) + counts.check * bool(self.strategy)
-        out = [one.id for one in self.outliers if one.excluded]
+        out = [outlier.id for outlier in self.outliers if outlier.excluded]
         title = title_of(record) + f" ({self.model})" * bool(self.strategy)
         return f"Result: {title}, {counted(len(self.selection.terms), 'term')}", {
             "data": f"{self.data.source}; {', '.join(features)}",

@@ -65,9 +65,11 @@ def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, use
         iterated = getattr(estimator, "iterated", True)
         made = LeastSquares(iterated).fit(model, control, scaling, terms, used)
         correlations = made.adjustment.correlations
-    trace, held_out = how.effective, None
+    trace = how.effective
+    held_out = None
     if how.held_out is not None:
-        in_use, errors = control.take(used), np.array(how.held_out).reshape(-1, 2)
+        in_use = control.take(used)
+        errors = np.array(how.held_out).reshape(-1, 2)
         if len(errors) != len(in_use.vertex_feature):
             raise TermselError(f"this result is damaged at $.fit.held_out: {len(errors)} errors, "
                                f"expected {len(in_use.vertex_feature)}",
@@ -77,7 +79,8 @@ def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, use
         trace = np.nan
         if estimator.repeatable:  # a record of termsel 0.2 or earlier
             again = estimator.fit(model, control, scaling, terms, used)
-            trace, held_out = again.trace, again.held_out
+            trace = again.trace
+            held_out = again.held_out
     # The figures of the record, whatever the rounding of this machine.
     adjustment = Adjustment(
         values,

@@ -98,7 +98,7 @@ class Shown:
         """Control lines as measured in the image."""
         lines = self.features.lines
         chosen = set(self.record.selection.features)
-        blunders = {one.id for one in self.record.outliers}
+        blunders = {outlier.id for outlier in self.record.outliers}
         return [{"id": name, "role": "control" if name in chosen else "left out",
                  "blunder": name in blunders, "line": _short(l1), "sample": _short(s1),
                  "line2": _short(l2), "sample2": _short(s2)}
@@ -164,7 +164,9 @@ class Shown:
     @cached_property
     def members(self) -> list[Row]:
         """Residuals in the image by all members of the front: dls, dss [`unit`], one a member."""
-        each, unit, rows = self._by_member, self.unit, []
+        each = self._by_member
+        unit = self.unit
+        rows = []
         for i, r, (line, sample) in zip(self._which, self._drawn, self._seen, strict=True):
             if np.isfinite([line, sample, *(value for member in each for value in (
                     member[i].line, member[i].sample))]).all():
@@ -181,7 +183,7 @@ class Shown:
         Whole numbers of it take half the space of numbers in px.
         """
         lengths = [r.distance for member in self._by_member for r in member]
-        median = float(np.median([one for one in lengths if np.isfinite(one)] or [0.0]))
+        median = float(np.median([length for length in lengths if np.isfinite(length)] or [0.0]))
         return float(f"{10.0 ** (np.floor(np.log10(median)) - 2):.0e}") if median > 0 else 1.0
 
     @cached_property
@@ -250,7 +252,8 @@ class Shown:
 
 def _box(places: FloatArray) -> tuple[float, float, float, float]:
     """Return the least, then the greatest of both coordinates, shape (n, 2)."""
-    (a, b), (c, d) = places.min(axis=0).tolist(), places.max(axis=0).tolist()
+    (a, b) = places.min(axis=0).tolist()
+    (c, d) = places.max(axis=0).tolist()
     return a, b, c, d
 
 

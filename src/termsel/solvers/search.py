@@ -177,7 +177,8 @@ def search(
                     solver=solver)
     convergence = Patience(patience, tolerance)
     generation: Generation | None = None
-    refined, interrupted = None, False
+    refined = None
+    interrupted = False
     idle = 0
     notes: tuple[str, ...] = ()
     history: list[HistoryRow] = []

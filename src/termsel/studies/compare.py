@@ -246,7 +246,7 @@ def _plugins(cells: list[Cell], spec: Spec) -> dict[str, str]:
     named |= {("writers", name) for name in spec.exports}
     origins = {entry.provided_by for kind, name in named for entry in registry().entries(kind)
                if entry.answers_to(name)} - {"termsel"}
-    return {one: registry().version(one) for one in sorted(origins)}
+    return {origin: registry().version(origin) for origin in sorted(origins)}
 
 
 def _outcomes(cells: list[Cell], stopped: Callable[[], bool], workers: int,

@@ -110,7 +110,7 @@ class Study(Glance):
                 "solvers": spec.solvers}
         named = {kind: ", ".join(part.label for part in parts)
                  for kind, parts in each.items() if parts}
-        data = list(dict.fromkeys(str(one["data"]) for one in self.cells.values()))
+        data = list(dict.fromkeys(str(cell["data"]) for cell in self.cells.values()))
         states = Counter(row["state"] for row in self.rows)
         return f"Study of {counted(len(self.cells), 'cell')}: {spec.title or 'no title'}", {
             "state": ", ".join(f"{n} {state}" for state, n in states.items()) or "empty",

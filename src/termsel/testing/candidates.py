@@ -36,7 +36,7 @@ class Subject:
     def controls(self) -> list[Control]:
         """Return the features that it does not decline."""
         controls = [Control.of(features) for features in self.features]
-        return [one for one in controls if self.candidate.declines(one) is None]
+        return [control for control in controls if self.candidate.declines(control) is None]
 
     def fits(self) -> list[tuple[Control, Fit]]:
         """Return the fits to all features that determine it."""
@@ -149,7 +149,8 @@ SUITE = Suite((declaration, declines, nearly, fits, judges, repeats, describes, 
 
 def _held_out(candidate: Candidate, control: Control) -> np.ndarray | None:
     """Return squared errors of the first points under fits without them; None without a fit."""
-    points, squares = control.features.points, []
+    points = control.features.points
+    squares = []
     for out in range(min(HELD_OUT, len(points))):
         others = np.arange(len(points)) != out
         part = replace(control, features=control.features.take(others))
@@ -163,7 +164,8 @@ def _held_out(candidate: Candidate, control: Control) -> np.ndarray | None:
 
 def _features() -> list[FeatureSet]:
     """Return points with and without heights: few, some, many, and many with local deformation."""
-    rng, sets = seeded(), []
+    rng = seeded()
+    sets = []
     for n, heights, bend in ((2, False, 0.0), (6, False, 0.0), (6, True, 0.0), (20, False, 0.0),
                              (20, True, 0.0), (80, True, 0.0), (80, False, 0.0), (80, False, 1.0),
                              (80, True, 1.0)):

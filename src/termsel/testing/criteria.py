@@ -140,7 +140,8 @@ def _masks() -> BoolArray:
 
 def _fits(masks: BoolArray) -> Fits:
     """Return least-squares fits of an affine scene with noise, as from a problem."""
-    model, rng = _model(), seeded()
+    model = _model()
+    rng = seeded()
     affine = {"1": 0.1, "X": 0.5, "Y": 0.4, "Z": 0.2}
     truth = np.array([affine.get(Term.parse(name).column, 0.0) for name in model.terms])
     control, check = (imaged(model, truth, rng, points=40) for _ in range(2))
@@ -154,7 +155,8 @@ def _fits(masks: BoolArray) -> Fits:
 
 def _random_inputs(criterion: Criterion, seed: int) -> Inputs:
     """Return few points whose image positions an affine model explains in part."""
-    model, rng = Polynomial3D(degree=1), np.random.default_rng(seed)
+    model = Polynomial3D(degree=1)
+    rng = np.random.default_rng(seed)
     control, check = (imaged(model, rng.normal(0.0, 0.5, len(model.terms)), rng, points=n)
                       for n in (12, 8))
     noisy = [Points(f.points.ids, f.points.image + rng.normal(0.0, 0.2, f.points.image.shape),

@@ -48,7 +48,8 @@ def equations(model: SensorModel) -> None:
     for features in accepted_scenes(model):
         if len(features.lines):
             features = _in_pieces(features)
-        n, m = len(features.points), len(features.lines)
+        n = len(features.points)
+        m = len(features.lines)
         found = model.equations(features)
         of = f"of {n} points and {m} lines in {len(features) - n} features"
         rows = 2 * (n + m)
@@ -75,7 +76,9 @@ def linearisation(model: SensorModel) -> None:
     From its start, or the solution of `equations`, a fit to points that it computed converges.
     """
     features, truth, _ = experiment(model, 1, 0)
-    points, terms, used = features.points, np.ones(len(truth), bool), np.ones(len(features), bool)
+    points = features.points
+    terms = np.ones(len(truth), bool)
+    used = np.ones(len(features), bool)
     try:
         found = model.linearised(features, truth)
     except TermselError:  # a model of lines alone, as `control_kinds` says
@@ -156,7 +159,8 @@ def fit(model: SensorModel) -> None:
         model.equations(scaled)
     except TermselError:  # a model of lines alone, as `control_kinds` says
         return
-    scaling, points = model.scaling, scaled.points
+    scaling = model.scaling
+    points = scaled.points
     require(scaling is not None, "it must be prepared")
     assert scaling is not None
     features = FeatureSet(Points(points.ids, scaling.pixels(points.image),

@@ -61,7 +61,8 @@ def axis(model: SensorModel) -> None:
             f"axis must have shape ({k},), one code per term, not {codes.shape}")
     require(np.issubdtype(codes.dtype, np.integer) and np.isin(codes, (0, 1, 2)).all(),
             f"axis must hold the integers 0 (line), 1 (sample) and 2 (both), not {codes}")
-    coefficients, ground = random_coefficients(model, seeded()), random_ground(seeded(), 40)
+    coefficients = random_coefficients(model, seeded())
+    ground = random_ground(seeded(), 40)
     image = model.project(coefficients, ground)
     for term, code in enumerate(codes):
         without = coefficients.copy()
@@ -75,7 +76,8 @@ def axis(model: SensorModel) -> None:
 
 def inputs_unchanged(model: SensorModel) -> None:
     """It does not change its inputs."""
-    coefficients, ground = random_coefficients(model, seeded()), random_ground(seeded(), 9)
+    coefficients = random_coefficients(model, seeded())
+    ground = random_ground(seeded(), 9)
     features = accepted_scenes(model)[-1]
     given = {"the coefficients": coefficients, "the ground points": ground, **{
         f"{name} of the features": array for name, array in (
@@ -101,7 +103,8 @@ def batch_project(model: SensorModel) -> None:
     """Many sets of coefficients at once give the same as one by one."""
     rng = seeded()
     sets = np.stack([random_coefficients(model, rng) for _ in range(6)]).reshape(2, 3, -1)
-    ground, control = random_ground(rng, 11), accepted_scenes(model)[-1]
+    ground = random_ground(rng, 11)
+    control = accepted_scenes(model)[-1]
 
     def predict(coefficients: FloatArray, ground: FloatArray) -> FloatArray:
         return model.predict(coefficients, control, ground)
@@ -123,9 +126,11 @@ def batch_project(model: SensorModel) -> None:
 
 def deterministic(model: SensorModel) -> None:
     """The same inputs give the same results, from this object and from an equal one."""
-    features, ground = accepted_scenes(model)[-1], random_ground(seeded(), 50)
+    features = accepted_scenes(model)[-1]
+    ground = random_ground(seeded(), 50)
     coefficients = random_coefficients(model, seeded())
-    first, image = model.equations(features), model.project(coefficients, ground)
+    first = model.equations(features)
+    image = model.project(coefficients, ground)
     for other in (model, _twin(model)):
         again = other.equations(features)
         require(np.array_equal(first.A, again.A) and np.array_equal(first.b, again.b),
@@ -151,7 +156,8 @@ def prepared(model: SensorModel) -> None:
 
 def picklable(model: SensorModel) -> None:
     """It works in another process."""
-    coefficients, ground = random_coefficients(model, seeded()), random_ground(seeded(), 9)
+    coefficients = random_coefficients(model, seeded())
+    ground = random_ground(seeded(), 9)
     copy = pickled(model)
     require(copy.terms == model.terms and np.array_equal(copy.project(coefficients, ground),
                                                          model.project(coefficients, ground)),
@@ -172,11 +178,13 @@ def masks_stay_finite(model: SensorModel) -> None:
 
 def height(model: SensorModel) -> None:
     """`uses_height` tells correctly whether heights matter."""
-    features, ground = accepted_scenes(model)[-1], random_ground(seeded(), 50)
+    features = accepted_scenes(model)[-1]
+    ground = random_ground(seeded(), 50)
     coefficients = random_coefficients(model, seeded())
     flat = features.with_(points=replace(features.points, ground=flattened(features.points.ground)),
                           lines=replace(features.lines, ground=flattened(features.lines.ground)))
-    first, second = model.equations(features), model.equations(flat)
+    first = model.equations(features)
+    second = model.equations(flat)
     alike = np.array_equal(model.predict(coefficients, features, ground),
                            model.predict(coefficients, flat, flattened(ground)))
     same = alike and np.array_equal(first.A, second.A) and np.array_equal(first.b, second.b)

@@ -79,7 +79,8 @@ SUITE = Suite((declares("objectives"), figure_each, control_kinds, deterministic
 
 def _selections(points: int = 14, lines: int = 0) -> list[PopulationSelection]:
     """Return selections of nothing, all and some, from problems of terms and of features."""
-    model, rng = Affine(), seeded()
+    model = Affine()
+    rng = seeded()
     truth = random_coefficients(model, rng)
     control = imaged(model, truth, rng, points=points, lines=lines)
     check: Points = imaged(model, truth, rng, points=10).points

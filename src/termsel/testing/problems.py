@@ -113,7 +113,8 @@ def twelve_terms() -> SelectionProblem:
     Half of the terms are needed, and noise makes the others harmful; `optimum` enumerates
     all 4096 selections.
     """
-    model, rng = Polynomial2D(degree=2), np.random.default_rng(9)
+    model = Polynomial2D(degree=2)
+    rng = np.random.default_rng(9)
     truth = rng.choice([-0.3, 0.3], SIZE) * (np.arange(SIZE) % 2 == 0)
     control, check = (imaged(model, truth, rng, points=12).points for _ in range(2))
     noisy = Points(control.ids, control.image + rng.normal(0.0, 0.05, (12, 2)), control.ground)
@@ -189,7 +190,7 @@ def typed(types: Iterable[type[AnySegment]]) -> Toy:
         CustomSegment: Even("even", numbered("e", 3))}
     segments = [made[one] for one in types]
     # Of `Bits` and a `Subset` one label is forced on and one off.
-    switched = [one for one in segments if isinstance(one, Bits | Subset)]
+    switched = [segment for segment in segments if isinstance(segment, Bits | Subset)]
     genome = Genome(segments, on=[one.labels[0] for one in switched],
                     off=[one.labels[1] for one in switched])
     return Toy(genome, lambda genes: (

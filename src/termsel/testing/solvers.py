@@ -58,7 +58,8 @@ def generations_hold(trial: Trial) -> None:
         require(generation.index == expected,
                 f"generations must be numbered 0, 1, 2 ...; number {expected} has the index "
                 f"{generation.index}")
-        genes, evaluation = generation.genes, generation.evaluation
+        genes = generation.genes
+        evaluation = generation.evaluation
         require_genes(problem.genome, genes, f"generation {expected} has")
         require(len(genes) > 0, f"generation {expected} has no individuals")
         true = problem.evaluate(genes)

@@ -77,7 +77,8 @@ def global_states() -> tuple[Any, ...]:
 @contextmanager
 def global_states_kept() -> Iterator[None]:
     """Put the states of `random` and `numpy.random` back afterwards."""
-    python, numpy = random.getstate(), np.random.get_state()
+    python = random.getstate()
+    numpy = np.random.get_state()
     try:
         yield
     finally:

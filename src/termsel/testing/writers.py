@@ -152,7 +152,8 @@ def example_results() -> tuple[Result, ...]:
     -------
     tuple of Result
     """
-    model, rng = RationalFunctions(order=1), seeded()
+    model = RationalFunctions(order=1)
+    rng = seeded()
     points = imaged(model, random_coefficients(model, rng), rng, points=60).points
     image = 4000.0 + 4000.0 * points.image + rng.normal(0.0, 0.3, (60, 2))
     ids = ("Kreuzung 1, Süd", *points.ids[1:])

@@ -143,7 +143,8 @@ class Georeference(Algorithm):
 
     def _run(self, arguments, parameters, context, feedback):
         """Run the search, put its folder in place, and return the outputs."""
-        made, target = scratch(), self.parameterAsString(parameters, "OUTPUT", context)
+        made = scratch()
+        target = self.parameterAsString(parameters, "OUTPUT", context)
         if (Path(target) / "result.json").exists():
             raise QgsProcessingException(f"{target} has a result already. Choose another folder.")
         off = self.parameterAsString(parameters, "OFF", context)

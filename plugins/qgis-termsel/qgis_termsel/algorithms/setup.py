@@ -71,7 +71,8 @@ def _make(folder, packages, feedback):
 
 def _words(text):
     """Return the words of a text; quotes keep spaces, and a backslash is one of a path."""
-    words, rest = [], text.strip()
+    words = []
+    rest = text.strip()
     while rest:
         word, _, rest = rest[1:].partition(rest[0]) if rest[0] in "'\"" else rest.partition(" ")
         words.append(word)

@@ -144,7 +144,8 @@ def tree_of(axis: dict[str, Any], most: int, path: Sequence[tuple[int, bool]] = 
     decided, and all others left open: a piece of a tree that is too large.
     """
     checker = Axis({**axis, "nodes": []})
-    columns, node = _columns_of(axis), checker.root()
+    columns = _columns_of(axis)
+    node = checker.root()
     steps: list[Step] = []
     aside = ((-1, False),)  # of the half that a path does not take
     todo = [(columns, node, tuple(path))]
@@ -172,7 +173,8 @@ def tree_of(axis: dict[str, Any], most: int, path: Sequence[tuple[int, bool]] = 
 
 def _columns_of(axis: dict[str, Any]) -> Columns:
     """Return the columns of the root, with forced ones in use."""
-    c, k = len(axis["errors"]), len(axis["terms"])
+    c = len(axis["errors"])
+    k = len(axis["terms"])
     upper = np.ones(c + 1)
     denominators = np.array(axis["denominators"]).reshape(-1, k + 1)
     if len(denominators):
@@ -231,7 +233,8 @@ def _short(node: Node, names: Sequence[int], alphas: FloatArray) -> list[float]:
 
 def _branch(columns: Columns, room: int) -> int:
     """Return the column whose halves have the lowest limits, as far as one bound says."""
-    best, least = 0, np.inf
+    best = 0
+    least = np.inf
     for i in range(len(columns.names)):
         total = 0.0
         for half in (columns.without(i), columns.using(i) if room > 1 else None):
@@ -248,5 +251,6 @@ def _branch(columns: Columns, room: int) -> int:
             elif not bound.closes:
                 total += float(np.exp(-bound.least))
         if total < least:
-            best, least = i, total
+            best = i
+            least = total
     return best

@@ -70,7 +70,8 @@ class Bound:
         """Return the largest value of each denominator, and of t."""
         lines = np.vstack([columns.denominators.T, np.append(np.zeros(len(columns.names)), -1.0)])
         rows = lines @ self.inverse.T
-        along, squares = rows @ self.h * self.least, (rows**2).sum(axis=1)
+        along = rows @ self.h * self.least
+        squares = (rows**2).sum(axis=1)
         across = np.maximum(0.0, squares - along**2 / self.least) + SLACK * squares
         room = max(0.0, 1.0 + _SHARE - self.least) + SLACK
         return np.asarray(along + np.sqrt(room * across))
@@ -104,9 +105,11 @@ class _Form:
 
 
 def _form_of(columns: Columns) -> _Form:
-    c, n = columns.errors.shape[1], len(columns.names)
+    c = columns.errors.shape[1]
+    n = len(columns.names)
     weighted = columns.errors / columns.upper[:c]
-    base, s = weighted @ weighted.T, np.append(np.zeros(n), -1.0)
+    base = weighted @ weighted.T
+    s = np.append(np.zeros(n), -1.0)
     if columns.denominators.shape[1]:
         base[n, n] += _SHARE / columns.upper[c]**2
         s = columns.denominators.sum(axis=1)
@@ -119,7 +122,8 @@ def bounded(columns: Columns, *, tune: bool = True) -> Bound | None:
     With `tune` false those that the columns have are taken, if there are any. None if none is
     found.
     """
-    form, n = _form_of(columns), len(columns.names)
+    form = _form_of(columns)
+    n = len(columns.names)
     starts = [] if columns.alphas is None else [columns.alphas]
     if tune or not starts:
         scale = columns.upper[-1]**2 * form.gram[n, n]
@@ -143,7 +147,8 @@ def _tuned(form: _Form, at: Bound) -> Bound:
             break
         inverse = at.inverse.T @ at.inverse
         z = at.least * (at.inverse.T @ at.h)
-        products, weight = form.gram @ z, _BARRIER * at.least / (n + 1)
+        products = form.gram @ z
+        weight = _BARRIER * at.least / (n + 1)
         moved = (np.diag(products)[:, :n] + form.gram[:, :n] * z[:n]) / 2  # N_j z
         both = inverse @ form.gram
         slope = z[:n] * products[:n] + weight * np.diag(both)[:n]
@@ -153,15 +158,19 @@ def _tuned(form: _Form, at: Bound) -> Bound:
             step = np.linalg.solve(bend + 1e-12 * np.trace(bend) / n * np.eye(n), slope)
         except np.linalg.LinAlgError:
             break
-        now, size, reached = _height(at, weight), 1.0, None
+        now = _height(at, weight)
+        size = 1.0
+        reached = None
         while size > 0.01:
             reached = form.bound(at.alphas + size * step)
             if reached is not None and _height(reached, weight) > now:
                 break
-            reached, size = None, size / 2
+            reached = None
+            size = size / 2
         if reached is None:
             break
-        gained, at = reached.least - at.least, reached
+        gained = reached.least - at.least
+        at = reached
         if gained < 0.01 * at.least:
             break
     return at

@@ -17,7 +17,7 @@ def document(scores: Sequence[Score], title: str = AUTO.title) -> Document:
     """Return what is shown of scores; `title` is the method whose losses are listed."""
     header, rows = by_kind(scores)
     best = best_of(scores)
-    sets = dict.fromkeys(one.set_name for one in scores)
+    sets = dict.fromkeys(score.set_name for score in scores)
     worse = losses(scores, title)
     summary = TableBlock("Median ratio of the RMSE to the least of each set; - where the method "
                          "has no result on half of the sets or more.", tuple(header),
@@ -30,9 +30,9 @@ def document(scores: Sequence[Score], title: str = AUTO.title) -> Document:
          for mine, other in worse])
     every = TableBlock(
         "All scores", ("set", "method", "points", "RMSE [px]", "95 %", "ratio", "why no result"),
-        [(one.set_name, one.method.title, str(one.control), _px(one.rmse), _interval(one),
-          _px(ratio(one, best)), one.why) for one in scores], folded=True)
-    named = any(one.method.title == title for one in scores)
+        [(score.set_name, score.method.title, str(score.control), _px(score.rmse), _interval(score),
+          _px(ratio(score, best)), score.why) for score in scores], folded=True)
+    named = any(score.method.title == title for score in scores)
     return Document(
         "termsel-bench", f"sets of version {VERSION}, termsel {__version__}",
         (f"{len(rows)} methods on {len(sets)} sets. A method sees control and check points, lines, "

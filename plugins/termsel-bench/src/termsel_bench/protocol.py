@@ -87,7 +87,8 @@ def score(work: Work) -> Score:
     TermselError
         If the set is not the frozen one, or its files are not those it declares.
     """
-    one, method = set_of(work), work.method
+    one = set_of(work)
+    method = work.method
     asked = (method, one.name, one.kind, len(one.features.points), len(one.independent))
     start = time.process_time()
     try:

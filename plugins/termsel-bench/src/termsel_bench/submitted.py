@@ -43,7 +43,8 @@ class Checked:
 
 def texts_of(found: Sequence[Score]) -> dict[str, str]:
     """Return the file of each method by its name; real sets are no part of it."""
-    known, files = checksums(), {}
+    known = checksums()
+    files = {}
     for method in dict.fromkeys(one.method.title for one in found):
         mine = [one for one in found if one.method.title == method and one.set_name in SETS]
         if not mine:
@@ -91,7 +92,8 @@ def _read(path: Path, packages: Sequence[str]) -> Submitted:
         said: Any = json.loads(read_text(path))
         if said["schema"] != SCHEMA:
             raise refused(f"has the schema {said['schema']!r}, expected {SCHEMA!r}")
-        asked, sets = said["method"], said["sets"]
+        asked = said["method"]
+        sets = said["sets"]
         method = Method(str(asked["kind"]), str(asked["name"]),
                         {str(key): str(value) for key, value in asked["options"].items()},
                         str(asked["problem"]), file=str(path))
@@ -128,7 +130,8 @@ def check(submitted: Submitted, pattern: str = "", *, processes: int = 1) -> Che
     names = [name for name in submitted.rmse if pattern in name]
     if not names:
         raise TermselError(f"{submitted.path} has no set {pattern!r}", hint="Name another.")
-    refuted, worst = [], 0.0
+    refuted = []
+    worst = 0.0
     for one in scores([submitted.method], names, processes=processes):
         said = submitted.rmse[one.set_name]
         if said is not None and "not installed" in one.why:

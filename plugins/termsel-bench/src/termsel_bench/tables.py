@@ -45,11 +45,12 @@ def csv_text(scores: Sequence[Score]) -> str:
 
 def by_kind(scores: Sequence[Score]) -> tuple[list[str], list[list[str]]]:
     """Return header and rows of the median ratio to the best of each set, best method first."""
-    best, kinds = best_of(scores), list(dict.fromkeys(one.kind for one in scores))
-    titles = dict.fromkeys(one.method.title for one in scores)
+    best = best_of(scores)
+    kinds = list(dict.fromkeys(score.kind for score in scores))
+    titles = dict.fromkeys(score.method.title for score in scores)
     rows = []
     for title in titles:
-        mine = [one for one in scores if one.method.title == title]
+        mine = [score for score in scores if score.method.title == title]
         ratios = {kind: [ratio(one, best) for one in mine if one.kind == kind] for kind in kinds}
         every = [value for values in ratios.values() for value in values]
         rows.append((median(every), [title, *(_shown(median(values) if values else math.inf)
@@ -66,8 +67,8 @@ def losses(scores: Sequence[Score], title: str) -> list[tuple[Score, Score]]:
     """Return the sets on which a method loses: its score and the best, worst loss first."""
     found = []
     for mine in scores:
-        rivals = [one for one in scores
-                  if one.set_name == mine.set_name and one.method.title != title]
+        rivals = [score for score in scores
+                  if score.set_name == mine.set_name and score.method.title != title]
         winner = min(rivals, key=lambda one: one.rmse, default=None)
         if mine.method.title == title and winner is not None \
                 and mine.rmse > NEAR * winner.rmse:

@@ -119,7 +119,8 @@ def _unsure(result: BlockResult, i: int, rng: np.random.Generator) -> FloatArray
     What the prior alone holds is as uncertain as the variance of the prior, which all columns of a
     group share. What measurements hold is not, nor a prior that the block does not estimate.
     """
-    camera, state = result.camera(i), result.adjusted.state
+    camera = result.camera(i)
+    state = result.adjusted.state
     groups = np.array(camera.groups)
     by_prior = np.diag(result.covariances[i]).reshape(2, -1) / state.variances[i]
     factor = np.ones((len(groups), _DRAWS))

@@ -49,7 +49,8 @@ def without_wrong_sensor(block: Block, adjusted: Adjusted,
     worst = max(found, key=lambda i: found[i].severity, default=None)
     if worst is None:
         return None
-    sensor, name = sensors[worst], _shown(block, sensors[worst])
+    sensor = sensors[worst]
+    name = _shown(block, sensors[worst])
     said = [f"{block.images[i].name}{_off(one)}" for i, one in found.items()
             if sensors[i] == sensor]
     many = sum(sensor_of(block, i) == sensor for i in range(len(block.images)))
@@ -181,7 +182,8 @@ def against_dem(ground: FloatArray, adjusted: Adjusted, dem: Surface) -> tuple[f
     if not known.any():
         return 0.0, ""
     # What the ties of a block are off by they have in common.
-    middle, sigma = float(np.median(over[known])), float(np.sqrt(np.median(variance[known])))
+    middle = float(np.median(over[known]))
+    sigma = float(np.sqrt(np.median(variance[known])))
     if abs(middle) < _FAR * np.hypot(sigma, OFF):
         return middle, ""
     side = "above" if middle > 0 else "below"

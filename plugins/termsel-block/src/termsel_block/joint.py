@@ -123,7 +123,8 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
         except TermselError:  # without what is known of the sensor, too little holds the image
             freed = result
         if agrees_better(result.adjusted, freed.adjusted, worst):
-            result, tried = freed, {}
+            result = freed
+            tried = {}
         else:
             sensor = sensor_of(result.block, worst)
             right.add(sensor)
@@ -155,7 +156,8 @@ def _without_worse(result: BlockResult, tried: dict[str, BlockResult],
                 most = gain
         if best is None:
             return result
-        result, tried = best, {}
+        result = best
+        tried = {}
 
 
 def _with_note_on_dem(result: BlockResult) -> BlockResult:
@@ -258,7 +260,8 @@ def heights_of(block: Block, frame: Frame, dem: Surface | None) -> Heights:
         mean = float(np.mean([rpc.ground_offset[2] for rpc in rpcs]))
         spread = float(np.max([abs(rpc.ground_scale[2]) for rpc in rpcs]))
     else:
-        mean, spread = float(known[:, 2].mean()), max(3 * float(known[:, 2].std()), 100.0)
+        mean = float(known[:, 2].mean())
+        spread = max(3 * float(known[:, 2].std()), 100.0)
     over = known[:, 2] - (mean if dem is None else dem(known[:, :2]))
     tells = np.isfinite(over) & stated
     renamed = np.append(np.where(tells, np.cumsum(tells) - 1, -1), -1)  # -1 stays
@@ -269,13 +272,15 @@ def heights_of(block: Block, frame: Frame, dem: Surface | None) -> Heights:
 
 def _known(block: Block) -> tuple[FloatArray, BoolArray, list[IntArray]]:
     """Return the places (k, 3) of control, which state their height, and those of images' rows."""
-    every, rows = [np.empty((0, 4))], []
+    every = [np.empty((0, 4))]
+    rows = []
     count = 0
     for image in block.images:
         if image.features is None:
             rows.append(np.empty(0, np.intp))
             continue
-        points, lines = in_use(image.features), image.features.lines
+        points = in_use(image.features)
+        lines = image.features.lines
         ground = np.concatenate([points.ground, lines.ground.reshape(-1, 3)])
         ids = [*points.ids, *np.repeat(lines.ids, 2).tolist()]
         every.append(np.column_stack([ground, [name not in image.of_dem for name in ids]]))

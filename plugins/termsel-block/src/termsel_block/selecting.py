@@ -123,7 +123,8 @@ class OwdisBlock(Problem):
 
     def evaluate(self, genes: BoolArray) -> Evaluation:
         """Return the RMSE of the check points [px]."""
-        genes, k = np.asarray(genes, bool), len(self._prior[1])
+        genes = np.asarray(genes, bool)
+        k = len(self._prior[1])
         found = []
         for first in range(0, len(genes), max(_BATCH // k**2, 1)):
             some = genes[first:first + max(_BATCH // k**2, 1)].astype(float)
@@ -216,7 +217,8 @@ def _only(block: Block, control: set[tuple[str, str]], ties: set[str]) -> Block:
                 [(image.name, name) in control for name in kept.features.lines.ids])))
         images.append(kept)
     keep = np.array([name in ties for name in block.ties.names])
-    of, number = keep[block.ties.tie], np.cumsum(keep) - 1
+    of = keep[block.ties.tie]
+    number = np.cumsum(keep) - 1
     measured = replace(block.ties, names=tuple(n for n in block.ties.names if n in ties),
                        tie=number[block.ties.tie[of]], image=block.ties.image[of],
                        place=block.ties.place[of])
@@ -250,7 +252,8 @@ def _columns(result: BlockResult) -> int:
 
 def _check_rows(block: Block, result: BlockResult) -> tuple[FloatArray, FloatArray]:
     """Return the rows of the check points of all images, and what they are off by [px]."""
-    design, target = [], []
+    design = []
+    target = []
     for i, image in enumerate(block.images):
         if image.features is None:
             continue
@@ -277,7 +280,8 @@ def _prior_rows(result: BlockResult) -> tuple[FloatArray, FloatArray]:
 
 def _control_rows(result: BlockResult) -> list[tuple[str, FloatArray, FloatArray]]:
     """Return label, rows and targets of each point and line in use, in standard deviations."""
-    found, state = [], result.adjusted.state
+    found = []
+    state = result.adjusted.state
     for i, image in enumerate(result.block.images):
         known = own_control(image.features, result.frame)
         if not len(known):
@@ -297,7 +301,8 @@ def _control_rows(result: BlockResult) -> list[tuple[str, FloatArray, FloatArray
 def _tie_rows(result: BlockResult, ties: IntArray,
               ) -> list[tuple[str, FloatArray, FloatArray]]:
     """Return label, rows and targets of ties whose places are eliminated."""
-    solved, state = result.adjusted.solved, result.adjusted.state
+    solved = result.adjusted.solved
+    state = result.adjusted.state
     total = _columns(result)
     if len(ties) * total**2 > _MOST_ROWS:
         raise TermselError(f"{len(ties)} ties of {len(state.cameras)} images are too many to "
@@ -310,7 +315,9 @@ def _tie_rows(result: BlockResult, ties: IntArray,
                 of[int(part.tie[n])].append((i, int(n)))
     found = []
     for one, measured in of.items():
-        rows, slopes, aim = [], [], []
+        rows = []
+        slopes = []
+        aim = []
         for image, row in measured:
             part = solved.seen[image]
             rows.append(_placed(result, image, part.rows[row]))

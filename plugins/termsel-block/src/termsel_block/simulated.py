@@ -165,7 +165,8 @@ def _sensor(i: int, size: int, gsd: float, views: Sequence[tuple[float, float]],
         middle[0] + rng.normal(0, 0.03) * size * gsd / _METRES, middle[1], height=_MEAN,
         off_nadir=angle, look_azimuth=azimuth, gsd=gsd, image_size=(size, size),
         altitude=680e3, inclination=98.1)
-    ifov, end = sensor.ifov, size * sensor.line_period / 2
+    ifov = sensor.ifov
+    end = size * sensor.line_period / 2
     def slow(known: Angle) -> Angle:
         constant = known.drift[0] if known.drift else 0.0
         rest = known.drift[1] if len(known.drift) > 1 else 0.0
@@ -189,7 +190,8 @@ def _seen_ties(sensors: list[Pushbroom], n: int, n_ties: int, width: float, size
                hills: Hills, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, IntArray]:
     """Return places of ties, and line and sample with (tie, image) of each measurement."""
     places: list[FloatArray] = []
-    images, indices = [], []
+    images = []
+    indices = []
     count = 0
     middles = np.array([_middle(i // 3, width) for i in range(n)])
     reach = 1.2 * width / _METRES

@@ -37,7 +37,8 @@ def on_cluster(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: 
     TermselError where one has not, or the scheduler, such as "tcp://host:8786", does not answer.
     """
     needed = {**versions(), **plugins}
-    waiting, fruitless = deque(cells), 0
+    waiting = deque(cells)
+    fruitless = 0
     while waiting and not stop():
         before = len(waiting)
         client = _connected(address)

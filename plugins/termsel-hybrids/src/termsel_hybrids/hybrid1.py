@@ -103,7 +103,8 @@ def _mapped(second: FloatArray, image: FloatArray) -> FloatArray:
 def _has_pole(second: FloatArray, control: FeatureSet) -> BoolArray:
     """Return whether denominators are too small around the control, shape (...)."""
     image = control.image_vertices()
-    (top, left), (bottom, right) = image.min(axis=0), image.max(axis=0)
+    (top, left) = image.min(axis=0)
+    (bottom, right) = image.max(axis=0)
     # A bilinear function has its least value over a rectangle in a corner.
     corners = np.array([(line, sample) for line in (top, bottom) for sample in (left, right)])
     below = _denominators(second, _columns(corners))
@@ -117,5 +118,6 @@ def _denominators(second: FloatArray, columns: FloatArray) -> FloatArray:
 
 def _columns(image: FloatArray) -> FloatArray:
     """Return 1, x, y, xy, shape (..., n, 4)."""
-    x, y = image[..., 0], image[..., 1]
+    x = image[..., 0]
+    y = image[..., 1]
     return np.stack([np.ones_like(x), x, y, x * y], axis=-1)

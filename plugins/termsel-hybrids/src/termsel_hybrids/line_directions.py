@@ -43,7 +43,8 @@ class LineDirections(SensorModel):
         Rows are in image units: that of a line is divided by the deviation of a direction that two
         measured ends determine, for a model that maps the ground at about the size of the image.
         """
-        points, lines = features.points, features.lines
+        points = features.points
+        lines = features.lines
         rows = self._columns(coefficients, points.ground)
         b = points.image - self.project(coefficients, points.ground) + rows @ coefficients
         of_points, of_lines = _weights(features)

@@ -77,7 +77,8 @@ class Pointwise(Polynomial2D):
 
     def _columns_around(self, offset: FloatArray, count: NDArray[np.intp]) -> FloatArray:
         """Return the local monomials, 0 where a place has too few neighbours, (m, n, terms)."""
-        x, y = offset[..., 0], offset[..., 1]
+        x = offset[..., 0]
+        y = offset[..., 1]
         columns = []
         for degree in range(self.options["local_degree"] + 1):
             enough = count >= (degree + 1) * (degree + 2) // 2

@@ -161,7 +161,8 @@ def _resource(target: _Target, size: tuple[int, int] | None, path: str) -> dict[
         if not name:
             raise ValueError(f"Object missing required field `id` - at `{path}.target.source`")
         _require_url(name, f"{path}.target.source.id")
-        width, height = source.width, source.height
+        width = source.width
+        height = source.height
         if width is None or height is None:
             width, height = size or (None, None)
         return {"id": name, "type": source.type, "width": width, "height": height}
@@ -201,7 +202,8 @@ def _size_and_mask(value: str, path: str) -> tuple[int, int] | None:
 
 def corners(points: str) -> list[tuple[float, float]]:
     """Return the corners of the attribute `points` of a polygon; none if it is not one."""
-    found, at = [], 0
+    found = []
+    at = 0
     while at < len(points.rstrip()):
         match = _POINT.match(points, at)
         if match is None:

@@ -64,7 +64,8 @@ class AnnotationReader(Reader):
             log.info("The map is drawn with %s; --model %s%s %s fits that kind to all points in "
                      "Web Mercator, as viewers do, but from the ground to the image.", kind.label,
                      kind.model, options, ALL_POINTS)
-        width, height = chosen.resource["width"], chosen.resource["height"]
+        width = chosen.resource["width"]
+        height = chosen.resource["height"]
         size = (height, width) if width and height else None
         return FeatureSet(points, crs="EPSG:4326", image_size=size)
 

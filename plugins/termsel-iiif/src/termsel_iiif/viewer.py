@@ -118,9 +118,12 @@ def forward(key: str, image: FloatArray, plane: FloatArray) -> Forward | None:
     plane : ndarray, shape (n, 2)
         Web Mercator [m].
     """
-    middle, far = plane.mean(axis=0), float(np.abs(plane - plane.mean(axis=0)).max()) or 1.0
-    centre, unit = image.mean(axis=0), float(np.abs(image - image.mean(axis=0)).max()) or 1.0
-    known, place = (image - centre) / unit, (plane - middle) / far
+    middle = plane.mean(axis=0)
+    far = float(np.abs(plane - plane.mean(axis=0)).max()) or 1.0
+    centre = image.mean(axis=0)
+    unit = float(np.abs(image - image.mean(axis=0)).max()) or 1.0
+    known = (image - centre) / unit
+    place = (plane - middle) / far
     made = _scaled(key, known, place)
     return None if made is None else lambda at: np.asarray(
         middle + far * made((at - centre) / unit))
@@ -159,7 +162,9 @@ def _scaled(key: str, image: FloatArray, plane: FloatArray) -> Forward | None:
 
 def _turned(image: FloatArray, axis: int) -> FloatArray:
     """Return the columns of the similarity: two shifts, cosine and sine, for x or for y."""
-    (line, sample), one, none = image.T, np.ones(len(image)), np.zeros(len(image))
+    (line, sample) = image.T
+    one = np.ones(len(image))
+    none = np.zeros(len(image))
     # x = a + c * sample + s * line,  y = b + s * sample - c * line
     return np.column_stack([one, none, sample, line] if axis == 0 else [none, one, -line, sample])
 

@@ -59,7 +59,7 @@ class AnnotationWriter(Writer):
                 "an annotation requires points in a CRS of the Earth, and the address of the image",
                 hint="Give it with --set image_id=https://example.org/iiif/map1.")
         points = result.features.points
-        wrong = {one.id for one in result.outliers if one.excluded}
+        wrong = {outlier.id for outlier in result.outliers if outlier.excluded}
         use = [role != "off" and name not in wrong
                for name, role in zip(points.ids, points.roles, strict=True)]
         used = points.take(use)
@@ -107,10 +107,12 @@ class AnnotationWriter(Writer):
         if text:
             return text
         if result.features.image_size is None:
-            low, high = result.features.points.image.min(axis=0), result.features.points.image.max(
+            low = result.features.points.image.min(axis=0)
+            high = result.features.points.image.max(
                 axis=0)
         else:
-            low, high = np.zeros(2), np.array(result.features.image_size, dtype=float)
+            low = np.zeros(2)
+            high = np.array(result.features.image_size, dtype=float)
         top, left, bottom, right = (round(value) for value in (*low, *high))
         size = f' width="{right}" height="{bottom}"' if result.features.image_size else ""
         return (f'<svg{size}><polygon points="{left},{top} {left},{bottom} {right},{bottom} '
@@ -147,7 +149,8 @@ def _seen(fitted: Fit, by_points: Forward) -> tuple[FloatArray, FloatArray]:
     height = float(fitted.ground_box()[0][2]) if fitted.model.uses_height else 0.0
     lonlat = degrees(by_points(at))
     known = np.isfinite(lonlat).all(axis=1)
-    at, lonlat = at[known], lonlat[known]
+    at = at[known]
+    lonlat = lonlat[known]
     to_crs = transformation("EPSG:4979", fitted.control.crs, strict=False)
     ground = to_crs(np.column_stack([lonlat, np.full(len(at), height)]))
     finite = np.isfinite(ground[:, :2]).all(axis=1)

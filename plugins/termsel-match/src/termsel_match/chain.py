@@ -170,7 +170,8 @@ def judge(
         result_folder = None if folder is None else Path(folder) / RESULT
         selected = select_points(candidates.features, model, options, accept=accept,
                                  plainer_than=plainer_than, seed=seed, out=result_folder)
-        lines, unused = None, ""
+        lines = None
+        unused = ""
         if vectors is not None:
             at = Start("the model of the points", candidates.crs, 0.0, selected.result.project,
                        selected.result.locate)
@@ -179,7 +180,8 @@ def judge(
                                       search=_SEARCH, band=matching.get("band"), seed=seed)
                 selected = with_lines(selected, lines.features, seed=seed, out=result_folder)
             except TermselError as error:  # the points suffice
-                lines, unused = None, error.what
+                lines = None
+                unused = error.what
         return selected, lines, unused
 
     def said_of(selected: Selected) -> tuple[Evidence, Bounds | None]:
@@ -220,7 +222,9 @@ def _evidence(image: Path | str, reference: Path | str | None, candidates: Candi
               selected: Selected, *, dem: Path | str, extent: str, seed: int,
               masks: Sequence[Path | str]) -> tuple[Evidence, Bounds | None]:
     """Return what the candidates say, and the bounds of the map in their CRS, if any."""
-    result, bounds, repeats = selected.result, None, (0.0, 0.0)
+    result = selected.result
+    bounds = None
+    repeats = (0.0, 0.0)
     whole = np.ones((COVERS, COVERS), dtype=bool)
     with open_masked(image, None, masks) as picture, \
             open_dem(Path(dem), candidates.crs) as heights:
@@ -246,7 +250,8 @@ def _shown(files: list[Path], picture: GreyRaster, model: Start, dem: Path | str
     And at which distance the one that is most like itself is so, and how much (`repetition`).
     """
     shown = np.zeros((COVERS, COVERS), dtype=bool)
-    bounds, repeats = [], (0.0, 0.0)
+    bounds = []
+    repeats = (0.0, 0.0)
     for file in files:
         with suppress(NotShown), open_reference(file, model, dem, picture.size,
                                                 masks=masks) as other:
@@ -254,7 +259,8 @@ def _shown(files: list[Path], picture: GreyRaster, model: Start, dem: Path | str
             bounds.append(other.bounds(crs))
             seen = other.seen(grid(picture.size, (COVERS, COVERS)))
             repeats = max(repeats, repetition(other.picture, seen), key=lambda one: one[1])
-    low, high = np.min(bounds, axis=0), np.max(bounds, axis=0)
+    low = np.min(bounds, axis=0)
+    high = np.max(bounds, axis=0)
     return shown, (float(low[0]), float(low[1]), float(high[2]), float(high[3])), repeats
 
 

@@ -177,10 +177,13 @@ def match_lines(image: Path, vectors: Path, iterate: bool, folder: Path | None, 
         if iterate:
             done = iterate_lines(image, vectors, *model_for(options["start"], image), out=folder,
                                  progress=progress, **options)
-            lines, crs, text = done.lines, done.candidates.crs, done.text()
+            lines = done.lines
+            crs = done.candidates.crs
+            text = done.text()
         else:
             candidates = match(image, vectors, progress=progress, **options)
-            lines, crs = candidates.lines, candidates.crs
+            lines = candidates.lines
+            crs = candidates.crs
             text = (f"Start: {candidates.start}\n"
                     f"{len(lines)} candidates for {candidates.pieces} straight "
                     "pieces of vectors\n")

@@ -56,7 +56,8 @@ def photo() -> FeatureSet:
     ground[:, 2] = RELIEF * (np.sin(ground[:, 0] / 700.0) + np.cos(ground[:, 1] / 900.0)) / 2
     image = seen(ground)
     inside = ((image > 40) & (image < np.array(SIZE) - 40)).all(axis=1)
-    ground, image = ground[inside][:_POINTS], image[inside][:_POINTS]
+    ground = ground[inside][:_POINTS]
+    image = image[inside][:_POINTS]
     # Rounded: processors differ in the last bits.
     image = (image + NOISE * rng.standard_normal(image.shape)).round(DIGITS)
     roles = tuple(ROLES[i % 3] for i in range(len(image)))

@@ -75,7 +75,8 @@ def grid(kinds: Iterable[int], usual: float = USUAL) -> Grid:
     of_noise = -0.5 * (np.log(NOISES) / SPREAD) ** 2
     of_noise -= np.logaddexp.reduce(of_noise)
     for kind in kinds:
-        sizes, shares = SIZES if kind else np.zeros(1), SHARES if kind > 1 else np.zeros(1)
+        sizes = SIZES if kind else np.zeros(1)
+        shares = SHARES if kind > 1 else np.zeros(1)
         size, share, noise = (axis.ravel() for axis in np.meshgrid(
             sizes, shares, np.arange(len(NOISES)), indexing="ij"))
         drift = size * share
@@ -177,7 +178,8 @@ class Belief:
         """Errors of the rows under the procedure without their feature [px], shape (m,), and the
         logarithm of the probability density of each feature, given the others, shape (n,)."""
         of, share, covariance, _ = self._cells
-        errors, density = np.empty(len(self.right)), np.empty(int(self.feature.max()) + 1)
+        errors = np.empty(len(self.right))
+        density = np.empty(int(self.feature.max()) + 1)
         left = self.right - self._solutions @ self.rows.T
         for one in range(len(density)):
             mine = np.flatnonzero(self.feature == one)

@@ -74,7 +74,8 @@ class Correction(Estimator):
     def fit(self, model: Any, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
         """Fit the correction (see `Estimator.fit`) with all its terms, by features in use."""
-        ready, mine = model.prepared(scaling, control.crs), control.take(used)
+        ready = model.prepared(scaling, control.crs)
+        mine = control.take(used)
         believed, unit = belief(ready, mine, scaling, self.kinds)
         coefficients = to_terms(ready, scaling) @ believed.coefficients
         held_out = HeldOut.of(
@@ -89,7 +90,8 @@ class Correction(Estimator):
 
     def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
         """Return the mean square errors at scaled places (see `Estimator.spread`)."""
-        model, scale = fitted.model, fitted.scaling.image_scale
+        model = fitted.model
+        scale = fitted.scaling.image_scale
         assert isinstance(model, RpcAffine)
         believed, _ = belief(model, fitted.control.take(fitted.used), fitted.scaling, self.kinds)
         values, vectors = np.linalg.eigh(believed.covariance)
@@ -112,7 +114,8 @@ def belief(model: RpcAffine, features: FeatureSet, scaling: Scaling,
            kinds: tuple[int, ...]) -> tuple[Belief, FloatArray]:
     """Return what features say of the errors of a prepared model's RPC, and weights of the rows."""
     scaled = scaling.features(features)
-    equations, sigma = model.equations(scaled), features.points.sigma
+    equations = model.equations(scaled)
+    sigma = features.points.sigma
     rows = equations.A @ to_terms(model, scaling) * scaling.image_scale
     usual = USUAL if sigma is None else float(np.median(sigma))
     return Belief(rows, equations.b * scaling.image_scale, equations.feature,
@@ -215,7 +218,8 @@ def _suspects(control: Control, model: RpcAffine) -> Suspects | None:
     A blunder lies anywhere, as likely within 2 to 4 px of its place as within 20 to 40. Beforehand
     one feature of all is believed to be one.
     """
-    n, most = len(control), int(MOST * len(control))
+    n = len(control)
+    most = int(MOST * len(control))
     if not most:
         return None
     whole, _ = belief(model, control.features, control.scaling, tuple(range(len(KINDS))))

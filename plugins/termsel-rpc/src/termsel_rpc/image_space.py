@@ -67,13 +67,15 @@ class RpcShift(Refinement):
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
         named = self.options["rpc"]
-        self._rpc, self._file = None, named
+        self._rpc = None
+        self._file = named
         if named == CANDIDATES:
             self._rpc = read_rpc(RPC_FILE)
         elif named.startswith("{"):
             self._rpc, self._file = _from_record(named)
         elif named:
-            self._rpc, self._file = read_rpc(named), Path(named).name
+            self._rpc = read_rpc(named)
+            self._file = Path(named).name
             # A result must be readable without the vendor's file.
             self.options["rpc"] = json.dumps(asdict(self._rpc))
 
@@ -109,7 +111,8 @@ class RpcShift(Refinement):
 
     def footprint(self) -> FloatArray:
         """Return least and greatest longitude and latitude [deg] seen, shape (2, 2)."""
-        middle, half = self.rpc.ground_offset[:2], np.abs(self.rpc.ground_scale[:2])
+        middle = self.rpc.ground_offset[:2]
+        half = np.abs(self.rpc.ground_scale[:2])
         return np.stack([middle - half, middle + half])
 
     def first_order(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -156,7 +159,8 @@ class RpcShift(Refinement):
         constant = np.array([values[_name(axis, "1")] for axis in _AXES])
         linear = np.eye(2) + [[values.get(_name(axis, column), 0.0) for column in _AXES]
                               for axis in _AXES]
-        rpc, middle = self.rpc, np.array(self.scaling.image_offset)
+        rpc = self.rpc
+        middle = np.array(self.scaling.image_offset)
         offset = (middle + self.scaling.image_scale * constant
                   + linear @ (np.array(rpc.image_offset) - middle))
         refined = replace(rpc, image_offset=tuple(offset), error_bias=None)

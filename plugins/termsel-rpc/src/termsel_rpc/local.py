@@ -141,7 +141,8 @@ class Local(Estimator):
             raise Undetermined("the points do not call for a random field over the RPC: its "
                                f"probability is {found.probability:.2g}",
                                hint="Choose rpc-affine, or --strategy auto.")
-        count, effective = len(ready.terms), round(found.effective)
+        count = len(ready.terms)
+        effective = round(found.effective)
         errors = found.errors * scaling.image_scale
         return Fit(ready, scaling, control, np.ones(count, dtype=bool), used,
                    Adjustment(np.zeros(count), np.full(count, np.nan), effective,

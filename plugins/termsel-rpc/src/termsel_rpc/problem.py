@@ -47,7 +47,8 @@ class Ce90(Criterion):
 def select_gcps(inputs: Inputs) -> Problem:
     """Return the selection of control points, judged by those of the option `judged_by`."""
     if inputs.options["judged_by"] == "all":
-        control, check = inputs.control.points, inputs.check
+        control = inputs.control.points
+        check = inputs.check
         inputs = replace(inputs, check=Points(
             control.ids + check.ids, np.concatenate([control.image, check.image]),
             np.concatenate([control.ground, check.ground])))

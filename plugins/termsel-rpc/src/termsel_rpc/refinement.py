@@ -72,7 +72,8 @@ class Refinement(SensorModel):
         # Longitudes are periodic.
         places[:, 0] += 360 * np.round(((low + high)[0] / 2 - places[:, 0].mean()) / 360)
         margin = (high - low) / 2
-        least, greatest = places.min(axis=0), places.max(axis=0)
+        least = places.min(axis=0)
+        greatest = places.max(axis=0)
         if ((greatest < low - margin) | (least > high + margin)).any():
             raise TermselError(
                 f"{self.source} covers {_range(low, high)}, but the control is in "

@@ -24,7 +24,8 @@ from termsel_rpc.simulated import NOMINAL, nominal_sensor
 
 EMBEDDED = (*NOMINAL, *SCENES)
 
-POSITION, ATTITUDE = ("ahead", "starboard", "down"), ("roll", "pitch", "yaw")
+POSITION = ("ahead", "starboard", "down")
+ATTITUDE = ("roll", "pitch", "yaw")
 
 _STEP = 1e-3  # of the scaled image unit: some px
 
@@ -60,14 +61,17 @@ class PushbroomRefine(Refinement):
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
         named = self.options["geometry"]
-        self._sensor, self._file = None, named
+        self._sensor = None
+        self._file = named
         if named in EMBEDDED:
             self._sensor = (nominal_sensor(named) if named in NOMINAL
                             else scene_truth(named).sensor)
         elif named.startswith("{"):
-            self._sensor, self._file = geometry_from(named), "of the result"
+            self._sensor = geometry_from(named)
+            self._file = "of the result"
         elif named:
-            self._sensor, self._file = read_geometry(named), Path(named).name
+            self._sensor = read_geometry(named)
+            self._file = Path(named).name
             # A result must be readable without the file.
             self.options["geometry"] = geometry_text(self._sensor)
 

@@ -94,7 +94,8 @@ def _measured(scene: FeatureSet, kind: np.ndarray[tuple[int], np.dtype[np.str_]]
     points, n = scene.points, len(scene.points)
     noise = rng.standard_normal((n, 2)) * np.where(
         kind == "inexact", _INEXACT_NOISE, _GOOD_NOISE)[:, None]
-    turn, far = rng.uniform(0, 2 * np.pi, n), rng.uniform(_NEAREST, _FARTHEST, n)
+    turn = rng.uniform(0, 2 * np.pi, n)
+    far = rng.uniform(_NEAREST, _FARTHEST, n)
     astray = np.column_stack([np.sin(turn), np.cos(turn)]) * far[:, None]
     image = points.image + noise + np.where(kind == "wrong", 1.0, 0.0)[:, None] * astray
     return replace(scene, points=replace(points, image=image), noise=_GOOD_NOISE)

@@ -207,7 +207,8 @@ def _orbit(root: ElementTree.Element, start: float, duration: float,
                         for part in ("position", "velocity") for axis in "xyz"]
                        for vector in vectors]).reshape(-1, 6)
     near = (times > -ORBIT_MARGIN) & (times < duration + ORBIT_MARGIN)
-    times, states = times[near], states[near]
+    times = times[near]
+    states = states[near]
     if len(times) < 2 or (np.diff(times) <= 0).any() or times[0] > 0 or times[-1] < duration:
         raise TermselError("orbitList has no state vectors from before the first line to after "
                            "the last one")

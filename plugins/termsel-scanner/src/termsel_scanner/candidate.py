@@ -94,7 +94,8 @@ class NamedRadar(Candidate):
 
         An annotation that cannot be read is an error, which the run tells.
         """
-        features, named = control.features, sensor_of(control)
+        features = control.features
+        named = sensor_of(control)
         if not names_annotation(named):
             return f"the points have no column {COLUMN!r} that names the annotation of a radar"
         if len(features.lines) or not len(features.points):

@@ -105,9 +105,9 @@ def _from_dimap(root: ElementTree.Element, name: str) -> Metadata:
     stamp = "Sensor_Configuration/Time_Stamp"
     start = _time(_text(strip, f"{stamp}/SCENE_CENTER_TIME"))
     points = strip.findall("Ephemeris/Points/Point")
-    times = np.array([_time(_text(one, "TIME")) - start for one in points])
-    states = np.array([[_number(one, f"{part}/{axis}") for part in ("Location", "Velocity")
-                        for axis in "XYZ"] for one in points]).reshape(-1, 6)
+    times = np.array([_time(_text(point, "TIME")) - start for point in points])
+    states = np.array([[_number(point, f"{part}/{axis}") for part in ("Location", "Velocity")
+                        for axis in "XYZ"] for point in points]).reshape(-1, 6)
     period = _number(strip, f"{stamp}/LINE_PERIOD")
     lines, samples = (int(_number(root, f"Raster_Dimensions/{name}"))
                       for name in ("NROWS", "NCOLS"))

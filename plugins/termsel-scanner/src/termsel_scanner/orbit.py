@@ -37,12 +37,14 @@ class Cameras:
 
     def first(self) -> Cameras:
         """Return the first one alone."""
-        return Cameras(*(getattr(self, one.name)[:1] for one in fields(self)))
+        return Cameras(*(getattr(self, field.name)[:1] for field in fields(self)))
 
 
 def geocentric(ground: FloatArray) -> FloatArray:
     """Return Earth-fixed positions [m] of longitude, latitude [deg] and height [m], (n, 3)."""
-    lon, lat, height = np.radians(ground[:, 0]), np.radians(ground[:, 1]), ground[:, 2]
+    lon = np.radians(ground[:, 0])
+    lat = np.radians(ground[:, 1])
+    height = ground[:, 2]
     across = MAJOR / np.sqrt(1.0 - ECCENTRICITY * np.sin(lat) ** 2)
     return np.stack([(across + height) * np.cos(lat) * np.cos(lon),
                      (across + height) * np.cos(lat) * np.sin(lon),
@@ -72,20 +74,24 @@ def seen(cameras: Cameras, target: FloatArray, place: FloatArray, axes: FloatArr
 
     The targets (n, 3) and the place (3,) are Earth-fixed [m], the axes (3, 3) are those there.
     """
-    centre, ground = axes @ place, target @ axes.T
-    sine, cosine = np.sin(cameras.heading), np.cos(cameras.heading)
+    centre = axes @ place
+    ground = target @ axes.T
+    sine = np.sin(cameras.heading)
+    cosine = np.cos(cameras.heading)
     none = np.zeros_like(sine)
     course = np.stack([sine, cosine, none], axis=1)
     right = np.stack([cosine, -sine, none], axis=1)
     ray = course * cameras.ahead[:, None] + right * cameras.side[:, None] + [0.0, 0.0, 1.0]
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-    radius, along = MAJOR + cameras.altitude, ray @ centre
+    radius = MAJOR + cameras.altitude
+    along = ray @ centre
     station = centre + ray * (np.sqrt(np.maximum(
         along**2 - centre @ centre + radius**2, 0.0)) - along)[:, None]
     outward = station / radius[:, None]
     forward = course - outward * (course * outward).sum(axis=1, keepdims=True)
     forward /= np.linalg.norm(forward, axis=1, keepdims=True)
-    orbit, motion = np.cross(outward, forward), np.sqrt(GRAVITY / radius**3)
+    orbit = np.cross(outward, forward)
+    motion = np.sqrt(GRAVITY / radius**3)
     pole = np.broadcast_to(axes[:, 2], orbit.shape)
     # The camera looks along the ray; lines follow each other along the track, but for the yaw.
     x = course * np.cos(cameras.yaw)[:, None] + right * np.sin(cameras.yaw)[:, None]

@@ -125,7 +125,8 @@ class Photo(Physical):
         if not middle[2] > 0.0:
             return none
         # r_E r_N = 0 and r_E^2 = r_N^2 are linear in 1 / f^2.
-        (east, north), (w_east, w_north) = plane[:2].T, plane[2]
+        (east, north) = plane[:2].T
+        (w_east, w_north) = plane[2]
         by = np.array([east @ north, east @ east - north @ north])
         free = np.array([w_east * w_north, w_east**2 - w_north**2])
         inverse = -(by @ free) / (by @ by)
@@ -170,7 +171,8 @@ class Photo(Physical):
         """
         focal = FOCAL * np.exp(FOCAL_SPREAD * x["focal"])
         scale = np.exp(SCALE * x["scale"]) / self._extent()
-        sine, cosine = np.sin(TURN * x["turn"]), np.cos(TURN * x["turn"])
+        sine = np.sin(TURN * x["turn"])
+        cosine = np.cos(TURN * x["turn"])
         none = np.zeros_like(sine)
         down = -1.0 if self.options["mirrored"] else 1.0
         level = np.stack([np.stack([down * sine, -down * cosine, none], axis=1),
@@ -178,10 +180,13 @@ class Photo(Physical):
                           np.stack([none, none, none - 1.0], axis=1)], axis=1)
         turned = level
         for i, name in enumerate(("tilt-line", "tilt-sample")):
-            s, c = np.sin(self.tilt * x[name])[:, None], np.cos(self.tilt * x[name])[:, None]
-            one, view = turned[:, i], turned[:, 2]
+            s = np.sin(self.tilt * x[name])[:, None]
+            c = np.cos(self.tilt * x[name])[:, None]
+            one = turned[:, i]
+            view = turned[:, 2]
             turned = turned.copy()
-            turned[:, i], turned[:, 2] = c * one - s * view, s * one + c * view
+            turned[:, i] = c * one - s * view
+            turned[:, 2] = s * one + c * view
         places = self.local(ground) @ turned.transpose(0, 2, 1)
         return np.asarray(places * (scale / focal)[:, None, None] + ray[:, None, :]), \
             focal[:, None]
@@ -248,7 +253,8 @@ class Frame(Photo):
         radius = (ideal**2).sum(axis=2, keepdims=True)
         bent = RADIAL / known(self.scaling).image_scale * x["radial"][:, None, None] * radius
         line, sample = np.moveaxis(ideal * (1.0 + bent), -1, 0)
-        affinity, shear = FILM * x["affinity"][:, None], FILM * x["shear"][:, None]
+        affinity = FILM * x["affinity"][:, None]
+        shear = FILM * x["shear"][:, None]
         return np.stack([line * (1.0 + affinity) + shear * sample, sample], axis=-1) \
             - middle[:, None]
 

@@ -140,7 +140,8 @@ class Physical(SensorModel):
 
     def cost(self, features: FeatureSet, values: FloatArray) -> tuple[float, FloatArray]:
         """Return Huber's loss of scaled points and priors, and residuals (n, 2), by the noise."""
-        points, unit = features.points, NOISE / known(self.scaling).image_scale
+        points = features.points
+        unit = NOISE / known(self.scaling).image_scale
         away = (points.image - self.image_of(values[None], points.ground)[0]) \
             * _weight(features) / unit
         large = np.linalg.norm(away, axis=1)
@@ -159,10 +160,14 @@ class Physical(SensorModel):
         Steps follow a bend to second order (Transtrum, Machta and Sethna 2011, Phys. Rev. E 83,
         036701, section VIII).
         """
-        points, prior = features.points, self.prior()
+        points = features.points
+        prior = self.prior()
         unit = NOISE / known(self.scaling).image_scale
         weight = _weight(features)
-        size, damping, converged, steps = prior / unit, 1e-3, False, 0
+        size = prior / unit
+        damping = 1e-3
+        converged = False
+        steps = 0
         values = start
         # Of the free terms the best values are known: the mean of what is left.
         if self.free:
@@ -194,7 +199,10 @@ class Physical(SensorModel):
                 damping *= 10.0
                 continue
             converged = now - there < CLOSE * (1.0 + now)
-            values, now, away, damping = values + full, there, left, damping / 10.0
+            values = values + full
+            now = there
+            away = left
+            damping = damping / 10.0
             if converged:
                 break
         return Solution(values, now, steps, converged or damping >= 1e8)
@@ -209,7 +217,8 @@ class RobustFit(Estimator):
     def fit(self, model: Any, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
         """Fit a camera (see `Estimator.fit`) with all its terms."""
-        ready, mine = model.prepared(scaling, control.crs), control.take(used)
+        ready = model.prepared(scaling, control.crs)
+        mine = control.take(used)
         if len(mine.lines):
             raise Undetermined(f"model {model.name!r} takes control points alone here, and there "
                                "are control lines", hint="Leave the lines out.")
@@ -218,9 +227,11 @@ class RobustFit(Estimator):
         if not found.converged:
             raise Undetermined(f"the fit of {model.name!r} did not converge in {found.steps} steps",
                                hint="Measure more control, or name the sensor.")
-        equations, values = ready.linearised(scaled, found.values), found.values
+        equations = ready.linearised(scaled, found.values)
+        values = found.values
         left, effective, errors = _left_out(equations, values, len(mine.points))
-        count, unknown = round(effective), np.full(len(values), np.nan)
+        count = round(effective)
+        unknown = np.full(len(values), np.nan)
         freedom = max(len(left) - effective, 1.0)
         weight = _weight(scaled)
         return Fit(ready, scaling, control, np.ones(len(values), dtype=bool), used,
@@ -231,7 +242,8 @@ class RobustFit(Estimator):
 
     def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
         """Return the mean square errors at scaled places (see `Estimator.spread`)."""
-        model, values = fitted.model, fitted.adjustment.coefficients
+        model = fitted.model
+        values = fitted.adjustment.coefficients
         assert isinstance(model, Physical)
         equations = model.linearised(fitted.scaled_control.take(fitted.used), values)
         unit = NOISE / fitted.scaling.image_scale
@@ -274,7 +286,8 @@ def _left_out(equations: Equations, values: FloatArray, count: int,
 
     To first order: P^-1 v of the rows of a point, P the part of the residuals that it leaves.
     """
-    A, prior = equations.A, equations.prior
+    A = equations.A
+    prior = equations.prior
     assert prior is not None
     left = equations.b - A @ values
     gain = A @ np.linalg.pinv(A.T @ A + np.diag(prior**2), hermitian=True) @ A.T

@@ -183,7 +183,8 @@ def zero_doppler(annotation: Annotation, targets: FloatArray,
     # 0.3 lines of a stripmap: the processor's lattice of points follows the velocities.
     motion = CubicSpline(annotation.times, annotation.velocities)
     acceleration = motion.derivative()
-    first, last = annotation.times[0], annotation.times[-1]
+    first = annotation.times[0]
+    last = annotation.times[-1]
     time = np.full(len(targets), annotation.size[0] * annotation.line_interval / 2.0)
     with np.errstate(all="ignore"):
         for _ in range(ROUNDS):
@@ -195,7 +196,8 @@ def zero_doppler(annotation: Annotation, targets: FloatArray,
             time = np.clip(time + step, first, last)
             if not (np.abs(step) > CLOSE).any():
                 break
-        position, velocity = orbit(time), motion(time)
+        position = orbit(time)
+        velocity = motion(time)
         sight = targets - position
         distance = np.linalg.norm(sight, axis=1)
         # Sentinel-1 looks to the right: V x S points there, S being up.

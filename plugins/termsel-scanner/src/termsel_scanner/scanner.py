@@ -66,9 +66,11 @@ class Scanner(Physical):
 
     def image_of(self, values: FloatArray, ground: FloatArray) -> FloatArray:
         """Return scaled image positions (p, n, 2) by values of terms (p, k)."""
-        scaling, sensor = known(self.scaling), self.sensor
+        scaling = known(self.scaling)
+        sensor = self.sensor
         middle = self.geographic(np.zeros((1, 3)))
-        axes, place = axes_at(*middle[0, :2]), geocentric(middle)[0]
+        axes = axes_at(*middle[0, :2])
+        place = geocentric(middle)[0]
         x = dict(zip(TERMS, values.T, strict=True))
         altitude = 1e3 * (sensor.altitude + sensor.altitude_sigma * x["altitude"])
         view = {name: np.tan(np.radians(getattr(sensor, name))) * x[name]

@@ -115,7 +115,7 @@ def sensor_named(name: str) -> Sensor:
 
 
 def _checked(content: object, path: Path) -> Sensor:
-    known = {one.name: one.default for one in fields(Sensor)}
+    known = {field.name: field.default for field in fields(Sensor)}
     hint = f"Fields are {', '.join(known)}; those after source may be left out."
     if not isinstance(content, dict):
         raise TermselError(f"{path} holds no JSON object", hint=hint)

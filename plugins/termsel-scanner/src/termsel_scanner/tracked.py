@@ -80,14 +80,18 @@ class TrackedScanner(Physical):
 
     def image_of(self, values: FloatArray, ground: FloatArray) -> FloatArray:
         """Return scaled image positions (p, n, 2) by values of terms (p, k)."""
-        said, target = self.metadata, geocentric(self.geographic(ground))
+        said = self.metadata
+        target = geocentric(self.geographic(ground))
         x = dict(zip(TERMS, values.T[..., None], strict=True))                       # (p, 1) each
         angle = TRACKED if said.tracked else ANGLE
         bias = [YAW * x["yaw"], angle * x["pitch"], angle * x["roll"]]
         rate = [RATE * x[f"{name}-rate"] for name in ("yaw", "pitch", "roll")]
-        samples, looks = np.array(said.detectors), np.tan(said.looks)
+        samples = np.array(said.detectors)
+        looks = np.tan(said.looks)
         order = np.argsort(looks[:, 1])  # as np.interp needs them
-        across, ahead, samples = looks[order, 1], looks[order, 0], samples[order]
+        across = looks[order, 1]
+        ahead = looks[order, 0]
+        samples = samples[order]
         wide = 1.0 + PIXEL * x["pixel"]
 
         def view(time: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -129,7 +133,8 @@ def _state(said: Metadata, time: FloatArray) -> tuple[FloatArray, FloatArray]:
     from scipy.interpolate import CubicHermiteSpline  # which other models need not import
 
     orbit = CubicHermiteSpline(said.times, said.positions, said.velocities)
-    station, motion = orbit(time), orbit(time, 1)
+    station = orbit(time)
+    motion = orbit(time, 1)
     up = station / np.linalg.norm(station, axis=-1, keepdims=True)
     right = np.cross(motion, up)
     right /= np.linalg.norm(right, axis=-1, keepdims=True)

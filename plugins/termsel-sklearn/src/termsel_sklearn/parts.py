@@ -63,7 +63,8 @@ class WithOptions(BaseEstimator):  # type: ignore[misc]
 
     def _made(self, **further: Any) -> Any:
         """Return the part with its options."""
-        part, options = self._taken(), {**further, **(self.options or {})}
+        part = self._taken()
+        options = {**further, **(self.options or {})}
         if isinstance(part, type):
             return part(**options)
         if options:

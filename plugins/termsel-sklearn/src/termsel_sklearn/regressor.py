@@ -164,7 +164,9 @@ def _merged(X: FloatArray, image: FloatArray, weights: FloatArray,
             ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return points without those of weight 0, those of one place as their weighted mean."""
     use = weights > 0
-    X, image, weights = X[use], image[use], weights[use]
+    X = X[use]
+    image = image[use]
+    weights = weights[use]
     _, first, which = np.unique(X, axis=0, return_index=True, return_inverse=True)
     if len(first) == len(X):
         return X, image, weights

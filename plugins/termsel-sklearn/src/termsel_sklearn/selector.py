@@ -42,7 +42,9 @@ class ColumnProblem(Problem):
     objectives = ("ebic",)
 
     def __init__(self, X: FloatArray, y: FloatArray, weights: FloatArray, most: int) -> None:
-        self._n, k, root = weights.sum(), X.shape[1], np.sqrt(weights)[:, None]
+        self._n = weights.sum()
+        k = X.shape[1]
+        root = np.sqrt(weights)[:, None]
         X, y = (root * (one - np.average(one, axis=0, weights=weights)) for one in (X, y))
         # A constant is always in the fit: nothing is left of another once the mean is taken off.
         size = np.linalg.norm(X, axis=0)
@@ -50,8 +52,11 @@ class ColumnProblem(Problem):
         if constant.all():
             raise TermselError("every column of X is constant, so that there is none to select")
         X = X / np.where(constant, 1.0, size)
-        self._gram, self._right, self._total = X.T @ X, X.T @ y, float((y**2).sum())
-        self._design, self._target = np.column_stack([root, X]), y
+        self._gram = X.T @ X
+        self._right = X.T @ y
+        self._total = float((y**2).sum())
+        self._design = np.column_stack([root, X])
+        self._target = y
         self._penalty = np.array([s * log(self._n) + 2.0 * log(comb(k, s)) for s in range(k + 1)])
         names = tuple(f"{i}" for i in range(k))
         self.genome = Genome(

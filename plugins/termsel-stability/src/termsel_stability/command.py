@@ -59,7 +59,8 @@ def stability(repeats: int, threshold: float, **given: Any) -> None:
     from termsel.toolkit import STABILITY, claimed, problem_for, write_text
     from termsel_stability import frequencies as module
 
-    exported, page = asked.exported(), asked.page()
+    exported = asked.exported()
+    page = asked.page()
     features, options = asked.read()
     problem = asked.problem or problem_for(features, asked.dataset)
     if asked.out is not None:

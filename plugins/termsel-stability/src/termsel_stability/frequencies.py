@@ -210,10 +210,13 @@ def _of_all(observe: Observer, repetition: int, repeats: int) -> Observer:
 
 def _with_drawn_roles(task: Task, rng: np.random.Generator) -> FeatureSet:
     """Return the features with other points as control and check, or half of the control."""
-    features, observations = task.observations.features, task.observations
-    points, lines = features.points, features.lines
+    features = task.observations.features
+    observations = task.observations
+    points = features.points
+    lines = features.lines
     roles = np.array(points.roles, dtype=object)
-    n_control, n_check = len(observations.control.points), len(observations.check)
+    n_control = len(observations.control.points)
+    n_check = len(observations.check)
     if n_control:
         movable = np.flatnonzero(np.isin(roles, ("control", "check")))
         group = twins(points.ground[movable])
@@ -231,7 +234,8 @@ def _with_drawn_roles(task: Task, rng: np.random.Generator) -> FeatureSet:
 
 def _fitted(task: Task, chosen: BoolArray) -> tuple[bool, dict[str, Rmse | None]]:
     """Return whether terms are a model of control and check together, and its RMSE."""
-    both, axis = task.observations.together, task.model.axis
+    both = task.observations.together
+    axis = task.model.axis
     scaling = scaling_of(both)
     if not chosen[axis == 0].any() or not chosen[axis == 1].any():
         return False, {}

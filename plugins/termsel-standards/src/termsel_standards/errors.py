@@ -85,7 +85,8 @@ def errors_of(result: Result) -> GroundErrors:
     if not len(points):
         raise TermselError("the result has no independent points, so its accuracy is not known",
                            hint="Measure further points and give them the role independent.")
-    fitted, ground = result.fit, points.ground
+    fitted = result.fit
+    ground = points.ground
     heights = ground[:, 2] if fitted.model.uses_height else np.nan_to_num(ground[:, 2])
     offsets = (fitted.locate(points.image, heights) - ground)[:, :2]
     crs = result.features.crs
@@ -109,7 +110,7 @@ def errors_of(result: Result) -> GroundErrors:
     return GroundErrors(
         points.ids, metres, _survey_of(points), np.full_like(metres, np.nan)
         if places is None else places, area, result.data.source,
-        tuple(one.id for one in result.outliers if one.role == "independent"))
+        tuple(outlier.id for outlier in result.outliers if outlier.role == "independent"))
 
 
 def _survey_of(points: Points) -> FloatArray:

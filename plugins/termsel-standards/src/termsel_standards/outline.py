@@ -17,13 +17,17 @@ def outline_of(result: Result) -> FloatArray:
     At the middle height of the control; without a size of the image of the rectangle around them.
     Of an oblique view it goes around what lies below the horizon, as far as the model holds.
     """
-    features, fitted = result.features, result.exported
+    features = result.features
+    fitted = result.exported
     seen = features.image_vertices()
-    low, high = seen.min(axis=0), seen.max(axis=0)
+    low = seen.min(axis=0)
+    high = seen.max(axis=0)
     if features.image_size is not None:
-        low, high = np.zeros(2), np.array(features.image_size) - 1.0
+        low = np.zeros(2)
+        high = np.array(features.image_size) - 1.0
     share = np.linspace(0.0, 1.0, _SIDE)[:-1]
-    zero, one = np.zeros(_SIDE - 1), np.ones(_SIDE - 1)
+    zero = np.zeros(_SIDE - 1)
+    one = np.ones(_SIDE - 1)
     around = np.concatenate([np.column_stack(pair) for pair in (
         (zero, share), (share, one), (one, 1 - share), (1 - share, zero))])
     height = float(fitted.ground_box()[0][2])
@@ -33,7 +37,8 @@ def outline_of(result: Result) -> FloatArray:
     places = to_wgs84(features.crs)(ground)[:, :2]
     if not np.isfinite(places).all():
         known = to_wgs84(features.crs)(np.nan_to_num(result.residuals.ground))[:, :2]
-        least, most = known.min(axis=0), known.max(axis=0)
+        least = known.min(axis=0)
+        most = known.max(axis=0)
         places = np.array([least, [most[0], least[1]], most, [least[0], most[1]]])
     x, y = places.T
     if x @ np.roll(y, -1) - y @ np.roll(x, -1) < 0:

@@ -77,7 +77,8 @@ class StacItem(Writer):
 
     def _asset(self) -> dict[str, Any]:
         """Return the image as an asset: address, size and checksum; nothing where it is unknown."""
-        image, href = self.options["image"], self.options["href"]
+        image = self.options["image"]
+        href = self.options["href"]
         if image is None:
             return {"href": href, "roles": ["data"]} if href else {}
         path = Path(image)

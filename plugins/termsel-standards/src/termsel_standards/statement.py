@@ -208,7 +208,8 @@ def statements_of(given: GroundErrors, horizontal_class: float | None = None,
 
 
 def _component(name: str, errors: FloatArray) -> Component:
-    n, size = len(errors), np.abs(errors)
+    n = len(errors)
+    size = np.abs(errors)
     normal = None
     if n >= _FEWEST and np.ptp(errors) > 0:
         normal = float(stats.shapiro(errors).pvalue)
@@ -276,10 +277,12 @@ def _nssda_vertical(vertical: float | None, few: str | None) -> Statement:
 
 def distribution_of(given: GroundErrors) -> Distribution:
     """Return how many check points there are, how many ASPRS asks for, and where they are."""
-    n, places = len(given.ids), given.places
+    n = len(given.ids)
+    places = given.places
     if not np.isfinite(places).all():
         return Distribution(n, ASPRS_POINTS, None, None, None)
-    low, high = places.min(axis=0), places.max(axis=0)
+    low = places.min(axis=0)
+    high = places.max(axis=0)
     corners = given.area
     if corners is None:
         corners = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])

@@ -42,7 +42,8 @@ def claims(groups: Groups, comparison: Comparison | None, rows: list[Row]) -> li
 
 def _single(groups: Groups) -> list[str]:
     """Return what can be said without a test over instances."""
-    number, total = len(groups.common), len(groups.instances)
+    number = len(groups.common)
+    total = len(groups.instances)
     if number:
         of_all = "" if number == total else f"{number} of "
         said = [f"All methods ran on {of_all}{counted(total, 'instance')}; a test over instances "

@@ -60,7 +60,8 @@ def figures_of(study: Study) -> list[Figure]:
 
 def running_times(groups: Groups, column: int) -> Figure:
     """Return the ECDF of evaluations (column 0) or CPU seconds (2) over all targets."""
-    rows, last = [], 0.0
+    rows = []
+    last = 0.0
     for method in groups.methods:
         hits = [hit(record.trace, target, column)
                 for by_method in groups.instances.values() if method in by_method

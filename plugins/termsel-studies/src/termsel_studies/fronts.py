@@ -72,8 +72,10 @@ def indicators(front: FloatArray, reference: FloatArray) -> tuple[float, float]:
 
     # As pymoo computes them: Zitzler and Thiele 1998, PPSN V; Ishibuchi, Masuda, Tanigaki and
     # Nojima 2015, EMO, equation 18.
-    low, span = reference.min(axis=0), np.ptp(reference, axis=0)
+    low = reference.min(axis=0)
+    span = np.ptp(reference, axis=0)
     span[span == 0] = 1.0
-    scaled, target = (front - low) / span, (reference - low) / span
+    scaled = (front - low) / span
+    target = (reference - low) / span
     corner = np.full(front.shape[1], BEYOND)
     return float(HV(ref_point=corner)(scaled)), float(IGDPlus(target)(scaled))

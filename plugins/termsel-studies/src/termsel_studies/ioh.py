@@ -33,7 +33,8 @@ def ioh_files(groups: Groups) -> Iterator[tuple[str, str]]:
             kept = [record for record in runs.records if record.trace]
             if not kept:
                 continue
-            folder, stem = folders[method], f"IOHprofiler_f{number}_{word}"
+            folder = folders[method]
+            stem = f"IOHprofiler_f{number}_{word}"
             data = f"data_f{number}_{word}/{stem}.dat"
             yield f"{folder}/{data}", _data(kept)
             yield f"{folder}/{stem}.json", json.dumps(
@@ -55,7 +56,8 @@ def _data(records: list[CellRecord]) -> str:
     """Return the improvements of all runs, each run from evaluation 1 to its last one."""
     lines = ["evaluations raw_y"]
     for record in records:
-        trace, last = record.trace, length(record.figures)
+        trace = record.trace
+        last = length(record.figures)
         # Before the end of the first generation nothing is known of the best value.
         points = {1: math.inf, **{int(point[0]): point[1] for point in trace}}
         points.setdefault(int(max(last, *points)), trace[-1][1])

@@ -25,7 +25,8 @@ def map_of(study: Study) -> gpd.GeoDataFrame:
     with requires("maps of images require", "geopandas", "geopandas"):
         import geopandas as gpd
         import shapely
-    folders, rows = folders_of(study.cells), study.rows
+    folders = folders_of(study.cells)
+    rows = study.rows
     found: dict[str, tuple[str, Any]] = {}
     for key in (row["cell"] for row in rows if row["state"] == "done" and row["cell"] in folders):
         features = read_result(study.folder / IMAGES / folders[key]).features

@@ -42,14 +42,14 @@ def tables_of(study: Study) -> tuple[list[TableBlock], list[str]]:
     groups = group(rows, study.records, study.spec.measure)
     comparison = compare_methods(groups.methods, medians_of(groups))
     figures = summaries(groups)
-    tables += [_of_instance(groups, name, [one for one in figures if one.instance == name])
+    tables += [_of_instance(groups, name, [figure for figure in figures if figure.instance == name])
                for name in groups.instances]
     # Fronts are compared where the objectives are the same: on one model, by one criterion.
     searched = group([row for row in rows if row["strategy"] != "auto"], study.records, "fitness")
     tables.append(TableBlock(
         "Fronts", ("instance", "method", "hypervolume", "IGD+", "reference"),
-        [(one.instance, one.method, f"{one.hypervolume:.4f}", f"{one.igd_plus:.4f}",
-          one.reference) for one in front_figures(searched)]))
+        [(figure.instance, figure.method, f"{figure.hypervolume:.4f}", f"{figure.igd_plus:.4f}",
+          figure.reference) for figure in front_figures(searched)]))
     if comparison is not None:
         title = f"Over {comparison.instances} instances"
         if comparison.difference is not None:
@@ -96,7 +96,8 @@ def _predicted(row: Row) -> str:
 
 def _of_instance(groups: Groups, name: str, figures: list[Summary]) -> TableBlock:
     """Return the figures of all methods on an instance; effect sizes are those of the best one."""
-    runs_of, measure = groups.instances[name], groups.measure
+    runs_of = groups.instances[name]
+    measure = groups.measure
     best = min(figures, key=lambda one: one.quartiles[2]).method
     optimum = figures[0].optimum
     title = name if optimum is None else f"{name}: proven optimum {optimum:.4f}"

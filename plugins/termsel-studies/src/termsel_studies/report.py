@@ -57,15 +57,16 @@ def summary(study: Study) -> str:
 def _document(study: Study, charts: list[Figure], pictures: dict[str, str]) -> Document:
     """Return what is shown of a study; `pictures` are drawings of images by the key of the cell."""
     tables, said = tables_of(study)
-    images = [replace(one, keys=(), pictures=[pictures.get(key, "") for key in one.keys]
-                      if pictures else ()) for one in tables if one.keys]
+    images = [replace(table, keys=(), pictures=[pictures.get(key, "") for key in table.keys]
+                      if pictures else ()) for table in tables if table.keys]
     sections = (
         Section("What may be claimed", tuple(said)),
         Section("Images", (*remarks_of(study), *[_SMALL] * bool(pictures and images), *images)),
-        Section("Tables", tuple(one for one in tables if not one.keys)),
+        Section("Tables", tuple(table for table in tables if not table.keys)),
         Section("Charts", tuple(charts)))
     alike = study.spec.strategies == ("auto",)
-    done, number = len(study.records), counted(len(study.cells), "image" if alike else "cell")
+    done = len(study.records)
+    number = counted(len(study.cells), "image" if alike else "cell")
     return Document(study.spec.title or "Study",
                     number if study.complete else f"{done} of {number} finished", (),
                     tuple(section for section in sections if section.blocks))

@@ -124,7 +124,8 @@ def effect_size(one: Sequence[float], other: Sequence[float]) -> float:
     """Return how probably a run of one method is lower than one of the other; 0.5 if alike."""
     # Ties count half: Vargha and Delaney 2000, J. Educ. Behav. Stat. 25(2), equation 2, for values
     # of which lower ones are better.
-    a, b = np.asarray(one)[:, None], np.asarray(other)[None]
+    a = np.asarray(one)[:, None]
+    b = np.asarray(other)[None]
     return float((a < b).mean() + (a == b).mean() / 2)
 
 

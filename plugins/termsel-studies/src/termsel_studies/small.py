@@ -23,9 +23,11 @@ def small_map(view: View) -> str:
     Each drawing has a scale of its own, which a bar shows.
     """
     top, left, bottom, right = view.image_box
-    across, down = max(right - left, 1.0), max(bottom - top, 1.0)
+    across = max(right - left, 1.0)
+    down = max(bottom - top, 1.0)
     pixel = WIDE / max(across, down)
-    wide, high = across * pixel, down * pixel
+    wide = across * pixel
+    high = down * pixel
     rows = sorted(view.in_image, key=lambda row: -row["distance"])
     lengths = [row["distance"] for row in rows]
     median = float(np.median(lengths)) if lengths else 0.0
@@ -33,7 +35,8 @@ def small_map(view: View) -> str:
     arrows: dict[str, list[str]] = {role: [] for role in ROLE_COLOURS}
     rings = []
     for row in rows[:MOST]:
-        x, y = (row["sample"] - left) * pixel, (row["line"] - top) * pixel
+        x = (row["sample"] - left) * pixel
+        y = (row["line"] - top) * pixel
         arrows[row["role"]].append(_arrow(x, y, row, longer))
         if row["blunder"]:
             rings.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="5" fill="none" '
@@ -54,7 +57,8 @@ def small_map(view: View) -> str:
 def _arrow(x: float, y: float, row: dict[str, Any], longer: float) -> str:
     """Return a line with a head; it need not be longer than twice the drawing, which clips it."""
     longer = min(longer, 2.0 * WIDE / max(row["distance"], 1e-300))
-    dx, dy = row["ds"] * longer, row["dl"] * longer
+    dx = row["ds"] * longer
+    dy = row["dl"] * longer
     turn = math.atan2(dy, dx)
     head = "".join(f"M{x + dx:.1f} {y + dy:.1f}l{-_HEAD * math.cos(turn + side):.1f} "
                    f"{-_HEAD * math.sin(turn + side):.1f}" for side in (-0.5, 0.5))

@@ -43,19 +43,21 @@ def summaries(groups: Groups) -> list[Summary]:
 
 def optimum_of(runs: Any, measure: str) -> float | None:
     """Return the proven optimum of an instance, if one of its runs knows it."""
-    known = [row["optimum"] for one in runs for row in one.rows if row.get("optimum") is not None]
+    known = [row["optimum"] for run in runs for row in run.rows if row.get("optimum") is not None]
     return min(known) if known and measure == "fitness" else None
 
 
 def _summary(instance: str, method: str, runs: Runs, optimum: float | None) -> Summary:
-    reached, expected, interval = None, None, (0.0, 0.0)
+    reached = None
+    expected = None
+    interval = (0.0, 0.0)
     if optimum is not None:
         target = reachable(optimum)
         reached = sum(value <= target for value in runs.values)
         interval = wilson(reached, len(runs.values))
         hits = [hit(one.trace, target) if value <= target else math.inf
                 for one, value in zip(runs.records, runs.values, strict=True)]
-        expected = expected_running_time(hits, [length(one.figures) for one in runs.records])
+        expected = expected_running_time(hits, [length(record.figures) for record in runs.records])
     return Summary(
         instance, method, len(runs.values), sum(row["state"] == "done" for row in runs.rows),
         quantiles(runs.values, (0, 0.25, 0.5, 0.75, 1)), optimum, reached, interval, expected,
@@ -118,7 +120,7 @@ def targets_of(optimum: float | None, runs: Iterable[Runs], number: int = 21) ->
     # Runtimes over many targets are of Hansen, Auger, Ros, Mersmann, Tušar and Brockhoff 2021,
     # COCO, Optim. Methods Softw. 36(1), section 5; these targets are termsel's own. Where the
     # optimum is not known, the best value of all runs stands for it.
-    found = [value for one in runs for value in one.values if math.isfinite(value)]
+    found = [value for run in runs for value in run.values if math.isfinite(value)]
     if optimum is None and not found:
         return []
     least = min(found) if optimum is None else optimum

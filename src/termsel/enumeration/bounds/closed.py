@@ -90,7 +90,8 @@ def first_closed(top: FloatArray, extra: FloatArray, first: int, n: int, limit: 
         # Cholesky's triangle L of the quadratic, vector by vector. With the sums s of the
         # denominators' columns its minimum is 1 / |L^-1 s|^2. After i steps that over the last i
         # columns alone is known, so one elimination tests every tail of F.
-        minimum, failed = 0.0, False
+        minimum = 0.0
+        failed = False
         for i in range(count):
             for k in range(c):
                 y[k] = weight[k] * extra[n - i, k]

@@ -30,7 +30,8 @@ class AreasCsv(TableReader):
     def features(self, table: Table) -> FeatureSet:
         """Return the areas as lines or points; errors name file, line and column."""
         rows = _rows_of_areas(table)
-        image, ground = table.stack("line", "sample"), table.stack("x", "y", "z")
+        image = table.stack("line", "sample")
+        ground = table.stack("x", "y", "z")
         roles = table.roles()
         # Their edges are lines, of which sigma is a measurement.
         more = {key: cells for key, cells in table.more.items() if key.casefold() != "sigma"}

@@ -95,7 +95,8 @@ def points_text(points: Points, crs: str) -> str:
 
 def point_columns(points: Points) -> tuple[list[str], FloatArray]:
     """Return the columns of numbers that hold points in a table, headings and values."""
-    header, columns = ["line", "sample", "x", "y", "z"], [points.image, points.ground]
+    header = ["line", "sample", "x", "y", "z"]
+    columns = [points.image, points.ground]
     if points.sigma is not None:
         header += ["sigma_line", "sigma_sample"]
         columns.append(points.sigma)

@@ -27,7 +27,8 @@ def read_frame(frame: Any, columns: str = "", decimal: str | None = None) -> Fea
     records, crs = _records(frame)
     if not records:
         raise TermselError("the table has no rows", hint="Give one row per feature.")
-    cells, own = of_records(records, "row", _GROUND), parse_columns(columns)
+    cells = of_records(records, "row", _GROUND)
+    own = parse_columns(columns)
     header = cells.rows[0]
     ends = {meaning: LINES[meaning] for meaning in ("line1", "sample1", "line2", "sample2")}
     if found_in(header, ends, own) == len(ends):

@@ -90,7 +90,8 @@ def read_geojson(path: Path, kinds: Mapping[str, int]) -> tuple[list[Feature], s
 
 def _feature(path: Path, number: int, item: Any, kinds: Mapping[str, int]) -> Feature:
     item = item if isinstance(item, dict) else {}
-    properties, geometry = item.get("properties"), item.get("geometry")
+    properties = item.get("properties")
+    geometry = item.get("geometry")
     properties = properties if isinstance(properties, dict) else {}
     if "id" in item:
         properties = {"id": item["id"], **properties}

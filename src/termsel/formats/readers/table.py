@@ -92,8 +92,10 @@ class Table:
         try:
             if is_averaging():
                 kept, image, sigma = averaged(ids, image, ground, sigma, roles)
-                ids, roles = [ids[row] for row in kept], [roles[row] for row in kept]
-                ground, more = ground[kept], rows_at(more, kept)
+                ids = [ids[row] for row in kept]
+                roles = [roles[row] for row in kept]
+                ground = ground[kept]
+                more = rows_at(more, kept)
             return Points(tuple(ids), image, ground, sigma, tuple(roles), more)
         except TermselError as error:
             raise self.placed(error) from error
@@ -151,6 +153,7 @@ class Table:
 
 def points_of(table: Table, crs: str) -> FeatureSet:
     """Return the points of a table; errors name the place of what cannot be read."""
-    image, ground = table.stack("line", "sample"), table.stack("x", "y", "z")
+    image = table.stack("line", "sample")
+    ground = table.stack("x", "y", "z")
     sigma = table.sigma("sigma_line", "sigma_sample")
     return FeatureSet(table.points(image, ground, sigma, table.roles()), crs=crs)

@@ -46,7 +46,8 @@ class GridWriter(Writer):
 
     def ground(self, result: Result, lines: FloatArray, samples: FloatArray) -> FloatArray:
         """Return the ground seen at a grid of image places, shape (lines, samples, 3)."""
-        fitted, height = result.fit, self.options["height"]
+        fitted = result.fit
+        height = self.options["height"]
         if height is None:
             height = float(fitted.ground_box()[0][2])
             if fitted.model.uses_height and self.options["dem"] is None:
@@ -186,9 +187,11 @@ class GeolocationVrt(GridWriter):
     def say_loss(self, fitted: Fit, image: FloatArray, ground: FloatArray,
                  surface: Dem | float) -> None:
         """Log how far GDAL's interpolation between the places of the array is from the model."""
-        between, places = _middles(ground), _middles(image)
+        between = _middles(ground)
+        places = _middles(image)
         seen = np.isfinite(between).all(axis=1)
-        between, places = between[seen], places[seen]
+        between = between[seen]
+        places = places[seen]
         between[:, 2] = surface(between[:, :2]) if isinstance(surface, Dem) else surface
         say_deviation(self.name, fitted, between, places, ", between the places of the array")
 

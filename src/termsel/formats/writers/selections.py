@@ -127,7 +127,9 @@ class PointsTable(SelectionWriter):
     def write(self, result: Result, path: Path) -> None:
         """Write a table; control points that were not selected have 0 in the column enabled."""
         _require_accepted(self, result, path, _NO_POINTS)
-        points, chosen, errors = result.features.points, _chosen(result), _errors(result)
+        points = result.features.points
+        chosen = _chosen(result)
+        errors = _errors(result)
         header, measured = point_columns(points)
         header = ["id", "role", "enabled", *header, "computed_line", "computed_sample",
                   "residual_line", "residual_sample"]
@@ -154,7 +156,8 @@ class LinesTable(Writer):
     def write(self, result: Result, path: Path) -> None:
         """Write a table; lines that were not selected have 0 in the column enabled."""
         _require_accepted(self, result, path, "It has no control lines; points-csv takes points.")
-        lines, chosen = result.features.lines, _used(result)
+        lines = result.features.lines
+        chosen = _used(result)
         header, values = line_columns(lines)
         distances = np.linalg.norm(result.fit.line_errors(lines), axis=-1)
         texts = [[name, "control", str(int(name in chosen))] for name in lines.ids]

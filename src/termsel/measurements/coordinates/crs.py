@@ -67,7 +67,8 @@ def normalise(crs: str) -> str:
         return LOCAL
     code = _CODE.fullmatch(text)
     if code:
-        authority, number = code[1].upper(), code[2].upper()
+        authority = code[1].upper()
+        number = code[2].upper()
         if authority == "OGC" and number in _OGC:
             return _OGC[number]
         if authority == "EPSG" and number.isdecimal() and len(number) < 10:
@@ -157,7 +158,8 @@ def transformation(source: str, target: str, *, strict: bool = True) -> Transfor
     TermselError for "local"; if pyproj, which is needed for all but WGS84 itself, is not installed
     or cannot transform the CRS.
     """
-    source, target = normalise(source), normalise(target)
+    source = normalise(source)
+    target = normalise(target)
     if source == target or WGS84.issuperset((source, target)):
         return np.asarray
     into = "longitude and latitude" if target in WGS84 else short(target)
@@ -170,7 +172,8 @@ def transformation(source: str, target: str, *, strict: bool = True) -> Transfor
 
     failure = f"coordinates in {short(source)} cannot be transformed to {into}"
     known = [_with_pyproj(name) for name in (source, target)]
-    here, there = body_of(source), body_of(target)
+    here = body_of(source)
+    there = body_of(target)
     if here != there:
         raise TermselError(f"{short(source)} is on {here}, and {short(target)} on {there}",
                            hint="Formats of WGS84, such as RPCs and GeoJSON, are for the Earth. "
@@ -236,7 +239,8 @@ def _ellipsoid_and_name(crs: str) -> tuple[float, float, str] | None:
     known = None if name == LOCAL or name in WGS84 or UTM.fullmatch(name) else _with_pyproj(name)
     if known is None or known.ellipsoid is None:
         return None
-    major, minor = known.ellipsoid.semi_major_metre, known.ellipsoid.semi_minor_metre
+    major = known.ellipsoid.semi_major_metre
+    minor = known.ellipsoid.semi_minor_metre
     body = known.geodetic_crs or known
     return float(major), float(1.0 - (minor / major) ** 2), str(body.name)
 

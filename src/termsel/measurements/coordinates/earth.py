@@ -162,7 +162,8 @@ def _turn(features: FeatureSet) -> FloatArray | None:
 
 def _matrix(features: FeatureSet, fewest: int) -> FloatArray | None:
     """Return the matrix of `_turn` in any CRS; None for fewer features than `fewest`."""
-    points, lines = features.points, features.lines
+    points = features.points
+    lines = features.lines
     if len(points) + len(lines) // 1.5 < fewest:
         return None
     ground = features.ground_vertices()[:, :2]
@@ -171,7 +172,8 @@ def _matrix(features: FeatureSet, fewest: int) -> FloatArray | None:
     design = np.column_stack([apart if metres is None else metres, np.ones(len(ground))])
     design[:, :2] /= max(float(np.abs(design[:, :2]).max()), np.finfo(float).tiny)
     seen = features.image_vertices()
-    middle, zero = seen.mean(axis=0), np.zeros((len(points), 3))
+    middle = seen.mean(axis=0)
+    zero = np.zeros((len(points), 3))
     size = max(float(np.abs(seen - middle).max()), np.finfo(float).tiny)
     of_points = design[:len(points)]
     sample, up = ((points.image - middle) / size).T[::-1] * [[1.0], [-1.0]]
@@ -181,7 +183,8 @@ def _matrix(features: FeatureSet, fewest: int) -> FloatArray | None:
     # Of a line in the image: its normal in (sample, up), and its distance from the middle.
     normal = along / length
     rho = normal[:, 0] * first[:, 1] - normal[:, 1] * first[:, 0]
-    both, of_lines = np.repeat(normal, 2, axis=0), design[len(points):]
+    both = np.repeat(normal, 2, axis=0)
+    of_lines = design[len(points):]
     matrix = np.vstack([np.hstack([of_points, zero]), np.hstack([zero, of_points]),
                         np.hstack([both[:, :1] * of_lines, both[:, 1:] * of_lines])])
     image = np.concatenate([sample, up, np.repeat(rho, 2)])
@@ -219,7 +222,8 @@ def degrees_of(crs: str, ground: FloatArray) -> tuple[float, float] | None:
     """Return longitude and latitude [deg] of the middle of places, None where nothing tells."""
     try:
         if is_geographic(crs):
-            lon, lat = float(median(continuous(ground[:, 0]))), float(median(ground[:, 1]))
+            lon = float(median(continuous(ground[:, 0])))
+            lat = float(median(ground[:, 1]))
         else:
             middle = median(np.nan_to_num(ground).T)[None]
             geodetic = geodetic_of(crs)

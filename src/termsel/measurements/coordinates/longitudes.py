@@ -40,8 +40,10 @@ def jumps(features: FeatureSet) -> bool:
 
 def without_jump(features: FeatureSet) -> FeatureSet:
     """Return features whose longitudes go on beyond 180 degrees; the same where none jump."""
-    points, lines = features.points, features.lines
-    every, decides = features.ground_vertices()[:, 0], _deciding(features)
+    points = features.points
+    lines = features.lines
+    every = features.ground_vertices()[:, 0]
+    decides = _deciding(features)
     if not decides.any() or not is_geographic(features.crs):
         return features
     lon = continuous(every[decides])
@@ -50,8 +52,10 @@ def without_jump(features: FeatureSet) -> FeatureSet:
     moved = nearest(every, float(lon.min() + lon.max()) / 2)
     if (moved == every).all():
         return features
-    of_points, of_lines = points.ground.copy(), lines.ground.copy()
-    of_points[:, 0], of_lines[..., 0] = moved[:len(points)], moved[len(points):].reshape(-1, 2)
+    of_points = points.ground.copy()
+    of_lines = lines.ground.copy()
+    of_points[:, 0] = moved[:len(points)]
+    of_lines[..., 0] = moved[len(points):].reshape(-1, 2)
     return features.with_(points=replace(points, ground=of_points),
                           lines=replace(lines, ground=of_lines))
 

@@ -83,9 +83,12 @@ def _minutes(features: FeatureSet) -> str:
     """Return that degrees and minutes, or seconds too, look as if they were typed as decimals."""
     if not is_in_degrees(features.crs):
         return ""
-    ground, image = features.points.ground, features.points.image
-    size, sign = np.abs(ground[:, :2]), np.sign(ground[:, :2])
-    whole, part = np.floor(size + 1e-9), size - np.floor(size + 1e-9)
+    ground = features.points.ground
+    image = features.points.image
+    size = np.abs(ground[:, :2])
+    sign = np.sign(ground[:, :2])
+    whole = np.floor(size + 1e-9)
+    part = size - np.floor(size + 1e-9)
     # Within one degree both readings are affine images of each other, and nothing tells.
     if not (np.ptp(whole * sign, axis=0) > 0).any() or (part >= MINUTES).any():
         return ""
@@ -99,7 +102,8 @@ def _minutes(features: FeatureSet) -> str:
     name = min(errors, key=lambda reading: errors[reading])
     if errors[name] >= BETTER * _error(image, ground):
         return ""
-    first, value = ground[0, 0], part[0, 0] * 100
+    first = ground[0, 0]
+    value = part[0, 0] * 100
     typed = f"{whole[0, 0]:.0f}\N{DEGREE SIGN}{value:.6g}'" if name == "degrees and minutes" else \
         f"{whole[0, 0]:.0f}\N{DEGREE SIGN}{minutes[0, 0]:.0f}'{seconds[0, 0]:.6g}\""
     return (f"Coordinates look like {name} typed as decimals: {first:.10g} for {typed}. Write "

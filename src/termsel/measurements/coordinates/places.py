@@ -15,7 +15,8 @@ are rounded more."""
 def spatial_order(xy: ArrayLike) -> IntArray:
     """Return an order (n,) of points (n, 2): neighbours in it are neighbours in the plane."""
     xy = np.asarray(xy, dtype=np.float64)
-    order, starts = np.arange(len(xy)), np.zeros(1, dtype=np.intp)
+    order = np.arange(len(xy))
+    starts = np.zeros(1, dtype=np.intp)
     # The points are halved repeatedly at the median of their longer side; the order is that of the
     # leaves.
     while (sizes := np.diff(starts, append=len(xy))).max(initial=0) > 2:
@@ -70,7 +71,8 @@ def hull(places: FloatArray) -> list[int]:
         return []
     scaled = (places - places.mean(axis=0)) / size
     least = max(ROUNDING, 8 * np.finfo(float).eps * float(np.abs(places).max()) / size)
-    order, (x, y) = np.lexsort(scaled.T[::-1]).tolist(), scaled.T.tolist()
+    order = np.lexsort(scaled.T[::-1]).tolist()
+    (x, y) = scaled.T.tolist()
     corners: list[int] = []
     for half in (order, order[::-1]):
         some: list[int] = []

@@ -81,7 +81,8 @@ def is_polar(places: FloatArray) -> bool:
     There meridians turn by much within a scene, so that degrees are no plane coordinates: by more
     than `TURNING` from one end to the other, next to a pole (beyond `POLAR`); or UTM has no zone.
     """
-    lon, lat = places[:, 0], places[:, 1]
+    lon = places[:, 0]
+    lat = places[:, 1]
     if not len(lat) or lat.min() * lat.max() <= 0:
         return False
     nearest = np.abs(lat).min()

@@ -19,7 +19,8 @@ ECCENTRICITY = FLATTENING * (2 - FLATTENING)  # squared
 
 def to_ecef(ground: FloatArray) -> FloatArray:
     """Return Earth-fixed coordinates [m] of WGS84 lon, lat [deg], height [m], shape (n, 3)."""
-    lon, lat = np.radians(ground[:, 0]), np.radians(ground[:, 1])
+    lon = np.radians(ground[:, 0])
+    lat = np.radians(ground[:, 1])
     n = SEMI_MAJOR / np.sqrt(1 - ECCENTRICITY * np.sin(lat) ** 2)
     across = (n + ground[:, 2]) * np.cos(lat)
     return np.stack([across * np.cos(lon), across * np.sin(lon),
@@ -44,5 +45,6 @@ def from_ecef(position: FloatArray) -> FloatArray:
 
 def vertical(ground: FloatArray) -> FloatArray:
     """Return the unit normals of the ellipsoid, Earth-fixed, shape (n, 3)."""
-    lon, lat = np.radians(ground[:, 0]), np.radians(ground[:, 1])
+    lon = np.radians(ground[:, 0])
+    lat = np.radians(ground[:, 1])
     return np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)

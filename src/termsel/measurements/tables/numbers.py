@@ -31,7 +31,10 @@ class BadCell(ValueError):
 
     def __init__(self, row: int, what: str, hint: str, column: str = "") -> None:
         super().__init__(what)
-        self.row, self.what, self.hint, self.column = row, what, hint, column
+        self.row = row
+        self.what = what
+        self.hint = hint
+        self.column = column
 
 
 def decimal_signs(columns: Mapping[str, Sequence[str]], asked: str = "", *,
@@ -135,7 +138,8 @@ def _degrees(row: int, text: str, angle: str) -> float | None:
     if match is None:
         return None
     before, *parts, after = (part or "" for part in match.groups())
-    parts, side = [part.replace(COMMA, POINT) for part in parts if part], (before or after).upper()
+    parts = [part.replace(COMMA, POINT) for part in parts if part]
+    side = (before or after).upper()
     values = [abs(float(part)) for part in parts]
     if (before and after) or any(POINT in part for part in parts[:-1]) or values[0] > 360 \
             or not (side or len(parts) == 3 or _MARKS.search(text)):

@@ -120,10 +120,10 @@ def candidate_bars(view: View) -> Any:
     strategy = view.record.strategy
     assert strategy is not None
     rows: list[Row] = [
-        {"fit": label_of(one.name), "rmse": one.predicted, "terms": one.n_terms,
-         "effective": float(f"{one.effective:.4g}"),
-         "state": "chosen" if one.name == strategy.chosen else "candidate"}
-        for one in strategy.candidates if one.predicted is not None]
+        {"fit": label_of(candidate.name), "rmse": candidate.predicted, "terms": candidate.n_terms,
+         "effective": float(f"{candidate.effective:.4g}"),
+         "state": "chosen" if candidate.name == strategy.chosen else "candidate"}
+        for candidate in strategy.candidates if candidate.predicted is not None]
     scale, kind = spread_scale([row["rmse"] for row in rows], zero=True)
     order = [row["fit"] for row in sorted(rows, key=lambda row: row["rmse"])]
     colour = alt.Color("state:N", scale=alt.Scale(domain=["chosen", "candidate"],

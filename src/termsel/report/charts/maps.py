@@ -45,7 +45,8 @@ def image_map(view: View, image: str = "", rows: list[Row] | None = None,
     """
     alt = require_altair()
     top, left, bottom, right = view.image_box
-    wide, high = max(right - left, 1.0), max(bottom - top, 1.0)
+    wide = max(right - left, 1.0)
+    high = max(bottom - top, 1.0)
     margin = MARGIN * max(wide, high)
     rows = view.in_image if rows is None else rows
     x = alt.X("sample:Q", title="sample [px]", axis=alt.Axis(grid=False, tickCount=6),
@@ -78,7 +79,8 @@ def ground_map(view: View) -> Any:
     alt = require_altair()
     rows = view.on_ground
     left, bottom, right, top = view.ground_box
-    wide, tall = max(right - left, 1e-9), max(top - bottom, 1e-9)
+    wide = max(right - left, 1e-9)
+    tall = max(top - bottom, 1e-9)
     margin = MARGIN * max(wide * view.flattening, tall)
     across = margin / view.flattening
     of_x, of_y = _axes(view)
@@ -201,7 +203,8 @@ def _bar(x0: float, y0: float, length: float, text: str, at_x: str, at_y: str, x
 
 def _axes(view: View) -> tuple[str, str]:
     """Return the names of the axes on the ground, with their unit as far as it is known."""
-    crs, unit = view.record.data.crs, view.units_per_metre
+    crs = view.record.data.crs
+    unit = view.units_per_metre
     if is_geographic(crs):
         return f"longitude [°], {short(crs)}", "latitude [°]"
     of = " [unit not known]" if unit is None else " [m]" if unit == 1 else f" [{1 / unit:.4g} m]"

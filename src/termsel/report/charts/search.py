@@ -65,7 +65,8 @@ def members(view: View, image: str = "") -> Any:
 
 def front_rows(view: View) -> list[Row]:
     """Return a row for check and independent points of each member."""
-    members, chosen = view.record.front, _recommended(view)
+    members = view.record.front
+    chosen = _recommended(view)
     return [{"member": i, "size": one.objectives[size_of(one)], "points": points,
              "rmse": one.rmse.by_role[points].total, "recommended": i == chosen}
             for i, one in enumerate(members) for points in ("check", "independent")

@@ -89,7 +89,8 @@ def frequency_bars(view: View) -> Any:
 def frequency_rows(view: View) -> list[Row]:
     """Return the terms that any selection has with the share of selections, frequent ones first."""
     record = view.record
-    used, shares = set(record.selection.terms), dict[str, float]()
+    used = set(record.selection.terms)
+    shares = dict[str, float]()
     if record.stability:
         shares.update(record.stability.frequency)
     else:

@@ -37,7 +37,8 @@ def with_selected_lines(control: Control, choice: Choice, portfolio: Portfolio,
     with it is added to its reason. With OWDIS come the errors of the points under selections made
     without them [px], (n_points, 2). The seed is that of the search.
     """
-    lines, count = control.features.lines, len(control.features.points)
+    lines = control.features.lines
+    count = len(control.features.points)
     if count < FOLDS_WITH_LINES or not len(lines):
         return choice, None
     others = choice.chosen.squares[:count]

@@ -121,7 +121,7 @@ def assessed(task: Task, found: Search, verdict: Verdict | None = None) -> Resul
     judged_by = compared(agreeing) if contradicting.outliers else (rmse, baselines)
     sizes = _sizes(task, found)
     members = {genes.tobytes(): _member(task, genes)
-               for genes in (*found.front, *(one.genes for one in sizes))}
+               for genes in (*found.front, *(size.genes for size in sizes))}
     return Result(
         problem=task.recipe.name, model=task.model.name, solver=task.solver.name,
         criterion=task.criterion.name, seed=found.seed,
@@ -155,9 +155,9 @@ def assessed(task: Task, found: Search, verdict: Verdict | None = None) -> Resul
         features=observations.features, versions=versions(),
         plugins=plugins_of(task),
         front=tuple(members[genes.tobytes()] for genes in found.front),
-        by_size=tuple(SizeRow(**asdict(members[one.genes.tobytes()]), better=one.better,
-                              optimal=one.optimal, bound=one.bound, gap=one.gap)
-                      for one in sizes),
+        by_size=tuple(SizeRow(**asdict(members[size.genes.tobytes()]), better=size.better,
+                              optimal=size.optimal, bound=size.bound, gap=size.gap)
+                      for size in sizes),
         certificate=_certificate(task, found, chosen),
         files=_files(task, found, observations))
 
@@ -175,7 +175,8 @@ def _files(task: Task, found: Search, observations: Observations) -> dict[str, s
 def _on_replaced(model: SensorModel, selection: Selection) -> Iterable[str]:
     """Yield which options of the model have other values than those they were given."""
     for option in model.declared_options:
-        asked, name = model.options[option.name], option.name
+        asked = model.options[option.name]
+        name = option.name
         if asked not in (option.default, selection.parameters.get(name, asked)):
             yield (f"Option {name} of the model was {asked}; the problem chose "
                    f"{selection.parameters[name]} in its place.")
@@ -234,7 +235,8 @@ def _sizes(task: Task, found: Search) -> list[SizeProof]:
 
 def _member(task: Task, genes: Genes) -> Member:
     """Return the member of a front, with its RMSE on all roles."""
-    observations, selection = task.observations, task.problem.decode(genes)
+    observations = task.observations
+    selection = task.problem.decode(genes)
     member = fit_of(task, selection)
     values = task.problem.evaluate(genes[None]).objectives[0].tolist()
     size = len(selection.features if task.recipe.second == "n_features" else selection.terms)

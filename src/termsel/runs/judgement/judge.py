@@ -140,7 +140,8 @@ def _in_hindsight(mine: float, named: Baseline,
 
 def name_conventional(genome: Genome, observations: Observations) -> str:
     """Return in words what a fit uses that leaves out nothing of what could be selected."""
-    lines, points = len(observations.control.lines), len(observations.control.points)
+    lines = len(observations.control.lines)
+    points = len(observations.control.points)
     features = ("all points and lines" if lines and points else
                 "all lines" if lines else "all control points")
     segments = [segment.name for segment in genome.segments]
@@ -204,7 +205,8 @@ def notes_on(observations: Observations, criterion: Criterion, found: Search,
                f"{counted(chosen.adjustment.steps or 0, 'step')}.")
     if found.interrupted:
         yield "The search was interrupted; this is the best it had found."
-    check, independent = chosen.rmse(observations.check), chosen.rmse(observations.independent)
+    check = chosen.rmse(observations.check)
+    independent = chosen.rmse(observations.independent)
     if (criterion.needs_check and check and independent
             and independent.total > 1.5 * check.total):
         yield (f"The independent RMSE is {independent.total / check.total:.1f} times the check "

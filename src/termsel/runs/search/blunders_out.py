@@ -59,11 +59,13 @@ def _without(task: Task, blunders: frozenset[str]) -> Task | None:
 
     Points lose their role. Lines, which have none, can no longer be selected.
     """
-    problem, observations = task.problem, task.observations
+    problem = task.problem
+    observations = task.observations
     if not isinstance(problem, SelectionProblem):
         return task
     # A problem may select among some of the control.
-    names, where = problem.inputs.control.ids, problem.genome.label_slices()[FEATURES]
+    names = problem.inputs.control.ids
+    where = problem.genome.label_slices()[FEATURES]
     forced = select(names, problem.genome.on[where] | problem.genome.off[where])
     out = blunders.difference(forced)
     points = out.intersection(observations.together.points.ids)
@@ -76,7 +78,8 @@ def _without(task: Task, blunders: frozenset[str]) -> Task | None:
             return None
         problem = task.problem
         assert isinstance(problem, SelectionProblem)
-        names, where = problem.inputs.control.ids, problem.genome.label_slices()[FEATURES]
+        names = problem.inputs.control.ids
+        where = problem.genome.label_slices()[FEATURES]
     gone = np.isin(names, list(out - points))
     if not gone.any():
         return task

@@ -30,7 +30,8 @@ def search_in_steps(task: Task, **how: Any) -> Search:
     several objectives or a solver that cannot take the second, and if the first finds nothing
     feasible.
     """
-    problem, options = task.problem, task.options["search"]
+    problem = task.problem
+    options = task.options["search"]
     order = task.options["problem"].get("steps", "joint")
     if order == "joint" or not isinstance(problem, SelectionProblem):
         return search(problem, task.solver, **options, **how)

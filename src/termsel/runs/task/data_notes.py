@@ -51,7 +51,8 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
     if jumps(read):
         yield ("The longitudes jump by a full turn between points. They were made continuous: on "
                "one side they go on beyond 180 degrees.")
-    both, independent = observations.together, observations.independent
+    both = observations.together
+    independent = observations.independent
     yield from _on_two_groups(both)
     yield from _on_twins(both.points, independent)
     yield from _on_one_line(both)
@@ -119,7 +120,8 @@ def _on_carriers(both: FeatureSet, carrying: tuple[str, ...]) -> Iterator[str]:
 
 def _on_flat(control: Control, others: Points) -> Iterator[str]:
     """Yield that heights tell nothing, and what they may do at other points."""
-    vertices, carrying = control.features.ground_vertices(), carriers(control)
+    vertices = control.features.ground_vertices()
+    carrying = carriers(control)
     z = vertices[~np.isin(np.array(control.features.ids)[control.features.vertex_feature],
                           carrying if len(carrying) < len(control) else ()), 2]
     if len(carrying) < len(control):

@@ -27,7 +27,8 @@ def require_enough(observations: Observations, recipe: Recipe, criterion: Criter
 
     `least` is the fewest control features.
     """
-    control, check = observations.control, observations.check
+    control = observations.control
+    check = observations.check
     if len(control) < least:
         raise TermselError(
             f"Of your {counted(_count(observations), 'feature')} {len(control)} "

@@ -56,7 +56,8 @@ def with_fit_crs(choice: str, observations: Observations, model: SensorModel) ->
     coordinates, an unknown CRS, and coordinates that pyproj cannot transform or without pyproj; for
     geocentric ones a plane model, and features whose heights are unknown or all alike.
     """
-    features, control = observations.features, observations.control
+    features = observations.features
+    control = observations.control
     if normalise(features.crs) == LOCAL:
         raise TermselError(f"--fit-crs {choice}: plane coordinates without a CRS cannot be turned "
                            "into others", hint="State the CRS of the ground coordinates, or leave "

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
 def data_of(setup: Setup, observations: Observations) -> DataRecord:
     """Return what a record says of the features of a setup, as read and in their roles."""
-    features, control = setup.features, observations.control
+    features = setup.features
+    control = observations.control
     return DataRecord(
         setup.source, of_features(features), features.crs, control.fit_crs or features.crs,
         features.heights or height_reference(features.crs) or None, features.noise,
@@ -39,7 +40,8 @@ def data_of(setup: Setup, observations: Observations) -> DataRecord:
 
 def _read(setup: Setup, observations: Observations) -> WhatWasRead:
     """Return what was read, and what of it takes no part for another reason than as a blunder."""
-    read, points = setup.read, setup.features.points
+    read = setup.read
+    points = setup.features.points
     difference = read.dem_difference
     # Blunders among control and check included: they may be one of the groups.
     apart = {*observations.independent.ids, *select(
@@ -49,7 +51,8 @@ def _read(setup: Setup, observations: Observations) -> WhatWasRead:
     stay = set(setup.features.lines.ids)
     off = [name for name in (*select(points.ids, [role == "off" for role in points.roles]),
                              *read.lines.features) if name not in stay]
-    control, idle = observations.control, set(observations.off).difference(off)
+    control = observations.control
+    idle = set(observations.off).difference(off)
     why = {"without a height": setup.blank,
            "marked off": [name for name in off if name not in setup.blank],
            "points, as lines are the control": [

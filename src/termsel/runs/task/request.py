@@ -90,8 +90,8 @@ class Request:
 
     def named(self) -> list[str]:
         """Return the words for what is asked for next to the problem."""
-        return [one.name for one in fields(self)
-                if one.name != "problem" and getattr(self, one.name) is not None]
+        return [field.name for field in fields(self)
+                if field.name != "problem" and getattr(self, field.name) is not None]
 
     def method(self) -> list[str]:
         """Return the words for what is asked for of a method, which "auto" would choose itself."""
@@ -124,8 +124,8 @@ class Request:
             "problem": recipe.options, "data": DATA_OPTIONS, "search": SEARCH_OPTIONS,
             **{word: part.declared_options for word, part in parts.items()}})
         set_options = tuple(chosen["model"]) if isinstance(the_model, type) else tuple(
-            one.name for one in the_model.declared_options
-            if the_model.options[one.name] != one.default)
+            option.name for option in the_model.declared_options
+            if the_model.options[option.name] != option.default)
         if self.model in (None, recipe.model):
             # The RPC of a recipe is that of its data set, and of no other points.
             usual_model = {name: value for name, value in recipe.model_options.items()
@@ -148,12 +148,14 @@ class Request:
         if split_of(of_data) is not None and of_data["role"]:
             raise TermselError(f"the options role and roles={of_data['roles']} exclude each other",
                                hint="Leave one of them out; off goes with both.")
-        features, source = self.features, self.source
+        features = self.features
+        source = self.source
         if features is None:
             spec = names.taken("datasets", recipe.dataset if self.dataset is None else self.dataset)
             features = loaded(spec)
             source = f"{spec.name} (simulated)" if spec.simulated else spec.name
-        read, features = features, with_roles(features, named)
+        read = features
+        features = with_roles(features, named)
         blank = to_leave_out(features) if made["model"].uses_height else ()
         return Setup(recipe, made["model"], made["criterion"], made["solver"],
                      read, with_roles(features, dict.fromkeys(blank, "off")),

@@ -124,7 +124,9 @@ def observe(setup: Setup, least: int = MIN_CONTROL) -> Observations:
     """Return the features, each in its role, in the CRS of the fit; at least so many are control.
     """
     setup = with_shares(setup)
-    recipe, criterion, of_data = setup.recipe, setup.criterion, setup.options["data"]
+    recipe = setup.recipe
+    criterion = setup.criterion
+    of_data = setup.options["data"]
     observations = assign_roles(
         setup.features,
         control="both" if setup.options["problem"].get("mixed") else recipe.control,

@@ -182,7 +182,8 @@ class _Kinds:
 
     def _checked(self, strategy: str, parts: Mapping[str, Asked | None],
                  data: list[Data]) -> _Kind:
-        spec, first = self._spec, None
+        spec = self._spec
+        first = None
         measures = _measures_of(spec)
         for one in data:
             if one.features is None:
@@ -196,7 +197,7 @@ class _Kinds:
                 made["candidates"] = made_of([entry.object
                                               for entry in registry().entries("candidates")])
             if measures:
-                made["measures"] = made_of([one.compute for one in measures])
+                made["measures"] = made_of([measure.compute for measure in measures])
             chosen: Solver = request.solver
             try:
                 observations = observe(with_shares(request, auto=strategy == "auto"),
@@ -343,7 +344,7 @@ def _of_others(strategy: str, setup: Setup, measures: Iterable[Measure]) -> bool
     entries = map(registry().origin, (setup.recipe, *classes, *measures))
     if any(entry is not None and entry.provided_by == SESSION for entry in entries):
         return False  # what is registered in this process has a name in no other one
-    code = (setup.recipe.build, *classes, *(one.compute for one in measures))
+    code = (setup.recipe.build, *classes, *(measure.compute for measure in measures))
     return not own.issuperset(canonical(one.__module__.partition(".")[0]) for one in code)
 
 

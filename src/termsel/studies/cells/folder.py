@@ -86,7 +86,8 @@ def read_study(folder: Path | str) -> Study:
 
 def status(folder: Path) -> tuple[StudyProgress, str | None]:
     """Return how far the study of a folder is, and who is at work on it, if anybody is."""
-    study, workers = read_study(folder), _read_plan(folder)[1]
+    study = read_study(folder)
+    workers = _read_plan(folder)[1]
     return Tally(study.cells, workers, study.records).progress(), holder(folder)
 
 

@@ -17,8 +17,9 @@ IMAGES = "images"
 def folders_of(labels: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
     """Return the names of the folders of all images of auto, by the keys of their cells."""
     labels = {key: one for key, one in labels.items() if one["strategy"] == "auto"}
-    problems = Counter((one["data"], one["split"]) for one in labels.values())
-    names, owners = {}, dict[str, str]()
+    problems = Counter((label["data"], label["split"]) for label in labels.values())
+    names = {}
+    owners = dict[str, str]()
     for key, one in labels.items():
         # By its data, by its split if that is not the first, and by its problem where several have
         # the same data.
@@ -31,7 +32,8 @@ def folders_of(labels: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
         if name.casefold() in owners:
             raise TermselError(f"{owners[name.casefold()]} and {one['data']} would have the same "
                                f"folder {IMAGES}/{name}", hint="Rename one of them.")
-        names[key], owners[name.casefold()] = name, str(one["data"])
+        names[key] = name
+        owners[name.casefold()] = str(one["data"])
     return names
 
 

@@ -145,7 +145,8 @@ def _mirrored(settings: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, dict
 
 def _apart(some: FloatArray, others: FloatArray) -> FloatArray:
     """Return the angles between places [deg], shape (n, m), from longitudes and latitudes."""
-    first, second = _directions(some), _directions(others)
+    first = _directions(some)
+    second = _directions(others)
     chords = np.linalg.norm(first[:, None] - second[None], axis=2)
     return np.asarray(np.degrees(2.0 * np.arcsin(np.minimum(chords / 2.0, 1.0))))
 

@@ -38,7 +38,8 @@ class _Keeper(logging.Handler):
 
     def __init__(self, warnings: list[str], image: str) -> None:
         super().__init__(logging.WARNING)
-        self._warnings, self._image = warnings, image
+        self._warnings = warnings
+        self._image = image
 
     def emit(self, record: logging.LogRecord) -> None:
         """Keep a warning, unless it is about another image of a thread at the same time."""
@@ -62,7 +63,8 @@ def _name_images() -> None:
         if image and record.name.startswith("termsel."):
             text = record.getMessage()
             mark = next((mark for mark in _MARKS if text.startswith(mark)), "")
-            record.msg, record.args = f"{mark}{image}: {text.removeprefix(mark)}", ()
+            record.msg = f"{mark}{image}: {text.removeprefix(mark)}"
+            record.args = ()
         return record
 
     logging.setLogRecordFactory(with_name)

@@ -53,8 +53,10 @@ class Tally:
 
     def __init__(self, cells: Mapping[str, Mapping[str, Any]], workers: int,
                  finished: Mapping[str, CellRecord]) -> None:
-        self.cells, self.workers = cells, workers
-        self._states, self._left = Counter[str](), Counter(map(kind_of, cells.values()))
+        self.cells = cells
+        self.workers = workers
+        self._states = Counter[str]()
+        self._left = Counter(map(kind_of, cells.values()))
         self._times: dict[Any, tuple[int, float]] = {}
         self._worst = (0.0, "")
         # A cell is called by what tells it from the others.
@@ -65,7 +67,8 @@ class Tally:
 
     def count(self, record: CellRecord) -> None:
         """Count the record of a cell of the study."""
-        labels, figures = self.cells[record.cell], record.figures
+        labels = self.cells[record.cell]
+        figures = record.figures
         kind = kind_of(labels)
         self._states[record.state] += 1
         self._left[kind] -= 1

@@ -92,7 +92,8 @@ class _Trace:
     def __init__(self, timeout: float | None) -> None:
         self.points: list[list[float]] = []
         self._timeout = timeout
-        self._start, self._cpu = time.perf_counter(), time.process_time()
+        self._start = time.perf_counter()
+        self._cpu = time.process_time()
         self._before, self._last = 0, 0
 
     def times(self) -> dict[str, float]:
@@ -248,8 +249,9 @@ def _measures(cell: Cell, result: Result, notes: list[str]) -> dict[str, float |
 
 
 def _figures_of(result: Result) -> dict[str, Any]:
-    predicted, selection = result.predicted, result.selection
-    excluded = sum(one.excluded for one in result.outliers)
+    predicted = result.predicted
+    selection = result.selection
+    excluded = sum(outlier.excluded for outlier in result.outliers)
     return {
         "chosen": result.strategy and result.strategy.chosen, **_rmse(result.rmse),
         "predicted": predicted and finite_or_none(predicted.rmse),
@@ -257,5 +259,5 @@ def _figures_of(result: Result) -> dict[str, Any]:
         "predicted_high": predicted and finite_or_none(predicted.high),
         "n_terms": len(selection.terms), "n_features": len(selection.features),
         "evaluations": result.evaluations, "excluded": excluded,
-        "blunders": [one.id for one in result.outliers], "notes": list(result.notes)}
+        "blunders": [outlier.id for outlier in result.outliers], "notes": list(result.notes)}
 

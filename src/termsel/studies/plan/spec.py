@@ -212,7 +212,7 @@ def _texts(at: Places, path: Keys, given: Any,
            known: tuple[str, ...] | None = None) -> tuple[str, ...]:
     """Return one text or a list of texts as a tuple."""
     items = [given] if isinstance(given, str) else given
-    if not isinstance(items, Sequence) or not all(isinstance(one, str) for one in items):
+    if not isinstance(items, Sequence) or not all(isinstance(item, str) for item in items):
         raise at.error(path, f"{path[-1]} is neither text nor a list of texts")
     for i, one in enumerate(items):
         if known is not None and one not in known:

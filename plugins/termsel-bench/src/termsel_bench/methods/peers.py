@@ -60,7 +60,8 @@ def orthority(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG001
     with requires("Orthority requires", "orthority", "orthority"):
         from orthority.camera import RpcCamera
         from orthority.fit import refine_rpc
-    (line_off, sample_off), (line_scale, sample_scale) = rpc.image_offset, rpc.image_scale
+    (line_off, sample_off) = rpc.image_offset
+    (line_scale, sample_scale) = rpc.image_scale
     known = {
         "line_off": line_off, "samp_off": sample_off, "line_scale": line_scale,
         "samp_scale": sample_scale, "height_off": rpc.ground_offset[2],
@@ -85,7 +86,8 @@ def ransac(features: FeatureSet, seed: int) -> Projection:
         from sklearn.linear_model import LinearRegression, RANSACRegressor
         from sklearn.pipeline import make_pipeline
         from sklearn.preprocessing import PolynomialFeatures, StandardScaler
-    places, degree = _places(features), 1 if len(features.points) < 20 else 2
+    places = _places(features)
+    degree = 1 if len(features.points) < 20 else 2
     terms = PolynomialFeatures(degree)
     count = terms.fit_transform(places[:1]).shape[1]
     _require(len(places) > count, "RANSAC", len(places))

@@ -30,7 +30,8 @@ class Cubic:
         flat = np.isnan(points.ground).any()
         self.width = 2 if flat else 3
         ground = points.ground[:, :self.width]
-        self.middle, self.scale = ground.mean(axis=0), np.ptp(ground, axis=0) / 2
+        self.middle = ground.mean(axis=0)
+        self.scale = np.ptp(ground, axis=0) / 2
         self.powers = np.array([powers for powers in product(range(4), repeat=self.width)
                                 if sum(powers) <= 3])
         control = np.array(points.roles) == "control"

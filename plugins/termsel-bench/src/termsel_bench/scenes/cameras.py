@@ -62,7 +62,8 @@ class Turning(Pushbroom):
         return station, self._looking(station, time)
 
     def _looking(self, station: FloatArray, time: FloatArray) -> FloatArray:
-        aim, course = np.array(self.aim), np.array(self.course)
+        aim = np.array(self.aim)
+        course = np.array(self.course)
         way = (self.speed * time / np.linalg.norm(aim))[:, None]
         up = aim / np.linalg.norm(aim)
         target = np.linalg.norm(aim) * (np.cos(way) * up + np.sin(way) * course)
@@ -82,7 +83,8 @@ class Flying(Turning):
     def exposure(self, time: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return exposure stations and rotations (see `Pushbroom.exposure`)."""
         time = np.asarray(time, dtype=np.float64)
-        aim, course = np.array(self.aim), np.array(self.course)
+        aim = np.array(self.aim)
+        course = np.array(self.course)
         up = vertical(from_ecef(aim[None]))[0]
         off = np.stack([one(time) for one in self.sway], axis=1)
         station = aim + up * self.altitude + course * (self.speed * time)[:, None] \
@@ -110,7 +112,8 @@ def image_of(kind: str, seed: int, ranges: Ranges, count: int,
 def _image_of(kind: str, rng: Generator, ranges: Ranges, count: int,
               measured: int | None, level: float) -> FeatureSet:
     lines, samples = (int(n) for n in rng.integers(*ranges.size, 2))
-    lon, lat = rng.uniform(-170, 170), rng.uniform(*ranges.latitude)
+    lon = rng.uniform(-170, 170)
+    lat = rng.uniform(*ranges.latitude)
     pixel = float(np.exp(rng.uniform(*np.log(ranges.pixel))))
     pixel *= {"airborne": 0.05, "frame": 0.06, "panoramic": 0.15}.get(kind, 1.0)
     width = pixel * max(lines, samples)
@@ -131,7 +134,8 @@ def _image_of(kind: str, rng: Generator, ranges: Ranges, count: int,
               & (image < 0.98 * np.array([lines, samples]))).all(axis=1)
     if inside.sum() < count:
         raise TermselError("too few points are in view")
-    image, ground = image[inside][:count], ground[inside][:count]
+    image = image[inside][:count]
+    ground = ground[inside][:count]
     noise = rng.uniform(*ranges.noise)
     added = noise * rng.standard_normal(image.shape)
     added[measured:] = 0.0 if measured is not None else added[measured:]
@@ -149,10 +153,12 @@ def _seen(kind: str, rng: Generator, ranges: Ranges, size: tuple[int, int], pixe
     if kind == "radar":
         return _radar(rng, ranges, size, pixel, place, ground)
     lon, lat, height = place
-    tilt, turn = rng.uniform(*ranges.tilt), rng.choice([90.0, 270.0]) + rng.normal(0.0, 3.0)
+    tilt = rng.uniform(*ranges.tilt)
+    turn = rng.choice([90.0, 270.0]) + rng.normal(0.0, 3.0)
     if kind == "agile":
         turn = rng.uniform(0.0, 360.0)
-    altitude, incline = rng.uniform(*ranges.altitude), rng.uniform(*ranges.incline)
+    altitude = rng.uniform(*ranges.altitude)
+    incline = rng.uniform(*ranges.incline)
     if kind == "cubesat":
         altitude = rng.uniform(400e3, 600e3)
     sensor = pushbroom_at(lon, lat, height=height, off_nadir=tilt, look_azimuth=turn, gsd=pixel,
@@ -166,7 +172,8 @@ def _seen(kind: str, rng: Generator, ranges: Ranges, size: tuple[int, int], pixe
                   for lever in (1.0, 1.0, 2.0 / size[1])]
         return _replaced(sensor, angles).project(ground)
     course = rng.uniform(0.0, 2 * np.pi) if kind == "airborne" or rng.random() < 0.6 else np.pi
-    middle, ahead = to_ecef(np.array([[lon, lat, height]]))[0], (
+    middle = to_ecef(np.array([[lon, lat, height]]))[0]
+    ahead = (
         np.sin(course) * axes[0] + np.cos(course) * axes[1])
     speed = 70.0 if kind == "airborne" else 7000.0 * rng.uniform(0.3, 1.1)
     period = pixel / speed
@@ -267,7 +274,8 @@ def _heights(rng: Generator, plan: FloatArray, waves: int) -> FloatArray:
 def _small(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> FloatArray:
     """Return rotations about three axes, (n, 3, 3)."""
     (sr, cr), (sp, cp), (sy, cy) = ((np.sin(a), np.cos(a)) for a in (roll, pitch, yaw))
-    none, one = np.zeros_like(sr), np.ones_like(sr)
+    none = np.zeros_like(sr)
+    one = np.ones_like(sr)
 
     def matrix(*rows: list[FloatArray]) -> FloatArray:
         return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)

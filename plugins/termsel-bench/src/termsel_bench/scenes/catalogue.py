@@ -155,7 +155,8 @@ def _map(asked: Asked) -> tuple[FeatureSet, Points]:
     settings = {"seed": asked.seed, "n_points": asked.count + INDEPENDENT, **asked.more}
     # The places are spread out in their order: which of them are control is drawn.
     order = np.random.default_rng(asked.seed).permutation(asked.count + INDEPENDENT)
-    measured, exact = simulate_map(**settings), simulate_map(**settings, noise=0.0)
+    measured = simulate_map(**settings)
+    exact = simulate_map(**settings, noise=0.0)
     return (measured.with_(points=measured.points.take(order[:asked.count])),
             exact.points.take(order[asked.count:]))
 

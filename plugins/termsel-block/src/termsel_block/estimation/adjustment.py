@@ -162,7 +162,8 @@ class _Run(Steps):
                           state.parameters, loose.reduced.slices, self.heights.guessed())
         self.solved = loose.at(found.mean, found.covariance)
         start = [self._computed(i)[0] for i in range(len(state.cameras))]
-        moves, state.ties = self._moves(), state.ties + self.solved.ties
+        moves = self._moves()
+        state.ties = state.ties + self.solved.ties
         state.parameters = [
             camera.followed(old, step, at + moved, state.ties[part.tie])
             for camera, old, step, at, moved, part in zip(
@@ -197,7 +198,9 @@ class _Run(Steps):
                 spent += float((weight * hat).sum())
                 rows += float(weight.sum())
                 squares += float((weight * (of_control[i] / known.sigma) ** 2).sum())
-        total, weights, each = 0.0, 0.0, np.zeros(len(state.ties))
+        total = 0.0
+        weights = 0.0
+        each = np.zeros(len(state.ties))
         for mine, residual, used in zip(self.measured, of_ties, state.in_use, strict=True):
             weight = used * (soft(np.hypot(*residual.T) / state.sigma_ties) if robust
                              else np.ones(len(used)))
@@ -227,7 +230,8 @@ class _Run(Steps):
 
     def grow(self, fixed: Sequence[bool]) -> bool:
         """Add columns to the images whose residuals call for them; return whether any do."""
-        state, grown = self.state, False
+        state = self.state
+        grown = False
         for i, (camera, mine, residual) in enumerate(zip(
                 state.cameras, self.measured, self.residuals()[0], strict=True)):
             more = None if len(fixed) and fixed[i] else camera.grown()
@@ -237,7 +241,8 @@ class _Run(Steps):
             weight = soft(np.hypot(*residual.T) / state.sigma_ties) / state.sigma_ties**2
             columns = more.first_order(state.ties[mine.tie])[1][:, had:]
             if chance_of(columns, residual, weight) < CHANCE:
-                grown, state.cameras[i] = True, more
+                grown = True
+                state.cameras[i] = more
                 state.parameters[i] = np.concatenate(
                     [state.parameters[i], np.zeros((len(more.groups) - had, 2))])
                 state.variances[i] = np.concatenate(
@@ -246,7 +251,8 @@ class _Run(Steps):
 
     def drop(self, evidence: list[dict[str, float]], fixed: Sequence[bool]) -> bool:
         """Drop the groups that the evidence is against; return whether there were any."""
-        state, dropped = self.state, False
+        state = self.state
+        dropped = False
         for i, (camera, covariance) in enumerate(
                 zip(state.cameras, self.solved.own[:-1], strict=True)):
             if len(fixed) and fixed[i]:
@@ -276,7 +282,8 @@ class _Run(Steps):
         state = self.state
         of_ties, of_control = self.residuals()
         changed = False
-        away, rays = np.zeros(len(state.ties)), np.zeros(len(state.ties))
+        away = np.zeros(len(state.ties))
+        rays = np.zeros(len(state.ties))
         for mine, residual in zip(self.measured, of_ties, strict=True):
             np.add.at(away, mine.tie, np.abs(residual).max(axis=1, initial=0.0))
             np.add.at(rays, mine.tie, 1)

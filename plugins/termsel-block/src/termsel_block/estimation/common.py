@@ -16,10 +16,13 @@ def of_heights(heights: Heights, ties: FloatArray,
     Of the two image axes of `Seen` the first is the height. The second has rows of zeros, whose
     parameter stays zero.
     """
-    seen, count = heights.observed(ties), len(ties)
+    seen = heights.observed(ties)
+    count = len(ties)
     weight = np.where(seen.joint, seen.weight, 0.0)
-    slopes, residual = np.zeros((count, 2, 3)), np.zeros((count, 2))
-    slopes[:, 0], residual[:, 0] = seen.row, seen.away
+    slopes = np.zeros((count, 2, 3))
+    residual = np.zeros((count, 2))
+    slopes[:, 0] = seen.row
+    residual[:, 0] = seen.away
     normal, right = heights.of_offset()
     alone = seen.weight - weight
     return (Seen(np.arange(count), np.tile(-np.eye(2), (count, 1, 1)), slopes, residual, weight),

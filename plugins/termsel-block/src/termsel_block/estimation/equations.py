@@ -113,7 +113,8 @@ class Reduced:
         ends = np.cumsum(sizes)
         self.slices = [slice(int(end - size), int(end))
                        for end, size in zip(ends, sizes, strict=True)]
-        self._matrix, self._size = matrix, int(ends[-1])
+        self._matrix = matrix
+        self._size = int(ends[-1])
         if isinstance(matrix, np.ndarray):
             factor = linalg.cho_factor(matrix)
             self.solve: Solve = lambda right: linalg.cho_solve(factor, right)
@@ -160,7 +161,8 @@ class Reduced:
         mine = [part for part in self.slices if first <= part.start < end]
         if not mine:
             return []
-        start, stop = mine[0].start, mine[-1].stop
+        start = mine[0].start
+        stop = mine[-1].stop
         right = np.zeros((self._size, stop - start))
         right[np.arange(start, stop), np.arange(stop - start)] = 1.0
         inverse = self.solve(right)
@@ -176,7 +178,9 @@ def pairs(ties: Sequence[IntArray], count: int) -> list[Shared]:
     row = np.concatenate([np.arange(len(tie)) for tie in ties])
     tie = np.concatenate(ties)
     order = np.lexsort((image, tie))
-    image, row, tie = image[order], row[order], tie[order]
+    image = image[order]
+    row = row[order]
+    tie = tie[order]
     starts = np.searchsorted(tie, np.arange(count + 1))
     degree = np.diff(starts)
     found: list[IntArray] = []
@@ -190,7 +194,8 @@ def pairs(ties: Sequence[IntArray], count: int) -> list[Shared]:
     every = np.concatenate(found, axis=1)
     key = every[0] * len(ties) + every[1]
     order = np.argsort(key, kind="stable")
-    every, key = every[:, order], key[order]
+    every = every[:, order]
+    key = key[order]
     cuts = np.flatnonzero(np.diff(key)) + 1
     return [(int(part[0, 0]), int(part[1, 0]), part[2], part[3])
             for part in np.split(every, cuts, axis=1)]
@@ -222,8 +227,11 @@ def solve(
     numpy.linalg.LinAlgError
         If parameters are not determined.
     """
-    of_ties, right_of_ties = of_ties.copy(), right_of_ties.copy()
-    coupling, diagonal, right = [], [], []
+    of_ties = of_ties.copy()
+    right_of_ties = right_of_ties.copy()
+    coupling = []
+    diagonal = []
+    right = []
     for part, mine, aside in zip(seen, own, own_right, strict=True):
         w = part.weight[:, None]
         weighted = part.slopes * w[:, :, None]
@@ -257,7 +265,8 @@ def _reduced(diagonal: Sequence[FloatArray], half: Sequence[FloatArray],
              sharing: Sequence[Shared], sizes: Sequence[int],
              ) -> FloatArray | sparse.csc_matrix:
     """Return the matrix of the images alone, dense where it is small."""
-    total, ends = sum(sizes), np.cumsum(sizes)
+    total = sum(sizes)
+    ends = np.cumsum(sizes)
     begin = ends - sizes
     blocks: dict[tuple[int, int], FloatArray] = {
         (i, i): block.copy() for i, block in enumerate(diagonal)}
@@ -273,7 +282,9 @@ def _reduced(diagonal: Sequence[FloatArray], half: Sequence[FloatArray],
             if i != j:
                 matrix[begin[j]:ends[j], begin[i]:ends[i]] = block.T
         return matrix
-    rows, columns, values = [], [], []
+    rows = []
+    columns = []
+    values = []
     for (i, j), block in blocks.items():
         at = np.indices(block.shape)
         for first, second, part in ((at[0] + begin[i], at[1] + begin[j], True),

@@ -70,7 +70,8 @@ def start(images: Sequence[Given], count: int, frame: Frame, heights: Heights) -
         if camera is not None else None
         for camera, image in zip(cameras, images, strict=True)]
     _refuse_elsewhere(images, cameras, count)
-    ties, located = np.full((count, 3), np.nan), np.zeros(count, bool)
+    ties = np.full((count, 3), np.nan)
+    located = np.zeros(count, bool)
     while True:
         begun = [i for i, camera in enumerate(cameras) if camera is not None]
         ties, located = _located(images, cameras, parameters, begun, ties, located, heights)
@@ -131,8 +132,10 @@ def _refuse_elsewhere(images: Sequence[Given], cameras: Sequence[Camera | None],
         place = image.measured.place
         placed[i] = np.column_stack([np.ones(len(place)), place]) @ _inverse(
             camera, np.zeros((len(camera.groups), 2)))
-    apart, near = Counter[int](), Counter[int]()
-    apart_ties, near_ties = Counter[int](), Counter[int]()
+    apart = Counter[int]()
+    near = Counter[int]()
+    apart_ties = Counter[int]()
+    near_ties = Counter[int]()
     for i, j, rows, others in pairs([image.measured.tie for image in images], count):
         if i in placed and j in placed and i != j:
             widths = [camera.area()[1].max() for k in (i, j) if (camera := cameras[k]) is not None]
@@ -153,8 +156,10 @@ def _refuse_elsewhere(images: Sequence[Given], cameras: Sequence[Camera | None],
 
 def _polynomial(local: FloatArray, image: FloatArray) -> PolynomialCamera:
     """Return the polynomial whose coordinates fit an area of ground and image."""
-    low, high = local.min(axis=0), local.max(axis=0)
-    least, most = image.min(axis=0), image.max(axis=0)
+    low = local.min(axis=0)
+    high = local.max(axis=0)
+    least = image.min(axis=0)
+    most = image.max(axis=0)
     return PolynomialCamera((low + high) / 2, max(float((high - low)[:2].max()) / 2, 1.0),
                             max(float((most - least).max()) / 2, 1.0), (least + most) / 2)
 
@@ -184,7 +189,8 @@ def _fitted(camera: Camera, local: FloatArray, normal: FloatArray, value: FloatA
 def _by_ties(image: Given, known: BoolArray, ties: FloatArray, frame: Frame,
              ) -> tuple[Camera, FloatArray]:
     """Return the model of an image that sees ties whose places are known."""
-    local, place = ties[image.measured.tie[known]], image.measured.place[known]
+    local = ties[image.measured.tie[known]]
+    place = image.measured.place[known]
     camera = _polynomial(local, place) if image.physical is None else \
         image.physical.fitted(frame, local, place, image.name)
     return camera, _begun(camera, np.repeat(local, 2, axis=0),
@@ -208,9 +214,11 @@ def _located(images: Sequence[Given], cameras: Sequence[Camera | None],
              parameters: Sequence[FloatArray | None], begun: Sequence[int], ties: FloatArray,
              located: BoolArray, heights: Heights) -> tuple[FloatArray, BoolArray]:
     """Return the places of ties seen by two or more images that have models."""
-    count, total = np.zeros(len(ties)), np.zeros((len(ties), 3))
+    count = np.zeros(len(ties))
+    total = np.zeros((len(ties), 3))
     for i in begun:
-        camera, mine = cameras[i], images[i].measured
+        camera = cameras[i]
+        mine = images[i].measured
         assert camera is not None
         inverse = _inverse(camera, parameters[i])
         at = np.column_stack([np.ones(len(mine.tie)), mine.place]) @ inverse
@@ -222,7 +230,9 @@ def _located(images: Sequence[Given], cameras: Sequence[Camera | None],
     ties[fresh] = total[fresh] / count[fresh, None]
     rays = []
     for i in begun:
-        camera, mine, mean = cameras[i], images[i].measured, parameters[i]
+        camera = cameras[i]
+        mine = images[i].measured
+        mean = parameters[i]
         assert camera is not None
         assert mean is not None
         use = seen[mine.tie]

@@ -37,8 +37,11 @@ class Steps:
 
     def __init__(self, state: State, measured: Sequence[Measured], control: Sequence[OwnControl],
                  heights: Heights, shared: Sequence[Shared]) -> None:
-        self.state, self.measured, self.control = state, measured, control
-        self.heights, self.shared = heights, shared
+        self.state = state
+        self.measured = measured
+        self.control = control
+        self.heights = heights
+        self.shared = shared
         self.slopes: dict[int, FloatArray] = {}
         self.kept: dict[int, tuple[Camera, FloatArray, FloatArray, FloatArray]] = {}
         self.design: dict[int, FloatArray] = {}
@@ -60,7 +63,10 @@ class Steps:
                    wide: float = 1.0) -> Solved:
         """Return the normal equations of a step, by variances of the parameters, and its solution.
         """
-        state, seen, own, right = self.state, [], [], []
+        state = self.state
+        seen = []
+        own = []
+        right = []
         for i, (camera, mine, known) in enumerate(
                 zip(state.cameras, self.measured, self.control, strict=True)):
             parameters = state.parameters[i]
@@ -90,9 +96,14 @@ class Steps:
 
     def _take(self, robust: bool, wide: float) -> None:
         """Take the step, or the part of it that does not make things worse."""
-        state, solved, heights = self.state, self.solved, self.heights
-        parameters, ties, before = state.parameters, state.ties, self._cost(robust, wide)
-        offset, start = heights.offset, [self._computed(i)[0] for i in range(len(parameters))]
+        state = self.state
+        solved = self.solved
+        heights = self.heights
+        parameters = state.parameters
+        ties = state.ties
+        before = self._cost(robust, wide)
+        offset = heights.offset
+        start = [self._computed(i)[0] for i in range(len(parameters))]
         for halvings in range(_HALVINGS):
             self.share = 0.5**halvings
             state.ties = ties + self.share * solved.ties
@@ -108,7 +119,9 @@ class Steps:
             if after <= before * (1 + CONVERGED):
                 return
         if not np.isfinite(after):  # no camera is there
-            state.parameters, state.ties, heights.offset = parameters, ties, offset
+            state.parameters = parameters
+            state.ties = ties
+            heights.offset = offset
 
     def _cost(self, robust: bool, wide: float) -> float:
         """Return what a step makes less: twice the negative logarithm of the posterior."""
@@ -134,7 +147,9 @@ class Steps:
         known = self.control[i]
         if not len(known):
             return np.empty(0)
-        rows, covariance, square = self.design[i], self.solved.own[i], self.noise[i]**2
+        rows = self.design[i]
+        covariance = self.solved.own[i]
+        square = self.noise[i]**2
         own = np.einsum("np,pq,nq->n", rows, covariance, rows) / square
         held = np.maximum(1 - self.weights[i] * own, _LEAST_LEFT)
         return np.asarray(np.sqrt(square * held * (held + own)))
@@ -153,14 +168,18 @@ class Steps:
             names = np.array(known.feature)
             for name in dict.fromkeys(known.feature):
                 at = np.flatnonzero(names == name)
-                rows, sigma, away = self.design[i][at], self.noise[i][at], of_control[i][at]
-                noise, own = np.diag(sigma**2), rows @ self.solved.own[i] @ rows.T
+                rows = self.design[i][at]
+                sigma = self.noise[i][at]
+                away = of_control[i][at]
+                noise = np.diag(sigma**2)
+                own = rows @ self.solved.own[i] @ rows.T
                 spread = noise + own
                 if self.state.control_in_use[i][at[0]]:
                     if np.linalg.eigvalsh(own / np.outer(sigma, sigma))[-1] > _MOST_OWN:
                         continue
                     gain = noise @ np.linalg.inv(noise - own)
-                    spread, away = gain @ noise, gain @ away
+                    spread = gain @ noise
+                    away = gain @ away
                 good = np.exp(-away @ np.linalg.solve(spread, away) / 2) / np.sqrt(
                     np.linalg.det(2 * np.pi * spread))
                 found[i, name] = float(np.log(
@@ -170,7 +189,9 @@ class Steps:
     def _computed(self, i: int) -> tuple[FloatArray, FloatArray]:
         """Return places and columns of an image's ties; known parts are computed once for a state.
         """
-        camera, ties, parameters = self.state.cameras[i], self.state.ties, self.state.parameters[i]
+        camera = self.state.cameras[i]
+        ties = self.state.ties
+        parameters = self.state.parameters[i]
         kept = self.kept.get(i)
         if kept is None or kept[0] is not camera or kept[1] is not ties:
             kept = camera, ties, *camera.first_order(ties[self.measured[i].tie])
@@ -191,7 +212,8 @@ class Steps:
         share = self.state.control_in_use[i].astype(float)
         if robust:
             share = share * soft(residual / sigma)
-        self.weights[i], weight = share, share / sigma**2
+        self.weights[i] = share
+        weight = share / sigma**2
         return (rows * weight[:, None]).T @ rows, (rows * weight[:, None]).T @ residual
 
     def _rows(self, i: int, camera: Camera, known: OwnControl) -> tuple[FloatArray, FloatArray]:

@@ -27,7 +27,8 @@ def chance_of(columns: FloatArray, residuals: FloatArray, weight: FloatArray) ->
     Places of the ties have taken up about half of what they measure, so that each of n counts once
     and not for line and for sample. The test only says what is worth trying.
     """
-    n, spent = len(columns), 2 * columns.shape[1]
+    n = len(columns)
+    spent = 2 * columns.shape[1]
     if n <= spent or not weight.any():
         return 1.0
     root = np.sqrt(weight)[:, None]

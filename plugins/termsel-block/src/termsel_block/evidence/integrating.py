@@ -107,14 +107,16 @@ def integrate(normal: FloatArray, step: FloatArray, cameras: Sequence[Camera],
     center, J. Comput. Graph. Stat. 20(3), 531-570).
     """
     at, scale, groups = _unknown(cameras, slices)
-    now = np.concatenate([one.T.ravel() for one in parameters])[at]
+    now = np.concatenate([parameter.T.ravel() for parameter in parameters])[at]
     if of_offset is not None:
         groups.append(_Group((np.array([len(at)]),), np.zeros(1, np.intp), np.nan))
-        at, scale = np.append(at, slices[-1].start), np.append(scale, of_offset**-0.5)
+        at = np.append(at, slices[-1].start)
+        scale = np.append(scale, of_offset**-0.5)
         now = np.append(now, 0.0)
     rest = np.setdiff1d(np.arange(len(normal)), at)
     # Without the priors, and about zero: what the measurements say of the unknown parameters.
-    of_data, aim = normal.copy(), normal @ step
+    of_data = normal.copy()
+    aim = normal @ step
     of_data[at, at] -= scale**-2
     aim[at] += now / scale**2
     inner = linalg.cho_factor(of_data[np.ix_(rest, rest)])
@@ -127,7 +129,8 @@ def integrate(normal: FloatArray, step: FloatArray, cameras: Sequence[Camera],
     middle = means.mean(axis=0)
     # And what the others are by them.
     to_all = np.zeros((len(normal), len(at)))
-    to_all[at], to_all[rest] = np.diag(scale), -gain * scale
+    to_all[at] = np.diag(scale)
+    to_all[rest] = -gain * scale
     alone = linalg.cho_solve(inner, np.eye(len(rest)))
     found = to_all @ covariance @ to_all.T
     found[np.ix_(rest, rest)] += alone
@@ -137,8 +140,9 @@ def integrate(normal: FloatArray, step: FloatArray, cameras: Sequence[Camera],
     noise = np.random.default_rng(1).standard_normal((len(draws), len(rest)))
     away[:, rest] += linalg.solve_triangular(inner[0], noise.T, lower=inner[1]).T
     # At the mean what the measurements pull with is what the prior does.
-    pulled, every = right - matrix @ middle, np.full(len(normal), np.nan)
-    for columns in (one for group in groups for one in group.images):
+    pulled = right - matrix @ middle
+    every = np.full(len(normal), np.nan)
+    for columns in (image for group in groups for image in group.images):
         square = float(middle[columns] @ middle[columns])
         # Nothing is measured where nothing differs from what is expected: the guess stays.
         ratio = float(middle[columns] @ pulled[columns]) / square if square > 0 else 1.0
@@ -155,7 +159,8 @@ def _unknown(cameras: Sequence[Camera], slices: Sequence[slice],
     least: dict[str, float] = {}
     scales: dict[str, list[str]] = {}
     for camera, part in zip(cameras, slices, strict=False):
-        names, spread = np.tile(camera.scales, 2), np.tile(camera.spread, 2)
+        names = np.tile(camera.scales, 2)
+        spread = np.tile(camera.spread, 2)
         for scale_name, group in dict(zip(camera.scales, camera.groups, strict=True)).items():
             if group in camera.wide:
                 continue
@@ -177,12 +182,15 @@ def _chain(matrix: FloatArray, right: FloatArray, groups: Sequence[_Group],
 
     Units are the first guesses.
     """
-    rng, k = np.random.default_rng(0), len(right)
+    rng = np.random.default_rng(0)
+    k = len(right)
     shared = [1.0 if np.isnan(group.least) else max(0.3, group.least) for group in groups]
     own = [np.ones(len(group.images)) for group in groups]
     of_scale = [np.ones(group.scale.max() + 1) for group in groups]
-    means, draws = np.empty((_KEPT, k)), np.empty((_KEPT, k))
-    total, precision = np.zeros((k, k)), np.empty(k)
+    means = np.empty((_KEPT, k))
+    draws = np.empty((_KEPT, k))
+    total = np.zeros((k, k))
+    precision = np.empty(k)
     for round_ in range(-_FIRST, _KEPT):
         for group, common, mine, each in zip(groups, shared, own, of_scale, strict=True):
             for columns, ratio in zip(group.images, mine * each[group.scale], strict=True):
@@ -192,7 +200,8 @@ def _chain(matrix: FloatArray, right: FloatArray, groups: Sequence[_Group],
         x = mean + linalg.solve_triangular(lower, rng.standard_normal(k), lower=True, trans=1,
                                            check_finite=False)
         if round_ >= 0:
-            means[round_], draws[round_] = mean, x
+            means[round_] = mean
+            draws[round_] = x
             total += linalg.lapack.dpotri(lower, lower=1)[0]
         for number, group in enumerate(groups):
             shared[number], own[number], of_scale[number] = _scales(

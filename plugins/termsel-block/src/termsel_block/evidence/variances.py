@@ -54,7 +54,8 @@ def estimated(cameras: Sequence[Camera], parameters: Sequence[FloatArray],
     found = []
     for camera, mean, covariance, variance in zip(
             cameras, parameters, covariances, variances, strict=True):
-        new, groups = variance.copy(), np.array(camera.groups)
+        new = variance.copy()
+        groups = np.array(camera.groups)
         moments = (mean**2).sum(axis=1) + np.diag(covariance).reshape(2, -1).sum(axis=0)
         for name in dict.fromkeys(camera.groups):
             if name not in camera.wide:
@@ -85,7 +86,8 @@ def posterior_mean(mean: FloatArray, variance: FloatArray, prior: FloatArray,
     """Return the mean of the variance of values, each with its posterior and its present prior."""
     sigma = float(np.exp(np.log(guess).mean())) * _GRID[:, None]
     # What the measurements alone say of each value: its posterior without its prior.
-    precision, right = np.maximum(1 / variance - 1 / prior, 0.0), mean / variance
+    precision = np.maximum(1 / variance - 1 / prior, 0.0)
+    right = mean / variance
     spread = 1 + sigma**2 * precision
     logarithm = 0.5 * (right**2 * sigma**2 / spread - np.log(spread)).sum(axis=1)
     # On a logarithmic grid the measure of a standard deviation is itself.

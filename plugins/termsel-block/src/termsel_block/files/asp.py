@@ -65,7 +65,8 @@ def asp_rows(files: Sequence[Path], images: Sequence[str]) -> list[tuple[Path, i
     members: dict[Place, set[Place]] = {}
     for place in list(above):
         members.setdefault(root(place), set()).add(place)
-    rows, said = [], set()
+    rows = []
+    said = set()
     for k, (file, number, a, b) in enumerate(pairs, 1):
         tie = members[root(a)]
         clear = len({image for image, _, _ in tie}) == len(tie)

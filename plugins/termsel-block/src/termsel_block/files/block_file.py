@@ -198,7 +198,8 @@ def _image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: Path)
         rpc = read_rpc(rpc_file)
     elif raster is not None:
         with suppress(TermselError):  # an image need not have one
-            rpc, rpc_file = read_rpc(raster), raster
+            rpc = read_rpc(raster)
+            rpc_file = raster
     if rpc is not None and find_spec("termsel_rpc") is None:  # before minutes of adjustment
         raise TermselError("an image with an RPC requires the package termsel-rpc, which is not "
                            "installed", file=rpc_file,
@@ -211,7 +212,8 @@ def _image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: Path)
     options = {key: str(folder / value) if isinstance(value, str) and value
                and (folder / value).is_file() else value for key, value in stated.options.items()}
     _check_model(stated, options, rpc is not None, path)
-    features, of_dem = None, frozenset[str]()
+    features = None
+    of_dem = frozenset[str]()
     if stated.points or stated.lines:
         features = _features(stated, folder, crs, dem, path)
         of_dem = frozenset() if dem is None else _without_height(stated, folder, crs)
@@ -248,7 +250,8 @@ def _check_model(stated: _Image, options: Mapping[str, Any], has_rpc: bool, path
 def _without_height(stated: _Image, folder: Path, crs: str) -> frozenset[str]:
     """Return the points and lines of an image whose files state no height."""
     features = _read(stated, folder, crs, None)
-    points, lines = features.points, features.lines
+    points = features.points
+    lines = features.lines
     blank = np.concatenate([np.isnan(points.ground[:, 2]),
                             np.isnan(lines.ground[..., 2]).any(axis=1)])
     return frozenset(name for name, none in zip(
@@ -302,7 +305,8 @@ def read_ties(files: Sequence[Path], images: Sequence[str]) -> tuple[Ties, tuple
         places.append((place[0], place[1]))
     for file in files:
         for line, row in [] if file in matches else _rows(file):
-            name, image = row["id"], index.get(row["image"])
+            name = row["id"]
+            image = index.get(row["image"])
             if image is None:
                 near = get_close_matches(row["image"], images, 1)
                 raise TermselError(f"the block has no image {row['image']!r}", file=file, line=line,

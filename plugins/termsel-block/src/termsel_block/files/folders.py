@@ -140,7 +140,8 @@ def image_result(result: BlockResult, i: int, record: BlockRecord) -> Result:
     places of the ties have in common is not seen in one image, so the result states the RMSE that
     the block predicts.
     """
-    image, state = result.block.images[i], result.adjusted.state
+    image = result.block.images[i]
+    state = result.adjusted.state
     features = _features(result, i, image)
     name = correction_of(result, i)
     if name == "polynomial":
@@ -174,7 +175,8 @@ def image_result(result: BlockResult, i: int, record: BlockRecord) -> Result:
 
 def _features(result: BlockResult, i: int, image: BlockImage) -> FeatureSet:
     """Return an image's own features without blunders, and its ties as control."""
-    state, ties = result.adjusted.state, result.block.ties
+    state = result.adjusted.state
+    ties = result.block.ties
     mine = np.flatnonzero(ties.image == i)[state.in_use[i]]
     most = _MOST_PHYSICAL if isinstance(result.camera(i), PhysicalCamera) else _MOST.get(
         correction_of(result, i), _MOST_OTHERS)
@@ -189,7 +191,8 @@ def _features(result: BlockResult, i: int, image: BlockImage) -> FeatureSet:
         return FeatureSet(points, crs=result.block.crs, image_size=size)
     wrong = {name for name, used in zip(result.control[i].feature, state.control_in_use[i],
                                         strict=True) if not used}
-    own, lines = image.features.points, image.features.lines
+    own = image.features.points
+    lines = image.features.lines
     roles = tuple("off" if name in wrong else role or "control"
                   for name, role in zip(own.ids, own.roles, strict=True))
     sigma = np.full((len(own), 2), state.sigma_control) if own.sigma is None else own.sigma

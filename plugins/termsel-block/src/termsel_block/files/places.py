@@ -50,7 +50,8 @@ def write_places(folder: Path | str, target: Path | str, *, overwrite: bool = Fa
         If the folder has no block, the suffix is another, a package is missing, or the file is
         there or cannot be written.
     """
-    folder, target = Path(folder), Path(target)
+    folder = Path(folder)
+    target = Path(target)
     writers = {".gpkg": _geopackage, ".las": _cloud, ".laz": _cloud}
     if target.suffix.lower() not in writers:
         raise TermselError(f"the suffix {target.suffix!r} tells no format", file=target,

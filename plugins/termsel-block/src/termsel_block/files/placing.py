@@ -33,7 +33,8 @@ def together(folder: Path, last: str) -> Iterator[Path]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with locked(folder), private_folder(folder) as made:
-            new, old = made / "new", made / "old"
+            new = made / "new"
+            old = made / "old"
             new.mkdir()
             old.mkdir()
             yield new

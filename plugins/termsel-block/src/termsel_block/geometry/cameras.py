@@ -166,7 +166,8 @@ class RpcCamera(Camera):
     nested = True
 
     def __init__(self, rpc: Rpc, frame: Frame, groups: Sequence[str] = COLUMNS) -> None:
-        self.rpc, self.frame = rpc, frame
+        self.rpc = rpc
+        self.frame = frame
         self.groups = tuple(groups)
         # A first guess that data may change a thousandfold: vendors are wrong by tens of px. The
         # same error of yaw or roll changes an image along its lines by about a pixel.
@@ -187,7 +188,8 @@ class RpcCamera(Camera):
 
     def area(self) -> tuple[FloatArray, FloatArray]:
         """Return middle and half widths of the RPC's area."""
-        rpc, frame = self.rpc, self.frame
+        rpc = self.rpc
+        frame = self.frame
         middle = np.array(rpc.ground_offset)
         corners = frame.from_geodetic(np.stack([middle - rpc.ground_scale,
                                                 middle + rpc.ground_scale]))
@@ -246,8 +248,11 @@ class PolynomialCamera(Camera):
 
     def __init__(self, centre: FloatArray, half_ground: float, half_image: float,
                  middle: FloatArray, powers: Sequence[tuple[int, ...]] = POWERS) -> None:
-        self.centre, self.half, self.middle = centre, half_ground, middle
-        self.half_image, self.powers = half_image, tuple(powers)
+        self.centre = centre
+        self.half = half_ground
+        self.middle = middle
+        self.half_image = half_image
+        self.powers = tuple(powers)
         self.groups = tuple(_group(p) for p in powers)
         near = _UNSURE * half_ground / DISTANCE
         spread = {_QUADRATIC: 0.003 * half_image, _CUBIC: 0.0005 * half_image,
@@ -270,11 +275,14 @@ class PolynomialCamera(Camera):
 
     def rows(self, parameters: FloatArray, local: FloatArray, columns: FloatArray) -> FloatArray:
         """Return the derivatives by all parameters (see `Camera.rows`), the perspective's, too."""
-        found, m = super().rows(parameters, local, columns), columns.shape[1]
-        place, step = (local - self.centre) / self.half, 1e-4 * self.half_image
+        found = super().rows(parameters, local, columns)
+        m = columns.shape[1]
+        place = (local - self.centre) / self.half
+        step = 1e-4 * self.half_image
         of_slopes = parameters[self._slopes]
         for axis, (k, at) in product(range(2), enumerate(self._slopes)):
-            ahead, back = of_slopes.copy(), of_slopes.copy()
+            ahead = of_slopes.copy()
+            back = of_slopes.copy()
             ahead[k, axis] += step
             back[k, axis] -= step
             slope = (self._forms(ahead) - self._forms(back)) / (2 * step)

@@ -50,8 +50,10 @@ def own_control(features: FeatureSet | None, frame: Frame) -> OwnControl:
     """Return the rows of points with the role control, check or none, and of all lines."""
     if features is None:
         return OwnControl(np.empty((0, 3)), np.empty((0, 2)), np.empty(0), np.empty(0), ())
-    points, lines = in_use(features), features.lines
-    n, k = len(points), len(lines)
+    points = in_use(features)
+    lines = features.lines
+    n = len(points)
+    k = len(lines)
     sigma = np.ones((n, 2)) if points.sigma is None else points.sigma / np.median(points.sigma)
     across = np.ones(k) if lines.sigma is None else lines.sigma / np.median(lines.sigma)
     normal, rho = line_normals(lines)

@@ -163,7 +163,8 @@ class Heights:
 
     def of_offset(self) -> tuple[float, float]:
         """Return what the prior and control add to the offset's normal equation."""
-        prior, each = self._of_prior(), self._of_control()
+        prior = self._of_prior()
+        each = self._of_control()
         return (prior + each * len(self.control),
                 each * float((self.control - self.offset).sum()) - prior * self.offset)
 
@@ -199,7 +200,8 @@ class Heights:
         self.far = abs(self.offset)
         all_seen = self.observed(ties)
         at = seen & all_seen.joint
-        row, away = all_seen.row[at], all_seen.away[at]
+        row = all_seen.row[at]
+        away = all_seen.away[at]
         variance = np.einsum("ti,tij,tj->t", row, covariance[at], row)
         # As if each tie had the whole of its own prior, and not the part that crowding leaves.
         precision = np.maximum(1 / variance - all_seen.weight[at], 0.0) + self.sigma**-2

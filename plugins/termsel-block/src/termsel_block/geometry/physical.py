@@ -85,7 +85,8 @@ class PhysicalCamera(Camera):
     """
 
     def __init__(self, model: SensorModel, control: FeatureSet, frame: Frame) -> None:
-        self.scaling, self.frame = scaling_of(control), frame
+        self.scaling = scaling_of(control)
+        self.frame = frame
         self.model = model.prepared(self.scaling, control.crs)
         scaled = self.scaling.features(control)
         values = self.model.start(scaled)
@@ -107,7 +108,8 @@ class PhysicalCamera(Camera):
                        for k, term in enumerate(self.model.terms) if self.has_prior[k]}
         self.looser = np.ones(2 * half)
         local = frame.local(control.points.ground)
-        low, high = local.min(axis=0), local.max(axis=0)
+        low = local.min(axis=0)
+        high = local.max(axis=0)
         self._area = (low + high) / 2, np.maximum((high - low)[:2] / 2, 1.0)
 
     def only(self, keep: BoolArray) -> PhysicalCamera:
@@ -125,7 +127,8 @@ class PhysicalCamera(Camera):
 
     def rows(self, parameters: FloatArray, local: FloatArray, columns: FloatArray) -> FloatArray:
         """Return the derivatives by all parameters (see `Camera.rows`)."""
-        values, steps = self._terms(parameters), _STEP * np.diag(self.scale)
+        values = self._terms(parameters)
+        steps = _STEP * np.diag(self.scale)
         both = self._seen(np.concatenate([values + steps, values - steps]), local)
         found = np.zeros((len(local), 2, parameters.size))
         k = len(values)

@@ -54,7 +54,7 @@ def page_of(result: BlockResult, record: BlockRecord) -> str:
         ("Residuals by tie", "Number of measurements by their distance from the model. Those more "
          "than four standard deviations off in line or in sample are left out.",
          partial(_residuals, result))]
-    figures = "".join(_figure(*one) for one in pictures)
+    figures = "".join(_figure(*picture) for picture in pictures)
     rows = "".join(
         f"<tr><th scope=row>{html.escape(image.name)}</th><td>{image.model}</td>"
         f"<td>{image.control}</td><td>{image.ties}</td><td>{image.rmse_ties:.2f}</td>"
@@ -132,7 +132,8 @@ def _map(result: BlockResult) -> str:
     import altair as alt
     from scipy.spatial import ConvexHull, QhullError
 
-    ties, state = result.block.ties, result.adjusted.state
+    ties = result.block.ties
+    state = result.adjusted.state
     placed = _placed(result)
     some = placed[np.linspace(0, len(placed) - 1, min(_MOST, len(placed))).astype(int)]
     dots = [{"east": float(e), "north": float(n), "sigma": float(s)} for e, n, s in zip(
@@ -176,7 +177,8 @@ def _map(result: BlockResult) -> str:
 
 def _one_scale(places: FloatArray) -> list[tuple[list[float], float]]:
     """Return domain [km] and size [px] of either axis, with as many px a kilometre in both."""
-    low, high = places.min(axis=0), places.max(axis=0)
+    low = places.min(axis=0)
+    high = places.max(axis=0)
     extent = np.maximum(1.04 * (high - low), 1e-3)
     scale = _SIDE / extent.max()
     extent = np.maximum(extent, _NARROW / scale)

@@ -123,7 +123,8 @@ def schema() -> dict[str, Any]:
 
 def record_of(result: BlockResult) -> BlockRecord:
     """Return all that a block's files say of it."""
-    block, adjusted = result.block, result.adjusted
+    block = result.block
+    adjusted = result.adjusted
     images = [_image(result, i) for i in range(len(block.images))]
     space = in_space(result)
     parts = joined(block.ties.tie, block.ties.image, len(block.images))
@@ -139,7 +140,8 @@ def record_of(result: BlockResult) -> BlockRecord:
 
 def doubts(result: BlockResult) -> list[str]:
     """Return what is unlikely of good data, as sentences."""
-    adjusted, said = result.adjusted, []
+    adjusted = result.adjusted
+    said = []
     if adjusted.state.sigma_ties > _COARSE:
         said.append(f"Ties agree to {adjusted.state.sigma_ties:.1f} px only, which is coarse for "
                     "measurements: check RPCs and ties, and that line and sample are not "
@@ -184,8 +186,10 @@ def doubts(result: BlockResult) -> list[str]:
 
 def _image(result: BlockResult, i: int) -> ImageRecord:
     """Return the record of an image."""
-    image, state = result.block.images[i], result.adjusted.state
-    used, expected = state.in_use[i], predicted(result, i)
+    image = result.block.images[i]
+    state = result.adjusted.state
+    used = state.in_use[i]
+    expected = predicted(result, i)
     points = independent_points(result, i)
     own = result.adjusted.residuals[i][used]
     control = set(np.array(result.control[i].feature)[state.control_in_use[i]].tolist())
@@ -219,7 +223,8 @@ def _datum(images: Sequence[ImageRecord]) -> str:
 
 def _wrong_ties(result: BlockResult) -> list[WrongTie]:
     """Return the measurements of ties that were left out, the worst first."""
-    found, ties = [], result.block.ties
+    found = []
+    ties = result.block.ties
     for i, (residual, used) in enumerate(zip(
             result.adjusted.residuals, result.adjusted.state.in_use, strict=True)):
         names = ties.tie[ties.image == i]

@@ -49,7 +49,8 @@ def opening(record: BlockRecord) -> str:
 
 def _blunders(record: BlockRecord) -> str:
     """Return how many measurements were left out, in a sentence."""
-    ties, control = len(record.wrong_ties), len(record.wrong_control)
+    ties = len(record.wrong_ties)
+    control = len(record.wrong_control)
     if not ties and not control:
         return "none."
     named = ", ".join(f"{wrong.id} in {wrong.image} ({wrong.error:.1f} px)"

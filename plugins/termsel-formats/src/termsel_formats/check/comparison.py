@@ -99,7 +99,8 @@ def compared(path: Path | str, result: Result | None = None, *, final: bool | No
         if result is None:
             return tuple(Deviation(one.program, one.transformation, one.crs, one.by_default)
                          for one in answers.taken), answers
-        size, known = size_of(raster), result.features.image_size
+        size = size_of(raster)
+        known = result.features.image_size
         if known is not None and tuple(known) != size:
             raise TermselError(
                 f"this raster has {size[0]} lines and {size[1]} samples, and the image of the "
@@ -135,7 +136,8 @@ def _apart(taken: Taken, result: Result, image: FloatArray, ground: FloatArray, 
     """Return how far from ground (n, 3) a program puts image places (n, 2); None if nowhere."""
     assert taken.places is not None
     sound = np.isfinite(image).all(axis=1) & np.isfinite(ground[:, :2]).all(axis=1)
-    image, ground = image[sound], ground[sound].copy()
+    image = image[sound]
+    ground = ground[sound].copy()
     ground[:, 2] = np.where(np.isnan(ground[:, 2]), level, ground[:, 2])
     own = result.features.crs
     # RPCs count heights from the ellipsoid.

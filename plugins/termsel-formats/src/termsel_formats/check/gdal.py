@@ -72,11 +72,14 @@ def header(path: Path) -> Header | None:
     if "geoTransform" in said:
         kind = "geotransform"
     elif "gcps" in said:
-        kind, crs = "gcps", said["gcps"].get("coordinateSystem", {}).get("wkt", "")
+        kind = "gcps"
+        crs = said["gcps"].get("coordinateSystem", {}).get("wkt", "")
     elif "RPC" in metadata:
-        kind, crs = "rpc", WGS84
+        kind = "rpc"
+        crs = WGS84
     elif "GEOLOCATION" in metadata:
-        kind, crs = "geolocation", metadata["GEOLOCATION"].get("SRS", crs)
+        kind = "geolocation"
+        crs = metadata["GEOLOCATION"].get("SRS", crs)
     given = said.get("geoTransform")
     height = _number(metadata.get("RPC", {}).get("HEIGHT_OFF", "")) if kind == "rpc" else None
     return Header(version, (lines, samples), crs, kind, tuple(given) if given else None, height)
@@ -123,7 +126,8 @@ def level(places: Places, height: float = 0.0) -> Places:
 
 def taken(path: Path, found: Header) -> Iterator[Taken]:
     """Yield what GDAL takes by default, then what it takes with options of gdalwarp."""
-    program, places = found.version, transformed(path)
+    program = found.version
+    places = transformed(path)
     if not found.kind:
         yield Taken(program, "none: places are pixels")
     elif found.kind == "geotransform":
@@ -155,7 +159,8 @@ def _possible(path: Path, found: Header) -> Iterator[tuple[str, tuple[tuple[str,
 def _alike(places: Places, others: dict[str, tuple[tuple[str, ...], Places]],
            size: tuple[int, int]) -> str:
     """Return which of the transformations with options is the one without."""
-    image, flat = _corners(size), np.zeros(4)
+    image = _corners(size)
+    flat = np.zeros(4)
     own = places(image, flat)
     for words, (_, other) in others.items():
         if np.abs(other(image, flat) - own).max() <= _ALIKE * np.abs(own).max():

@@ -51,12 +51,14 @@ def taken_by(path: Path | str) -> Answers:
     """
     path = Path(path)
     known: list[Taken] = []
-    absent, failed = [], []
+    absent = []
+    failed = []
     try:
         known += raster.taken(path)
         found = gdal.header(path)
     except NoAnswer as error:
-        found, failed = None, [str(error)]
+        found = None
+        failed = [str(error)]
     if found is None:
         return Answers(tuple(known), () if failed else ("GDAL (gdalinfo, gdaltransform)",),
                        tuple(failed))

@@ -60,14 +60,16 @@ def taken(path: Path, found: Header) -> Taken | None:
                            f"INPUT={path.absolute()}"], environment=environment)
     try:
         whole = json.loads(said)
-        layer, name = whole["results"], f"QGIS {whole['qgis_version'].partition('-')[0]}"
+        layer = whole["results"]
+        name = f"QGIS {whole['qgis_version'].partition('-')[0]}"
         shown = np.array([layer[key] for key in ("X_MIN", "Y_MIN", "X_MAX", "Y_MAX")], dtype=float)
         pixel = np.array([layer["PIXEL_WIDTH"], layer["PIXEL_HEIGHT"]] * 2, dtype=float)
     except (ValueError, KeyError):
         raise NoAnswer("qgis_process gave an answer of another form") from None
     if not found.kind:
         return Taken(name, "none: places are pixels")
-    by_gdal, border = transformed(path), outline(found.size)
+    by_gdal = transformed(path)
+    border = outline(found.size)
     words = {"geotransform": "affine transformation", "gcps": "as GDAL, through GCPs",
              "rpc": "RPC at the height 0", "geolocation": "geolocation array"}[found.kind]
     ways = {words: level(by_gdal)}
@@ -76,7 +78,8 @@ def taken(path: Path, found: Header) -> Taken | None:
     away = {}
     for words, places in ways.items():
         seen = places(border, np.zeros(len(border)))
-        least, most = np.nanmin(seen, axis=0), np.nanmax(seen, axis=0)
+        least = np.nanmin(seen, axis=0)
+        most = np.nanmax(seen, axis=0)
         away[words] = float(np.abs((np.concatenate([least, most]) - shown) / pixel).max())
     words = min(away, key=away.__getitem__)
     if not away[words] <= _NEAR:

@@ -20,7 +20,8 @@ def taken(path: Path) -> Iterator[Taken]:
 
     program = f"rasterio {rasterio.__version__}"
     with open_raster(path) as raster:
-        (gcps, crs), rpcs = raster.gcps, raster.rpcs
+        (gcps, crs) = raster.gcps
+        rpcs = raster.rpcs
         if not raster.transform.is_identity:
             yield Taken(program, "affine transformation", _wkt(raster.crs),
                         _by(AffineTransformer, raster.transform))

@@ -66,9 +66,9 @@ def _of_gdal(root: ElementTree.Element) -> _Found | None:
     if found is None:
         return None
     gcps = found.findall("GCP")
-    return ([one.get("Id", "") for one in gcps],
-            [[float(one.get(key, "nan") if key == "Z" else one.attrib[key])
-              for key in ("Pixel", "Line", "X", "Y", "Z")] for one in gcps],
+    return ([gcp.get("Id", "") for gcp in gcps],
+            [[float(gcp.get(key, "nan") if key == "Z" else gcp.attrib[key])
+              for key in ("Pixel", "Line", "X", "Y", "Z")] for gcp in gcps],
             found.get("Projection", ""))
 
 

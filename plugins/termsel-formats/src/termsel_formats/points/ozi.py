@@ -41,7 +41,8 @@ class OziMap(Reader):
         """Return the points; errors name file, line and column."""
         text = read_text(path).splitlines()
         rows: list[tuple[int, str, str, str, str, str]] = []
-        zones, kinds = set(), set()
+        zones = set()
+        kinds = set()
         for number, line in enumerate(text, 1):
             found = _POINT.match(line)
             cells = [cell.strip() for cell in line.split(",")]

@@ -135,7 +135,8 @@ class Pix4dMarksWriter(PointsWriter):
         points = chosen_points(result)
         image = image_name(self.options["image"], path).replace(",", "_")
         swapped = is_geographic(result.features.crs)
-        marks, places = [], []
+        marks = []
+        places = []
         for name, (line, sample), (x, y, z) in zip(
                 map(_cell, points.ids), points.image.tolist(), points.ground.tolist(), strict=True):
             marks.append(f"{image},{name},{sample + CORNER!r},{line + CORNER!r}")

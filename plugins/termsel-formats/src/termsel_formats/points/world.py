@@ -69,8 +69,10 @@ class WorldFile(Reader):
                                else "this image does not exist", file=image or path,
                                hint="Name it with --set image=FILE.")
         with open_raster(found) as raster:
-            size, crs = raster.shape, raster.crs
-        lines, samples = size[0] - 1.0, size[1] - 1.0
+            size = raster.shape
+            crs = raster.crs
+        lines = size[0] - 1.0
+        samples = size[1] - 1.0
         at = np.array([[0, 0], [0, samples], [lines, 0], [lines, samples],
                        [lines / 2, samples / 2]])
         right, turn_y, turn_x, down, x, y = numbers

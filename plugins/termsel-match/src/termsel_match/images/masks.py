@@ -77,7 +77,8 @@ def polygons(path: Path | str) -> tuple[NDArray[Any], str]:
     if not len(areas):
         raise TermselError("this mask has no polygons", file=path,
                            hint="Draw areas, and save them in a layer of polygons.")
-    crs, areas = str(meta["crs"] or ""), shapely.force_2d(areas)
+    crs = str(meta["crs"] or "")
+    areas = shapely.force_2d(areas)
     places = shapely.get_coordinates(areas)
     if not np.isfinite(places).all():
         raise TermselError("a polygon of this mask has a coordinate that is no number", file=path,
@@ -239,7 +240,8 @@ def by_bands(picture: GreyRaster) -> tuple[Excluded, ...]:
     Systems, Man, and Cybernetics 9(1), 62-66. McFeeters 1996: The use of the normalized difference
     water index (NDWI). International Journal of Remote Sensing 17(7), 1425-1432.
     """
-    bands, found = bands_of(picture.raster), []
+    bands = bands_of(picture.raster)
+    found = []
     step = max(1, max(picture.size) // _LOOK)
     shape = picture.size[0] // step, picture.size[1] // step
 
@@ -292,8 +294,10 @@ def read_bands(picture: GreyRaster, top: int, left: int, shape: tuple[int, int],
 def otsu(values: FloatArray) -> tuple[float, float]:
     """Return the threshold that divides values best, and the part of their variance between."""
     count, edges = np.histogram(values, 256)
-    middle, share = (edges[1:] + edges[:-1]) / 2, count / count.sum()
-    below, mean = share.cumsum(), (share * middle).cumsum()
+    middle = (edges[1:] + edges[:-1]) / 2
+    share = count / count.sum()
+    below = share.cumsum()
+    mean = (share * middle).cumsum()
     total = mean[-1]
     with np.errstate(divide="ignore", invalid="ignore"):
         between = (total * below - mean) ** 2 / (below * (1 - below))

@@ -43,7 +43,8 @@ def start_by_overview(picture: GreyRaster, reference: Path | str, band: int | No
         If too few pairs agree, or the reference has no CRS.
     """
     with open_picture(reference, band) as other:
-        crs, transform = crs_of(other), other.raster.transform
+        crs = crs_of(other)
+        transform = other.raster.transform
         for one in (picture, other):
             _say_if_long(one)
         own, own_vectors = _reduced(picture)

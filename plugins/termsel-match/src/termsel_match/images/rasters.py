@@ -82,7 +82,8 @@ class GreyRaster:
         from rasterio.windows import Window
 
         shape = lines // step, samples // step
-        pixels, known = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=bool)
+        pixels = np.zeros(shape, dtype=np.float32)
+        known = np.zeros(shape, dtype=bool)
         height, width = self.size
         # Whole steps, so that reduced pixels lie where they would without the edge.
         first = max(-(-max(-top, 0) // step), 0), max(-(-max(-left, 0) // step), 0)
@@ -104,7 +105,8 @@ class GreyRaster:
             there = ~np.ma.getmaskarray(values) & np.isfinite(values.data)
         if self.raster.nodatavals[self.bands[0] - 1] is None:
             there &= ~_blank(grey.data)
-        pixels[inside], known[inside] = np.where(there, values.data, 0), there
+        pixels[inside] = np.where(there, values.data, 0)
+        known[inside] = there
         for excluded in self.excluded:
             known &= ~excluded(top, left, shape, step)
         return pixels, known
@@ -114,9 +116,11 @@ class GreyRaster:
         inside = np.all((places >= 0) & (places <= np.array(self.size) - 1), axis=1)
         if not inside.any():
             return np.asarray(inside)
-        low, high = np.floor(places[inside].min(axis=0)), np.ceil(places[inside].max(axis=0)) + 1
+        low = np.floor(places[inside].min(axis=0))
+        high = np.ceil(places[inside].max(axis=0)) + 1
         step = int(max(1, (high - low).max() // _LOOK))
-        (top, left), (lines, samples) = low.astype(int).tolist(), (
+        (top, left) = low.astype(int).tolist()
+        (lines, samples) = (
             np.ceil((high - low) / step).astype(int) * step).tolist()
         known = self.read(top, left, lines, samples, step)[1]
         # Its last row or column may be of a part of a step, which is not read.

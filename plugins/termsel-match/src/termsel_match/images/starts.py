@@ -134,7 +134,8 @@ def start_of(named: str | Path | None, image: Path) -> Start | None:
 
 def _of_rpc(path: Path) -> Start:
     rpc = read_rpc(path)
-    middle, half = rpc.ground_offset[2], abs(rpc.ground_scale[2])
+    middle = rpc.ground_offset[2]
+    half = abs(rpc.ground_scale[2])
     return Start(f"the RPC of {path.name}", "EPSG:4979", middle, rpc.project, rpc.locate,
                  (middle - half, middle + half), rpc.error_bias)
 

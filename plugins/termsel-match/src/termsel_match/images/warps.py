@@ -118,7 +118,8 @@ class Reference:
         low -= low % size
         if (high - low < size).any():
             return empty
-        top_left, extent = low.tolist(), (high - low).tolist()
+        top_left = low.tolist()
+        extent = (high - low).tolist()
         pixels, known = self.picture.read(top_left[0], top_left[1], extent[0], extent[1], size)
         grid = np.stack(np.meshgrid(*(np.arange(n) / _MESH for n in shape), indexing="ij"))
         where = [((map_coordinates(axis, grid, order=1) - start + 0.5) / size - 0.5
@@ -169,7 +170,8 @@ class Reference:
         high = np.minimum(np.ceil(seen.max(axis=0)).astype(int) + 1, size)
         if (high - low < _MESH).any():
             return None
-        (top, left), (lines, samples) = low.tolist(), (high - low).tolist()
+        (top, left) = low.tolist()
+        (lines, samples) = (high - low).tolist()
         return top, left, lines, samples
 
     def bounds(self, crs: str) -> tuple[float, float, float, float]:

@@ -67,14 +67,17 @@ def along(selected: Selected, agree: Points, lines: int) -> Along:
     if chosen.model != "rpc-jitter":
         return Along()
     drift = steady(selected).project(agree.ground)
-    away, line = selected.result.project(agree.ground) - drift, agree.image[:, 0]
+    away = selected.result.project(agree.ground) - drift
+    line = agree.image[:, 0]
     wide = lines * min(_WIDEST, 1 / chosen.options["intervals"])
-    where, step = 0.0, np.zeros(2)
+    where = 0.0
+    step = np.zeros(2)
     for place in np.linspace(0, lines, _PLACES):
         before, after = ((line > low) & (line <= low + wide) for low in (place - wide, place))
         if min(before.sum(), after.sum()) >= _FEWEST:
             change = away[after].mean(axis=0) - away[before].mean(axis=0)
             if np.linalg.norm(change) > np.linalg.norm(step):
-                where, step = float(place), change
+                where = float(place)
+                step = change
     return Along(float(np.sqrt((away**2).sum(axis=1).mean())), where,
                  (float(step[0]), float(step[1])))

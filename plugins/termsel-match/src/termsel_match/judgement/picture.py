@@ -17,7 +17,8 @@ _LONG = 40.0  # px of the picture: the arrow of a residual that nine in ten do n
 _NICE = (1, 2, 5)
 _BAR = 34  # px of the legend
 # Blue, green, red, of Okabe and Ito's colours, which differ for colour-blind eyes too.
-_BLUE, _VERMILION = (233, 180, 86), (0, 94, 213)
+_BLUE = (233, 180, 86)
+_VERMILION = (0, 94, 213)
 
 
 def draw(image: Path | str, selected: Selected, path: Path) -> None:
@@ -42,7 +43,8 @@ def draw(image: Path | str, selected: Selected, path: Path) -> None:
         raise TermselError("the image has no texture to be drawn", file=image,
                            hint="Is it empty?")
     drawn = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
-    points, good = selected.points, selected.agrees
+    points = selected.points
+    good = selected.agrees
     residuals = (points.image - selected.result.project(points.ground))[good]
     times = scale_of(residuals, step)
     for place, away in zip(points.image[good], residuals, strict=True):

@@ -42,7 +42,8 @@ def repetition(picture: GreyRaster, places: FloatArray) -> tuple[float, float]:
     correlation : float
         At most 1.
     """
-    best, known_places = (0.0, 0.0), places[np.isfinite(places).all(axis=1)]
+    best = (0.0, 0.0)
+    known_places = places[np.isfinite(places).all(axis=1)]
     if not len(known_places):
         return best
     low = np.clip(known_places.min(axis=0), 0, picture.size)

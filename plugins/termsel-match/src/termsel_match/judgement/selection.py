@@ -155,9 +155,11 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
     most = accept if points.sigma is None else max(accept, _SIGMAS * float(np.median(points.sigma)))
     fit = fitted(chosen, picked)
     for again in range(_CHOICES + 1):
-        agrees, limit = np.zeros(0, dtype=bool), 0.0
+        agrees = np.zeros(0, dtype=bool)
+        limit = 0.0
         for _ in range(_ROUNDS):
-            before, errors = agrees, _errors(fit, points)
+            before = agrees
+            errors = _errors(fit, points)
             agrees, limit = _agreeing(errors, ~independent, most)
             _require(agrees, roles, len(fit.terms) // 2 if again else least)
             if np.array_equal(agrees, before):
@@ -224,7 +226,8 @@ def with_lines(selected: Selected, lines: FeatureSet, *, seed: int = 1,
     TermselError
         If the lines contradict the points.
     """
-    model, options = selected.correction.model, selected.correction.options
+    model = selected.correction.model
+    options = selected.correction.options
     features = selected.result.features
     ground = lines.lines.ground.copy()
     ground[..., :2] = turned(ground[..., :2], lines.crs, features.crs)
@@ -263,8 +266,8 @@ def _roles(points: Points, seed: int) -> Any:
     free = np.flatnonzero(roles != "independent")
     drawn = ["check", "control", "control",
              "independent" if len(free) == len(roles) else "control"]
-    free, rng = free[np.argsort(points.image[free, 0], kind="stable")], \
-        np.random.default_rng([seed, 1])
+    free = free[np.argsort(points.image[free, 0], kind="stable")]
+    rng = np.random.default_rng([seed, 1])
     for first in range(0, len(free), len(drawn)):
         some = free[first:first + len(drawn)]
         roles[some] = rng.permutation(np.array(drawn, dtype=object))[:len(some)]
@@ -289,7 +292,8 @@ def _missed(fit: Fit, points: Points) -> float:
     """
     away = (points.image - fit.project(points.ground))[np.argsort(points.image[:, 0])]
     squares = (away**2).sum(axis=1)
-    away, squares = away[np.isfinite(squares)], squares[np.isfinite(squares)]
+    away = away[np.isfinite(squares)]
+    squares = squares[np.isfinite(squares)]
     if len(squares) < _LEAST_CHECK:
         return float("inf")
     right = squares <= _SIGMAS**2 * np.median(squares) / _MEDIAN**2

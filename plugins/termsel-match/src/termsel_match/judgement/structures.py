@@ -96,7 +96,8 @@ def called_for(several: list[Correction], features: FeatureSet, seed: int) -> Co
 def _held_out(one: Correction, features: FeatureSet, fold: NDArray[np.intp],
               ) -> FloatArray | None:
     """Return squared errors of points by fits without their fold; None where undetermined."""
-    points, squares = features.points, np.empty(len(fold))
+    points = features.points
+    squares = np.empty(len(fold))
     for number in range(_FOLDS):
         out = fold == number
         try:

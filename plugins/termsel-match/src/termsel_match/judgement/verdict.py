@@ -90,15 +90,19 @@ def evidence_of(candidates: Candidates, selected: Selected, heights: Heights, sh
     repetition : tuple of float
         As the attribute of `Evidence`.
     """
-    points, size, fit = candidates.points, candidates.image_size, selected.result.fit
+    points = candidates.points
+    size = candidates.image_size
+    fit = selected.result.fit
     residuals = points.image - fit.project(points.ground)
     away = np.linalg.norm(residuals, axis=1)
     reach = max(NEAR, selected.limit)  # of less exact matching: what agrees is no other place
-    near, far = away <= reach, (away > reach) & np.isfinite(away)
+    near = away <= reach
+    far = (away > reach) & np.isfinite(away)
     places = steady(selected).locate(grid(size, mapped.shape)[mapped.ravel()], heights)
     places = places[np.isfinite(places).all(axis=1)]
     sigma = selected.sigma(places) if len(places) else np.array([np.inf])
-    agree, start = points.take(selected.agrees), candidates.rough
+    agree = points.take(selected.agrees)
+    start = candidates.rough
     correction = None
     if start is not None:
         correction = agree.image - start.project(_for_start(agree, candidates))
@@ -169,7 +173,8 @@ def remarks(candidates: Candidates, selected: Selected, evidence: Evidence,
 def reasons(selected: Selected, evidence: Evidence, accept: float) -> tuple[str, ...]:
     """Return why a result is not good enough."""
     refusals = []
-    there, agree = int(selected.independent.sum()), int(
+    there = int(selected.independent.sum())
+    agree = int(
         (selected.agrees & selected.independent).sum())
     if agree < _LEAST_INDEPENDENT:
         refusals.append(f"Only {agree} of {there} independent candidates agree with the model; at "
@@ -246,15 +251,19 @@ class Georeferenced:
 
     def text(self) -> str:
         """Return the report."""
-        chosen, points, agree = self.selected, self.candidates.points, self.selected.agrees
-        result, evidence = chosen.result, self.evidence
+        chosen = self.selected
+        points = self.candidates.points
+        agree = self.selected.agrees
+        result = chosen.result
+        evidence = self.evidence
         lines = [f"Start: {self.candidates.start}"]
         if evidence.correction is not None:
             moved = np.linalg.norm(evidence.correction, axis=1)
             lines.append(f"Correction to the start: {np.median(moved):.1f} px "
                          f"({np.median(moved) * evidence.pixel:.1f} m) in the median, up to "
                          f"{moved.max():.1f} px")
-        found, cells = self.candidates.cells.get("found", 0), sum(self.candidates.cells.values())
+        found = self.candidates.cells.get("found", 0)
+        cells = sum(self.candidates.cells.values())
         lines += [
             f"Candidates: {len(points)}" + (f" in {found} of {cells} cells of the image" if cells
                                             else ""),

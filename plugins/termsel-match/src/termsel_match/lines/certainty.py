@@ -90,7 +90,8 @@ def most_decisive(features: FeatureSet, model: str, options: Mapping[str, Any]) 
         Options of the model.
     """
     lines = features.lines
-    ground, of = lines.ground.reshape(-1, 3), lines.attributes["vector"].astype(str)
+    ground = lines.ground.reshape(-1, 3)
+    of = lines.attributes["vector"].astype(str)
     seen = termsel.fit(features, model, **options).project(ground)
     names, count = np.unique(of, return_counts=True)
     if len(names) == 1:

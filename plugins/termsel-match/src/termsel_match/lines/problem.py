@@ -58,7 +58,8 @@ class MatchedLines(Problem):
     """
 
     def __init__(self, inputs: Inputs) -> None:
-        lines, picked = inputs.control.lines, int(inputs.options["picked"])
+        lines = inputs.control.lines
+        picked = int(inputs.options["picked"])
         if len(inputs.control.points):
             raise TermselError("this problem selects lines, and the control has points",
                                hint="Give lines alone, or choose rpc-gcps for points.")
@@ -129,7 +130,8 @@ class MatchedLines(Problem):
         nearest, away = self._nearest(coefficients)
         if times is not None:
             of = np.repeat(np.arange(len(nearest)), times.astype(np.intp))
-            nearest, away = nearest[of], away[of]
+            nearest = nearest[of]
+            away = away[of]
         near = away[away <= _LIMIT * self._half]
         spread = float(np.median(near)) / _MEDIAN if len(near) else 0.0
         return np.asarray(

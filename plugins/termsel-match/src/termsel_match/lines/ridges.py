@@ -60,7 +60,8 @@ def bands(picture: GreyRaster, ends: FloatArray, search: float, most: int) -> li
     """
     run = ends[1] - ends[0]
     length = float(np.linalg.norm(run))
-    along, across = run / length, np.array([-run[1], run[0]]) / length
+    along = run / length
+    across = np.array([-run[1], run[0]]) / length
     compared = max(search, _COMPARED)
     reach = compared + max(_WIDTHS) / 2 + _FLANK + 2
     offset = np.arange(-reach, reach + _STEP / 2, _STEP)
@@ -103,7 +104,8 @@ def _response(profiles: FloatArray, width: float) -> FloatArray:
     The smaller of the differences to either side, where both have the same sign: of an edge it is
     small.
     """
-    half, flank = round(width / 2 / _STEP), round(_FLANK / _STEP)
+    half = round(width / 2 / _STEP)
+    flank = round(_FLANK / _STEP)
     unknown = ~np.isfinite(profiles)
     total, gaps = (np.pad(np.cumsum(one, axis=1), ((0, 0), (1, 0)))
                    for one in (np.where(unknown, 0.0, profiles), unknown))
@@ -156,7 +158,8 @@ def _placed(strip: FloatArray, offset: FloatArray, about: float, width: float, s
     if len(clear) < _LEAST_BLOCKS:
         return None
     weight = np.clip(value[clear] - 0.5 * value[clear].max(axis=1, keepdims=True), 0, None)
-    at, s = (weight * offset[near]).sum(axis=1) / weight.sum(axis=1), middles[clear]
+    at = (weight * offset[near]).sum(axis=1) / weight.sum(axis=1)
+    s = middles[clear]
     at = _between_edges(sign * means[clear], offset, at, width)
     kept = np.ones(len(s), dtype=bool)
     for _ in range(4):

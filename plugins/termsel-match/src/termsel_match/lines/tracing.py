@@ -64,7 +64,8 @@ def left_by_tracing(problem: MatchedLines, chosen: Sequence[str], seed: int) -> 
     Efron, Tibshirani 1993: An introduction to the bootstrap, section 8.3: units that are
     independent of each other are drawn.
     """
-    vectors, of = int(problem.vector.max()) + 1, _drawn_together(problem.vector)
+    vectors = int(problem.vector.max()) + 1
+    of = _drawn_together(problem.vector)
     count = int(of.max()) + 1
     if count < _FEWEST:
         return Tracing(vectors=vectors)
@@ -87,7 +88,8 @@ def _drawn_together(vector: NDArray[np.intp]) -> NDArray[np.intp]:
     count = int(vector.max()) + 1
     if count >= FEW:
         return vector
-    parts, stretch = -(-_STRETCHES // count), np.empty_like(vector)
+    parts = -(-_STRETCHES // count)
+    stretch = np.empty_like(vector)
     for number in range(count):
         own = np.flatnonzero(vector == number)
         stretch[own] = number * parts + np.arange(len(own)) * parts // len(own)

@@ -92,20 +92,24 @@ def pieces_of(path: Path | str, start: Start, dem: Path | str | None, size: tupl
     x, y = to_start.transform(*plane.T)
     seen = start.project(np.column_stack([x, y, heights]))
     ground = np.column_stack([plane, heights])
-    vector, ends, image = [], [], []
+    vector = []
+    ends = []
+    image = []
     for i in range(len(lines)):
         known = np.flatnonzero((owner == i) & np.isfinite(seen).all(axis=1))
         # Without the vertices that have no height the line is not one.
         for own in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):
             for first, last in _straight(seen[own]):
-                of_image, of_ground = seen[own[[first, last]]], ground[own[[first, last]]]
+                of_image = seen[own[[first, last]]]
+                of_ground = ground[own[[first, last]]]
                 for share in _shares(of_image, size):
                     vector.append(str(vector_of[i] + 1))
                     image.append(of_image[0] + share[:, None] * (of_image[1] - of_image[0]))
                     ends.append(of_ground[0] + share[:, None] * (of_ground[1] - of_ground[0]))
     if not vector:
         raise nowhere
-    measured, places = np.array(image), np.array(ends)
+    measured = np.array(image)
+    places = np.array(ends)
     kept = _spread(measured, size)
     return Pieces(tuple(vector[i] for i in kept), places[kept], measured[kept], crs)
 
@@ -184,7 +188,8 @@ def _straight(image: FloatArray) -> list[tuple[int, int]]:
         return []
     kept = shapely.get_coordinates(shapely.simplify(shapely.LineString(image), _STRAIGHT))
     # Vertices that are kept are those of the polyline, in its order.
-    at, places = 0, []
+    at = 0
+    places = []
     for vertex in kept:
         at += int(np.argmin(np.abs(image[at:] - vertex).sum(axis=1)))
         places.append(at)
@@ -198,7 +203,8 @@ def _shares(image: FloatArray, size: tuple[int, int]) -> list[FloatArray]:
     if length < SHORTEST:
         return []
     with np.errstate(divide="ignore", invalid="ignore"):
-        low, high = (0 - image[0]) / run, (np.array(size) - 1 - image[0]) / run
+        low = (0 - image[0]) / run
+        high = (np.array(size) - 1 - image[0]) / run
     enter = np.nanmax(np.minimum(low, high), initial=0.0)
     leave = np.nanmin(np.maximum(low, high), initial=1.0)
     if (leave - enter) * length < SHORTEST:

@@ -40,7 +40,8 @@ class Phase(Matcher):
         """Return distinct places and where they are in the second (see `Matcher.match`)."""
         none = Matches(np.empty((0, 2)), np.empty((0, 2)), np.empty(0))
         expected = np.subtract(first.origin, second.origin)
-        own, other = _centred(first), _centred(second)
+        own = _centred(first)
+        other = _centred(second)
         shift = common_shift(own[None], other[None], expected, search, whitened=True)
         if shift is None:
             return none
@@ -50,7 +51,9 @@ class Phase(Matcher):
             return none
         steps = np.arange(-HALF, HALF + 1)
         taper = np.outer(hann(2 * HALF + 1), hann(2 * HALF + 1))
-        moved, clear, score = [], [], []
+        moved = []
+        clear = []
+        score = []
         for place in places.astype(int):
             at = place + shift.astype(int)
             a, b = (taper * (part - part.mean()) for part in (

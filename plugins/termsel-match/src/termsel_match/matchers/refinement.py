@@ -96,10 +96,12 @@ def refined(first: Layers, second: Layers, at_first: FloatArray, at_second: Floa
 def _inside(known: Mask, at: FloatArray, more: int = 0) -> Mask:
     """Return whether all pixels of windows are known."""
     reach = _HALF + 1 + more
-    low, high = at.astype(np.intp) - reach, at.astype(np.intp) + reach
+    low = at.astype(np.intp) - reach
+    high = at.astype(np.intp) + reach
     fits = ((low >= 0) & (high < known.shape)).all(axis=1)
     total = np.pad(np.cumsum(np.cumsum(~known, axis=0), axis=1), ((1, 0), (1, 0)))
-    (top, left), (bottom, right) = low[fits].T, high[fits].T + 1
+    (top, left) = low[fits].T
+    (bottom, right) = high[fits].T + 1
     holes = total[bottom, right] - total[top, right] - total[bottom, left] + total[top, left]
     inside = np.zeros(len(at), dtype=bool)
     inside[np.flatnonzero(fits)[holes == 0]] = True

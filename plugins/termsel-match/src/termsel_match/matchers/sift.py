@@ -71,7 +71,8 @@ def alike(first: Grey, second: Grey, ratio: float = RATIO,
     if len(first) < 2 or len(second) < 2:
         return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
     likeness = first @ second.T  # of unit vectors: distance^2 = 2 - 2 likeness
-    at, n = likeness.argmax(axis=1), np.arange(len(first))
+    at = likeness.argmax(axis=1)
+    n = np.arange(len(first))
     best = likeness[n, at]
     likeness[n, at] = -1.0
     second_best = likeness.max(axis=1)

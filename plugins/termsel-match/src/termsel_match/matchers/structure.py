@@ -51,7 +51,8 @@ class Structure(Matcher):
         """Return distinct places and where they are in the second (see `Matcher.match`)."""
         none = np.empty((0, 2))
         nothing = Matches(none, none, np.empty(0), none)
-        own, other = layers(first), layers(second)
+        own = layers(first)
+        other = layers(second)
         if own is None or other is None:
             return nothing
         shift = common_shift(own.values, other.values, np.subtract(first.origin, second.origin),
@@ -92,7 +93,8 @@ def _near(own: Grey, other: Grey, places: FloatArray, shift: FloatArray,
           ) -> tuple[FloatArray, FloatArray]:
     """Return by how much places are off the shift, (n, 2) [px], and how unclear that is, (n,)."""
     energy = cv2.boxFilter((other**2).sum(axis=0), -1, (2 * HALF + 1,) * 2, normalize=False)
-    moved, clear = np.empty_like(places), np.empty(len(places))
+    moved = np.empty_like(places)
+    clear = np.empty(len(places))
     for i, place in enumerate(places.astype(int)):
         at = place + shift.astype(int)
         template = own[:, place[0] - HALF:place[0] + HALF + 1, place[1] - HALF:place[1] + HALF + 1]

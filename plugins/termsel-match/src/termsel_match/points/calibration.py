@@ -48,8 +48,10 @@ def smooth_part(places: FloatArray, moved: FloatArray) -> tuple[FloatArray, Mask
     groups = tree.query_ball_point(moved, _REACH)
     largest = groups[int(np.argmax([len(group) for group in groups]))]
     away = np.linalg.norm(moved - np.median(moved[largest], axis=0), axis=1)
-    agree, surface = away <= _REACH, np.zeros_like(moved)
-    low, high = places.min(axis=0), places.max(axis=0)
+    agree = away <= _REACH
+    surface = np.zeros_like(moved)
+    low = places.min(axis=0)
+    high = places.max(axis=0)
     unit = 2 * (places - low) / np.maximum(high - low, 1e-9) - 1
     terms = 1
     for degree, along in _DEGREES:

@@ -169,7 +169,9 @@ def _of_files(picture: GreyRaster, files: list[Path], known: Start, dem: Path | 
               band: int | None, masks: Sequence[Path | str], looking: Looking,
               ) -> tuple[Points, str, Counter[str]]:
     """Return the points by all references, the CRS of the first, and how cells ended."""
-    several, crs, cells = [], "", Counter[str]()
+    several = []
+    crs = ""
+    cells = Counter[str]()
     missed: TermselError | None = None
     for i, file in enumerate(files):
         def progress(share: float, i: int = i) -> None:
@@ -182,7 +184,8 @@ def _of_files(picture: GreyRaster, files: list[Path], known: Start, dem: Path | 
                 if len(files) > 1 and area is None:
                     continue
                 found, ends = in_cells(picture, other, replace(looking, progress=progress), area)
-                points, own = _points(found, other), other.crs
+                points = _points(found, other)
+                own = other.crs
         except NotShown as error:  # a tile beyond the image
             missed = error
             continue

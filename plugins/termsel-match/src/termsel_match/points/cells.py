@@ -141,8 +141,10 @@ def _in_window(picture: GreyRaster, reference: Reference, looking: Looking, wind
 
     And why the other cells have none.
     """
-    (top, left, lines, samples), search = window, looking.search / step
-    border, reach = _BORDER * step, (_BORDER + int(np.ceil(search))) * step
+    (top, left, lines, samples) = window
+    search = looking.search / step
+    border = _BORDER * step
+    reach = (_BORDER + int(np.ceil(search))) * step
     own = picture.read(top - border, left - border, lines + 2 * border, samples + 2 * border, step)
     if not own[1].any():
         return [], NO_DATA
@@ -153,7 +155,8 @@ def _in_window(picture: GreyRaster, reference: Reference, looking: Looking, wind
     if not patch.known.any():
         return [], OUTSIDE
     moved = (reach - border) // step  # between the origins of the two
-    first, second = Window(*own), Window(patch.pixels, patch.known, (-moved, -moved))
+    first = Window(*own)
+    second = Window(patch.pixels, patch.known, (-moved, -moved))
     found = looking.matcher.match(first, second, search)
     if not len(found.first):
         return [], UNLIKE

@@ -45,7 +45,8 @@ def read_candidates(path: Path | str, image: Path | str, reference: Path | str |
         If a file cannot be read, or has fewer than 8 points.
     """
     path = Path(path)
-    options, crs = {}, None
+    options = {}
+    crs = None
     if reference is not None:
         if _in_pixels(path):
             options["reference"] = str(reference)

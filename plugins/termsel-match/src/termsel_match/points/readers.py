@@ -42,7 +42,9 @@ class ArosicsTable(Reader):
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file, line and column."""
-        ids, roles, rows = [], [], []
+        ids = []
+        roles = []
+        rows = []
         for line, cells in _rows(path, _AROSICS):
             values = [_number(cells, name, path, line) for name in _AROSICS[1:]]
             if _NO_MATCH in values:
@@ -82,7 +84,9 @@ class MatchesCsv(Reader):
         """Return the points; errors name file, line and column."""
         header = _header(text_of(path).encode())
         names = next((names for names in _PLACES if set(names) <= set(header)), _PLACES[0])
-        ids, rows, sigma = [], [], []
+        ids = []
+        rows = []
+        sigma = []
         for line, cells in _rows(path, names):
             rows.append([_number(cells, name, path, line) for name in names])
             ids.append((cells.get("id") or "").strip() or f"M{len(rows):03d}")

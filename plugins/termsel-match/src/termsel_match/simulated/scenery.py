@@ -77,12 +77,14 @@ def scenery(rng: np.random.Generator, side: float, cell: float,
     shared = _texture(rng, n, cell)
     days = []
     for day in (0, 1):
-        level, own = bright + rng.normal(0, 6, count), _texture(rng, n, cell)
+        level = bright + rng.normal(0, 6, count)
+        own = _texture(rng, n, cell)
         part = np.full(count, _OWN)
         if day == 1:
             level = np.where(changed, rng.uniform(70, 170, count), level)
             part = np.where(changed, 1.0, part)
-        level, part = level.astype(np.float32), part.astype(np.float32)
+        level = level.astype(np.float32)
+        part = part.astype(np.float32)
         image = np.empty((n, n), dtype=np.uint8)
         for top in range(0, n, _ROWS):  # a part at a time, for the sake of memory
             rows = slice(top, top + _ROWS)
@@ -122,7 +124,8 @@ def _draw(image: Bytes, shapes: list[FloatArray], cell: float, value: int, *,
 
 def _texture(rng: np.random.Generator, n: int, cell: float) -> NDArray[np.float32]:
     """Return brightness of all wavelengths with the mean 0."""
-    total, one = np.zeros((n, n), dtype=np.float32), np.empty((n, n), dtype=np.float32)
+    total = np.zeros((n, n), dtype=np.float32)
+    one = np.empty((n, n), dtype=np.float32)
     for wave in _WAVES:
         size = max(4, round(n * cell / wave * 2))
         total += cv2.resize(rng.standard_normal((size, size), dtype=np.float32) * 9.0, (n, n), one,
@@ -166,7 +169,8 @@ def _highways(rng: np.random.Generator, side: float) -> list[Road]:
 def _streets(rng: np.random.Generator, side: float) -> list[Road]:
     """Return the streets of a town, a turned grid."""
     town = _TOWN * side
-    centre, turn = rng.uniform(0.3, 0.7, 2) * side, rng.uniform(0.1, 1.4)
+    centre = rng.uniform(0.3, 0.7, 2) * side
+    turn = rng.uniform(0.1, 1.4)
     axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
     count = max(2, round(town / _BLOCK))
     places = (np.arange(count + 1) + rng.uniform(-0.2, 0.2, count + 1)) * town / count - town / 2
@@ -177,7 +181,9 @@ def _streets(rng: np.random.Generator, side: float) -> list[Road]:
 def _houses(rng: np.random.Generator, side: float, roads: tuple[Road, ...],
             ) -> tuple[list[FloatArray], list[float], list[int]]:
     """Return footprints, heights [m] and brightness of houses along the roads."""
-    footprints, heights, roofs = [], [], []
+    footprints = []
+    heights = []
+    roofs = []
     for road in roads:
         for start, end in zip(road.vertices[:-1], road.vertices[1:], strict=True):
             length = float(np.linalg.norm(end - start))

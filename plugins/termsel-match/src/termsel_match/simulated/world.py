@@ -117,8 +117,10 @@ class World:
     @cached_property
     def rpc(self) -> Rpc:
         """The vendor's RPC: that of a scanner whose attitude is wrong and drifts."""
-        rng, true = self._rng(1), self.camera
-        turn, share = rng.uniform(0, 2 * np.pi), rng.choice([-1, 1], 2) * rng.uniform(0.03, 0.08, 2)
+        rng = self._rng(1)
+        true = self.camera
+        turn = rng.uniform(0, 2 * np.pi)
+        share = rng.choice([-1, 1], 2) * rng.uniform(0.03, 0.08, 2)
         wrong = self.off * true.ifov * np.array([np.sin(turn), np.cos(turn)])
         drift = self.off * true.ifov * share / (true.centre[0] * true.line_period)
         roll, pitch = (Angle((angle.drift[0] + float(constant), float(slope)))
@@ -166,8 +168,10 @@ class World:
     def image(self) -> NDArray[np.uint16]:
         """Return the image: 11 bits, by rays that meet houses and terrain."""
         day = self._lit(0)
-        low, high = float(self.heights.min()) - 1, float(self.heights.max()) + _TALLEST + 1
-        at_low, at_high = self._rays(low), self._rays(high)
+        low = float(self.heights.min()) - 1
+        high = float(self.heights.max()) + _TALLEST + 1
+        at_low = self._rays(low)
+        at_high = self._rays(high)
         rows = []
         for top in range(0, self.size, _ROWS):
             lines = np.arange(top, min(top + _ROWS, self.size), dtype=np.float64)
@@ -208,7 +212,8 @@ class World:
 
         Moved ones are 3 to 8 m aside; vertices of all have an error of 0.2 m.
         """
-        rng, mapped = self._rng(8), []
+        rng = self._rng(8)
+        mapped = []
         fates = rng.permutation(np.tile(np.arange(20), len(self.ground.roads) // 20 + 1))
         for road, fate in zip(self.ground.roads, fates, strict=False):
             if fate < 3:
@@ -226,7 +231,8 @@ class World:
         south, east = np.gradient(self.heights, _TERRAIN)
         slope = (-0.7, 0.5) if day == 0 else (0.6, 0.4)
         lit = np.clip(1 + slope[0] * east + slope[1] * south, 0.4, 1.8).astype(np.float32)
-        n, step = len(bright), _TERRAIN / self.cell
+        n = len(bright)
+        step = _TERRAIN / self.cell
         wanted = (np.arange(n, dtype=np.float32) + 0.5) / np.float32(step)
         out = np.empty_like(bright)
         for top in range(0, n, 1024):
@@ -282,7 +288,8 @@ def _mesh(size: int) -> FloatArray:
 
 def _between(mesh: tuple[FloatArray, FloatArray], lines: FloatArray, size: int) -> FloatArray:
     """Return a mesh of rays interpolated at all samples of lines, shape (2, lines, samples)."""
-    steps, samples = _mesh(size), np.arange(size)
+    steps = _mesh(size)
+    samples = np.arange(size)
     return np.stack([RectBivariateSpline(steps, steps, axis)(lines, samples) for axis in mesh])
 
 

@@ -143,7 +143,8 @@ def match_ties(
     until = None if seconds is None else monotonic() + seconds
     all_pairs = list(combinations(range(len(paths)), 2))
     members: dict[tuple[int, float, float], list[tuple[int, float, float]]] = {}
-    pairs, seen = [], False
+    pairs = []
+    seen = False
     for done, (i, j) in enumerate(all_pairs):
         def tell(share: float, done: int = done) -> None:
             if progress is not None:

@@ -37,9 +37,9 @@ def fgdc_xml(report: Quality) -> str:
            _x("logic", "Not applicable to an image"), _x("complete", "Not applicable to an image"),
            _x("posacc", _x(
                "horizpa", _x("horizpar", ". ".join((report.method, *report.statements)) + "."),
-               *(_x("qhorizpa", _x("horizpav", decimal(one.value)),
-                    _x("horizpae", f"{one.name} [m]: {one.description}"))
-                 for one in report.measures if one.unit == "m"))),
+               *(_x("qhorizpa", _x("horizpav", decimal(measure.value)),
+                    _x("horizpae", f"{measure.name} [m]: {measure.description}"))
+                 for measure in report.measures if measure.unit == "m"))),
            _x("lineage", *(_source(one, f"source {i}") for i, one in enumerate(report.sources, 1)),
               _x("procstep", _x("procdesc", _process(report)),
                  *(_x("srcused", f"source {i}") for i, _ in enumerate(report.sources, 1)),

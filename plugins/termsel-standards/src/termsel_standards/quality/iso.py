@@ -47,13 +47,13 @@ def iso_xml(report: Quality) -> str:
 
 def _elements(report: Quality) -> list[Element]:
     """Return an element of data quality for each figure, and one with what can be stated."""
-    some = [_x("mdq:DQ_AbsoluteExternalPositionalAccuracy" if one.unit == "m"
-               else "mdq:DQ_GriddedDataPositionalAccuracy", _measure(one), _evaluation(report),
+    some = [_x("mdq:DQ_AbsoluteExternalPositionalAccuracy" if measure.unit == "m"
+               else "mdq:DQ_GriddedDataPositionalAccuracy", _measure(measure), _evaluation(report),
                _x("mdq:result", _x(
                    "mdq:DQ_QuantitativeResult", _time("mdq:dateTime", report.made),
                    _x("mdq:resultScope", _scope(report)),
-                   _x("mdq:value", _x("gco:Record", decimal(one.value))), _unit(one.unit))))
-            for one in report.measures]
+                   _x("mdq:value", _x("gco:Record", decimal(measure.value))), _unit(measure.unit))))
+            for measure in report.measures]
     if report.statements:
         some.append(_x("mdq:DQ_AbsoluteExternalPositionalAccuracy", *(
             _x("mdq:result", _x("mdq:DQ_DescriptiveResult", _time("mdq:dateTime", report.made),
@@ -88,7 +88,7 @@ def _lineage(report: Quality) -> Element:
               _x("mrl:scope", _scope(report)),
               _x("mrl:processStep", _x(
                   "mrl:LE_ProcessStep", _string("mrl:description", report.lineage),
-                  *(_x("mrl:source", _source(one)) for one in report.sources),
+                  *(_x("mrl:source", _source(source)) for source in report.sources),
                   _x("mrl:processingInformation", _x(
                       "mrl:LE_Processing",
                       _x("mrl:identifier", _identifier("termsel", version=report.software.get(

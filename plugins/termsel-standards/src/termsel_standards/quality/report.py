@@ -136,8 +136,10 @@ def quality_of(result: Result, title: str = "", organisation: str = "",
     """
     requires_earth(result)
     outline = outline_of(result)
-    (west, south), (east, north) = outline.min(axis=0).tolist(), outline.max(axis=0).tolist()
-    counts, terms = result.data.counts, result.selection
+    (west, south) = outline.min(axis=0).tolist()
+    (east, north) = outline.max(axis=0).tolist()
+    counts = result.data.counts
+    terms = result.selection
     settings = {"problem": result.problem, "model": result.model, "solver": result.solver,
                 "criterion": result.criterion, "seed": str(result.seed),
                 "terms": " ".join(terms.terms),
@@ -165,7 +167,8 @@ def quality_of(result: Result, title: str = "", organisation: str = "",
 def _measures(result: Result) -> tuple[Measure, ...]:
     if result.accuracy is None:
         return ()
-    image, ground = result.accuracy.image, result.accuracy.ground
+    image = result.accuracy.image
+    ground = result.accuracy.ground
     some = []
     if ground is not None:
         some = [
