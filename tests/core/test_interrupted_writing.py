@@ -3,8 +3,8 @@
 ``python tests/core/test_interrupted_writing.py SCENARIO FOLDER`` does what the first test reads. A
 child is forked for each point: before a file is opened for writing, synced, renamed or removed,
 before a folder is made, and where a write goes beyond a number of bytes. There it is interrupted in
-each of `WAYS`, or the change fails as on a full disk. A line is printed for each point: the way, how
-the child ended, and what is found then.
+each of `WAYS`, or the change fails as on a full disk. A line is printed for each point: the way,
+how the child ended, and what is found then.
 """
 
 from __future__ import annotations
