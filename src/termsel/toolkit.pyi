@@ -48,6 +48,7 @@ from .files.rasters import refuse_empty_giant as refuse_empty_giant
 from .files.rasters import require_rasterio as require_rasterio
 from .files.reasons import reason_of as reason_of
 from .files.texts import csv_table as csv_table
+from .files.texts import guarded as guarded
 from .files.texts import is_number as is_number
 from .files.texts import markdown_text as markdown_text
 from .files.texts import unguarded as unguarded

@@ -7,7 +7,9 @@ import sqlite3
 import subprocess
 import sys
 import zipfile
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +17,8 @@ import pytest
 
 import termsel
 from termsel import TermselError, open_raster
-from termsel.files.drivers import RASTER_DRIVERS, VECTOR_DRIVERS, skipped
+from termsel.files.drivers import RASTER_DRIVERS, VECTOR_DRIVERS, drivers_are_off, skipped
+from termsel.studies.execution.executors import begin_worker
 from termsel.toolkit import open_layer
 from tests.attacks.files import (
     auxiliary,
@@ -354,3 +357,9 @@ def test_vector_formats(driver: str, ending: str, folder: Path) -> None:
     _, shapes, _ = open_layer(folder / f"a.{ending}", options.get("layer"),
                               ("LineString", "MultiLineString"))
     assert len(shapes) == 1
+
+
+def test_workers_of_a_study_have_no_other_drivers() -> None:
+    with ProcessPoolExecutor(1, get_context("spawn"), initializer=begin_worker,
+                             initargs=({},)) as workers:
+        assert workers.submit(drivers_are_off).result()

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import shutil
 import subprocess
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -346,3 +348,17 @@ def test_any_damage_is_read_or_refused(tmp_path_factory: pytest.TempPathFactory,
     path.write_text(text[:start] + new + text[stop:], encoding="utf-8")
     with suppress(TermselError):
         reader.read(path)
+
+
+@pytest.mark.parametrize("name", ["=1+1", "+1+1", "@a", "-b", "plain", 'a,"b"'])
+def test_labels_of_pix4d_are_no_formulas(name: str, tmp_path: Path) -> None:
+    scene = termsel.simulate_scene("ikonos-hamedan")
+    ids = (name, *scene.points.ids[1:])
+    features = scene.with_(points=replace(scene.points, ids=ids))
+    result = termsel.run("poly-terms", features=features, model="affine", solver="all-terms")
+    termsel.export(result, "pix4d-marks", tmp_path / "marks.csv")
+    for file in tmp_path.iterdir():
+        rows = list(csv.reader(file.read_text(encoding="utf-8").splitlines()))
+        assert not any(cell[:1] in ("=", "+", "@") for row in rows for cell in row)
+    again = termsel.read(tmp_path / "marks.csv", format="pix4d-marks", crs="EPSG:4979")
+    assert name in again.points.ids

@@ -14,8 +14,8 @@ from xml.sax.saxutils import escape, quoteattr
 
 from termsel.errors import printable
 
-_FORMULA = re.compile(r"'*\s*[=+\-@\uff1d\uff0b\uff0d\uff20]")
-"""How a formula begins, in characters of full width as well."""
+_FORMULA = re.compile(r"'*\s*[=+\-@\uff1d\uff0b\uff0d\uff20\ufe62\ufe63\ufe66\ufe6b]")
+"""How a formula begins, in characters of full width and small ones as well."""
 
 _NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 """Characters that no XML document holds."""

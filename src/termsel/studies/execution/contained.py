@@ -12,6 +12,7 @@ from functools import partial
 from queue import SimpleQueue
 from typing import IO
 
+from termsel.files.drivers import claim_process
 from termsel.guard.helper import Helper, ProcessEndedError
 from termsel.measurements.features import FeatureSet
 from termsel.plugins.loading import attempt
@@ -55,6 +56,7 @@ def _sent(cell: Cell, features: FeatureSet) -> bytes | None:
 def work() -> None:
     """Run the cells that come on stdin, and write their outcomes to stdout, in a new process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the study decides when cells end
+    claim_process()  # no driver of GDAL but termsel's, as on the command line
     # What plugins print goes to stderr, as in the process of the study.
     with os.fdopen(os.dup(1), "wb") as answers:
         os.dup2(2, 1)

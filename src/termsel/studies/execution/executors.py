@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from multiprocessing import get_context, parent_process
 from types import FrameType
 
+from termsel.files.drivers import claim_process
 from termsel.guard.helper import safe_start
 from termsel.measurements.features import FeatureSet
 from termsel.studies.cells.cell import Cell
@@ -109,6 +110,7 @@ def begin_worker(features: Mapping[str, FeatureSet]) -> None:
     """Make a new process ready: the features of the study, and no answer to Ctrl-C of its own."""
     global _features
     _features = features
+    claim_process()  # no driver of GDAL but termsel's, as on the command line
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the study decides when cells end
     sys.stdout = sys.stderr  # stdout is for the results of the command
     threading.Thread(target=_end_with_parent, daemon=True).start()

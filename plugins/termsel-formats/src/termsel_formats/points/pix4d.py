@@ -25,9 +25,11 @@ from termsel.toolkit import (
     atomic_path,
     chosen_points,
     encoded,
+    guarded,
     image_of,
     is_geographic,
     read_text,
+    unguarded,
     write_text,
 )
 from termsel_formats.points.common import CORNER
@@ -78,7 +80,7 @@ class Pix4dMarks(Reader):
                                hint="Give the file of the same points.")
         lines, cells = zip(*used, strict=True)
         table = Table(path, "", {"id": "label", "sample": "x", "line": "y"}, {
-            "id": [row[1] for row in cells], "sample": [row[2] for row in cells],
+            "id": [unguarded(row[1]) for row in cells], "sample": [row[2] for row in cells],
             "line": [row[3] for row in cells]}, lines)
         of_ground = [known[row[1]] for row in cells]
         first, second = ("y", "x") if self.options["latitude_first"] else ("x", "y")
@@ -149,4 +151,6 @@ class Pix4dMarksWriter(PointsWriter):
 
 
 def _cell(name: str) -> str:
+    """Return an id as a cell of CSV, which no spreadsheet takes for a formula."""
+    name = guarded(name)
     return f'"{name.replace(chr(34), chr(34) * 2)}"' if set(name) & set(',"') else name
