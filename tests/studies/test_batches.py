@@ -141,6 +141,7 @@ def test_what_is_said_of_an_image_is_in_its_result_the_table_and_the_pages(
         text = (out / page).read_text()
         assert "3 images are near 46.5 N" in text
         assert "3.csv" in text
+        assert text.count("look swapped") == 1  # a note repeats the doubt with its remedy
 
 
 def test_the_note_of_a_single_run_says_that_axes_look_swapped() -> None:

@@ -92,3 +92,12 @@ def test_a_result_that_is_read_again_says_the_same(tmp_path: object) -> None:
     again = termsel.read_result(f"{tmp_path}/out")
     assert again.blunder_test == result.blunder_test
     assert line_on_blunders(again) == line_on_blunders(result)
+
+
+def test_points_without_errors_fit_exactly() -> None:
+    """Four computed corners: 2.4e-13 px is rounding, and no accuracy."""
+    image = np.array([[1.0, 2.0], [1.0, 900.0], [800.0, 2.0], [800.0, 900.0]])
+    ground = np.column_stack([500000.0 + image[:, 1], 5e6 - image[:, 0], np.full(4, np.nan)])
+    corners = FeatureSet(Points(tuple("abcd"), image, ground), crs="EPSG:32633")
+    first = " ".join(termsel.run(features=corners).summary().split())
+    assert "Accuracy: the points fit exactly; no independent point confirms it." in first

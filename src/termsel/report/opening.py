@@ -23,6 +23,8 @@ _LONGEST = 60
 _NO_FIT, _BLUNT = 0.01, 0.005
 """Shares of the extent of the features in the image: of an RMSE, beyond which no model fits, and of
 an error that must be exceeded to be found."""
+_ROUNDING = 1e-9
+"""Predicted RMSE [px] below which points without errors leave only rounding."""
 _CONTRADICTED = 2.0
 """Times the upper end of the predicted RMSE beyond which independent points contradict it."""
 _MOST, _WIDTH = 8, 85
@@ -130,6 +132,8 @@ def accuracy_of(record: Record) -> str:
         return f"{confirmed}." if accuracy else "not known, as there are no independent points."
     if not predicted_first(record):
         return f"{confirmed}."
+    if expected.high < _ROUNDING:
+        return f"the points fit exactly; {confirmed or 'no independent point confirms it'}."
     return (f"{rounded(expected.rmse)} px predicted ({rounded(expected.low)} to "
             f"{rounded(expected.high)} px); {confirmed or 'no independent point confirms it'}.")
 

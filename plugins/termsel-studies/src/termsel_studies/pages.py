@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Container
 from typing import Any
@@ -84,7 +85,10 @@ def _images(rows: list[Row]) -> TableBlock:
 def _said(row: Row, usual: Container[str]) -> str:
     """Return why an image has no result, or the doubts about it and its own notes."""
     notes = [note for note in row["notes"] or () if note not in usual]
-    return " ".join(part for part in (row["doubt"], row["reason"] or " ".join(notes)) if part)
+    text = row["reason"] or " ".join(notes)
+    # A note repeats a doubt with what to do about it: the longer one is enough.
+    doubts = re.split(r"(?<=[.?]) (?=[A-Z])", row["doubt"] or "")
+    return " ".join([*(doubt for doubt in doubts if doubt and doubt not in text), text]).strip()
 
 
 def _predicted(row: Row) -> str:
