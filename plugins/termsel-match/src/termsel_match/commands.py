@@ -6,7 +6,7 @@ import logging
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from shlex import quote
 from time import monotonic
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from termsel import TermselError, get, require_replaceable
-from termsel.toolkit import counted, remote_option
+from termsel.toolkit import counted, printable, remote_option
 
 if TYPE_CHECKING:
     from termsel_match.matchers import Matcher
@@ -369,13 +369,20 @@ def refuse_folder(folder: Path | None) -> None:
                            file=folder, hint="Choose another --out.")
 
 
+class _OnStderr(logging.Handler):
+    """Writes to what is stderr at the time, as a program may run several commands."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print a message."""
+        with suppress(OSError):
+            print(printable(self.format(record)), file=sys.stderr)
+
+
 def show_log() -> None:
     """Print what this package logs on stderr."""
     logger = logging.getLogger("termsel.match")
     if not logger.handlers:
-        handler = logging.StreamHandler(sys.stderr)
-        handler.setFormatter(logging.Formatter("%(message)s"))
-        logger.addHandler(handler)
+        logger.addHandler(_OnStderr())
         logger.setLevel(logging.INFO)
         logger.propagate = False
 
