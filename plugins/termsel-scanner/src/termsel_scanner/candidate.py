@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from termsel import Candidate, Control, Fit, SensorModel, Undetermined
+from termsel import Candidate, Control, Estimator, Fit, SensorModel, Undetermined
 from termsel_scanner.annotation import is_annotation
 from termsel_scanner.physical import RobustFit
 from termsel_scanner.radar import Radar
@@ -55,18 +55,13 @@ class NamedScanner(Candidate):
             raise Undetermined("no sensor is named", hint=f"Name it in a column {COLUMN!r}.")
         model = _scanner(named)
         if not isinstance(model, Scanner):
-            return self._fitted(model, control)
+            return _with_all_terms(self.estimator, model, control)
         prepared = model.prepared(control.scaling, control.features.crs)
         latitude = prepared.geographic(control.scaled.points.ground)[:, 1]
         line = control.features.points.image[:, 0]
         north = float((latitude - latitude.mean()) @ (line - line.mean()))
         model = Scanner(sensor=named, track="ascending" if north > 0 else "descending")
-        return self._fitted(model, control)
-
-    def _fitted(self, model: SensorModel, control: Control) -> Fit:
-        return self.estimator.fit(model, control.features, control.scaling,
-                                  np.ones(len(model.terms), dtype=bool),
-                                  np.ones(len(control), dtype=bool))
+        return _with_all_terms(self.estimator, model, control)
 
     def model(self, heights: bool) -> SensorModel | None:
         """Return None: the model depends on the sensor."""
@@ -111,10 +106,7 @@ class NamedRadar(Candidate):
         if not names_annotation(named):
             raise Undetermined("no annotation is named",
                                hint=f"Name its file in a column {COLUMN!r}.")
-        model = Radar(metadata=named)
-        return self.estimator.fit(model, control.features, control.scaling,
-                                  np.ones(len(model.terms), dtype=bool),
-                                  np.ones(len(control), dtype=bool))
+        return _with_all_terms(self.estimator, Radar(metadata=named), control)
 
     def model(self, heights: bool) -> SensorModel | None:
         """Return None: the model depends on the annotation."""
@@ -134,6 +126,12 @@ class NamedRadar(Candidate):
 def names_annotation(named: str) -> bool:
     """Return whether the name of a sensor is a file, and that an annotation of Sentinel-1."""
     return named.lower().endswith(".xml") and is_annotation(Path(named))
+
+
+def _with_all_terms(estimator: Estimator, model: SensorModel, control: Control) -> Fit:
+    """Return the fit of a model with all its terms to all control."""
+    return estimator.fit(model, control.features, control.scaling,
+                         np.ones(len(model.terms), dtype=bool), np.ones(len(control), dtype=bool))
 
 
 def _scanner(named: str) -> Scanner | TrackedScanner:
