@@ -13,28 +13,9 @@ import numpy as np
 import pytest
 
 import termsel
+from tests.counting_server import SERVER
 
 SECRET = "This stays as it is, and nobody reads it. " * 100
-
-
-# A process of its own, as GDAL holds Python's lock while it waits for an answer.
-SERVER = """
-import http.server, sys, threading
-class Handler(http.server.BaseHTTPRequestHandler):
-    def do_GET(self):
-        with open(sys.argv[1], "a") as log:
-            log.write(self.path + "\\n")
-        self.send_response(404)
-        self.send_header("Content-Length", "0")
-        self.end_headers()
-    do_HEAD = do_POST = do_GET
-    def log_message(self, *words):
-        pass
-server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-print(server.server_port, flush=True)
-threading.Timer(300, server.shutdown).start()
-server.serve_forever()
-"""
 
 
 class Server:

@@ -21,26 +21,9 @@ from termsel.errors import TermselError
 from termsel.files import drivers, rasters, sources
 from termsel.files.rasters import open_raster, tiff_bytes
 from termsel.formats.heights import open_dem
+from tests.counting_server import SERVER
 
 rasterio = pytest.importorskip("rasterio")
-
-SERVER = """
-import http.server, sys, threading
-class Handler(http.server.BaseHTTPRequestHandler):
-    def do_GET(self):
-        with open(sys.argv[1], "a") as log:
-            log.write(self.path + "\\n")
-        self.send_response(404)
-        self.send_header("Content-Length", "0")
-        self.end_headers()
-    do_HEAD = do_POST = do_GET
-    def log_message(self, *words):
-        pass
-server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-print(server.server_port, flush=True)
-threading.Timer(300, server.shutdown).start()
-server.serve_forever()
-"""
 
 
 def vrt(source: str, relative: int = 0, more: str = "") -> str:
