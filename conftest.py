@@ -36,8 +36,8 @@ def pytest_collection() -> Iterator[None]:
     finally:
         gc.freeze()
         gc.enable()
-    if "termsel.candidates.memory" in sys.modules:
-        sys.modules["termsel.candidates.memory"].KEPT = 500  # else 16
+    if "termsel.auto.memory" in sys.modules:
+        sys.modules["termsel.auto.memory"].KEPT = 500  # else 16
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest takes out what `-m` leaves out
@@ -59,7 +59,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def _known() -> dict[Any, Any]:
     """Return what is remembered of features, a new dict before that module is imported."""
-    memory = sys.modules.get("termsel.candidates.memory")
+    memory = sys.modules.get("termsel.auto.memory")
     return {} if memory is None else memory._known
 
 

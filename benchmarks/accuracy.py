@@ -26,12 +26,12 @@ import numpy as np
 
 import termsel
 from benchmarks.sets import NOISE, PLAIN, crs_of, heights_of, names, put, rmse_of, split
-from termsel.candidates import portfolio
-from termsel.candidates.portfolio import choose
+from termsel.auto import portfolio
+from termsel.auto.portfolio import choose
+from termsel.data.control import Control
+from termsel.data.features import FeatureSet, Points
+from termsel.fitting.bayesian import posterior
 from termsel.formats.readers.csv_tables import write_points_csv
-from termsel.measurements.control import Control
-from termsel.measurements.features import FeatureSet, Points
-from termsel.priors import posterior
 from termsel.simulate.catalogue import SCENES
 from termsel.studies.cells.images import IMAGES, folders_of
 
@@ -355,8 +355,8 @@ points are check points. {GA_SPLITS} of the splits at {', '.join(map(str, GA_COU
 ## Constants
 
 The median over splits of auto's independent RMSE divided by that of the best plain structure of
-the split, at 12, 20 and 40 points. Each constant of `termsel.priors.posterior` and of
-`termsel.candidates.portfolio` is halved and doubled.
+the split, at 12, 20 and 40 points. Each constant of `termsel.fitting.bayesian.posterior` and of
+`termsel.auto.portfolio` is halved and doubled.
 
 {constants}
 

@@ -20,7 +20,7 @@ from sklearn.preprocessing import MinMaxScaler, PolynomialFeatures
 
 import termsel
 from benchmarks.bench_kernels import Row, best_of
-from termsel.measurements.features import FloatArray
+from termsel.data.features import FloatArray
 
 FOLDS = 10
 POINTS = (50, 200, 1000)

@@ -14,10 +14,10 @@ import numpy as np
 
 from benchmarks.bench_kernels import Row, best_of
 from termsel import prepare
-from termsel.criteria import KFold
-from termsel.measurements.features import BoolArray, IntArray
+from termsel.data.features import BoolArray, IntArray
 from termsel.models.base import LINE, SAMPLE
-from termsel.problems.selection import SelectionProblem
+from termsel.selection.criteria import KFold
+from termsel.selection.problems.selection import SelectionProblem
 
 POPULATION, SOME = 200, 5
 

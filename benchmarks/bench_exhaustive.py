@@ -17,8 +17,8 @@ import numpy as np
 
 from benchmarks.bench_kernels import Row
 from termsel import prepare
-from termsel.enumeration.columns.system import SubsetSystem
-from termsel.enumeration.subsets import search
+from termsel.selection.best_subsets.columns.system import SubsetSystem
+from termsel.selection.best_subsets.subsets import search
 
 TERMS = 10
 

@@ -18,8 +18,8 @@ from deap import algorithms, base, tools
 
 from benchmarks.bench_kernels import Row
 from termsel import prepare, search
-from termsel.measurements.features import FeatureSet
-from termsel.problems.selection import SelectionProblem
+from termsel.data.features import FeatureSet
+from termsel.selection.problems.selection import SelectionProblem
 from termsel_optimisers.deap_algorithms import Deap
 
 POPULATION, GENERATIONS, MUTATION = 200, 80, 1 / 78

@@ -15,14 +15,14 @@ import numpy as np
 
 from benchmarks.bench_kernels import Row, best_of
 from termsel import prepare, search
-from termsel.criteria import CheckRmse, Fits
-from termsel.guard.calls import unguarded
-from termsel.measurements.features import FloatArray
-from termsel.problems.base import Evaluation, Problem
-from termsel.problems.segments import Genes
-from termsel.problems.selection import SelectionProblem
-from termsel.solvers.base import Generation, Solver
-from termsel.solvers.genetic.ga import GeneticAlgorithm
+from termsel.core.isolation.calls import unguarded
+from termsel.data.features import FloatArray
+from termsel.selection.criteria import CheckRmse, Fits
+from termsel.selection.problems.base import Evaluation, Problem
+from termsel.selection.problems.segments import Genes
+from termsel.selection.problems.selection import SelectionProblem
+from termsel.selection.solvers.base import Generation, Solver
+from termsel.selection.solvers.genetic.ga import GeneticAlgorithm
 
 
 class PluginCriterion(CheckRmse):

@@ -18,8 +18,8 @@ import numpy as np
 
 from benchmarks.bench_kernels import Row, best_of
 from benchmarks.bench_subsets import finish, lapack, plane_polynomial
-from termsel.enumeration.columns.system import SubsetSystem
-from termsel.measurements.features import BoolArray, FloatArray
+from termsel.data.features import BoolArray, FloatArray
+from termsel.selection.best_subsets.columns.system import SubsetSystem
 
 MOST, PENALISED = 8, 4
 """Terms of the largest subsets, and of those that l0bnb proves."""

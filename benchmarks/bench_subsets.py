@@ -18,10 +18,10 @@ from time import process_time
 import numpy as np
 
 from benchmarks.bench_kernels import LSTSQ, Row
-from termsel.adjustment.monomials import RPC00B, monomials
-from termsel.enumeration.columns.system import SubsetSystem
-from termsel.enumeration.subsets import SubsetResult, search
-from termsel.measurements.features import BoolArray, FloatArray, IntArray
+from termsel.data.features import BoolArray, FloatArray, IntArray
+from termsel.fitting.adjustment.monomials import RPC00B, monomials
+from termsel.selection.best_subsets.columns.system import SubsetSystem
+from termsel.selection.best_subsets.subsets import SubsetResult, search
 
 SAMPLE = 1 << 12
 N_CONTROL, N_CHECK = 27, 47

@@ -12,8 +12,8 @@ import numpy as np
 
 from benchmarks.block_kinds import OWN, Kind, drawn
 from termsel import FeatureSet, Fit, Points
-from termsel.candidates.portfolio import choose
-from termsel.measurements.control import Control
+from termsel.auto.portfolio import choose
+from termsel.data.control import Control
 from termsel.runs.task.given import all_candidates
 from termsel_block.accuracy import independent_points, rmse
 from termsel_block.block import Block

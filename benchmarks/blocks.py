@@ -23,7 +23,7 @@ from benchmarks.block_page import PAGE, VERDICT
 from benchmarks.block_rival import fitted
 from benchmarks.sets import ROOT, put
 from termsel import Points, rpc_of, write_rpc
-from termsel.threads import one_blas_thread
+from termsel.core.threads import one_blas_thread
 from termsel_block.accuracy import independent_points, predicted, rmse
 from termsel_block.block import Block
 from termsel_block.files.folders import image_result

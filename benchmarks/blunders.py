@@ -29,15 +29,15 @@ from benchmarks.sets import (
     rmse_of,
     split,
 )
-from termsel.adjustment.monomials import graded_exponents, monomials
-from termsel.candidates import blunders, contradictions
-from termsel.candidates.blunders import find_blunders
-from termsel.candidates.contradictions import Suspects
-from termsel.candidates.portfolio import choose
-from termsel.measurements.control import Control
-from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
-from termsel.measurements.scaling import scaling_of
-from termsel.priors import blunder_odds
+from termsel.auto import blunders, contradictions
+from termsel.auto.blunders import find_blunders
+from termsel.auto.contradictions import Suspects
+from termsel.auto.portfolio import choose
+from termsel.data.control import Control
+from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
+from termsel.data.scaling import scaling_of
+from termsel.fitting.adjustment.monomials import graded_exponents, monomials
+from termsel.fitting.bayesian import blunder_odds
 
 COUNTS = (24, 40, 74)
 WORST = 1.5
@@ -351,9 +351,9 @@ are worse.
 ## Constants
 
 Median ratio to clean data, blunders named, and right points left out, with each constant of
-`termsel.candidates.contradictions`, `termsel.candidates.blunders` and
-`termsel.priors.blunder_odds` halved and doubled: one point in 15 of 24 and of 40 points, one
-split each.
+`termsel.auto.contradictions`, `termsel.auto.blunders` and
+`termsel.fitting.bayesian.blunder_odds` halved and doubled: one point in 15 of 24 and of 40 points,
+one split each.
 
 {sensitivity(wanted, 1)}
 

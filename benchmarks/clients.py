@@ -25,8 +25,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 import termsel
+from termsel.data.features import FloatArray
 from termsel.formats.deviation import places_of
-from termsel.measurements.features import FloatArray
 from termsel.simulate import simulate_scene
 
 Row = tuple[str, str, str, float]

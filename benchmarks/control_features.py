@@ -18,12 +18,12 @@ import numpy as np
 
 import termsel
 from benchmarks.sets import ROOT
-from termsel.fits.figures import figures
-from termsel.fits.least_squares import fit
-from termsel.measurements.features import BoolArray, FeatureSet
-from termsel.problems.segments import Genes
+from termsel.core.threads import one_blas_thread
+from termsel.data.features import BoolArray, FeatureSet
+from termsel.fitting.figures import figures
+from termsel.fitting.least_squares import fit
+from termsel.selection.problems.segments import Genes
 from termsel.simulate import simulate_scene
-from termsel.threads import one_blas_thread
 
 SEEDS, EVALUATIONS = 10, 10_000
 SOLVERS = ("ga", "ga-transgenic", "ga-steady", "ica", "pso", "aco", "swap", "random")

@@ -14,11 +14,11 @@ from functools import lru_cache
 from pathlib import Path
 from statistics import median
 
-from termsel.candidates.portfolio import choose
-from termsel.fits.least_squares import fit
-from termsel.measurements.control import Control
-from termsel.measurements.features import FeatureSet, Points
-from termsel.measurements.scaling import scaling_of
+from termsel.auto.portfolio import choose
+from termsel.data.control import Control
+from termsel.data.features import FeatureSet, Points
+from termsel.data.scaling import scaling_of
+from termsel.fitting.least_squares import fit
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Affine, Polynomial3D
 from termsel.models.projective import DLT3D

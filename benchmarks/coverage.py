@@ -23,14 +23,14 @@ from benchmarks.kept import resumed
 from benchmarks.sets import crs_of, names, put, rmse_of, split
 from benchmarks.unlike_maps import KINDS as MAPS
 from benchmarks.unlike_maps import unlike_map
-from termsel.candidates.portfolio import choose
-from termsel.candidates.repetition import repeated
-from termsel.fits.accuracy import predicted_by, predicted_rmse
-from termsel.measurements.control import Control
-from termsel.measurements.features import FeatureSet, FloatArray, Points
-from termsel.record.figures import CONFIDENCE, Predicted
+from termsel.auto.portfolio import choose
+from termsel.auto.repetition import repeated
+from termsel.core.threads import one_blas_thread
+from termsel.data.control import Control
+from termsel.data.features import FeatureSet, FloatArray, Points
+from termsel.data.record.figures import CONFIDENCE, Predicted
+from termsel.fitting.accuracy import predicted_by, predicted_rmse
 from termsel.simulate.catalogue import SCENES
-from termsel.threads import one_blas_thread
 from termsel_bench.scenes.cameras import ALL_KINDS, FRESH, image_of
 from termsel_photos.maps import NAME as OLD_MAP
 

@@ -19,12 +19,12 @@ from benchmarks.kept import resumed
 from benchmarks.old_maps import MAPS, drawn
 from benchmarks.sets import MEASURED, crs_of, names, put, rmse_of
 from benchmarks.unlike_maps import KINDS, unlike_map
-from termsel.candidates.portfolio import choose
-from termsel.candidates.structures import named
-from termsel.errors import TermselError
-from termsel.measurements.control import Control
-from termsel.measurements.features import FeatureSet, Points
-from termsel.threads import one_blas_thread
+from termsel.auto.portfolio import choose
+from termsel.auto.structures import named
+from termsel.core.errors import TermselError
+from termsel.core.threads import one_blas_thread
+from termsel.data.control import Control
+from termsel.data.features import FeatureSet, Points
 
 PLAIN = ("affine", "projective", "dlt", "quadratic")
 SPLINES = ("tps", "tps, exact")

@@ -17,9 +17,9 @@ from scipy.spatial import Delaunay
 
 import termsel
 from benchmarks.sets import put, rmse_of
-from termsel.errors import TermselError
-from termsel.measurements.features import FeatureSet
-from termsel.threads import one_blas_thread
+from termsel.core.errors import TermselError
+from termsel.core.threads import one_blas_thread
+from termsel.data.features import FeatureSet
 from termsel_bench.scenes.cameras import FRESH, image_of
 
 KINDS = ("steady", "agile", "frame")

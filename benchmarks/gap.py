@@ -22,12 +22,20 @@ from scipy.stats import binom
 import termsel
 from benchmarks.new_points import correlation_interval, rmse_interval, scene
 from benchmarks.sets import ROOT, put
-from termsel.enumeration.columns.system import SubtreeNode
-from termsel.enumeration.score_systems import ScoreSystems, score_systems
-from termsel.fits.residuals import Rmse
-from termsel.measurements.features import FloatArray, no_lines
-from termsel.report.theme import BLUNDER, CONTROL, INDEPENDENT, UNUSED, data, require_altair, styled
-from termsel.solvers.proofs.proof import limits_of
+from termsel.data.features import FloatArray, no_lines
+from termsel.fitting.residuals import Rmse
+from termsel.report.theme import (
+    BLUNDER,
+    CONTROL,
+    INDEPENDENT,
+    UNUSED,
+    chart_rows,
+    require_altair,
+    styled,
+)
+from termsel.selection.best_subsets.columns.system import SubtreeNode
+from termsel.selection.best_subsets.score_systems import ScoreSystems, score_systems
+from termsel.selection.solvers.proofs.proof import limits_of
 from termsel_studies.groups import Runs, group
 from termsel_studies.summaries import quantiles, reachable, wilson
 
@@ -341,11 +349,11 @@ def figure(front: Front, study: termsel.Study) -> Any:
                        scale=alt.Scale(domain=names, range=[CONTROL, BLUNDER, UNUSED, INDEPENDENT]))
     shape = alt.Shape("what:N", sort=names, legend=None, scale=alt.Scale(
         domain=names, range=["circle", "triangle-up", "circle", "triangle-up"]))
-    lines = alt.Chart(data(rows)).mark_line(point={"size": 30}).encode(x, y, colour)
-    dots = alt.Chart(data(runs)).mark_point(size=22, opacity=0.7).encode(x, y, colour, shape)
-    rule = alt.Chart(data([{"rmse": plain}])).mark_rule(strokeDash=[5, 3], color=INDEPENDENT) \
-        .encode(alt.Y("rmse:Q"))
-    label = alt.Chart(data([{"rmse": plain, "terms": 8.2}])).mark_text(
+    lines = alt.Chart(chart_rows(rows)).mark_line(point={"size": 30}).encode(x, y, colour)
+    dots = alt.Chart(chart_rows(runs)).mark_point(size=22, opacity=0.7).encode(x, y, colour, shape)
+    rule = alt.Chart(chart_rows([{"rmse": plain}])).mark_rule(
+        strokeDash=[5, 3], color=INDEPENDENT).encode(alt.Y("rmse:Q"))
+    label = alt.Chart(chart_rows([{"rmse": plain, "terms": 8.2}])).mark_text(
         text="independent RMSE, quadratic", align="left", dy=12,
         color=INDEPENDENT).encode(x, y)
     return styled((dots + lines + rule + label).properties(width=560, height=330))
@@ -391,7 +399,8 @@ selections by branch and bound. The bound uses three facts on all selections of 
 their fits lie on one sphere through the observations; their denominators are positive; their
 squared check errors are a weighted sum that the best known selection limits. A convex quadratic
 form holds all three. If its minimum is above the limit, none of these selections can be better. The
-module `termsel.enumeration.bounds.closed` has the proof; tests hold it against enumeration. Linear
+module `termsel.selection.best_subsets.bounds.closed` has the proof; tests hold it against
+enumeration. Linear
 programs first tell how much a denominator may exceed the others, as none is below the margin at
 the check points and the guard points.
 

@@ -17,8 +17,8 @@ import termsel
 from benchmarks.coverage import holds, share
 from benchmarks.sets import put, rmse_of
 from termsel import FeatureSet
-from termsel.fits.accuracy import distances, predicted_by
-from termsel.record.figures import InImage
+from termsel.data.record.figures import InImage
+from termsel.fitting.accuracy import distances, predicted_by
 from termsel.simulate import simulate_scene
 
 SCENES = ("ikonos-hamedan", "spot-isfahan", "irs1c-mashad", "cartosat-hyderabad")

@@ -20,12 +20,12 @@ import numpy as np
 
 import termsel
 from benchmarks.sets import DATA
-from termsel.adjustment.equations import line_normals
-from termsel.candidates.structures import CANDIDATES
-from termsel.fits.fit import Undetermined
-from termsel.measurements.control import Control
-from termsel.measurements.features import FeatureSet, Points, select
-from termsel.measurements.roles import Observations, observe
+from termsel.auto.structures import CANDIDATES
+from termsel.data.control import Control
+from termsel.data.features import FeatureSet, Points, select
+from termsel.data.roles import Observations, observe
+from termsel.fitting.adjustment.equations import line_normals
+from termsel.fitting.fit import Undetermined
 from termsel.models.rpc import Rpc
 from termsel.simulate.catalogue import SCENES, Scene
 from termsel.simulate.scenes import scene_truth, simulate_scene

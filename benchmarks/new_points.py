@@ -12,7 +12,7 @@ from scipy.stats import spearmanr
 
 import termsel
 from benchmarks.sets import rmse_of
-from termsel.measurements.features import FloatArray
+from termsel.data.features import FloatArray
 from termsel.simulate import simulate_scene
 
 NAME, NEW = "ikonos-hamedan", 1000

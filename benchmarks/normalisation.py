@@ -16,13 +16,13 @@ import numpy as np
 
 import termsel
 from benchmarks.sets import put
-from termsel.adjustment.parts import independent_parts, solve_parts
-from termsel.measurements.features import FloatArray
+from termsel.data.features import FloatArray
+from termsel.fitting.adjustment.parts import independent_parts, solve_parts
 from termsel.models.poles import POLE_MARGIN, guard_points
-from termsel.problems.constraints import parents
-from termsel.problems.selection import SelectionProblem
+from termsel.selection.problems.constraints import parents
+from termsel.selection.problems.selection import SelectionProblem
+from termsel.selection.solvers.proofs.proof import prove
 from termsel.simulate import simulate_scene
-from termsel.solvers.proofs.proof import prove
 
 SEEDS = range(101, 111)
 """Scenes next to the embedded one."""

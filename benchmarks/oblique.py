@@ -17,9 +17,9 @@ from scipy.optimize import least_squares
 from scipy.spatial import Delaunay
 
 import termsel
-from termsel.errors import TermselError
-from termsel.measurements.features import FeatureSet, Points, no_lines
-from termsel.threads import one_blas_thread
+from termsel.core.errors import TermselError
+from termsel.core.threads import one_blas_thread
+from termsel.data.features import FeatureSet, Points, no_lines
 
 FloatArray = NDArray[np.float64]
 

@@ -21,11 +21,11 @@ import numpy as np
 
 import termsel
 from benchmarks.sets import DATA, PLAIN, heights_of, put, rmse_of, split
-from termsel.candidates import local
-from termsel.candidates.portfolio import best_of, choose
-from termsel.measurements.control import Control
-from termsel.measurements.features import FeatureSet, Points
-from termsel.priors import field
+from termsel.auto import local
+from termsel.auto.portfolio import best_of, choose
+from termsel.data.control import Control
+from termsel.data.features import FeatureSet, Points
+from termsel.fitting.bayesian import field
 from termsel.simulate.catalogue import SCENES
 from termsel_photos import simulate_map
 

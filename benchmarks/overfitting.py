@@ -20,9 +20,9 @@ from scipy.stats import spearmanr
 import termsel
 from benchmarks.sets import put, rmse_of
 from termsel import FeatureSet, Task
-from termsel.measurements.features import BoolArray, FloatArray
+from termsel.core.threads import one_blas_thread
+from termsel.data.features import BoolArray, FloatArray
 from termsel.simulate import simulate_scene
-from termsel.threads import one_blas_thread
 
 SCENES = tuple((name, seed) for name in (
     "ikonos-hamedan", "spot-isfahan", "irs1c-mashad", "geoeye-tehran", "cartosat-hyderabad")

@@ -17,13 +17,13 @@ from statistics import mean, median
 import numpy as np
 
 from benchmarks.sets import put
-from termsel.candidates.structures import named
-from termsel.fits.fit import Fit
-from termsel.fits.next_places import rank_places
-from termsel.measurements.features import FeatureSet, FloatArray, Points
+from termsel.auto.structures import named
+from termsel.core.threads import one_blas_thread
+from termsel.data.features import FeatureSet, FloatArray, Points
+from termsel.fitting.fit import Fit
+from termsel.fitting.next_places import rank_places
 from termsel.simulate import scene_truth, simulate_scene
 from termsel.simulate.catalogue import SCENES
-from termsel.threads import one_blas_thread
 
 COUNTS = (8, 12, 20, 40)
 ADDED, CANDIDATES, TRUTH = 5, 60, 300

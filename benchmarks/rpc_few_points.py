@@ -20,12 +20,12 @@ import numpy as np
 
 from benchmarks.sets import DATA, put
 from termsel import FeatureSet, Points, Rpc, read_rpc
-from termsel.candidates.blunders import find_blunders
-from termsel.candidates.portfolio import choose
-from termsel.measurements.control import Control
-from termsel.measurements.features import FloatArray
+from termsel.auto.blunders import find_blunders
+from termsel.auto.portfolio import choose
+from termsel.core.threads import one_blas_thread
+from termsel.data.control import Control
+from termsel.data.features import FloatArray
 from termsel.runs.task.given import all_candidates
-from termsel.threads import one_blas_thread
 from termsel_rpc.simulated import RPC_FILE
 
 COUNTS = (1, 2, 4, 8, 16)

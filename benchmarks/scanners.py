@@ -15,12 +15,12 @@ from functools import partial
 import numpy as np
 
 from benchmarks.sets import crs_of, names, put, rmse_of, split
-from termsel.candidates.portfolio import Portfolio, choose
-from termsel.candidates.structures import CANDIDATES
-from termsel.measurements.control import Control
-from termsel.measurements.features import FeatureSet
+from termsel.auto.portfolio import Portfolio, choose
+from termsel.auto.structures import CANDIDATES
+from termsel.core.threads import one_blas_thread
+from termsel.data.control import Control
+from termsel.data.features import FeatureSet
 from termsel.runs.task.given import all_candidates
-from termsel.threads import one_blas_thread
 from termsel_bench.scenes.cameras import ALL_KINDS, CHOSEN, FRESH, Ranges, image_of
 from termsel_scanner.photos import CANDIDATES as CAMERAS
 

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
+from termsel.data.features import FloatArray, Points
 from termsel.io.read import read
-from termsel.measurements.features import FloatArray, Points
 from termsel.simulate import simulate_scene
 from termsel.simulate.catalogue import SCENES
 from termsel_photos import simulate_map

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import termsel
 from benchmarks.sets import put
-from termsel.errors import counted
+from termsel.core.errors import counted
 from termsel_studies.pages import section, tables_of
 
 HERE = Path(__file__).parent

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.random import Generator
 
-from termsel.measurements.features import FloatArray, Points
+from termsel.data.features import FloatArray, Points
 
 SIZE = np.array([5000.0, 7000.0])
 GSD, ORIGIN, WAVES = 0.5, (4e5, 5e6), 400

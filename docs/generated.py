@@ -16,13 +16,13 @@ from typing import Any
 
 import termsel.toolkit
 from termsel.cli.new_plugin import package
-from termsel.options import Option
+from termsel.core.options import Option
+from termsel.data.record.schema import json_schema
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.registry import Entry, registry
-from termsel.record.schema import json_schema
 from termsel.rooms import ROOMS
 from termsel.runs.task.request import DATA_OPTIONS
-from termsel.solvers.budget import SEARCH_OPTIONS
+from termsel.selection.solvers.budget import SEARCH_OPTIONS
 
 OF_EVERY_RUN = {"data": DATA_OPTIONS, "search": SEARCH_OPTIONS}
 OWN = ("termsel", "termsel-bench", "termsel-block", "termsel-cluster", "termsel-formats",

@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from termsel.errors import TermselError
-from termsel.measurements.features import BoolArray
-from termsel.options import Option
-from termsel.problems import segments
-from termsel.problems.base import Evaluation, Problem
-from termsel.solvers.base import Generation, Solver
-from termsel.solvers.genetic.ga import GeneticAlgorithm
-from termsel.solvers.heuristics.yardsticks import RandomSearch
-from termsel.solvers.ledger import Ledger
+from termsel.core.errors import TermselError
+from termsel.core.options import Option
+from termsel.data.features import BoolArray
+from termsel.selection.problems import segments
+from termsel.selection.problems.base import Evaluation, Problem
+from termsel.selection.solvers.base import Generation, Solver
+from termsel.selection.solvers.genetic.ga import GeneticAlgorithm
+from termsel.selection.solvers.heuristics.yardsticks import RandomSearch
+from termsel.selection.solvers.ledger import Ledger
 
 
 class Drawn(Solver):

@@ -27,7 +27,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="module")
 def bounds_of_few() -> Iterator[None]:
     """Decide few subsets by bounds, too, which are for many."""
-    from termsel.enumeration import score_systems  # only now, as it imports numpy
+    from termsel.selection.best_subsets import score_systems  # only now, as it imports numpy
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(score_systems, "WALKED", 0)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 import termsel
-from termsel.adjustment.equations import Equations, line_normals
-from termsel.measurements.features import FeatureSet
+from termsel.data.features import FeatureSet
+from termsel.fitting.adjustment.equations import Equations, line_normals
 from termsel.models.base import SensorModel
 from termsel.models.poles import POLE_MARGIN
 from termsel.models.polynomial import Polynomial3D
-from termsel.problems.selection import SelectionProblem
+from termsel.selection.problems.selection import SelectionProblem
 
 CRITERIA = ("press", "kfold", "ebic")
 

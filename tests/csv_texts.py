@@ -6,13 +6,13 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from termsel.data.features import FeatureSet
 from termsel.formats.base import Reader
 from termsel.formats.readers.csv_tables import (
     LinesCsv,
     PointsCsv,
 )
 from termsel.io.read import find_reader
-from termsel.measurements.features import FeatureSet
 
 READERS: list[type[Reader]] = [PointsCsv, LinesCsv]
 POINTS = "id,role,line,sample,x,y,z\n"

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from termsel.errors import TermselError
-from termsel.guard.faults import PluginFault
+from termsel.core.errors import TermselError
+from termsel.core.isolation.faults import PluginFault
 
 
 def raising(*_args: Any, **_given: Any) -> Any:

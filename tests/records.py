@@ -7,7 +7,7 @@ from typing import Any
 
 from msgspec import convert
 
-from termsel.record.record import Record
+from termsel.data.record.record import Record
 from termsel.report.answers import document
 from termsel.report.text import text_of
 

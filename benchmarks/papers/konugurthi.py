@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.papers.trial import px
 from termsel import Equations, Task, prepare, search
-from termsel.fits.least_squares import fit
+from termsel.fitting.least_squares import fit
 from termsel.runs.judgement.assess import fit_of
 from termsel_rpc import matches
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from benchmarks.papers.trial import px
 from termsel import Points, Task, prepare, search, simulate_scene
-from termsel.fits.fit import Fit
-from termsel.fits.least_squares import fit
+from termsel.fitting.fit import Fit
+from termsel.fitting.least_squares import fit
 from termsel.runs.judgement.assess import fit_of
 
 RUNS = 30

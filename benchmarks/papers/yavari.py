@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.papers.trial import Trial, px, trial
 from termsel import TermselError, prepare, simulate_scene
-from termsel.fits.least_squares import fit
+from termsel.fitting.least_squares import fit
 from termsel.simulate import scene_truth
 
 RUNS = 10

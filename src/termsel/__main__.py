@@ -8,11 +8,11 @@ import os
 import sys
 
 try:
-    from termsel.interrupts import INTERRUPTED, answered, end, end_at_once, leave, watch
+    from termsel.core.interrupts import INTERRUPTED, answered, end, end_at_once, leave, watch
 except KeyboardInterrupt:
     raise SystemExit(130) from None  # as later, but without the words
 
-TYPE_CHECKING = False  # see termsel.interrupts
+TYPE_CHECKING = False  # see termsel.core.interrupts
 if TYPE_CHECKING:
     from threading import Thread
     from types import TracebackType
@@ -39,8 +39,8 @@ def report_fault(
     """
     if issubclass(kind, KeyboardInterrupt):
         leave()
-    from termsel.errors import cut, printable, raised
-    from termsel.version import __version__
+    from termsel.core.errors import cut, printable, raised
+    from termsel.core.version import __version__
 
     if os.environ.get("TERMSEL_DEBUG") == "1":
         sys.__excepthook__(kind, error, trace)
@@ -80,7 +80,7 @@ def end_threads(code: object) -> None:
     going_on = {_module_of(thread) for thread in others if thread.is_alive()}
     if not going_on:
         return
-    from termsel.guard.faults import distribution_of
+    from termsel.core.isolation.faults import distribution_of
 
     print(f"Note: a thread of {' and of '.join(sorted(map(distribution_of, going_on)))} does not "
           "end; termsel ends without it.", file=sys.stderr)
@@ -102,11 +102,12 @@ def main() -> None:
     try:
         watch()
         gc.set_threshold(ALLOCATIONS)
-        os.environ["PYTHONSAFEPATH"] = "1"  # for all that is started: see termsel.guard.helper
-        # Of the BLAS that NumPy and SciPy bring along: see termsel.threads.
+        # For all that is started: see termsel.core.isolation.helper.
+        os.environ["PYTHONSAFEPATH"] = "1"
+        # Of the BLAS that NumPy and SciPy bring along: see termsel.core.threads.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         from termsel.cli.main import cli
-        from termsel.files.drivers import claim_process
+        from termsel.core.files.drivers import claim_process
 
         claim_process()
         open_streams()

@@ -14,8 +14,8 @@ from click.testing import CliRunner
 
 import termsel
 from termsel.cli.main import cli
-from termsel.guard.helper import Helper, modules_here, safe_path
-from termsel.options import Option, options_of_file
+from termsel.core.isolation.helper import Helper, modules_here, safe_path
+from termsel.core.options import Option, options_of_file
 
 STUDY = """\
 problems = [{{name = "poly-terms", degree = 2}}]
@@ -128,7 +128,7 @@ def test_helpers_and_workers_do_not_run_them_either(folder: Path) -> None:
 import sys
 sys.path.remove("")
 import termsel
-from termsel.guard.helper import Helper
+from termsel.core.isolation.helper import Helper
 study = dict(problems=["poly-terms"], solvers=["random"], seeds=2, budget={"evaluations": 20},
              options={"degree": 2})
 termsel.compare(**study)  # imports what this session itself needs

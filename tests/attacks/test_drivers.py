@@ -17,7 +17,7 @@ import pytest
 
 import termsel
 from termsel import TermselError, open_raster
-from termsel.files.drivers import RASTER_DRIVERS, VECTOR_DRIVERS, drivers_are_off, skipped
+from termsel.core.files.drivers import RASTER_DRIVERS, VECTOR_DRIVERS, drivers_are_off, skipped
 from termsel.studies.execution.executors import begin_worker
 from termsel.toolkit import open_layer
 from tests.attacks.files import (
@@ -204,8 +204,8 @@ def test_in_a_process_of_termsel(kind: str, rasters, folder: Path, made_result: 
 
 def test_gdal_itself_has_no_other_drivers_in_a_process_of_termsel() -> None:
     """Even what no look at the file would see, GDAL cannot do there."""
-    code = ("from termsel.files.drivers import claim_process; claim_process()\n"
-            "from termsel.files.rasters import require_rasterio\n"
+    code = ("from termsel.core.files.drivers import claim_process; claim_process()\n"
+            "from termsel.data.rasters import require_rasterio\n"
             "with require_rasterio().Env() as env: print('|'.join(env.drivers()))")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr == ""
@@ -215,7 +215,7 @@ def test_gdal_itself_has_no_other_drivers_in_a_process_of_termsel() -> None:
 
 def test_drivers_of_a_program_that_imports_termsel_stay() -> None:
     code = ("import termsel, rasterio\n"
-            "from termsel.files.rasters import require_rasterio; require_rasterio()\n"
+            "from termsel.data.rasters import require_rasterio; require_rasterio()\n"
             "with rasterio.Env() as env: assert {'MRF', 'netCDF'} <= set(env.drivers())\n"
             "import os; assert 'GDAL_SKIP' not in os.environ")
     subprocess.run([sys.executable, "-c", code], check=True)

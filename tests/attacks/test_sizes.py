@@ -16,7 +16,7 @@ import pytest
 
 import termsel
 from termsel import TermselError
-from termsel.files.rasters import open_raster, refuse_empty_giant
+from termsel.data.rasters import open_raster, refuse_empty_giant
 from tests.attacks.files import image, vrt
 
 if sys.platform != "linux":
@@ -30,13 +30,13 @@ PACKAGE = "http://schemas.openxmlformats.org/package/2006"
 MEASURED = """
 import os, resource, sys, time
 from termsel.cli.main import cli
-from termsel.files.drivers import claim_process
+from termsel.core.files.drivers import claim_process
 claim_process()
 try:
     cli.main(sys.argv[1:], prog_name="termsel")
 finally:
     use = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    from termsel.files import apart
+    from termsel.core.files import apart
     for helper in list(getattr(apart, "HELPERS", ())):
         helper.end()
     use[1] = resource.getrusage(resource.RUSAGE_CHILDREN)

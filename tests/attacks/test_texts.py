@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.files.texts import csv_table, guarded, markdown_text, unguarded, xml_attribute
+from termsel.core.files.texts import csv_table, guarded, markdown_text, unguarded, xml_attribute
 from termsel.formats.vrt import Picture, vrt_text
 from termsel.io.result_folder import residuals_csv
 from termsel.studies.cells.table import csv_of

@@ -12,18 +12,18 @@ from scipy.special import fdtrc
 
 import termsel
 from termsel import FeatureSet, Points
-from termsel.adjustment.monomials import graded_exponents, monomials
-from termsel.candidates import contradictions
-from termsel.candidates.blunders import find_blunders, judge_others
-from termsel.candidates.contradictions import Test as Contradictions
-from termsel.candidates.portfolio import choose
-from termsel.candidates.shrunken import average
-from termsel.measurements.control import Control
-from termsel.measurements.features import no_lines, no_points
-from termsel.measurements.scaling import scaling_of
-from termsel.priors.held_out import chance_of
-from termsel.priors.posterior import posterior, scales_of
-from termsel.record.base import plain
+from termsel.auto import contradictions
+from termsel.auto.blunders import find_blunders, judge_others
+from termsel.auto.contradictions import Test as Contradictions
+from termsel.auto.portfolio import choose
+from termsel.auto.shrunken import average
+from termsel.data.control import Control
+from termsel.data.features import no_lines, no_points
+from termsel.data.record.base import plain
+from termsel.data.scaling import scaling_of
+from termsel.fitting.adjustment.monomials import graded_exponents, monomials
+from termsel.fitting.bayesian.held_out import chance_of
+from termsel.fitting.bayesian.posterior import posterior, scales_of
 
 
 def scene(n: int, seed: int = 1, name: str = "ikonos-hamedan") -> FeatureSet:
@@ -233,7 +233,7 @@ def test_the_chance_of_a_statistic_is_that_of_the_f_distribution() -> None:
 def test_a_prediction_is_the_mean_over_all_solutions(
         few: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The means, compiled and not, against those by logarithms, with points not in use."""
-    monkeypatch.setattr("termsel.priors.held_out.FEW", few)
+    monkeypatch.setattr("termsel.fitting.bayesian.held_out.FEW", few)
     features = scene(60)
     used = np.arange(60) < 45
     scaled = scaling_of(features).points(features.points)
@@ -273,7 +273,7 @@ def test_many_points_are_left_out_in_pieces(monkeypatch: pytest.MonkeyPatch) -> 
         return vars(found.left_out)
 
     whole = predicted()
-    monkeypatch.setattr("termsel.priors.posterior.AT_ONCE", 20)
+    monkeypatch.setattr("termsel.fitting.bayesian.posterior.AT_ONCE", 20)
     for name, values in predicted().items():
         np.testing.assert_allclose(values, whole[name], rtol=1e-9, atol=1e-12)
 

@@ -12,18 +12,18 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.candidates.base import Candidate, Judged
-from termsel.candidates.portfolio import BETTER, CLEARLY, EXPECTED, Portfolio, best_of, choose
-from termsel.candidates.repetition import repeated
-from termsel.candidates.structures import CANDIDATES, Structure, named
-from termsel.errors import TermselError
-from termsel.fits.fit import Estimator, Fit, HeldOut, Undetermined
-from termsel.fits.fittable import Fittable
-from termsel.fits.least_squares import LEAST_SQUARES
-from termsel.measurements import control as control_module
-from termsel.measurements.control import Control
-from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, no_lines
-from termsel.measurements.scaling import Scaling
+from termsel.auto.base import Candidate, Judged
+from termsel.auto.portfolio import BETTER, CLEARLY, EXPECTED, Portfolio, best_of, choose
+from termsel.auto.repetition import repeated
+from termsel.auto.structures import CANDIDATES, Structure, named
+from termsel.core.errors import TermselError
+from termsel.data import control as control_module
+from termsel.data.control import Control
+from termsel.data.features import BoolArray, FeatureSet, FloatArray, no_lines
+from termsel.data.scaling import Scaling
+from termsel.fitting.fit import Estimator, Fit, HeldOut, Undetermined
+from termsel.fitting.fittable import Fittable
+from termsel.fitting.least_squares import LEAST_SQUARES
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Affine, Polynomial3D
 from termsel.models.quotient import Blocks, RationalModel

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.candidates.portfolio import choose
-from termsel.candidates.repetition import repeated
-from termsel.candidates.structures import named
+from termsel.auto.portfolio import choose
+from termsel.auto.repetition import repeated
+from termsel.auto.structures import named
+from termsel.data.control import Control, carriers
+from termsel.data.coordinates.crs import transformation
+from termsel.data.features import FeatureSet, FloatArray, Points
 from termsel.formats.readers.csv_tables import write_points_csv
-from termsel.measurements.control import Control, carriers
-from termsel.measurements.coordinates.crs import transformation
-from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.runs.task import data_notes
 from termsel.simulate import pushbroom_at, simulate_scene
 
@@ -53,9 +53,9 @@ def test_auto_announces_only_what_it_compiles_itself(
         kept: bool, n: int, told: str, monkeypatch: pytest.MonkeyPatch,
         caplog: pytest.LogCaptureFixture) -> None:
     """Not what a search compiles, which would be announced at each of its runs."""
-    monkeypatch.setattr("termsel.adjustment.kernels.needs_compilation", lambda: True)
-    monkeypatch.setattr("termsel.priors.held_out.is_compiled", lambda _: kept)
-    monkeypatch.setattr("termsel.priors.held_out.FEW", 6)
+    monkeypatch.setattr("termsel.fitting.adjustment.kernels.needs_compilation", lambda: True)
+    monkeypatch.setattr("termsel.fitting.bayesian.held_out.is_compiled", lambda _: kept)
+    monkeypatch.setattr("termsel.fitting.bayesian.held_out.FEW", 6)
     with caplog.at_level("INFO", logger="termsel"):
         termsel.run(features=some(n))
     assert told in caplog.text

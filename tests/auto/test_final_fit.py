@@ -11,8 +11,8 @@ from click.testing import CliRunner
 
 import termsel
 from termsel.cli.main import cli
-from termsel.measurements.coordinates.crs import to_wgs84
-from termsel.measurements.features import FeatureSet
+from termsel.data.coordinates.crs import to_wgs84
+from termsel.data.features import FeatureSet
 from termsel.results.result import Result
 from termsel.simulate import scene_truth, simulate_scene
 

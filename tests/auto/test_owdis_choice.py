@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from termsel.candidates.portfolio import Choice, Portfolio, choose_features
-from termsel.measurements.control import Control
-from termsel.measurements.features import FeatureSet
+from termsel.auto.portfolio import Choice, Portfolio, choose_features
+from termsel.data.control import Control
+from termsel.data.features import FeatureSet
 from termsel.runs.auto import owdis
 from termsel.simulate import simulate_scene
 

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from termsel.candidates import repetition
-from termsel.candidates.portfolio import Portfolio, choose_features
-from termsel.measurements.control import Control
-from termsel.measurements.features import FeatureSet, Points
+from termsel.auto import repetition
+from termsel.auto.portfolio import Portfolio, choose_features
+from termsel.data.control import Control
+from termsel.data.features import FeatureSet, Points
 
 
 def points(n: int, heights: dict[int, float]) -> Control:

@@ -11,16 +11,16 @@ import pytest
 from click.testing import CliRunner
 
 import termsel
-from termsel.candidates.blunders import find_blunders
-from termsel.candidates.portfolio import choose, choose_features
-from termsel.candidates.repetition import repeated
-from termsel.candidates.shrunken import average, average_with_lines
+from termsel.auto.blunders import find_blunders
+from termsel.auto.portfolio import choose, choose_features
+from termsel.auto.repetition import repeated
+from termsel.auto.shrunken import average, average_with_lines
 from termsel.cli.main import cli
+from termsel.data.control import Control
+from termsel.data.features import FeatureSet, Lines, no_lines
+from termsel.data.roles import observe
+from termsel.data.scaling import scaling_of
 from termsel.io.result_folder import read_result
-from termsel.measurements.control import Control
-from termsel.measurements.features import FeatureSet, Lines, no_lines
-from termsel.measurements.roles import observe
-from termsel.measurements.scaling import scaling_of
 from termsel.models.polynomial import Polynomial3D
 from termsel.simulate import scene_truth, simulate_scene
 

@@ -14,9 +14,9 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import termsel
-from termsel.errors import TermselError
-from termsel.measurements.features import FeatureSet, Points
-from termsel.record.base import plain
+from termsel.core.errors import TermselError
+from termsel.data.features import FeatureSet, Points
+from termsel.data.record.base import plain
 from termsel.simulate import simulate_scene
 
 PROBLEMS = ("rfm-terms", "rfm-terms-lines", "poly-terms", "owdis-points", "owdis-lines",
@@ -309,13 +309,13 @@ def test_real_data_run_and_make_sense(name: str, data_folder) -> None:
 
 def test_libraries_imported_later_keep_to_one_thread() -> None:
     code = """
-import sys, termsel.threads
+import sys, termsel.core.threads
 from threadpoolctl import threadpool_info, threadpool_limits
-termsel.threads.one_blas_thread(int)()
+termsel.core.threads.one_blas_thread(int)()
 assert "numpy" not in sys.modules
 import numpy
 with threadpool_limits(2, user_api="blas"):
-    found = termsel.threads.one_blas_thread(threadpool_info)()
+    found = termsel.core.threads.one_blas_thread(threadpool_info)()
     print({one["num_threads"] for one in found if one["user_api"] == "blas"})
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True,

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.adjustment.monomials import graded_exponents, monomials
-from termsel.candidates.portfolio import choose
-from termsel.candidates.repetition import repeated
-from termsel.candidates.selected import select_forward
-from termsel.candidates.shrunken import average
-from termsel.candidates.structures import CANDIDATES
+from termsel.auto.portfolio import choose
+from termsel.auto.repetition import repeated
+from termsel.auto.selected import select_forward
+from termsel.auto.shrunken import average
+from termsel.auto.structures import CANDIDATES
+from termsel.data.control import Control
+from termsel.data.features import FeatureSet, Points
+from termsel.fitting.adjustment.monomials import graded_exponents, monomials
 from termsel.io.result_folder import read_result
-from termsel.measurements.control import Control
-from termsel.measurements.features import FeatureSet, Points
 from termsel.simulate import simulate_scene
 
 CUBIC = graded_exponents(3, 3)

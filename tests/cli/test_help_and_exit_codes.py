@@ -14,7 +14,7 @@ from termsel import __version__
 from termsel.__main__ import ALLOCATIONS
 from termsel.cli import tables
 from termsel.cli.main import cli
-from termsel.errors import unknown_name
+from termsel.core.errors import unknown_name
 from termsel.plugins import registry as manager
 from termsel.plugins.commands import COMMANDS
 from termsel.plugins.kinds import KINDS
@@ -109,7 +109,7 @@ def test_imports_are_not_searched_for_cycles_all_the_time():
 
 def test_what_few_use_is_imported_by_those_who_use_it():
     _, loaded = imported("list", "models", then="import termsel.runs.run; ")
-    assert {"termsel_rpc.jitter", "termsel.adjustment.kernels"} <= loaded
+    assert {"termsel_rpc.jitter", "termsel.fitting.adjustment.kernels"} <= loaded
     assert not loaded & {"numba", "scipy.stats", "scipy.spatial", "scipy.optimize",
                          "scipy.interpolate", "pymoo", "pyproj"}
 
@@ -117,7 +117,7 @@ def test_what_few_use_is_imported_by_those_who_use_it():
 def test_a_choice_for_few_points_imports_neither_scipy_nor_numba_nor_proofs():
     text, loaded = imported("run", "--problem", "rfm-terms", "--quiet")
     assert "chosen by auto" in text
-    assert not loaded & {"numba", "scipy", "numpy.ma", "termsel.enumeration.subsets",
+    assert not loaded & {"numba", "scipy", "numpy.ma", "termsel.selection.best_subsets.subsets",
                          "termsel.runs.search.steps"}
 
 

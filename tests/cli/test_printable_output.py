@@ -12,7 +12,7 @@ import pytest
 
 import termsel
 from termsel.cli import bars, messages, tables
-from termsel.errors import TermselError, cut, printable
+from termsel.core.errors import TermselError, cut, printable
 
 CLI = Path(messages.__file__).parent
 ESC = "\x1b]0;pwned\x07\x1b[31m"

@@ -16,9 +16,9 @@ from click.testing import CliRunner
 
 import termsel
 from termsel.cli.main import cli
-from termsel.measurements.features import FeatureSet
+from termsel.data.features import FeatureSet
+from termsel.selection.solvers.ledger import Progress
 from termsel.simulate import simulate_scene
-from termsel.solvers.ledger import Progress
 
 FEATURES = simulate_scene("ikonos-hamedan", n_points=40, n_lines=0)
 

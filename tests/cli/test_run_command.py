@@ -16,9 +16,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from termsel.errors import TermselError
+from termsel.core.errors import TermselError
+from termsel.data.features import select
 from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
-from termsel.measurements.features import select
 from termsel.runs.run import run as termsel_run
 from termsel.simulate import simulate_scene
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from termsel.errors import TermselError
-from termsel.files.atomic import atomic_path, write_bytes, write_text
+from termsel.core.errors import TermselError
+from termsel.core.files.atomic import atomic_path, write_bytes, write_text
 from tests.csv_texts import put
 
 

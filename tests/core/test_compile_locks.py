@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
-from termsel.errors import TermselError
-from termsel.files import lock
-from termsel.files.lock import end_turn, locked, turn
+from termsel.core.errors import TermselError
+from termsel.core.files import lock
+from termsel.core.files.lock import end_turn, locked, turn
 
 numba = pytest.importorskip("numba")
 
@@ -51,7 +51,7 @@ def test_another_one_waits_until_the_turn_ends(tmp_path: Path,
 
 def test_what_cannot_be_compiled_keeps_no_turn(tmp_path: Path,
                                                monkeypatch: pytest.MonkeyPatch) -> None:
-    from termsel.adjustment.dispatchers import dispatcher_of
+    from termsel.fitting.adjustment.dispatchers import dispatcher_of
 
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
     dispatcher = dispatcher_of(untypable, {})

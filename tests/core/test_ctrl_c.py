@@ -27,7 +27,7 @@ RESTORED = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
 SWALLOWS = """
 import os, signal, time
 from contextlib import suppress
-from termsel.interrupts import answered, watch
+from termsel.core.interrupts import answered, watch
 
 watch()
 with suppress(KeyboardInterrupt):
@@ -63,7 +63,7 @@ main()
 
 UNRAISABLE = """
 import os, signal, sys, time
-from termsel.interrupts import watch
+from termsel.core.interrupts import watch
 
 class Cleans:
     def __del__(self):

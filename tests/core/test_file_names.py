@@ -18,9 +18,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from termsel.data.features import Points
 from termsel.formats.readers.csv_tables import write_points_csv
 from termsel.io.result_folder import write_result
-from termsel.measurements.features import Points
 from termsel.testing import example_results
 
 rasterio = pytest.importorskip("rasterio")

@@ -30,10 +30,10 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.errors import TermselError
-from termsel.files import atomic
-from termsel.files.atomic import write_text
-from termsel.files.rasters import tiff_bytes
+from termsel.core.errors import TermselError
+from termsel.core.files import atomic
+from termsel.core.files.atomic import write_text
+from termsel.data.rasters import tiff_bytes
 from termsel.formats.writers.grids import GeolocationVrt
 from termsel.io.result_folder import claimed, read_result, write_result
 from termsel.testing import example_results

@@ -13,7 +13,7 @@ from click.testing import CliRunner, Result
 
 import termsel
 from termsel.cli.main import cli
-from termsel.files.reasons import reason_of
+from termsel.core.files.reasons import reason_of
 
 
 def invoke(*arguments: object) -> Result:

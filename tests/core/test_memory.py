@@ -11,13 +11,13 @@ from typing import Any
 import pytest
 
 import termsel
-from termsel.candidates import memory
-from termsel.candidates.blunders import find_blunders
-from termsel.candidates.memory import remembered
-from termsel.candidates.portfolio import Portfolio
-from termsel.errors import TermselError
-from termsel.measurements.control import Control
-from termsel.measurements.features import FeatureSet
+from termsel.auto import memory
+from termsel.auto.blunders import find_blunders
+from termsel.auto.memory import remembered
+from termsel.auto.portfolio import Portfolio
+from termsel.core.errors import TermselError
+from termsel.data.control import Control
+from termsel.data.features import FeatureSet
 
 
 @pytest.fixture

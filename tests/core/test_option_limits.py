@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from termsel.options import Option
+from termsel.core.options import Option
 from termsel.plugins.registry import registry
 from termsel.runs.task.request import DATA_OPTIONS
 

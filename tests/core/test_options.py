@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.errors import TermselError
-from termsel.options import Option
+from termsel.core.errors import TermselError
+from termsel.core.options import Option
 
 WHOLE = Option("split", 0, "Seed.", int, 0)
 

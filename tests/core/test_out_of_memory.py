@@ -11,9 +11,9 @@ import pytest
 from click.testing import CliRunner
 
 from termsel.cli.main import cli
-from termsel.guard import memory
-from termsel.guard.faults import blamed
-from termsel.guard.memory import out_of_memory
+from termsel.core.isolation import memory
+from termsel.core.isolation.faults import blamed
+from termsel.core.isolation.memory import out_of_memory
 
 
 def _error() -> MemoryError:
@@ -62,7 +62,7 @@ def test_a_plugin_is_not_blamed_for_it() -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of address space are those of Linux")
 def test_a_limit_of_address_space_is_told(tmp_path: Path) -> None:
     script = ("import resource, numpy as np\n"
-              "from termsel.guard.memory import out_of_memory\n"
+              "from termsel.core.isolation.memory import out_of_memory\n"
               "resource.setrlimit(resource.RLIMIT_AS, (3 * 2**30, 3 * 2**30))\n"
               "try:\n    np.ones((40_000, 40_000))\n"
               "except MemoryError as error:\n    print(out_of_memory(error))")

@@ -17,9 +17,10 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.errors import TermselError
-from termsel.files import drivers, rasters, sources
-from termsel.files.rasters import open_raster, tiff_bytes
+from termsel.core.errors import TermselError
+from termsel.core.files import drivers, sources
+from termsel.data import rasters
+from termsel.data.rasters import open_raster, tiff_bytes
 from termsel.formats.heights import open_dem
 from tests.counting_server import SERVER
 

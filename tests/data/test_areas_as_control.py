@@ -16,11 +16,11 @@ from scipy.spatial import Delaunay
 
 import termsel
 from termsel.cli.main import cli
-from termsel.errors import TermselError
+from termsel.core.errors import TermselError
+from termsel.data.areas import Area, boundary, centroid, centroids
+from termsel.data.features import FloatArray, Points
 from termsel.formats.readers.areas_table import AreasCsv
 from termsel.formats.readers.csv_tables import table_text, write_lines_csv, write_points_csv
-from termsel.measurements.areas import Area, boundary, centroid, centroids
-from termsel.measurements.features import FloatArray, Points
 from termsel.simulate import scene_truth, simulate_scene
 from termsel.testing import check
 

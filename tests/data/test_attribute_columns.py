@@ -16,11 +16,11 @@ import pytest
 
 import termsel
 from termsel import FeatureSet, Lines, Objective, Option, Points, Recipe, SelectionProblem
-from termsel.errors import TermselError
+from termsel.core.errors import TermselError
+from termsel.data.roles import in_order
+from termsel.data.scaling import scaling_of
+from termsel.data.twins import merged
 from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
-from termsel.measurements.roles import in_order
-from termsel.measurements.scaling import scaling_of
-from termsel.measurements.twins import merged
 from termsel.plugins.registry import registry
 from termsel.results.checksums import of_features
 

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 import termsel
 from termsel.cli.main import cli
-from termsel.errors import TermselError
+from termsel.core.errors import TermselError
 
 HEAD = "# crs: EPSG:32633\nid,role,line,sample,x,y,z,sigma_line,sigma_sample\n"
 ROWS = """a,control,100,100,500100,5000900,0,1,1

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.errors import TermselError
-from termsel.measurements.features import FeatureSet
+from termsel.core.errors import TermselError
+from termsel.data.features import FeatureSet
 
 SCENE = termsel.simulate_scene("ikonos-hamedan")
 NOTE = "1 point without a height takes no part, as the model uses heights: "

@@ -8,8 +8,8 @@ from warnings import catch_warnings, simplefilter
 import numpy as np
 import pytest
 
-from termsel.errors import TermselError
-from termsel.measurements.coordinates.crs import (
+from termsel.core.errors import TermselError
+from termsel.data.coordinates.crs import (
     height_reference,
     horizontal,
     is_geographic,
@@ -17,10 +17,10 @@ from termsel.measurements.coordinates.crs import (
     short,
     to_wgs84,
 )
-from termsel.measurements.coordinates.metres import in_metres
-from termsel.measurements.coordinates.plausible import check_ground
-from termsel.measurements.coordinates.utm import for_warping
-from termsel.measurements.features import FeatureSet, Lines, Points, no_points
+from termsel.data.coordinates.metres import in_metres
+from termsel.data.coordinates.plausible import check_ground
+from termsel.data.coordinates.utm import for_warping
+from termsel.data.features import FeatureSet, Lines, Points, no_points
 
 
 def ground(crs: str, *xy: tuple[float, float]) -> FeatureSet:

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import termsel
+from termsel.data.coordinates.longitudes import continuous, without_jump
+from termsel.data.features import FeatureSet
 from termsel.formats.readers.csv_tables import write_points_csv
-from termsel.measurements.coordinates.longitudes import continuous, without_jump
-from termsel.measurements.features import FeatureSet
 
 Call = Callable[..., SimpleNamespace]
 

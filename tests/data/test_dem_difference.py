@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from termsel.measurements.dem_difference import dem_difference
-from termsel.measurements.features import FloatArray
+from termsel.data.dem_difference import dem_difference
+from termsel.data.features import FloatArray
 
 RNG = np.random.default_rng(7)
 

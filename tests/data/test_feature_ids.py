@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import termsel
 from termsel import FeatureSet, Lines, Points, TermselError
-from termsel.files.texts import guarded, unguarded
+from termsel.core.files.texts import guarded, unguarded
 
 REFUSED = {
     "line break and comment": "a\n#b", "line break and CRS": "a\n# crs: EPSG:32631",

@@ -15,19 +15,19 @@ from click.testing import CliRunner
 
 import termsel
 from termsel.cli.main import cli
-from termsel.errors import TermselError
-from termsel.fits.least_squares import fit
-from termsel.formats.readers.csv_tables import PointsCsv, write_points_csv
-from termsel.measurements.control import Control
-from termsel.measurements.coordinates.crs import (
+from termsel.core.errors import TermselError
+from termsel.data.control import Control
+from termsel.data.coordinates.crs import (
     height_reference,
     is_geocentric,
     to_wgs84,
     transformation,
 )
-from termsel.measurements.coordinates.utm import metric_crs, polar_crs
-from termsel.measurements.features import FeatureSet, Lines, Points
-from termsel.measurements.scaling import Scaling, scaling_of
+from termsel.data.coordinates.utm import metric_crs, polar_crs
+from termsel.data.features import FeatureSet, Lines, Points
+from termsel.data.scaling import Scaling, scaling_of
+from termsel.fitting.least_squares import fit
+from termsel.formats.readers.csv_tables import PointsCsv, write_points_csv
 from termsel.models.polynomial import Affine, Polynomial3D
 from termsel.models.rpc_fit import rpc_of
 from termsel.runs.task.fit_crs import fit_crs_of
@@ -172,7 +172,7 @@ def test_an_rpc_from_each_system(scene: FeatureSet, caplog: pytest.LogCaptureFix
 
 @pytest.mark.slow
 def test_auto_takes_the_best_by_leave_one_out(scene: FeatureSet) -> None:
-    from termsel.candidates.portfolio import choose
+    from termsel.auto.portfolio import choose
 
     few = scene.with_(points=scene.points.take(np.arange(36)))
     result = termsel.run("rfm-terms", features=few, strategy="auto", options={"fit_crs": "auto"})

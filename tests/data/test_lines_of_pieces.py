@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.adjustment.equations import line_normals
-from termsel.criteria import CheckRmse, KFold, Press
-from termsel.measurements.features import FeatureSet, Lines, Points
+from termsel.data.features import FeatureSet, Lines, Points
+from termsel.fitting.adjustment.equations import line_normals
 from termsel.models.polynomial import Affine, Polynomial3D
-from termsel.problems.base import Inputs
-from termsel.problems.selection import SelectionProblem
+from termsel.selection.criteria import CheckRmse, KFold, Press
+from termsel.selection.problems.base import Inputs
+from termsel.selection.problems.selection import SelectionProblem
 from termsel.testing.scenes import imaged, random_coefficients, seeded
 
 MODEL = Polynomial3D(degree=2)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.measurements.coordinates.mixed import note_on_mixed
-from termsel.measurements.features import FeatureSet, Points
+from termsel.data.coordinates.mixed import note_on_mixed
+from termsel.data.features import FeatureSet, Points
 
 pyproj = pytest.importorskip("pyproj")
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.measurements.coordinates.earth import place_of, say_turned
-from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points, no_lines, no_points
+from termsel.data.coordinates.earth import place_of, say_turned
+from termsel.data.features import FeatureSet, FloatArray, Lines, Points, no_lines, no_points
 
 SEEN = np.random.default_rng(5).uniform(0, 5000, (12, 2))
 NORTH_UP = np.array([[0.0, 1.0], [-1.0, 0.0]])

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 
 import termsel
 from termsel import FeatureSet, Points, TermselError
-from termsel.measurements.coordinates.crs import (
+from termsel.data.coordinates.crs import (
     body_of,
     ellipsoid_of,
     height_reference,
     normalise,
 )
-from termsel.measurements.coordinates.metres import in_metres
+from termsel.data.coordinates.metres import in_metres
 
 pyproj = pytest.importorskip("pyproj")
 

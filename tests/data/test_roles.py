@@ -14,11 +14,11 @@ from click.testing import CliRunner
 
 import termsel
 from termsel.cli.main import cli
+from termsel.data.coordinates.crs import transformation
+from termsel.data.features import FeatureSet, FloatArray, Points
+from termsel.data.roles import observe
 from termsel.formats.readers.csv_tables import write_points_csv
 from termsel.io.accuracy_tags import accuracy_tags
-from termsel.measurements.coordinates.crs import transformation
-from termsel.measurements.features import FeatureSet, FloatArray, Points
-from termsel.measurements.roles import observe
 
 NOISE = 0.6
 EXTENT = np.array([15_000.0, 12_000.0])

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.measurements.features import FeatureSet, Points
-from termsel.measurements.roles import in_order
+from termsel.data.features import FeatureSet, Points
+from termsel.data.roles import in_order
 
 SMALL = {"population": 30, "polish": False}
 

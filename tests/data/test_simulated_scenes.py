@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from termsel.errors import TermselError
+from termsel.core.errors import TermselError
 from termsel.simulate import (
     DATASETS,
     SCENES,

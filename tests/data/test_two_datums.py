@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.measurements.features import FeatureSet, Points
-from termsel.measurements.two_groups import datum_of, two_groups
+from termsel.data.features import FeatureSet, Points
+from termsel.data.two_groups import datum_of, two_groups
 from termsel.simulate import simulate_scene
 from termsel.simulate.catalogue import SCENES
 

@@ -17,12 +17,12 @@ import pytest
 
 import termsel
 import termsel.testing
-from termsel.options import Configurable
+from termsel.core.options import Configurable
+from termsel.data.record.schema import json_schema
 from termsel.plugins import hookspecs
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.loading import HOOKS
 from termsel.plugins.registry import registry
-from termsel.record.schema import json_schema
 from termsel.runs.task.request import DATA_OPTIONS
 from termsel.testing import check
 

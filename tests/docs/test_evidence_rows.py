@@ -16,8 +16,8 @@ import termsel
 from benchmarks import accuracy, blunders, coverage, lines, old_maps
 from benchmarks.papers import konugurthi
 from benchmarks.sets import rmse_of, split
-from termsel.candidates.base import Control
-from termsel.measurements.features import FeatureSet
+from termsel.auto.base import Control
+from termsel.data.features import FeatureSet
 from tests.docs.test_evidence_pages import PAGES, row
 
 

@@ -17,7 +17,7 @@ from termsel.plugins.commands import COMMANDS
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.registry import registry
 from termsel.runs.task.request import DATA_OPTIONS
-from termsel.solvers.budget import SEARCH_OPTIONS
+from termsel.selection.solvers.budget import SEARCH_OPTIONS
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.glob("plugins/*/README.md")),

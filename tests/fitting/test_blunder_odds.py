@@ -9,12 +9,12 @@ import pytest
 from scipy.special import logsumexp
 
 from termsel import FeatureSet, Lines, Points
-from termsel.adjustment.monomials import graded_exponents, monomials
-from termsel.candidates.blunders import find_blunders
-from termsel.measurements.control import Control
-from termsel.measurements.features import FloatArray, no_lines
-from termsel.priors.blunder_odds import FORM, SIZES, blunder_odds
-from termsel.priors.posterior import Posterior, posterior
+from termsel.auto.blunders import find_blunders
+from termsel.data.control import Control
+from termsel.data.features import FloatArray, no_lines
+from termsel.fitting.adjustment.monomials import graded_exponents, monomials
+from termsel.fitting.bayesian.blunder_odds import FORM, SIZES, blunder_odds
+from termsel.fitting.bayesian.posterior import Posterior, posterior
 
 PLANE = graded_exponents(2, 2)
 N = 12

@@ -8,12 +8,12 @@ from scipy.stats import multivariate_normal
 
 import termsel
 from termsel import FeatureSet, TermselError
-from termsel.adjustment.monomials import graded_exponents, monomials
-from termsel.candidates.physical import averaged, averaged_of
-from termsel.measurements.control import Control
-from termsel.priors import physics
-from termsel.priors.cameras import seen_by_frames, seen_by_radars
-from termsel.priors.physics import FREE, Equations, Prior, Solutions
+from termsel.auto.physical import averaged, averaged_of
+from termsel.data.control import Control
+from termsel.fitting.adjustment.monomials import graded_exponents, monomials
+from termsel.fitting.bayesian import physics
+from termsel.fitting.bayesian.cameras import seen_by_frames, seen_by_radars
+from termsel.fitting.bayesian.physics import FREE, Equations, Prior, Solutions
 from termsel.simulate import simulate_scene
 from termsel_bench.scenes.cameras import CHOSEN, image_of
 

@@ -9,25 +9,25 @@ import pytest
 from scipy import stats
 
 import termsel
-from termsel.adjustment.equations import Equations
-from termsel.adjustment.monomials import RPC00B, monomial_name
-from termsel.adjustment.solve import solve
-from termsel.errors import TermselError, unknown_name
-from termsel.fits.diagnosis import significance
-from termsel.fits.figures import in_role
-from termsel.fits.fit import Fit
-from termsel.fits.least_squares import LEAST_SQUARES
-from termsel.measurements.coordinates.places import beyond
-from termsel.measurements.coordinates.plausible import check_ground
-from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points
-from termsel.measurements.roles import by_roles, observe
-from termsel.measurements.scaling import scaling_of
-from termsel.measurements.splits import SPLITS
+from termsel.core.errors import TermselError, unknown_name
+from termsel.core.options import Option
+from termsel.data.coordinates.places import beyond
+from termsel.data.coordinates.plausible import check_ground
+from termsel.data.features import FeatureSet, FloatArray, Lines, Points
+from termsel.data.roles import by_roles, observe
+from termsel.data.scaling import scaling_of
+from termsel.data.splits import SPLITS
+from termsel.fitting.adjustment.equations import Equations
+from termsel.fitting.adjustment.monomials import RPC00B, monomial_name
+from termsel.fitting.adjustment.solve import solve
+from termsel.fitting.diagnosis import significance
+from termsel.fitting.figures import in_role
+from termsel.fitting.fit import Fit
+from termsel.fitting.least_squares import LEAST_SQUARES
 from termsel.models.poles import pole_violation
 from termsel.models.polynomial import Affine
 from termsel.models.rational import RationalFunctions
 from termsel.models.rpc import Rpc
-from termsel.options import Option
 
 
 def points(n: int, prefix: str = "P", *, noise: float = 0.0, seed: int = 0,

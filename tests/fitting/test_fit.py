@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.adjustment.solve import solve
-from termsel.candidates.structures import CANDIDATES
-from termsel.fits.least_squares import LeastSquares
-from termsel.fits.least_squares import fit as low_level
-from termsel.fits.residuals import Residuals
-from termsel.measurements.features import FeatureSet, Lines, Points, no_lines, no_points
-from termsel.measurements.scaling import scaling_of
+from termsel.auto.structures import CANDIDATES
+from termsel.data.features import FeatureSet, Lines, Points, no_lines, no_points
+from termsel.data.scaling import scaling_of
+from termsel.fitting.adjustment.solve import solve
+from termsel.fitting.least_squares import LeastSquares
+from termsel.fitting.least_squares import fit as low_level
+from termsel.fitting.residuals import Residuals
 from termsel.models.rational import RationalFunctions
 from termsel.plugins.registry import registry
 from termsel.simulate import simulate_scene

@@ -9,9 +9,9 @@ import pytest
 
 import termsel
 from termsel import FeatureSet, Points
+from termsel.fitting.bayesian import kernels, thin_plate
+from termsel.fitting.bayesian.thin_plate import ThinPlates, thin_plates
 from termsel.models import interpolating
-from termsel.priors import kernels, thin_plate
-from termsel.priors.thin_plate import ThinPlates, thin_plates
 
 UNITS = (1.0, 0.9)
 

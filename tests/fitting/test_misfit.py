@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.fits.misfit import misfit_of
-from termsel.fits.next_places import rank_places
-from termsel.fits.scene import scene_grid
+from termsel.data.features import FeatureSet, FloatArray, Points
+from termsel.fitting.misfit import misfit_of
+from termsel.fitting.next_places import rank_places
+from termsel.fitting.scene import scene_grid
 from termsel.io.plan import plan
 from termsel.io.result_folder import write_result
-from termsel.measurements.features import FeatureSet, FloatArray, Points
 
 NOISE, SIZE = 0.5, np.array([4000.0, 5000.0])
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from termsel import prepare
-from termsel.adjustment import Equations, nearby
-from termsel.adjustment.kernels import solve_many
-from termsel.measurements.features import BoolArray
-from termsel.solvers.heuristics.swap import neighbours
-from termsel.solvers.ledger import Ledger
+from termsel.data.features import BoolArray
+from termsel.fitting.adjustment import Equations, nearby
+from termsel.fitting.adjustment.kernels import solve_many
+from termsel.selection.solvers.heuristics.swap import neighbours
+from termsel.selection.solvers.ledger import Ledger
 
 
 def near(start: BoolArray, rng: np.random.Generator) -> BoolArray:

@@ -9,9 +9,9 @@ import pytest
 from scipy.optimize import least_squares, minimize
 
 import termsel
-from termsel.adjustment.equations import Equations
-from termsel.candidates.robust import HUBER, TUKEY, reweighted
-from termsel.fits.diagnosis import NORMAL_MEDIAN
+from termsel.auto.robust import HUBER, TUKEY, reweighted
+from termsel.fitting.adjustment.equations import Equations
+from termsel.fitting.diagnosis import NORMAL_MEDIAN
 from termsel.simulate import simulate_scene
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.measurements.coordinates.places import beyond
-from termsel.measurements.features import FeatureSet, FloatArray, Points, no_lines
+from termsel.data.coordinates.places import beyond
+from termsel.data.features import FeatureSet, FloatArray, Points, no_lines
 from termsel.simulate import scene_truth, simulate_scene
 from termsel.simulate.catalogue import SCENES
 from termsel.simulate.scenes import _on_ground

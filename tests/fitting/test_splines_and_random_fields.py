@@ -10,15 +10,15 @@ from scipy.interpolate import RBFInterpolator
 from scipy.stats import multivariate_normal
 
 import termsel
-from termsel.adjustment.monomials import graded_exponents, monomials
-from termsel.adjustment.orthogonal import orthogonal
-from termsel.candidates.portfolio import choose
-from termsel.measurements.control import Control
-from termsel.measurements.features import FeatureSet, FloatArray, Points
-from termsel.priors import field, posterior
-from termsel.priors.field import collocate
-from termsel.priors.foresight import foresee
-from termsel.priors.thin_plate import thin_plates
+from termsel.auto.portfolio import choose
+from termsel.data.control import Control
+from termsel.data.features import FeatureSet, FloatArray, Points
+from termsel.fitting.adjustment.monomials import graded_exponents, monomials
+from termsel.fitting.adjustment.orthogonal import orthogonal
+from termsel.fitting.bayesian import field, posterior
+from termsel.fitting.bayesian.field import collocate
+from termsel.fitting.bayesian.foresight import foresee
+from termsel.fitting.bayesian.thin_plate import thin_plates
 from termsel_photos import simulate_map
 
 UNITS = (1.0, 0.7)
@@ -123,7 +123,7 @@ def one_cell(monkeypatch: pytest.MonkeyPatch) -> tuple[float, float, tuple[float
     """Leave one solution with a field on the grid, and return its size, ratio and lengths."""
     size, ratio, lengths = 10.0, 0.25, (0.4, 0.8)
     monkeypatch.setattr(posterior, "SIZES", np.array([size]))
-    monkeypatch.setattr("termsel.priors.foresight.SIZES", np.array([size]))
+    monkeypatch.setattr("termsel.fitting.bayesian.foresight.SIZES", np.array([size]))
     for name, value in (("RATIOS", (ratio,)), ("FALLS", (0.1,)),
                         ("LENGTHS", (lengths, lengths[::-1])),
                         ("FIELD", 1 - 1e-15), ("ALIKE", 0.0)):

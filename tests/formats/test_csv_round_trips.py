@@ -13,12 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from termsel.errors import TermselError
+from termsel.core.errors import TermselError
+from termsel.data.features import ROLES, Lines, Points
 from termsel.formats.readers.csv_tables import (
     write_lines_csv,
     write_points_csv,
 )
-from termsel.measurements.features import ROLES, Lines, Points
 from tests.csv_texts import LINES, POINTS, READERS, put, read_file
 
 # Round trips

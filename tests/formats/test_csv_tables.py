@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.errors import TermselError
+from termsel.core.errors import TermselError
+from termsel.data.features import FeatureSet
 from termsel.formats.readers.csv_tables import (
     LinesCsv,
     PointsCsv,
 )
 from termsel.io.read import read_features
-from termsel.measurements.features import FeatureSet
 from tests.csv_texts import LINES, POINTS, READERS, A, L, put, read_file
 
 

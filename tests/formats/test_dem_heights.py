@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.errors import TermselError
+from termsel.core.errors import TermselError
+from termsel.data.features import FeatureSet, FloatArray, Lines, Points
 from termsel.formats import heights as module
 from termsel.formats.heights import open_dem, with_heights
 from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
-from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points
 from termsel.simulate import simulate_scene
 
 rasterio = pytest.importorskip("rasterio")

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import termsel
+from termsel.data.features import FeatureSet, Points
 from termsel.formats import deviation
 from termsel.formats.deviation import places_of
-from termsel.measurements.features import FeatureSet, Points
 from termsel.plugins.registry import registry
 from termsel.simulate import scene_truth, simulate_scene
 

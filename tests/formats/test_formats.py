@@ -17,12 +17,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import termsel
-from termsel.errors import TermselError
-from termsel.fits.residuals import Residual, Residuals
+from termsel.core.errors import TermselError
+from termsel.data.features import FeatureSet, Lines, Points
+from termsel.fitting.residuals import Residual, Residuals
 from termsel.formats.readers.geojson_points import GeoJsonPoints
 from termsel.formats.readers.ground_lines import GeoJsonLines
 from termsel.formats.readers.qgis_points import QgisPoints
-from termsel.measurements.features import FeatureSet, Lines, Points
 from termsel.plugins.registry import registry
 from termsel.testing import Check, checks
 from tests.csv_texts import read_file

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.errors import TermselError
+from termsel.core.errors import TermselError
 from termsel.formats.readers.csv_tables import write_points_csv
 from termsel.formats.readers.ground_lines import VectorLines
 from termsel.simulate import simulate_scene

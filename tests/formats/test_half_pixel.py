@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import termsel
+from termsel.data.features import FeatureSet, Points
 from termsel.formats.writers.grids import GcpGridVrt, GeolocationVrt
 from termsel.formats.writers.rpcs import Rpb, RpcTxt, RpcVrt
 from termsel.formats.writers.selections import GcpVrt
-from termsel.measurements.features import FeatureSet, Points
 from termsel.results.result import Result
 
 rasterio = pytest.importorskip("rasterio")

@@ -15,7 +15,7 @@ import rasterio
 from rasterio.enums import ColorInterp, MaskFlags
 
 import termsel
-from termsel.files.thumbnail import thumbnail
+from termsel.data.thumbnail import thumbnail
 from tests import scans
 
 pytestmark = pytest.mark.filterwarnings("ignore:Dataset has no geotransform")

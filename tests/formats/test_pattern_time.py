@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import termsel
-from termsel.errors import TermselError
+from termsel.core.errors import TermselError
 from termsel_formats.points.envi import EnviPoints
 
 LIMIT = 10.0

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.errors import TermselError
-from termsel.measurements.tables.numbers import BadCell, decimal_signs, read_numbers
+from termsel.core.errors import TermselError
+from termsel.data.tables.numbers import BadCell, decimal_signs, read_numbers
 from termsel.plugins.registry import registry
 from termsel.testing import check
 from tests.kinds_of_tables import (

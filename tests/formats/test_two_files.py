@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from termsel.errors import TermselError
+from termsel.core.errors import TermselError
+from termsel.data.features import FeatureSet, Lines, Points
 from termsel.formats.base import Reader
 from termsel.io.read import read_features
-from termsel.measurements.features import FeatureSet, Lines, Points
 from tests.csv_texts import LINES, POINTS, READERS, A, L, put
 
 DATA = Path(os.environ.get("TERMSEL_DATA", Path(__file__).parents[3] / "shared" / "data"))

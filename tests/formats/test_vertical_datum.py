@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.errors import TermselError
+from termsel.core.errors import TermselError
+from termsel.data.coordinates import crs as crs_module
+from termsel.data.features import FeatureSet, FloatArray, Points
 from termsel.formats.heights import open_dem, with_heights
 from termsel.io.project import project_table
-from termsel.measurements.coordinates import crs as crs_module
-from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.models.rpc import Rpc
 from tests.geoid_grid import EGM96, write_geoid
 

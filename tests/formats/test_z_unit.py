@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.errors import TermselError
+from termsel.core.errors import TermselError
+from termsel.data.coordinates.crs import horizontal, metres_per_height, to_wgs84
+from termsel.data.coordinates.height_units import UNITS, with_height_unit
+from termsel.data.features import FloatArray, Points
 from termsel.formats.readers.csv_tables import write_points_csv
 from termsel.formats.rpc_files import write_rpc
 from termsel.io.project import project_table
-from termsel.measurements.coordinates.crs import horizontal, metres_per_height, to_wgs84
-from termsel.measurements.coordinates.height_units import UNITS, with_height_unit
-from termsel.measurements.features import FloatArray, Points
 from tests.formats.test_vertical_datum import camera
 
 rasterio = pytest.importorskip("rasterio")

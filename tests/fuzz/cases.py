@@ -22,9 +22,9 @@ from typing import Any
 
 import termsel
 from termsel.cli.main import cli
-from termsel.errors import TermselError, printable
+from termsel.core.errors import TermselError, printable
+from termsel.data.features import FeatureSet
 from termsel.formats.heights import with_heights
-from termsel.measurements.features import FeatureSet
 from termsel.plugins.registry import registry
 from termsel.report import pictures
 from termsel.report.pictures import picture

@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 import termsel
-from termsel.errors import TermselError
+from termsel.core.errors import TermselError
 from termsel.plugins.registry import registry
 from termsel.toolkit import open_layer
 from tests.fuzz.seeds import Seed, result_files, seeds

@@ -16,9 +16,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 import termsel
-from termsel.errors import printable
-from termsel.files.names import JOURNAL
-from termsel.files.rasters import tiff_bytes
+from termsel.core.errors import printable
+from termsel.core.files.names import JOURNAL
+from termsel.data.rasters import tiff_bytes
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.registry import Registry
 from termsel.studies.cells.folder import PLAN, status

@@ -17,8 +17,8 @@ if sys.platform != "linux":
     pytest.skip("limits memory as Linux does", allow_module_level=True)
 
 import termsel
-from termsel.errors import TermselError, printable
-from termsel.options import Option
+from termsel.core.errors import TermselError, printable
+from termsel.core.options import Option
 from tests.fuzz import cases
 from tests.fuzz.mutate import NUMBERS, TEXTS, mutated
 

@@ -8,7 +8,7 @@ from skimage.transform import SimilarityTransform
 
 import termsel
 from termsel import FeatureSet, Helmert2D, Points
-from termsel.measurements.features import FloatArray
+from termsel.data.features import FloatArray
 
 
 def seen(ground: FloatArray, scale: float, angle: float, *, mirrored: bool = False) -> FloatArray:

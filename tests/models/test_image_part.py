@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.errors import TermselError
+from termsel.core.errors import TermselError
+from termsel.data.features import FeatureSet, FloatArray
 from termsel.formats.readers.csv_tables import write_points_csv
-from termsel.measurements.features import FeatureSet, FloatArray
 from termsel.models.image_part import ImagePart, recognised
 from tests.formats.test_vertical_datum import camera, control, needs_rpc
 

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.adjustment.equations import Equations
-from termsel.guard.faults import PluginFault
-from termsel.measurements.features import FloatArray
+from termsel.core.isolation.faults import PluginFault
+from termsel.data.features import FloatArray
+from termsel.fitting.adjustment.equations import Equations
 from termsel.testing import check
 
 PAGE = Path(__file__).parents[2] / "docs/how-to/kinds/nonlinear.md"

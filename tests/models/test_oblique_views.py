@@ -10,14 +10,14 @@ import pytest
 
 import termsel
 from benchmarks.oblique import LINES, SAMPLES, Scene, case_of, rmse, scene
-from termsel.candidates.base import has_pole, refusal
-from termsel.candidates.blunders import find_blunders
-from termsel.candidates.portfolio import choose
-from termsel.candidates.structures import named
-from termsel.measurements.control import Control
-from termsel.measurements.features import FloatArray
-from termsel.measurements.scaling import scaling_of
-from termsel.measurements.view import view_of
+from termsel.auto.base import has_pole, refusal
+from termsel.auto.blunders import find_blunders
+from termsel.auto.portfolio import choose
+from termsel.auto.structures import named
+from termsel.data.control import Control
+from termsel.data.features import FloatArray
+from termsel.data.scaling import scaling_of
+from termsel.data.view import view_of
 
 MOST = 1.3
 """RMSE of auto at the truth by that of the better projection."""
@@ -285,8 +285,8 @@ def test_points_of_a_photograph_with_sky_warn_of_what_others_make_of_it(
 
 def test_an_rpc_of_an_oblique_view_follows_the_model_where_it_holds(
         tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    from termsel.data.coordinates.crs import to_wgs84
     from termsel.formats.rpc_files import read_rpc
-    from termsel.measurements.coordinates.crs import to_wgs84
 
     drawn, result = scene(40, 100, 20, 1), result_of(40, 100)
     termsel.export(result, "rpb", tmp_path / "photo.RPB")
@@ -297,7 +297,7 @@ def test_an_rpc_of_an_oblique_view_follows_the_model_where_it_holds(
 
 
 def test_an_image_from_above_shows_no_sky() -> None:
-    from termsel.fits.sky import part_said, sky_said
+    from termsel.fitting.sky import part_said, sky_said
 
     features = termsel.get("datasets", "ikonos-hamedan").load()
     result = termsel.run(features=features)

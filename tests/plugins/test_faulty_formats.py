@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.errors import TermselError
-from termsel.guard.faults import PluginFault
+from termsel.core.errors import TermselError
+from termsel.core.isolation.faults import PluginFault
+from termsel.data.features import FeatureSet
 from termsel.io.export import export
-from termsel.measurements.features import FeatureSet
 from termsel.plugins.registry import Registry
 from termsel.results.result import Result
 from termsel.runs.run import run

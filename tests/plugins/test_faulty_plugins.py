@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.criteria import CheckRmse
-from termsel.errors import TermselError
-from termsel.guard.faults import PluginFault
-from termsel.problems.base import Selection
-from termsel.solvers.base import Generation, Solver
+from termsel.core.errors import TermselError
+from termsel.core.isolation.faults import PluginFault
+from termsel.selection.criteria import CheckRmse
+from termsel.selection.problems.base import Selection
+from termsel.selection.solvers.base import Generation, Solver
 
 AFFINE = """
     import numpy as np
@@ -179,7 +179,7 @@ def test_objectives_are_names_and_not_letters() -> None:
 TALKING = """
     import os, threading
     from termsel import Criterion, hookimpl
-    from termsel.criteria import CheckRmse
+    from termsel.selection.criteria import CheckRmse
 
     print("imported")
     {thread}
@@ -230,7 +230,7 @@ def test_a_command_of_a_plugin_has_stdout(install: Callable[..., None], tmp_path
 STAYING = """
     import threading, time
     from termsel import hookimpl
-    from termsel.criteria import CheckRmse
+    from termsel.selection.criteria import CheckRmse
 
     def stay():
         time.sleep(1000)

@@ -16,18 +16,18 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.errors import TermselError
-from termsel.guard.calls import unguarded
-from termsel.guard.faults import PluginFault
+from termsel.core.errors import TermselError
+from termsel.core.isolation.calls import unguarded
+from termsel.core.isolation.faults import PluginFault
 from termsel.models.polynomial import Affine
-from termsel.problems.base import Evaluation, Problem, Selection
-from termsel.problems.genome import Genome
-from termsel.problems.segments import Bits
-from termsel.solvers.base import Generation, Solver
-from termsel.solvers.bridges import silence
-from termsel.solvers.heuristics.yardsticks import RandomSearch
-from termsel.solvers.ledger import Progress
-from termsel.solvers.search import search
+from termsel.selection.problems.base import Evaluation, Problem, Selection
+from termsel.selection.problems.genome import Genome
+from termsel.selection.problems.segments import Bits
+from termsel.selection.solvers.base import Generation, Solver
+from termsel.selection.solvers.bridges import silence
+from termsel.selection.solvers.heuristics.yardsticks import RandomSearch
+from termsel.selection.solvers.ledger import Progress
+from termsel.selection.solvers.search import search
 
 
 class Ones(Problem):
@@ -171,7 +171,7 @@ def test_a_plugin_cannot_leave_the_program(error: BaseException, shown: str) -> 
 PRINTING = """
 import sys, threading
 import termsel
-from termsel.criteria import CheckRmse
+from termsel.selection.criteria import CheckRmse
 
 class Mine(CheckRmse):
     name = "mine"

@@ -17,23 +17,23 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.criteria import CheckRmse
-from termsel.errors import TermselError
-from termsel.guard.faults import PluginFault
-from termsel.measurements.datasets import DatasetSpec
-from termsel.measurements.features import FeatureSet
+from termsel.core.errors import TermselError
+from termsel.core.isolation.faults import PluginFault
+from termsel.data.datasets import DatasetSpec
+from termsel.data.features import FeatureSet
 from termsel.models.quotient import Blocks
 from termsel.plugins.registry import Registry
-from termsel.problems.base import Evaluation, Problem, Selection
-from termsel.problems.genome import Genome
-from termsel.problems.recipes import Recipe
-from termsel.problems.segments import Bits
 from termsel.runs.judgement.assess import fit_of
 from termsel.runs.run import run
 from termsel.runs.task.task import Task, prepare
-from termsel.solvers.base import Generation, Solver
-from termsel.solvers.heuristics.yardsticks import RandomSearch
-from termsel.solvers.search import search
+from termsel.selection.criteria import CheckRmse
+from termsel.selection.problems.base import Evaluation, Problem, Selection
+from termsel.selection.problems.genome import Genome
+from termsel.selection.problems.recipes import Recipe
+from termsel.selection.problems.segments import Bits
+from termsel.selection.solvers.base import Generation, Solver
+from termsel.selection.solvers.heuristics.yardsticks import RandomSearch
+from termsel.selection.solvers.search import search
 from tests.faulty import altered, always, leaving, raising, told_of
 
 

@@ -6,7 +6,7 @@ import pytest
 
 import termsel
 from termsel import Inputs, Problem, Recipe, SelectionProblem, feature_options
-from termsel.measurements.features import no_lines
+from termsel.data.features import no_lines
 from termsel.testing import check
 
 

@@ -8,8 +8,8 @@ import sys
 import pytest
 
 import termsel
-from termsel.errors import TermselError
-from termsel.guard.parts import own_packages
+from termsel.core.errors import TermselError
+from termsel.core.isolation.parts import own_packages
 from termsel.plugins import builtin, hookspecs
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.loading import HOOKS

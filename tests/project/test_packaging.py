@@ -15,10 +15,13 @@ from typing import Any
 import pytest
 import yaml
 
-from termsel import toolkit, version
+import termsel
+from termsel import toolkit
 from termsel.cli.new_plugin import package
+from termsel.core import version
 from termsel.plugins import registry as manager
 from termsel.plugins.registry import Registry
+from termsel.rooms import ROOMS
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = sorted(ROOT.glob("plugins/*/pyproject.toml"))
@@ -170,3 +173,10 @@ def test_every_name_of_the_toolkit_is_there() -> None:
     assert len(toolkit.__all__) > 100
     for name in toolkit.__all__:
         assert getattr(toolkit, name) is not None, name
+
+
+def test_no_public_name_is_a_room() -> None:
+    # `termsel.data` would be the function or the room, by what was imported first.
+    names = {*termsel.__all__, *toolkit.__all__}
+    rooms = set(ROOMS) - {"toolkit"}
+    assert not names & rooms

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.errors import TermselError
-from termsel.files.thumbnail import thumbnail
+from termsel.core.errors import TermselError
+from termsel.data.thumbnail import thumbnail
 from termsel.report.plots import chart, save
 
 altair = pytest.importorskip("altair")

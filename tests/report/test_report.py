@@ -18,7 +18,7 @@ from click.testing import CliRunner
 import termsel
 from termsel.cli import plot
 from termsel.cli.main import cli
-from termsel.record.base import plain
+from termsel.data.record.base import plain
 from termsel.report import library
 from termsel.report.plots import KINDS
 from termsel.results.repeat import command, not_by_command
@@ -361,7 +361,7 @@ def test_budgets_are_in_the_record_and_the_command(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_what_no_command_repeats_is_said(tmp_path: Path) -> None:
-    from termsel.solvers.heuristics.yardsticks import RandomSearch
+    from termsel.selection.solvers.heuristics.yardsticks import RandomSearch
 
     class Own(RandomSearch):
         """Random search of one's own."""

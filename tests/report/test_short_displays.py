@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.display import Glance
+from termsel.core.display import Glance
 
 NOTEBOOK = Path(__file__).parents[2] / "docs/how-to/notebook.ipynb"
 

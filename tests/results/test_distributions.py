@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import chdtri, stdtr, stdtrit
 
-from termsel.record.chances import (
+from termsel.data.record.chances import (
     chi_squared_quantile,
     median,
     quantile,

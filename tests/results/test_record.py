@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.candidates.structures import CANDIDATES, named
-from termsel.errors import TermselError
-from termsel.fits.fit import Fit
+from termsel.auto.structures import CANDIDATES, named
+from termsel.core.errors import TermselError
+from termsel.data.features import FeatureSet, no_lines, no_points
+from termsel.data.record.base import plain
+from termsel.data.record.figures import AdjustmentFigures, StandardFigure
+from termsel.data.record.record import FitRecord
+from termsel.fitting.fit import Fit
 from termsel.io.result_folder import read_result, write_result
-from termsel.measurements.features import FeatureSet, no_lines, no_points
 from termsel.plugins.registry import registry
-from termsel.record.base import plain
-from termsel.record.figures import AdjustmentFigures, StandardFigure
-from termsel.record.record import FitRecord
 from termsel.results.result import Result
 from termsel.results.same_fit import adjustment_figures, fit_of_record, fit_record
 from termsel.simulate import simulate_scene

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.errors import TermselError
+from termsel.core.errors import TermselError
+from termsel.data.features import FeatureSet, Points
 from termsel.io.result_folder import read_result, write_result
-from termsel.measurements.features import FeatureSet, Points
 from termsel.results.checksums import of_record
 from termsel.results.result import Result
 from termsel.simulate import simulate_scene

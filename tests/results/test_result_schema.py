@@ -12,8 +12,8 @@ import pytest
 from jsonschema import Draft202012Validator
 
 import termsel
-from termsel.record.record import SCHEMA
-from termsel.record.schema import json_schema
+from termsel.data.record.record import SCHEMA
+from termsel.data.record.schema import json_schema
 
 Record = dict[str, Any]
 

@@ -11,19 +11,19 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from termsel.adjustment.equations import Equations
-from termsel.adjustment.solve import solve
-from termsel.enumeration import subsets
-from termsel.enumeration.columns.system import (
+from termsel.core.errors import TermselError
+from termsel.fitting.adjustment.equations import Equations
+from termsel.fitting.adjustment.solve import solve
+from termsel.selection.best_subsets import subsets
+from termsel.selection.best_subsets.columns.system import (
     SCORES,
     SubsetSystem,
     SubtreeNode,
     better,
     count_subsets,
 )
-from termsel.enumeration.score_systems import ScoreSystems, score_systems
-from termsel.enumeration.subsets import SubsetResult, estimate_seconds, search
-from termsel.errors import TermselError
+from termsel.selection.best_subsets.score_systems import ScoreSystems, score_systems
+from termsel.selection.best_subsets.subsets import SubsetResult, estimate_seconds, search
 
 pytestmark = pytest.mark.usefixtures("bounds_of_few")
 
@@ -422,8 +422,8 @@ def test_bounds_lose_no_best_subset(kind: str, problems: int,
             folds = [fold for _ in range(rng.integers(1, 3)) for fold in np.array_split(
                 rng.permutation(len(system.design)), rng.integers(2, 6))] * (kind == "kfold")
         most = None if rng.random() < 0.5 else int(rng.integers(1, 8))
-        monkeypatch.setattr("termsel.enumeration.score_systems.PROGRAMMED", 1 << 62 if seed % 8
-                            else 0)
+        monkeypatch.setattr("termsel.selection.best_subsets.score_systems.PROGRAMMED",
+                            1 << 62 if seed % 8 else 0)
         plain = decided_without_bounds(system, score, most, monkeypatch, folds)
         bounded = last(system, score, max_terms=most, folds=folds)
         # A score of rounding error alone is anyone's; held-out errors of nearly dependent columns

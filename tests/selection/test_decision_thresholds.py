@@ -9,34 +9,34 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.adjustment.monomials import graded_exponents, monomials
-from termsel.candidates.base import Candidate, Judged
-from termsel.candidates.compare import compare
-from termsel.candidates.portfolio import choose
-from termsel.candidates.repetition import repeated
-from termsel.candidates.selected import select_forward
-from termsel.candidates.shrunken import average
-from termsel.candidates.structures import named
-from termsel.criteria import Ebic, Fits, KFold
-from termsel.fits.fit import Fit
-from termsel.measurements.control import Control
-from termsel.measurements.coordinates.places import spatial_order
-from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points, no_points
-from termsel.measurements.roles import by_roles
+from termsel.auto.base import Candidate, Judged
+from termsel.auto.compare import compare
+from termsel.auto.portfolio import choose
+from termsel.auto.repetition import repeated
+from termsel.auto.selected import select_forward
+from termsel.auto.shrunken import average
+from termsel.auto.structures import named
+from termsel.data.control import Control
+from termsel.data.coordinates.places import spatial_order
+from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points, no_points
+from termsel.data.roles import by_roles
+from termsel.fitting.adjustment.monomials import graded_exponents, monomials
+from termsel.fitting.fit import Fit
 from termsel.models.projective import DLT3D
-from termsel.problems.base import Evaluation, Problem, Selection
-from termsel.problems.genome import Genome
-from termsel.problems.segments import Bits
 from termsel.results.checksums import of_features
 from termsel.runs.search.recommend import recommended
 from termsel.runs.task.request import Request
 from termsel.runs.task.task import observe, prepare
-from termsel.solvers.base import Generation
-from termsel.solvers.budget import Budget
-from termsel.solvers.ledger import Ledger
-from termsel.solvers.proofs.proof import limits_of
-from termsel.solvers.refinement import POLISH_SHARE
-from termsel.solvers.search import Search, search
+from termsel.selection.criteria import Ebic, Fits, KFold
+from termsel.selection.problems.base import Evaluation, Problem, Selection
+from termsel.selection.problems.genome import Genome
+from termsel.selection.problems.segments import Bits
+from termsel.selection.solvers.base import Generation
+from termsel.selection.solvers.budget import Budget
+from termsel.selection.solvers.ledger import Ledger
+from termsel.selection.solvers.proofs.proof import limits_of
+from termsel.selection.solvers.refinement import POLISH_SHARE
+from termsel.selection.solvers.search import Search, search
 
 CUBIC = graded_exponents(3, 3)
 

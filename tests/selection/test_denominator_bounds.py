@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from termsel.enumeration.bounds.shares import largest_shares
+from termsel.selection.best_subsets.bounds.shares import largest_shares
 
 
 def test_the_largest_denominators_of_one_term_by_hand() -> None:

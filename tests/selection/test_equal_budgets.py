@@ -15,9 +15,9 @@ import termsel
 from termsel import Evaluation, Generation, Problem, Solver, TermselError, search
 from termsel.cli.main import cli
 from termsel.plugins.registry import Entry, registry
-from termsel.solvers.budget import EVALUATIONS, SEARCH_OPTIONS
-from termsel.solvers.genetic.ga import GeneticAlgorithm
-from termsel.solvers.heuristics.yardsticks import RandomSearch
+from termsel.selection.solvers.budget import EVALUATIONS, SEARCH_OPTIONS
+from termsel.selection.solvers.genetic.ga import GeneticAlgorithm
+from termsel.selection.solvers.heuristics.yardsticks import RandomSearch
 from termsel.testing import problems
 
 

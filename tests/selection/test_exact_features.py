@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.enumeration.features.walk import Branch, RowSystem, Selections
-from termsel.measurements.features import FeatureSet
-from termsel.record.base import plain
-from termsel.solvers.proofs.exact_features import duration, prove_features, selections_of
+from termsel.data.features import FeatureSet
+from termsel.data.record.base import plain
+from termsel.selection.best_subsets.features.walk import Branch, RowSystem, Selections
+from termsel.selection.solvers.proofs.exact_features import duration, prove_features, selections_of
 
 
 def random_systems(rng: np.random.Generator, n: int, *, ill: bool) -> tuple[RowSystem, ...]:

@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.criteria import CheckRmse, Fits
-from termsel.enumeration import descents as subset_descents
-from termsel.enumeration import subsets
-from termsel.errors import TermselError
-from termsel.record.base import plain
+from termsel.core.errors import TermselError
+from termsel.data.record.base import plain
 from termsel.runs.judgement.assess import assessed
-from termsel.solvers.genetic.ga import GeneticAlgorithm
-from termsel.solvers.proofs import exact
-from termsel.solvers.proofs import proof as proof_module
-from termsel.solvers.proofs.exact import Exact, gap
-from termsel.solvers.proofs.proof import count, prove
+from termsel.selection.best_subsets import descents as subset_descents
+from termsel.selection.best_subsets import subsets
+from termsel.selection.criteria import CheckRmse, Fits
+from termsel.selection.solvers.genetic.ga import GeneticAlgorithm
+from termsel.selection.solvers.proofs import exact
+from termsel.selection.solvers.proofs import proof as proof_module
+from termsel.selection.solvers.proofs.exact import Exact, gap
+from termsel.selection.solvers.proofs.proof import count, prove
 from termsel.testing import check
 
 pytestmark = pytest.mark.usefixtures("bounds_of_few")
@@ -231,7 +231,7 @@ def test_a_large_space_has_no_gap() -> None:
 def test_systems_of_very_many_rows_are_not_made_for_a_gap(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = termsel.prepare("poly-terms", criterion="kfold", options={"degree": 2}).problem
     assert gap(problem, 1e6) is not None
-    monkeypatch.setattr("termsel.solvers.proofs.exact.QUICK_ROWS", 400)
+    monkeypatch.setattr("termsel.selection.solvers.proofs.exact.QUICK_ROWS", 400)
     assert gap(problem, 1e6) is None
 
 

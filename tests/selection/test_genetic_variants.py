@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.errors import TermselError
-from termsel.measurements.features import FloatArray
+from termsel.core.errors import TermselError
+from termsel.data.features import FloatArray
 from termsel.models.base import LINE, SAMPLE
-from termsel.problems.base import Evaluation, Problem
-from termsel.problems.genome import Genome
-from termsel.problems.segments import Bits, Reals, random_subsets
-from termsel.solvers.genetic.ga import GeneticAlgorithm
-from termsel.solvers.genetic.ga_steady import (
+from termsel.selection.problems.base import Evaluation, Problem
+from termsel.selection.problems.genome import Genome
+from termsel.selection.problems.segments import Bits, Reals, random_subsets
+from termsel.selection.solvers.genetic.ga import GeneticAlgorithm
+from termsel.selection.solvers.genetic.ga_steady import (
     SteadyStateGA,
     coding,
 )
-from termsel.solvers.genetic.operators import replace_one, set_crossover
-from termsel.solvers.search import search
+from termsel.selection.solvers.genetic.operators import replace_one, set_crossover
+from termsel.selection.solvers.search import search
 from termsel.testing.problems import Toy
 
 

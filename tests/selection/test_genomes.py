@@ -22,12 +22,12 @@ from termsel import (
     TermselError,
 )
 from termsel.plugins.registry import registry
-from termsel.problems.base import Evaluation, Selection
-from termsel.problems.segments import SEGMENTS, AnySegment, Genes
-from termsel.solvers.genetic.operators import crossover, from_keys, mutation, n_keys
-from termsel.solvers.heuristics.swap import neighbours
-from termsel.solvers.ledger import Ledger
-from termsel.solvers.search import search
+from termsel.selection.problems.base import Evaluation, Selection
+from termsel.selection.problems.segments import SEGMENTS, AnySegment, Genes
+from termsel.selection.solvers.genetic.operators import crossover, from_keys, mutation, n_keys
+from termsel.selection.solvers.heuristics.swap import neighbours
+from termsel.selection.solvers.ledger import Ledger
+from termsel.selection.solvers.search import search
 from termsel.testing.problems import Even, Toy
 
 

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import termsel
-from termsel.problems.base import Evaluation
-from termsel.solvers.base import Generation
-from termsel.solvers.heuristics.ica import (
+from termsel.selection.problems.base import Evaluation
+from termsel.selection.solvers.base import Generation
+from termsel.selection.solvers.heuristics.ica import (
     Empires,
     ImperialistCompetition,
     assimilate,
@@ -26,7 +26,7 @@ from termsel.solvers.heuristics.ica import (
     sizes,
     total_power,
 )
-from termsel.solvers.proofs.exact import gap
+from termsel.selection.solvers.proofs.exact import gap
 from termsel.testing import Check, checks, problems
 from termsel.testing.problems import Watched
 

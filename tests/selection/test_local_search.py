@@ -10,13 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import termsel
-from termsel.problems.genome import Genome
-from termsel.problems.segments import Bits
-from termsel.solvers import refinement
-from termsel.solvers.genetic.ga import GeneticAlgorithm
-from termsel.solvers.heuristics import swap as local
-from termsel.solvers.ledger import Progress
-from termsel.solvers.proofs.proof import prove
+from termsel.selection.problems.genome import Genome
+from termsel.selection.problems.segments import Bits
+from termsel.selection.solvers import refinement
+from termsel.selection.solvers.genetic.ga import GeneticAlgorithm
+from termsel.selection.solvers.heuristics import swap as local
+from termsel.selection.solvers.ledger import Progress
+from termsel.selection.solvers.proofs.proof import prove
 
 
 @given(st.integers(0, 2**32), st.integers(1, 5), st.integers(1, 4))

@@ -9,7 +9,7 @@ import pytest
 
 import termsel
 from termsel import FeatureSet, Option, Recipe, Selection, SelectionProblem, TermselError
-from termsel.problems.parameters import ParameterProblem, segment_of
+from termsel.selection.problems.parameters import ParameterProblem, segment_of
 
 
 @pytest.mark.slow

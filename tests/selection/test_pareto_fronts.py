@@ -10,12 +10,17 @@ from pymoo.algorithms.moo.age2 import AGEMOEA2Survival
 from scipy.spatial import ConvexHull, QhullError
 
 import termsel
-from termsel.adjustment.parts import independent_parts
-from termsel.measurements.features import FeatureSet, Points
-from termsel.problems.coverage import hull_areas, uncovered_share
-from termsel.problems.objectives import PopulationSelection, max_correlation, uncovered, unevenness
+from termsel.data.features import FeatureSet, Points
+from termsel.fitting.adjustment.parts import independent_parts
 from termsel.runs.search.recommend import recommended
-from termsel.solvers.search import Search
+from termsel.selection.problems.coverage import hull_areas, uncovered_share
+from termsel.selection.problems.objectives import (
+    PopulationSelection,
+    max_correlation,
+    uncovered,
+    unevenness,
+)
+from termsel.selection.solvers.search import Search
 from termsel_optimisers.survivals import _AgeSurvival
 
 SOLVERS = ("nsga2", "age-moea2", "sms-emoa", "spea2")

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.problems.base import Evaluation
-from termsel.solvers.heuristics.pso import BinarySwarm, improved, leaders, sigmoid
-from termsel.solvers.proofs.exact import gap
+from termsel.selection.problems.base import Evaluation
+from termsel.selection.solvers.heuristics.pso import BinarySwarm, improved, leaders, sigmoid
+from termsel.selection.solvers.proofs.exact import gap
 from termsel.testing import problems
 
 

@@ -9,23 +9,23 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from termsel.adjustment.equations import Equations
-from termsel.adjustment.lines import row_weights
-from termsel.adjustment.solve import solve
-from termsel.criteria import CheckRmse
-from termsel.errors import TermselError
-from termsel.measurements.features import BoolArray, FloatArray, Lines, Points
+from termsel.core.errors import TermselError
+from termsel.data.features import BoolArray, FloatArray, Lines, Points
+from termsel.fitting.adjustment.equations import Equations
+from termsel.fitting.adjustment.lines import row_weights
+from termsel.fitting.adjustment.solve import solve
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
 from termsel.models.quotient import Blocks, RationalModel
 from termsel.models.rational import RationalFunctions
-from termsel.problems.base import Evaluation, Inputs, Problem
-from termsel.problems.genome import Genome
-from termsel.problems.segments import Bits
-from termsel.problems.selection import SelectionProblem
-from termsel.solvers.base import Generation, Solver
-from termsel.solvers.ledger import BudgetSpent, Ledger
-from termsel.solvers.search import search
+from termsel.selection.criteria import CheckRmse
+from termsel.selection.problems.base import Evaluation, Inputs, Problem
+from termsel.selection.problems.genome import Genome
+from termsel.selection.problems.segments import Bits
+from termsel.selection.problems.selection import SelectionProblem
+from termsel.selection.solvers.base import Generation, Solver
+from termsel.selection.solvers.ledger import BudgetSpent, Ledger
+from termsel.selection.solvers.search import search
 from termsel.testing.problems import Toy, Watched, trap, twelve_terms
 from termsel.testing.scenes import imaged, random_coefficients
 

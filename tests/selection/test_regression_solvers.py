@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.adjustment.ridge import Spectrum, choose_penalty
-from termsel.fits.least_squares import fit
-from termsel.measurements.features import BoolArray
-from termsel.problems.base import Problem
+from termsel.data.features import BoolArray
+from termsel.fitting.adjustment.ridge import Spectrum, choose_penalty
+from termsel.fitting.least_squares import fit
+from termsel.selection.problems.base import Problem
+from termsel.selection.solvers.heuristics.yardsticks import AllTerms
+from termsel.selection.solvers.regression.base import Regression, TermRegression, regressions
+from termsel.selection.solvers.regression.ridge import Ridge, shrink
 from termsel.simulate import simulate_scene
-from termsel.solvers.heuristics.yardsticks import AllTerms
-from termsel.solvers.regression.base import Regression, TermRegression, regressions
-from termsel.solvers.regression.ridge import Ridge, shrink
 from tests.regressions import part_of, sparse
 
 

@@ -11,7 +11,7 @@ import pytest
 import termsel
 from termsel.runs.search import steps
 from termsel.runs.search.recommend import recommended
-from termsel.solvers.search import Search
+from termsel.selection.solvers.search import Search
 
 
 def found(value: float = 1.0, **more: object) -> Search:

@@ -8,13 +8,13 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from termsel.enumeration import rising_bound, subsets
-from termsel.enumeration.bounds import held_out as subset_held_out
-from termsel.enumeration.bounds.closed import first_closed
-from termsel.enumeration.columns.kernels import LINEAR, RATIONAL
-from termsel.enumeration.columns.system import SCORES, Masks, SubsetSystem, SubtreeNode
-from termsel.enumeration.score_systems import ScoreSystems, score_systems
-from termsel.measurements.features import FloatArray
+from termsel.data.features import FloatArray
+from termsel.selection.best_subsets import rising_bound, subsets
+from termsel.selection.best_subsets.bounds import held_out as subset_held_out
+from termsel.selection.best_subsets.bounds.closed import first_closed
+from termsel.selection.best_subsets.columns.kernels import LINEAR, RATIONAL
+from termsel.selection.best_subsets.columns.system import SCORES, Masks, SubsetSystem, SubtreeNode
+from termsel.selection.best_subsets.score_systems import ScoreSystems, score_systems
 
 pytestmark = pytest.mark.usefixtures("bounds_of_few")
 
@@ -133,7 +133,7 @@ def test_few_subsets_are_enumerated_without_bounds(score: str,
     system = SubsetSystem(rows[:24, :13], rows[:24, 13:], rows[24:, :13], rows[24:, 13:])
     folds = [np.arange(i, 24, 5) for i in range(5)] if score == "kfold" else ()
     bounded = deque(subsets.search(system, score, folds=folds), maxlen=1).pop()
-    monkeypatch.setattr("termsel.enumeration.score_systems.WALKED", 1 << 13)
+    monkeypatch.setattr("termsel.selection.best_subsets.score_systems.WALKED", 1 << 13)
     walked = deque(subsets.search(system, score, folds=folds), maxlen=1).pop()
     assert walked.pruned == 0 < bounded.pruned
     np.testing.assert_allclose(walked.best, bounded.best, rtol=1e-9)

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from termsel.enumeration import score_systems as score_systems_module
-from termsel.enumeration import subsets
-from termsel.enumeration.bounds.poles import node_bound, order_columns
-from termsel.enumeration.columns.system import SubsetSystem, SubtreeNode
-from termsel.enumeration.score_systems import ScoreSystems, score_systems
-from termsel.enumeration.subsets import SubsetResult, search
-from termsel.measurements.features import FloatArray
+from termsel.data.features import FloatArray
+from termsel.selection.best_subsets import score_systems as score_systems_module
+from termsel.selection.best_subsets import subsets
+from termsel.selection.best_subsets.bounds.poles import node_bound, order_columns
+from termsel.selection.best_subsets.columns.system import SubsetSystem, SubtreeNode
+from termsel.selection.best_subsets.score_systems import ScoreSystems, score_systems
+from termsel.selection.best_subsets.subsets import SubsetResult, search
 
 pytestmark = pytest.mark.usefixtures("bounds_of_few")
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.measurements.features import FeatureSet
+from termsel.data.features import FeatureSet
 from termsel.models.polynomial import Polynomial3D
-from termsel.problems.constraints import excess, parents
-from termsel.problems.selection import SelectionProblem
+from termsel.selection.problems.constraints import excess, parents
+from termsel.selection.problems.selection import SelectionProblem
 
 
 def run(problem: str = "poly-terms", **options: object) -> termsel.Result:

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.measurements.coordinates.earth import is_mirrored
-from termsel.measurements.features import FeatureSet, Points
+from termsel.data.coordinates.earth import is_mirrored
+from termsel.data.features import FeatureSet, Points
 from termsel.studies.cells.neighbours import batch_of, setting_of
 from termsel.studies.compare import TIMED, estimate
 from termsel.studies.outputs import write_outputs

@@ -14,7 +14,7 @@ import pytest
 
 import termsel
 from termsel import Generation, Solver
-from termsel.files.names import JOURNAL
+from termsel.core.files.names import JOURNAL
 from termsel.plugins.registry import registry
 from termsel.studies.cells.identity import made_of
 from termsel.studies.cells.journal import _sealed, _sum, read_journal

@@ -19,8 +19,8 @@ import pytest
 
 import termsel
 from termsel import TermselError
-from termsel.files.lock import holder, locked
-from termsel.files.names import JOURNAL
+from termsel.core.files.lock import holder, locked
+from termsel.core.files.names import JOURNAL
 from termsel.studies.cells.cell import Cell
 from termsel.studies.cells.folder import PLAN
 from termsel.studies.cells.journal import CellRecord, Journal, read_journal

@@ -21,7 +21,7 @@ import termsel
 from benchmarks import accuracy, solver_table
 from termsel import TermselError
 from termsel.formats.readers.csv_tables import write_points_csv
-from termsel.solvers.ledger import Progress
+from termsel.selection.solvers.ledger import Progress
 from termsel.studies import compare
 from termsel.studies.cells import cell
 from termsel.studies.cells.journal import CellRecord

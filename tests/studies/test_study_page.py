@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.guard.helper import Helper
+from termsel.core.isolation.helper import Helper
 from termsel.report import pictures
 from termsel.studies.outputs import write_outputs
 

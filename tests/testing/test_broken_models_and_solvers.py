@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from termsel.criteria import CheckRmse, Criterion, Fits
-from termsel.errors import TermselError
-from termsel.measurements.features import FloatArray
+from termsel.core.errors import TermselError
+from termsel.core.options import Option
+from termsel.data.features import FloatArray
 from termsel.models.polynomial import Affine
 from termsel.models.rational import RationalFunctions
-from termsel.options import Option
-from termsel.problems.base import Problem
-from termsel.solvers.base import Generation, Solver
-from termsel.solvers.genetic.ga import GeneticAlgorithm
+from termsel.selection.criteria import CheckRmse, Criterion, Fits
+from termsel.selection.problems.base import Problem
+from termsel.selection.solvers.base import Generation, Solver
+from termsel.selection.solvers.genetic.ga import GeneticAlgorithm
 from termsel.testing import Check, check, checks
 from termsel.testing.problems import bound
 from tests.broken_models import BROKEN_MODELS, NoLines, WrongLines, WrongProjection

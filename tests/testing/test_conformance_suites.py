@@ -8,10 +8,8 @@ import sys
 import numpy as np
 import pytest
 
-from termsel.criteria import CheckRmse, Ebic, Huber, KFold, Median, Press
-from termsel.criteria.losses import LOSS
-from termsel.errors import TermselError
-from termsel.measurements.features import FeatureSet, FloatArray, Points
+from termsel.core.errors import TermselError
+from termsel.data.features import FeatureSet, FloatArray, Points
 from termsel.models.helmert import Helmert2D
 from termsel.models.interpolating import Field, Field3D, ThinPlate
 from termsel.models.polynomial import (
@@ -22,16 +20,18 @@ from termsel.models.polynomial import (
 from termsel.models.projective import DLT2D, DLT3D, Projective2D
 from termsel.models.quotient import Blocks, RationalModel
 from termsel.models.rational import RationalFunctions
-from termsel.problems.base import Inputs
-from termsel.problems.selection import SelectionProblem
-from termsel.solvers.bridges.pareto import Nsga2
-from termsel.solvers.genetic.ga import GeneticAlgorithm
-from termsel.solvers.genetic.ga_steady import SteadyStateGA
-from termsel.solvers.heuristics.pso import BinarySwarm
-from termsel.solvers.heuristics.swap import Swap
-from termsel.solvers.heuristics.yardsticks import AllTerms, RandomSearch
-from termsel.solvers.proofs.exact import Exact
-from termsel.solvers.regression.ridge import Ridge
+from termsel.selection.criteria import CheckRmse, Ebic, Huber, KFold, Median, Press
+from termsel.selection.criteria.losses import LOSS
+from termsel.selection.problems.base import Inputs
+from termsel.selection.problems.selection import SelectionProblem
+from termsel.selection.solvers.bridges.pareto import Nsga2
+from termsel.selection.solvers.genetic.ga import GeneticAlgorithm
+from termsel.selection.solvers.genetic.ga_steady import SteadyStateGA
+from termsel.selection.solvers.heuristics.pso import BinarySwarm
+from termsel.selection.solvers.heuristics.swap import Swap
+from termsel.selection.solvers.heuristics.yardsticks import AllTerms, RandomSearch
+from termsel.selection.solvers.proofs.exact import Exact
+from termsel.selection.solvers.regression.ridge import Ridge
 from termsel.testing import Check, check, checks
 
 # What is built in

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from termsel.errors import TermselError
-from termsel.files.atomic import write_text
+from termsel.core.errors import TermselError
+from termsel.core.files.atomic import write_text
+from termsel.data.features import FeatureSet, Lines, Points
 from termsel.formats.base import Reader, Writer, read_text
 from termsel.formats.readers.csv_tables import (
     LinesCsv,
@@ -20,7 +21,6 @@ from termsel.formats.readers.csv_tables import (
     write_lines_csv,
     write_points_csv,
 )
-from termsel.measurements.features import FeatureSet, Lines, Points
 from termsel.results.result import Result
 from termsel.testing import Check, check, checks
 

@@ -15,19 +15,24 @@ import pytest
 
 import termsel
 from termsel.cli.list import list_
-from termsel.criteria import CheckRmse
-from termsel.errors import TermselError
+from termsel.core.errors import TermselError
+from termsel.data.datasets import DatasetSpec
+from termsel.data.features import FeatureSet, Points
 from termsel.formats.readers.csv_tables import PointsCsv
-from termsel.measurements.datasets import DatasetSpec
-from termsel.measurements.features import FeatureSet, Points
 from termsel.models.polynomial import Affine
-from termsel.problems.base import Evaluation, Problem, Selection
-from termsel.problems.genome import Genome
-from termsel.problems.objectives import OBJECTIVES, Objective, PopulationSelection, n_terms
-from termsel.problems.recipes import RECIPES, Recipe
-from termsel.problems.segments import Bits
+from termsel.selection.criteria import CheckRmse
+from termsel.selection.problems.base import Evaluation, Problem, Selection
+from termsel.selection.problems.genome import Genome
+from termsel.selection.problems.objectives import (
+    OBJECTIVES,
+    Objective,
+    PopulationSelection,
+    n_terms,
+)
+from termsel.selection.problems.recipes import RECIPES, Recipe
+from termsel.selection.problems.segments import Bits
+from termsel.selection.solvers.heuristics.yardsticks import RandomSearch
 from termsel.simulate.scenes import DATASETS
-from termsel.solvers.heuristics.yardsticks import RandomSearch
 from termsel.testing import Check, cases, check, checks
 
 SOME = [recipe for recipe in RECIPES if recipe.name in ("poly-terms", "owdis-points")]

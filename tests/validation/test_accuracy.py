@@ -12,10 +12,14 @@ import pytest
 from scipy import stats
 
 import termsel
-from termsel.adjustment.monomials import graded_exponents, monomials
-from termsel.candidates.portfolio import choose
-from termsel.candidates.repetition import repeated
-from termsel.fits.accuracy import (
+from termsel.auto.portfolio import choose
+from termsel.auto.repetition import repeated
+from termsel.data.control import Control
+from termsel.data.coordinates.metres import in_metres
+from termsel.data.features import FeatureSet, Points
+from termsel.data.record.figures import InImage, OnGround, rmse_interval
+from termsel.data.scaling import scaling_of
+from termsel.fitting.accuracy import (
     accuracy_of,
     asprs,
     distances,
@@ -23,15 +27,11 @@ from termsel.fits.accuracy import (
     predicted_by,
     predicted_rmse,
 )
-from termsel.fits.residuals import freedom_of, rmse_of
-from termsel.fits.uncertainty import _Belief, shared_variance
-from termsel.measurements.control import Control
-from termsel.measurements.coordinates.metres import in_metres
-from termsel.measurements.features import FeatureSet, Points
-from termsel.measurements.scaling import scaling_of
+from termsel.fitting.adjustment.monomials import graded_exponents, monomials
+from termsel.fitting.bayesian.posterior import SIZES, posterior
+from termsel.fitting.residuals import freedom_of, rmse_of
+from termsel.fitting.uncertainty import _Belief, shared_variance
 from termsel.models.polynomial import Polynomial3D
-from termsel.priors.posterior import SIZES, posterior
-from termsel.record.figures import InImage, OnGround, rmse_interval
 from termsel.simulate import simulate_scene
 
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.candidates.portfolio import Portfolio, choose
-from termsel.measurements.features import FeatureSet, no_lines
-from termsel.measurements.roles import by_roles
+from termsel.auto.portfolio import Portfolio, choose
+from termsel.data.features import FeatureSet, no_lines
+from termsel.data.roles import by_roles
 from termsel.results.repeat import command
 from termsel.runs.task.verdict import judge_features, judge_independent
 

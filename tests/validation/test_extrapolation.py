@@ -9,8 +9,8 @@ import pytest
 from scipy.spatial import ConvexHull
 
 import termsel
-from termsel.measurements.coordinates.places import beyond, hull
-from termsel.measurements.features import FeatureSet
+from termsel.data.coordinates.places import beyond, hull
+from termsel.data.features import FeatureSet
 from termsel.simulate import simulate_scene
 
 SQUARE = np.array([(0.0, 0.0), (0.0, 10.0), (10.0, 0.0), (10.0, 10.0), (5.0, 5.0)])

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.fits.accuracy import predicted_by
-from termsel.measurements.control import Control, off_plane, with_usual_heights
-from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points
+from termsel.data.control import Control, off_plane, with_usual_heights
+from termsel.data.features import FeatureSet, FloatArray, Lines, Points
+from termsel.fitting.accuracy import predicted_by
 from termsel.simulate import pushbroom_at
 
 OTHERS = 60

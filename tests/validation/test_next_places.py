@@ -11,11 +11,11 @@ from click.testing import CliRunner
 
 import termsel
 from termsel.cli.main import cli
-from termsel.fits.fit import Fit
-from termsel.fits.next_places import APART, rank_places
-from termsel.fits.scene import scene_grid
+from termsel.data.features import FeatureSet, FloatArray, Points, no_points
+from termsel.fitting.fit import Fit
+from termsel.fitting.next_places import APART, rank_places
+from termsel.fitting.scene import scene_grid
 from termsel.io.plan import GRID, plan
-from termsel.measurements.features import FeatureSet, FloatArray, Points, no_points
 from termsel.simulate import scene_truth, simulate_scene
 from termsel.simulate.catalogue import SCENES
 from tests.formats.test_vertical_datum import camera, control, needs_rpc

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.measurements.features import FeatureSet, Points
+from termsel.data.features import FeatureSet, Points
 
 
 def photograph(count: int, wrong: int = 0, noise: float = 0.5, roles: tuple[str, ...] = (),

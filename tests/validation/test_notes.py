@@ -7,22 +7,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from termsel.candidates.contradictions import Suspects
-from termsel.criteria import CheckRmse, Criterion, Press
-from termsel.fits.diagnosis import PARALLEL, orientation_spread
-from termsel.fits.extrapolation import warnings_of
-from termsel.fits.fit import Fit
-from termsel.fits.least_squares import LEAST_SQUARES, LeastSquares
-from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points, no_lines
-from termsel.measurements.roles import Observations, by_roles
-from termsel.measurements.scaling import scaling_of
+from termsel.auto.contradictions import Suspects
+from termsel.data.features import FeatureSet, FloatArray, Lines, Points, no_lines
+from termsel.data.roles import Observations, by_roles
+from termsel.data.scaling import scaling_of
+from termsel.fitting.diagnosis import PARALLEL, orientation_spread
+from termsel.fitting.extrapolation import warnings_of
+from termsel.fitting.fit import Fit
+from termsel.fitting.least_squares import LEAST_SQUARES, LeastSquares
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Affine, Polynomial2D
 from termsel.models.rational import RationalFunctions
 from termsel.runs.auto import strategy as auto
 from termsel.runs.judgement.judge import notes_on
 from termsel.runs.task import verdict
-from termsel.solvers.search import Search
+from termsel.selection.criteria import CheckRmse, Criterion, Press
+from termsel.selection.solvers.search import Search
 
 GRID = np.array([(x, y, 0.3 * (x - y) ** 2) for x in range(5) for y in range(5)], dtype=float)
 """Ground of 25 points; heights are no plane."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 
 import termsel
-from termsel.candidates.base import Candidate
-from termsel.candidates.structures import named
-from termsel.errors import counted
-from termsel.fits.figures import Baseline
-from termsel.fits.residuals import Rmse
+from termsel.auto.base import Candidate
+from termsel.auto.structures import named
+from termsel.core.errors import counted
+from termsel.fitting.figures import Baseline
+from termsel.fitting.residuals import Rmse
 from termsel.runs.judgement.judge import judge, judge_choice, name_conventional
 
 

@@ -324,7 +324,7 @@ def test_exact_writes_a_certificate_that_a_process_without_the_solver_checks(
     result = termsel.run("poly-terms", solver="exact", options=options, out=tmp_path)
     assert result.rmse["check"] is not None
     code = ("import sys; from termsel.check import main; status = main(sys.argv[1:]); "
-            "assert 'numpy' not in sys.modules and 'termsel.solvers' not in sys.modules; "
+            "assert 'numpy' not in sys.modules and 'termsel.selection.solvers' not in sys.modules; "
             "raise SystemExit(status)")
     done = subprocess.run([sys.executable, "-c", code, str(file)], capture_output=True, text=True,
                           check=False)
@@ -418,7 +418,8 @@ def test_values_that_no_certificate_can_hold_are_refused_before_the_search(
             for i, (x, y) in enumerate(ground.tolist())]
     file = tmp_path / "points.csv"
     file.write_text("\n".join(["id,role,line,sample,x,y,z", *rows]))
-    monkeypatch.setattr("termsel.solvers.proofs.exact.prove", lambda *_: pytest.fail("searched"))
+    monkeypatch.setattr("termsel.selection.solvers.proofs.exact.prove",
+                        lambda *_: pytest.fail("searched"))
     with pytest.raises(termsel.TermselError, match="too many binary places") as caught:
         termsel.run("poly-terms", features=file, crs="local", solver="exact",
                     options={"degree": 5, "certificate": True}, out=tmp_path / "out")

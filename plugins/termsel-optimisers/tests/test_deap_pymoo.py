@@ -411,7 +411,7 @@ def stuck(population: list[Any], toolbox: base.Toolbox) -> Iterator[list[Any]]:
 
 
 def test_a_loop_that_breeds_nothing_comes_to_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("termsel.solvers.search.IDLE", 20)
+    monkeypatch.setattr("termsel.selection.solvers.search.IDLE", 20)
     for budget in ({"generations": 50}, {"evaluations": 500}, {}):
         found = search(problems.twelve_terms(), from_deap(own_box, still)(), **budget)
         assert (found.evaluations, found.generations) == (200, 20)
@@ -422,8 +422,8 @@ def test_a_loop_that_breeds_nothing_comes_to_an_end(monkeypatch: pytest.MonkeyPa
 
 
 def test_a_loop_that_does_nothing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("termsel.solvers.bridges.silence.LONG", 0.1)
-    monkeypatch.setattr("termsel.solvers.bridges.silence._EVERY", 0.05)
+    monkeypatch.setattr("termsel.selection.solvers.bridges.silence.LONG", 0.1)
+    monkeypatch.setattr("termsel.selection.solvers.bridges.silence._EVERY", 0.05)
 
     def observe(progress: Progress) -> None:
         if "has yielded nothing" in progress.what:

@@ -15,10 +15,10 @@ import click
 
 from termsel.cli.messages import echo
 from termsel.cli.options.shared import PROGRESS
-from termsel.errors import percent, printable
+from termsel.core.errors import percent, printable
 
 if TYPE_CHECKING:
-    from termsel.solvers.ledger import Progress
+    from termsel.selection.solvers.ledger import Progress
     from termsel.studies.execution.progress import StudyProgress
 
 _BETWEEN = 0.2  # seconds between two lines

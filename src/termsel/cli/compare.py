@@ -14,9 +14,9 @@ from termsel.cli.messages import echo, say_written, show_messages
 from termsel.cli.options.run_options import parse_settings
 from termsel.cli.options.shared import progress_option, remote_option
 from termsel.cli.tables import print_table
-from termsel.errors import TermselError, counted, printable
-from termsel.interrupts import INTERRUPTED
-from termsel.options import MOST_RUNS
+from termsel.core.errors import TermselError, counted, printable
+from termsel.core.interrupts import INTERRUPTED
+from termsel.core.options import MOST_RUNS
 
 
 @click.command()

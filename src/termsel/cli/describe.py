@@ -11,10 +11,10 @@ import click
 from termsel.cli.completion import complete
 from termsel.cli.messages import echo
 from termsel.cli.tables import print_table
-from termsel.errors import TermselError, unknown_name
+from termsel.core.errors import TermselError, unknown_name
 
 if TYPE_CHECKING:
-    from termsel.options import Option
+    from termsel.core.options import Option
     from termsel.plugins.registry import Entry
 
 
@@ -88,7 +88,7 @@ def _describe_model(entry: Entry) -> None:
 
 def _describe_solver(entry: Entry) -> None:
     _document(entry)
-    from termsel.solvers.budget import EVALUATIONS, SEARCH_OPTIONS
+    from termsel.selection.solvers.budget import EVALUATIONS, SEARCH_OPTIONS
 
     solver = entry.object
     _pairs({

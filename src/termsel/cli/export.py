@@ -46,7 +46,7 @@ def export(folder: Path, to: str, output: Path, image: str | None, dem: str | No
     refuse_stdout(output)
     show_messages()
 
-    from termsel.files.names import is_there
+    from termsel.core.files.names import is_there
     from termsel.io.export import export as write
     from termsel.io.export import writer_of
     from termsel.io.replacing import require_replaceable

@@ -24,10 +24,10 @@ from typing import Any, NoReturn
 import click
 
 from termsel.cli.messages import echo, give_back_stdout, stdout, take_stdout
-from termsel.errors import TermselError, cut, is_printable, unknown_name
-from termsel.interrupts import INTERRUPTED, answered
+from termsel.core.errors import TermselError, cut, is_printable, unknown_name
+from termsel.core.interrupts import INTERRUPTED, answered
+from termsel.core.version import __version__
 from termsel.plugins.commands import COMMANDS
-from termsel.version import __version__
 
 CORRECTABLE = 2
 
@@ -161,7 +161,7 @@ class Commands(click.Group):
 
 
 def _too_large(error: MemoryError) -> TermselError:
-    from termsel.guard.memory import out_of_memory
+    from termsel.core.isolation.memory import out_of_memory
 
     return out_of_memory(error)
 
@@ -237,7 +237,7 @@ def _blaming(command: click.Command) -> click.Command:
         except Exception as error:
             if isinstance(error, OSError) and error.errno in _UNWRITABLE:
                 raise  # stdout, which is closed or full
-            from termsel.guard.faults import distribution_of, failed, package_of
+            from termsel.core.isolation.faults import distribution_of, failed, package_of
 
             package = package_of(command.callback)
             what = f"the command {command.name!r} of {distribution_of(package)} failed"

@@ -11,7 +11,7 @@ from typing import TextIO
 
 import click
 
-from termsel.errors import TermselError, printable
+from termsel.core.errors import TermselError, printable
 
 _results: TextIO | None = None
 """What stdout was before `take_stdout`."""

@@ -13,8 +13,8 @@ from pathlib import Path
 import click
 
 from termsel.cli.messages import echo, say_written
-from termsel.errors import TermselError, unknown_name
-from termsel.version import plugin_bound
+from termsel.core.errors import TermselError, unknown_name
+from termsel.core.version import plugin_bound
 
 KINDS = ("model", "solver", "problem", "criterion", "objective", "candidate", "dataset", "split",
          "section", "measure", "reader", "writer", "command")

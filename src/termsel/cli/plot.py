@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from termsel.cli.messages import refuse_stdout, say_written, show_messages
-from termsel.errors import TermselError
+from termsel.core.errors import TermselError
 
 KINDS = ("residuals", "ground", "worst", "baselines", "candidates", "front", "convergence",
          "empires", "frequency", "terms", "correlations", "sigma")

@@ -9,7 +9,7 @@ import click
 
 from termsel.cli.messages import echo
 from termsel.cli.tables import print_json, print_table
-from termsel.version import PLUGIN_API, plugin_bound
+from termsel.core.version import PLUGIN_API, plugin_bound
 
 if TYPE_CHECKING:
     from termsel.plugins.loading import Plugin, Remark

@@ -43,7 +43,7 @@ def project(folder: Path, points: Path, columns: str | None, inverse: bool, dem:
     """
     show_messages()
 
-    from termsel.files.atomic import write_text
+    from termsel.core.files.atomic import write_text
     from termsel.io.export import as_exported
     from termsel.io.project import project_table
     from termsel.io.replacing import require_replaceable

@@ -9,7 +9,7 @@ import click
 from termsel.cli.bars import share_bar
 from termsel.cli.messages import refuse_stdout, say_written, show_messages
 from termsel.cli.options.shared import final_option, progress_option, remote_option
-from termsel.errors import TermselError
+from termsel.core.errors import TermselError
 
 
 @click.command()
@@ -58,7 +58,7 @@ def rectify(context: click.Context, folder: Path, image: Path, output: Path, dem
     refuse_stdout(output)
     show_messages()
 
-    from termsel.files.cog import require_tiff_name
+    from termsel.data.cog import require_tiff_name
     from termsel.io.rectify import rectify as warp
     from termsel.io.replacing import require_replaceable
     from termsel.io.result_folder import read_result

@@ -8,7 +8,7 @@ import click
 
 from termsel.cli.messages import refuse_stdout, say_written, show_messages
 from termsel.cli.options.shared import remote_option
-from termsel.errors import TermselError
+from termsel.core.errors import TermselError
 
 REPORT = "report.html"
 
@@ -38,8 +38,8 @@ def report(folder: Path, output: Path | None, image: str | None, overwrite: bool
     refuse_stdout(output)
     show_messages()
 
-    from termsel.files.atomic import write_text
-    from termsel.files.names import JOURNAL, is_there
+    from termsel.core.files.atomic import write_text
+    from termsel.core.files.names import JOURNAL, is_there
     from termsel.io.replacing import require_replaceable
     from termsel.io.result_folder import files_of_result, read_result
     from termsel.studies.cells.folder import PLAN, read_study

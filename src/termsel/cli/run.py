@@ -11,7 +11,7 @@ import click
 from termsel.cli.bars import search_bar
 from termsel.cli.messages import echo, say_written, show_messages
 from termsel.cli.options.run_options import Asked, run_options
-from termsel.interrupts import INTERRUPTED
+from termsel.core.interrupts import INTERRUPTED
 
 
 @click.command()

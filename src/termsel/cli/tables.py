@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from termsel.cli.messages import echo, stdout, stdout_has
-from termsel.errors import printable
+from termsel.core.errors import printable
 
 
 def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

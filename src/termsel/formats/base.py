@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 
-from termsel.errors import TermselError
-from termsel.files.atomic import private_folder
-from termsel.files.names import is_open_pipe, is_there, refuse_pipe
-from termsel.guard.arrays import returns
-from termsel.guard.calls import Check
-from termsel.measurements.features import FeatureSet
-from termsel.options import Configurable, Option
+from termsel.core.errors import TermselError
+from termsel.core.files.atomic import private_folder
+from termsel.core.files.names import is_open_pipe, is_there, refuse_pipe
+from termsel.core.isolation.arrays import returns
+from termsel.core.isolation.calls import Check
+from termsel.core.options import Configurable, Option
+from termsel.data.features import FeatureSet
 
 if TYPE_CHECKING:
     from termsel.results.result import Result
@@ -165,7 +165,7 @@ class Writer(Configurable, ABC):
 
     @abstractmethod
     def write(self, result: Result, path: Path) -> None:
-        """Write `result` to `path`, completely or not at all (`termsel.files.atomic`).
+        """Write `result` to `path`, completely or not at all (`termsel.core.files.atomic`).
 
         Raises
         ------

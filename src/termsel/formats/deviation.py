@@ -7,12 +7,12 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from termsel.fits.fit import Fit
-from termsel.fits.least_squares import fit
-from termsel.fits.sky import ground_where_held, image_places, middle_height, sky_said
-from termsel.measurements.coordinates.metres import in_metres
-from termsel.measurements.features import FeatureSet, FloatArray, Points
-from termsel.measurements.scaling import scaling_of
+from termsel.data.coordinates.metres import in_metres
+from termsel.data.features import FeatureSet, FloatArray, Points
+from termsel.data.scaling import scaling_of
+from termsel.fitting.fit import Fit
+from termsel.fitting.least_squares import fit
+from termsel.fitting.sky import ground_where_held, image_places, middle_height, sky_said
 from termsel.models.polynomial import Polynomial2D
 
 log = logging.getLogger(__name__)

@@ -11,8 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from termsel.errors import GIS, TermselError, first_of, printable, requires
-from termsel.files.rasters import open_raster, positions, refuse_empty_giant
+from termsel.core.errors import GIS, TermselError, first_of, printable, requires
+from termsel.data.coordinates.crs import LOCAL, to_wgs84
+from termsel.data.coordinates.longitudes import nearest
+from termsel.data.coordinates.metres import height_unit
+from termsel.data.dem_difference import DemDifference, dem_difference
+from termsel.data.features import FeatureSet, FloatArray
+from termsel.data.rasters import open_raster, positions, refuse_empty_giant
 from termsel.formats.vertical import (
     Heights,
     metres_of_band,
@@ -20,11 +25,6 @@ from termsel.formats.vertical import (
     to_datum_of,
     with_declared_datum,
 )
-from termsel.measurements.coordinates.crs import LOCAL, to_wgs84
-from termsel.measurements.coordinates.longitudes import nearest
-from termsel.measurements.coordinates.metres import height_unit
-from termsel.measurements.dem_difference import DemDifference, dem_difference
-from termsel.measurements.features import FeatureSet, FloatArray
 
 log = logging.getLogger(__name__)
 

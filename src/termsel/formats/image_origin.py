@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from termsel.errors import TermselError
-from termsel.files.rasters import open_raster
+from termsel.core.errors import TermselError
+from termsel.core.options import Option
+from termsel.data.features import FeatureSet, FloatArray
+from termsel.data.rasters import open_raster
 from termsel.formats.vrt import MARGIN
-from termsel.measurements.features import FeatureSet, FloatArray
-from termsel.options import Option
 
 log = logging.getLogger(__name__)
 

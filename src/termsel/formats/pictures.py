@@ -12,8 +12,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from termsel.files.names import is_there
-from termsel.files.rasters import open_raster
+from termsel.core.files.names import is_there
+from termsel.data.rasters import open_raster
 
 log = logging.getLogger(__name__)
 

@@ -9,10 +9,10 @@ from contextvars import ContextVar
 
 import numpy as np
 
-from termsel.errors import TermselError, counted
-from termsel.measurements.features import FloatArray, IntArray
-from termsel.measurements.values import places_in_words, repeated_places
-from termsel.options import Option
+from termsel.core.errors import TermselError, counted
+from termsel.core.options import Option
+from termsel.data.features import FloatArray, IntArray
+from termsel.data.values import places_in_words, repeated_places
 
 log = logging.getLogger(__name__)
 

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from termsel.errors import TermselError
-from termsel.files.atomic import write_text
-from termsel.files.rasters import open_raster
+from termsel.core.errors import TermselError
+from termsel.core.files.atomic import write_text
+from termsel.data.features import FeatureSet
+from termsel.data.rasters import open_raster
 from termsel.formats.base import is_utf16, located, read_data, read_head, read_text
-from termsel.measurements.features import FeatureSet
 from termsel.models.image_part import ImagePart
 from termsel.models.rpc import N_COEFFICIENTS, Rpc
 

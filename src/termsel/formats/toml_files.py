@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from termsel.errors import TermselError
+from termsel.core.errors import TermselError
 from termsel.formats.base import read_text
 
 _BOMB = re.compile(r"\.(?:[\"'\w \t-]{0,80}\.){100}")  # dotted keys cost the square of their parts

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from termsel.errors import TermselError
-from termsel.measurements.coordinates.crs import (
+from termsel.core.errors import TermselError
+from termsel.data.coordinates.crs import (
     height_reference,
     short,
     transformation,
     vertical_datum,
 )
-from termsel.measurements.coordinates.height_units import (
+from termsel.data.coordinates.height_units import (
     METRE,
     UNITS,
     WORDS,
@@ -25,7 +25,7 @@ from termsel.measurements.coordinates.height_units import (
     unit_of_word,
     with_height_unit,
 )
-from termsel.measurements.features import FloatArray
+from termsel.data.features import FloatArray
 
 if TYPE_CHECKING:
     from pyproj import CRS

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from termsel.errors import TermselError
-from termsel.files.texts import is_xml_text, xml_attribute, xml_text
+from termsel.core.errors import TermselError
+from termsel.core.files.texts import is_xml_text, xml_attribute, xml_text
+from termsel.core.options import Option
+from termsel.data.features import Points
 from termsel.formats.pictures import Band, Picture, picture_of
-from termsel.measurements.features import Points
-from termsel.options import Option
 from termsel.results.result import Result
 
 log = logging.getLogger(__name__)

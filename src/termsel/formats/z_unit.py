@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from termsel.errors import TermselError
-from termsel.formats.heights import open_dem
-from termsel.measurements.coordinates.crs import LOCAL, height_axis_unit, short, to_wgs84
-from termsel.measurements.coordinates.height_units import (
+from termsel.core.errors import TermselError
+from termsel.core.options import Option
+from termsel.data.coordinates.crs import LOCAL, height_axis_unit, short, to_wgs84
+from termsel.data.coordinates.height_units import (
     METRE,
     UNITS,
     WORDS,
@@ -20,9 +20,9 @@ from termsel.measurements.coordinates.height_units import (
     unit_of_size,
     with_height_unit,
 )
-from termsel.measurements.features import FeatureSet, FloatArray
+from termsel.data.features import FeatureSet, FloatArray
+from termsel.formats.heights import open_dem
 from termsel.models.rpc import Rpc
-from termsel.options import Option
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

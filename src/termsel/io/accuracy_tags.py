@@ -5,8 +5,8 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
+from termsel.core.version import __version__
 from termsel.report.opening import expected_of, predicted_first
-from termsel.version import __version__
 
 if TYPE_CHECKING:
     from termsel.results.result import Result

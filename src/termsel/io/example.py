@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from termsel.files.atomic import new_folder, write_text
-from termsel.files.rasters import require_rasterio, tiff_bytes
+from termsel.core.files.atomic import new_folder, write_text
+from termsel.data.coordinates.crs import transformation
+from termsel.data.features import FloatArray, Lines, Points
+from termsel.data.rasters import require_rasterio, tiff_bytes
 from termsel.formats.readers.csv_tables import table_text, write_lines_csv, write_points_csv
-from termsel.measurements.coordinates.crs import transformation
-from termsel.measurements.features import FloatArray, Lines, Points
 from termsel.simulate.example import (
     BOARD,
     CRS,

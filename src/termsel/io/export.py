@@ -6,10 +6,10 @@ import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from termsel.display.quiet import quieted
-from termsel.errors import TermselError
-from termsel.files.atomic import private_folder
-from termsel.files.names import is_there
+from termsel.core.display.quiet import quieted
+from termsel.core.errors import TermselError
+from termsel.core.files.atomic import private_folder
+from termsel.core.files.names import is_there
 from termsel.io.replacing import require_replaceable
 from termsel.plugins.registry import registry
 

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from termsel.errors import TermselError
-from termsel.formats.heights import surface_of
-from termsel.measurements.coordinates.crs import (
+from termsel.core.errors import TermselError
+from termsel.data.coordinates.crs import (
     LOCAL,
     geodetic_of,
     horizontal,
@@ -21,9 +20,10 @@ from termsel.measurements.coordinates.crs import (
     normalise,
     transformation,
 )
-from termsel.measurements.coordinates.longitudes import continuous
-from termsel.measurements.coordinates.utm import is_polar, metric_crs, polar_crs
-from termsel.measurements.features import FloatArray
+from termsel.data.coordinates.longitudes import continuous
+from termsel.data.coordinates.utm import is_polar, metric_crs, polar_crs
+from termsel.data.features import FloatArray
+from termsel.formats.heights import surface_of
 
 if TYPE_CHECKING:
     from termsel.results.result import Result

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from termsel.errors import TermselError
-from termsel.files.cog import TILE, write_cog
-from termsel.files.rasters import open_raster
+from termsel.core.errors import TermselError
+from termsel.data.cog import TILE, write_cog
+from termsel.data.rasters import open_raster
 from termsel.formats.pictures import Band, Colour, Picture, expanded
 from termsel.io.map_grid import MapGrid
 

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from termsel.errors import TermselError
-from termsel.fits.fit import Fit
-from termsel.fits.next_places import rank_places
-from termsel.fits.scene import scene_grid
+from termsel.core.errors import TermselError
+from termsel.data.features import FloatArray
+from termsel.fitting.fit import Fit
+from termsel.fitting.next_places import rank_places
+from termsel.fitting.scene import scene_grid
 from termsel.formats.readers.csv_tables import table_text
 from termsel.io.project import read_ground
-from termsel.measurements.features import FloatArray
 
 if TYPE_CHECKING:
     from termsel.results.result import Result

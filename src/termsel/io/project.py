@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from termsel.errors import TermselError, counted, first_of
-from termsel.fits.extrapolation import FAR, outside
+from termsel.core.errors import TermselError, counted, first_of
+from termsel.data.coordinates.crs import is_geographic, normalise, with_stated_heights
+from termsel.data.coordinates.longitudes import nearest
+from termsel.data.features import BoolArray, FloatArray, select
+from termsel.data.tables.columns import COORDINATES
+from termsel.fitting.extrapolation import FAR, outside
 from termsel.formats.base import read_once
 from termsel.formats.heights import say_difference, surface_of
 from termsel.formats.readers.csv_tables import table_text
 from termsel.formats.readers.table import Table
 from termsel.formats.readers.tables import read_table
-from termsel.measurements.coordinates.crs import is_geographic, normalise, with_stated_heights
-from termsel.measurements.coordinates.longitudes import nearest
-from termsel.measurements.features import BoolArray, FloatArray, select
-from termsel.measurements.tables.columns import COORDINATES
 
 if TYPE_CHECKING:
     from termsel.results.result import Result
@@ -44,7 +44,8 @@ def project_table(
 
     The CSV is headed id,line,sample,x,y,z,uncertainty_line,uncertainty_sample,outside: standard
     deviations of what the model predicts (`termsel.Fit.sigma`), and how far a place is outside the
-    control that the model was fitted to (`termsel.fits.extrapolation.outside`). Warned is of points
+    control that the model was fitted to (`termsel.fitting.extrapolation.outside`). Warned is of
+    points
     without a place, by name and with the reason where it is known, and of those outside. Raises
     TermselError for tables that cannot be read, a CRS other than that of the control, and heights
     that are missing.

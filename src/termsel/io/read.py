@@ -12,9 +12,16 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
-from termsel.errors import TermselError, counted, unknown_name
-from termsel.files.atomic import private_folder
-from termsel.files.names import is_there
+from termsel.core.errors import TermselError, counted, unknown_name
+from termsel.core.files.atomic import private_folder
+from termsel.core.files.names import is_there
+from termsel.core.isolation.faults import PluginFault, is_own, name_of
+from termsel.data.coordinates.crs import normalise
+from termsel.data.coordinates.earth import say_turned, unknown_crs
+from termsel.data.coordinates.mixed import note_on_mixed
+from termsel.data.coordinates.plausible import check_ground
+from termsel.data.features import FeatureSet, no_lines, no_points
+from termsel.data.tables.columns import LINES, OPTIONAL, POINTS, columns_text
 from termsel.formats.base import Reader, is_utf16, located, read_head, read_once, utf16_error
 from termsel.formats.heights import with_heights
 from termsel.formats.image_origin import IMAGE_ORIGIN, image_size_of, with_image_origin
@@ -22,13 +29,6 @@ from termsel.formats.readers.advice import unknown_table
 from termsel.formats.repeated import REPEATED, averaging
 from termsel.formats.rpc_files import has_rpc, size_with_rpc, with_rpc
 from termsel.formats.z_unit import Z_UNIT, with_z_unit
-from termsel.guard.faults import PluginFault, is_own, name_of
-from termsel.measurements.coordinates.crs import normalise
-from termsel.measurements.coordinates.earth import say_turned, unknown_crs
-from termsel.measurements.coordinates.mixed import note_on_mixed
-from termsel.measurements.coordinates.plausible import check_ground
-from termsel.measurements.features import FeatureSet, no_lines, no_points
-from termsel.measurements.tables.columns import LINES, OPTIONAL, POINTS, columns_text
 from termsel.models.image_part import RPC_OFFSET, RPC_SCALE, ImagePart, part_of
 from termsel.models.rpc import Rpc
 from termsel.plugins.registry import built_in, registry

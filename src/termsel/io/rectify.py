@@ -10,12 +10,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from termsel.errors import TermselError
-from termsel.files.atomic import private_folder, write_text
-from termsel.files.cog import require_tiff_name
-from termsel.files.names import utf8_name
-from termsel.files.rasters import gdal_name, open_raster, refuse_empty_giant, require_rasterio
-from termsel.fits.sky import NEAR_OR_FAR, why_not_shown
+from termsel.core.errors import TermselError
+from termsel.core.files.atomic import private_folder, write_text
+from termsel.core.files.names import utf8_name
+from termsel.data.cog import require_tiff_name
+from termsel.data.coordinates.crs import (
+    UTM,
+    has_ellipsoidal_metres,
+    horizontal,
+    short,
+    to_wgs84,
+)
+from termsel.data.rasters import gdal_name, open_raster, refuse_empty_giant, require_rasterio
+from termsel.fitting.sky import NEAR_OR_FAR, why_not_shown
 from termsel.formats.heights import Dem, say_difference, surface_of, write_ellipsoidal
 from termsel.formats.pictures import Picture
 from termsel.formats.rpc_files import rpc_items
@@ -26,13 +33,6 @@ from termsel.io.export import as_exported
 from termsel.io.map_grid import MapGrid, grid_of_image, map_crs, sees_all, within
 from termsel.io.map_pixels import map_pixels, warp
 from termsel.io.replacing import require_replaceable
-from termsel.measurements.coordinates.crs import (
-    UTM,
-    has_ellipsoidal_metres,
-    horizontal,
-    short,
-    to_wgs84,
-)
 from termsel.models.rpc_fit import GOOD, RpcFit, rpc_of
 
 if TYPE_CHECKING:

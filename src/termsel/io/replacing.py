@@ -6,9 +6,9 @@ import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from termsel.errors import TermselError
-from termsel.files.names import is_there
-from termsel.files.rasters import open_raster
+from termsel.core.errors import TermselError
+from termsel.core.files.names import is_there
+from termsel.data.rasters import open_raster
 from termsel.io.result_folder import files_of_result
 
 _NEXT_TO = (".RPB", ".rpb", ".IMD", ".tfw", ".TFW", ".aux")

@@ -8,10 +8,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from termsel.errors import TermselError
-from termsel.files.atomic import encoded, private_folder, put_in_place, sync
-from termsel.files.lock import locked
-from termsel.files.names import (
+from termsel.core.errors import TermselError
+from termsel.core.files.atomic import encoded, private_folder, put_in_place, sync
+from termsel.core.files.lock import locked
+from termsel.core.files.names import (
     CERTIFICATE,
     JOURNAL,
     STABILITY,
@@ -19,16 +19,16 @@ from termsel.files.names import (
     is_there,
     refuse_link,
 )
-from termsel.files.texts import csv_table
+from termsel.core.files.texts import csv_table
+from termsel.core.options import options_of_file
+from termsel.data.coordinates.crs import normalise
+from termsel.data.features import FeatureSet, no_lines, no_points
+from termsel.data.record.record import Record
+from termsel.data.roles import by_roles
 from termsel.formats.base import located, parse_json, read_text
 from termsel.formats.readers.csv_tables import LinesCsv, PointsCsv, lines_text, points_text
 from termsel.io.result_of_record import AGAIN, record_from, result_from
-from termsel.measurements.coordinates.crs import normalise
-from termsel.measurements.features import FeatureSet, no_lines, no_points
-from termsel.measurements.roles import by_roles
 from termsel.models.rpc import Rpc
-from termsel.options import options_of_file
-from termsel.record.record import Record
 from termsel.results.checksums import of_attributes, of_features, of_record
 from termsel.results.result import Result
 

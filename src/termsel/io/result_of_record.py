@@ -8,23 +8,23 @@ from typing import Any
 import numpy as np
 from msgspec import ValidationError, convert
 
-from termsel.candidates.base import Candidate
-from termsel.errors import TermselError, printable
-from termsel.fits.diagnosis import Diagnosis
-from termsel.fits.figures import Baseline, figures, in_role, residuals_of, rmse_from
-from termsel.fits.fit import Estimator, Fit
-from termsel.measurements.features import FeatureSet
-from termsel.measurements.roles import ASSIGNABLE, Observations, by_roles
-from termsel.measurements.scaling import Scaling
-from termsel.measurements.twins import merged
+from termsel.auto.base import Candidate
+from termsel.core.errors import TermselError, printable
+from termsel.core.version import __version__
+from termsel.data.features import FeatureSet
+from termsel.data.record.base import plain
+from termsel.data.record.record import SCHEMA, PluginRecord, Record
+from termsel.data.roles import ASSIGNABLE, Observations, by_roles
+from termsel.data.scaling import Scaling
+from termsel.data.twins import merged
+from termsel.fitting.diagnosis import Diagnosis
+from termsel.fitting.figures import Baseline, figures, in_role, residuals_of, rmse_from
+from termsel.fitting.fit import Estimator, Fit
 from termsel.models.base import SensorModel
 from termsel.plugins.registry import registry
-from termsel.problems.base import Selection
-from termsel.record.base import plain
-from termsel.record.record import SCHEMA, PluginRecord, Record
 from termsel.results.result import CARRIED, Result
 from termsel.results.same_fit import fit_of_record
-from termsel.version import __version__
+from termsel.selection.problems.base import Selection
 
 AGAIN = "Run the search again."
 """What to do with a record that cannot be read."""

@@ -10,14 +10,14 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from termsel.errors import TermselError, first_of
+from termsel.core.errors import TermselError, first_of
+from termsel.data.features import Points
+from termsel.data.record.base import plain
+from termsel.data.record.record import Record
 from termsel.formats.base import parse_json, read_text
 from termsel.formats.readers.csv_tables import PointsCsv
 from termsel.io.result_folder import POINTS, RECORD
 from termsel.io.result_of_record import AGAIN, record_from
-from termsel.measurements.features import Points
-from termsel.record.base import plain
-from termsel.record.record import Record
 from termsel.results.result import Result
 
 

@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from termsel.adjustment.equations import Equations
-from termsel.adjustment.interpolation import Interpolation
-from termsel.errors import TermselError, first_of
-from termsel.fits.fit import Fit
-from termsel.fits.of_features import control_of, fit_all_terms
-from termsel.guard.arrays import of_shape, of_type, returns
-from termsel.guard.calls import Check
-from termsel.measurements.coordinates.crs import to_wgs84
-from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, IntArray
-from termsel.measurements.scaling import Scaling
-from termsel.options import Configurable
+from termsel.core.errors import TermselError, first_of
+from termsel.core.isolation.arrays import of_shape, of_type, returns
+from termsel.core.isolation.calls import Check
+from termsel.core.options import Configurable
+from termsel.data.coordinates.crs import to_wgs84
+from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray
+from termsel.data.scaling import Scaling
+from termsel.fitting.adjustment.equations import Equations
+from termsel.fitting.adjustment.interpolation import Interpolation
+from termsel.fitting.fit import Fit
+from termsel.fitting.of_features import control_of, fit_all_terms
 
 if TYPE_CHECKING:
     from termsel.models.rpc import Rpc
@@ -92,7 +92,7 @@ class SensorModel(Configurable, ABC):
     """A mapping from ground to image whose terms can be switched on and off.
 
     A model works in scaled coordinates: image and ground within about [-1, 1] (see
-    `termsel.measurements.scaling`). A model that depends on its place on Earth finds it in
+    `termsel.data.scaling`). A model that depends on its place on Earth finds it in
     `scaling` and `crs`, or calls `geographic`.
     """
 

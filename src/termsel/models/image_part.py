@@ -16,10 +16,10 @@ from itertools import combinations
 
 import numpy as np
 
-from termsel.errors import TermselError
-from termsel.measurements.features import FloatArray
+from termsel.core.errors import TermselError
+from termsel.core.options import Option
+from termsel.data.features import FloatArray
 from termsel.models.rpc import Rpc
-from termsel.options import Option
 
 RPC_OFFSET = Option(
     "rpc_offset", None, "Line and sample at which this image begins in the larger one that the RPC "

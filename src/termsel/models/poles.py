@@ -10,11 +10,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from termsel.fits.fittable import Fittable
-from termsel.measurements.coordinates.crs import is_geocentric
-from termsel.measurements.coordinates.places import spatial_order
-from termsel.measurements.features import FeatureSet, FloatArray, Points
-from termsel.measurements.view import view_of
+from termsel.data.coordinates.crs import is_geocentric
+from termsel.data.coordinates.places import spatial_order
+from termsel.data.features import FeatureSet, FloatArray, Points
+from termsel.data.view import view_of
+from termsel.fitting.fittable import Fittable
 
 POLE_MARGIN = 0.1
 """Least value of a denominator over the scene; vendor RPCs stay within some hundredths of 1."""

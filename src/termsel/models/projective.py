@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import cached_property
 from typing import ClassVar
 
-from termsel.adjustment.monomials import Exponents, graded_exponents
+from termsel.core.options import Option
+from termsel.fitting.adjustment.monomials import Exponents, graded_exponents
 from termsel.models.quotient import MonomialModel
-from termsel.options import Option
 
 WEIGHTED = Option(
     "weighted", False, "Divide the equations by the denominators and iterate, to the least squares "

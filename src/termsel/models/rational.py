@@ -7,12 +7,12 @@ from functools import cached_property
 
 import numpy as np
 
-from termsel.adjustment.equations import Equations
-from termsel.adjustment.monomials import RPC00B, Exponents
-from termsel.measurements.features import FeatureSet, FloatArray
+from termsel.core.options import Option
+from termsel.data.features import FeatureSet, FloatArray
+from termsel.fitting.adjustment.equations import Equations
+from termsel.fitting.adjustment.monomials import RPC00B, Exponents
 from termsel.models.quotient import MonomialModel
 from termsel.models.terms import Term
-from termsel.options import Option
 
 _TERMS_OF_ORDER = {1: 4, 2: 10, 3: 20}
 

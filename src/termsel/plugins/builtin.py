@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING
 from termsel.plugins.hookspecs import hookimpl
 
 if TYPE_CHECKING:
-    from termsel.candidates.base import Candidate
-    from termsel.criteria import Criterion
+    from termsel.auto.base import Candidate
+    from termsel.data.datasets import DatasetSpec
+    from termsel.data.splits import Split
     from termsel.formats.base import Reader, Writer
-    from termsel.measurements.datasets import DatasetSpec
-    from termsel.measurements.splits import Split
     from termsel.models import SensorModel
-    from termsel.problems.objectives import Objective
-    from termsel.problems.recipes import Recipe
-    from termsel.solvers import Solver
+    from termsel.selection.criteria import Criterion
+    from termsel.selection.problems.objectives import Objective
+    from termsel.selection.problems.recipes import Recipe
+    from termsel.selection.solvers import Solver
 
 
 @hookimpl
@@ -38,7 +38,7 @@ def termsel_models() -> Iterable[type[SensorModel]]:
 @hookimpl
 def termsel_problems() -> Iterable[Recipe]:
     """Return the built-in problems."""
-    from termsel.problems.recipes import RECIPES
+    from termsel.selection.problems.recipes import RECIPES
 
     return RECIPES
 
@@ -46,7 +46,7 @@ def termsel_problems() -> Iterable[Recipe]:
 @hookimpl
 def termsel_criteria() -> Iterable[type[Criterion]]:
     """Return the built-in criteria."""
-    from termsel.criteria import CheckRmse, Ebic, Huber, KFold, Median, Press
+    from termsel.selection.criteria import CheckRmse, Ebic, Huber, KFold, Median, Press
 
     return [CheckRmse, Press, KFold, Ebic, Median, Huber]
 
@@ -54,7 +54,7 @@ def termsel_criteria() -> Iterable[type[Criterion]]:
 @hookimpl
 def termsel_objectives() -> Iterable[Objective]:
     """Return the built-in objectives."""
-    from termsel.problems.objectives import OBJECTIVES
+    from termsel.selection.problems.objectives import OBJECTIVES
 
     return OBJECTIVES
 
@@ -62,15 +62,15 @@ def termsel_objectives() -> Iterable[Objective]:
 @hookimpl
 def termsel_solvers() -> Iterable[type[Solver]]:
     """Return the built-in solvers."""
-    from termsel.solvers.bridges.pareto import Nsga2
-    from termsel.solvers.genetic.ga import GeneticAlgorithm
-    from termsel.solvers.genetic.ga_steady import SteadyStateGA
-    from termsel.solvers.heuristics.ica import ImperialistCompetition
-    from termsel.solvers.heuristics.pso import BinarySwarm
-    from termsel.solvers.heuristics.swap import Swap
-    from termsel.solvers.heuristics.yardsticks import AllTerms, RandomSearch
-    from termsel.solvers.proofs.exact import Exact
-    from termsel.solvers.regression.ridge import Ridge
+    from termsel.selection.solvers.bridges.pareto import Nsga2
+    from termsel.selection.solvers.genetic.ga import GeneticAlgorithm
+    from termsel.selection.solvers.genetic.ga_steady import SteadyStateGA
+    from termsel.selection.solvers.heuristics.ica import ImperialistCompetition
+    from termsel.selection.solvers.heuristics.pso import BinarySwarm
+    from termsel.selection.solvers.heuristics.swap import Swap
+    from termsel.selection.solvers.heuristics.yardsticks import AllTerms, RandomSearch
+    from termsel.selection.solvers.proofs.exact import Exact
+    from termsel.selection.solvers.regression.ridge import Ridge
 
     return [GeneticAlgorithm, SteadyStateGA, ImperialistCompetition, BinarySwarm, Nsga2, Exact,
             Swap, RandomSearch, AllTerms, Ridge]
@@ -79,7 +79,7 @@ def termsel_solvers() -> Iterable[type[Solver]]:
 @hookimpl
 def termsel_candidates() -> Iterable[Candidate]:
     """Return the built-in candidates of the strategy auto."""
-    from termsel.candidates.structures import CANDIDATES
+    from termsel.auto.structures import CANDIDATES
 
     return CANDIDATES
 
@@ -95,7 +95,7 @@ def termsel_datasets() -> Iterable[DatasetSpec]:
 @hookimpl
 def termsel_splits() -> Iterable[Split]:
     """Return the built-in splits."""
-    from termsel.measurements.splits import SPLITS
+    from termsel.data.splits import SPLITS
 
     return SPLITS
 

@@ -35,20 +35,20 @@ import pluggy
 if TYPE_CHECKING:
     import click
 
-    from termsel.candidates.base import Candidate
-    from termsel.criteria import Criterion
+    from termsel.auto.base import Candidate
+    from termsel.core.isolation.parts import Part
+    from termsel.core.options import Configurable
+    from termsel.data.datasets import DatasetSpec
+    from termsel.data.splits import Split
     from termsel.formats.base import Reader, Writer
-    from termsel.guard.parts import Part
-    from termsel.measurements.datasets import DatasetSpec
-    from termsel.measurements.splits import Split
     from termsel.models import SensorModel
-    from termsel.options import Configurable
-    from termsel.problems.objectives import Objective
-    from termsel.problems.recipes import Recipe
     from termsel.results.extras import Measure, ReportSection
     from termsel.results.result import Result
-    from termsel.solvers import Solver
-    from termsel.solvers.ledger import Progress
+    from termsel.selection.criteria import Criterion
+    from termsel.selection.problems.objectives import Objective
+    from termsel.selection.problems.recipes import Recipe
+    from termsel.selection.solvers import Solver
+    from termsel.selection.solvers.ledger import Progress
 
 PROJECT = "termsel"
 """Name of the entry-point group, and prefix of the hooks."""

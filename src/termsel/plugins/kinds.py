@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
-from termsel.guard.faults import is_own
-from termsel.options import Configurable, Option
+from termsel.core.isolation.faults import is_own
+from termsel.core.options import Configurable, Option
 
 _NAME = re.compile(r"[^\s:]+")
 
@@ -101,15 +101,15 @@ _PLAIN = (bool, int, str, tuple, dict)
 """Types of the attributes by which a class says what it is."""
 
 KINDS = {
-    "problems": Kind("problem", "termsel.problems.recipes", "Recipe"),
+    "problems": Kind("problem", "termsel.selection.problems.recipes", "Recipe"),
     "models": Kind("model", "termsel.models", "SensorModel"),
-    "solvers": Kind("solver", "termsel.solvers", "Solver"),
-    "criteria": Kind("criterion", "termsel.criteria", "Criterion", tried=True),
-    "objectives": Kind("objective", "termsel.problems.objectives", "Objective"),
-    "candidates": Kind("candidate", "termsel.candidates.base", "Candidate"),
+    "solvers": Kind("solver", "termsel.selection.solvers", "Solver"),
+    "criteria": Kind("criterion", "termsel.selection.criteria", "Criterion", tried=True),
+    "objectives": Kind("objective", "termsel.selection.problems.objectives", "Objective"),
+    "candidates": Kind("candidate", "termsel.auto.base", "Candidate"),
     "matchers": Kind("matcher", "", "Matcher", tried=True),
-    "datasets": Kind("data set", "termsel.measurements.datasets", "DatasetSpec"),
-    "splits": Kind("split", "termsel.measurements.splits", "Split"),
+    "datasets": Kind("data set", "termsel.data.datasets", "DatasetSpec"),
+    "splits": Kind("split", "termsel.data.splits", "Split"),
     "sections": Kind("section", "termsel.results.extras", "ReportSection"),
     "measures": Kind("measure", "termsel.results.extras", "Measure"),
     "readers": Kind("reader", "termsel.formats.base", "Reader", tried=True),

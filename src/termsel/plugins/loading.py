@@ -17,12 +17,12 @@ from typing import Any, TypeVar
 
 import pluggy
 
-from termsel.errors import raised, unknown_name
-from termsel.guard.faults import OWN, distribution_of, remember
-from termsel.guard.inside import TooSlow, code_of, surroundings_kept, within
+from termsel.core.errors import raised, unknown_name
+from termsel.core.isolation.faults import OWN, distribution_of, remember
+from termsel.core.isolation.inside import TooSlow, code_of, surroundings_kept, within
+from termsel.core.version import __version__
 from termsel.plugins import builtin, hookspecs
 from termsel.plugins.hookspecs import PROJECT
-from termsel.version import __version__
 
 log = logging.getLogger(__name__)
 
@@ -293,7 +293,7 @@ def _points_of(distribution: Distribution) -> tuple[list[EntryPoint], str]:
 
 def _spare_numba() -> None:
     """Let numba find its extensions now: it fails at what no reader of metadata can read, once."""
-    from termsel.adjustment.numba_settings import import_numba
+    from termsel.fitting.adjustment.numba_settings import import_numba
 
     import_numba()
     from numba.core.entrypoints import init_all

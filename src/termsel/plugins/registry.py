@@ -10,10 +10,10 @@ from functools import cache, partial
 from importlib.metadata import EntryPoint
 from typing import TYPE_CHECKING, Any
 
-from termsel.errors import TermselError, printable, unknown_name
-from termsel.guard import parts
-from termsel.guard.faults import package_of
-from termsel.options import Configurable
+from termsel.core.errors import TermselError, printable, unknown_name
+from termsel.core.isolation import parts
+from termsel.core.isolation.faults import package_of
+from termsel.core.options import Configurable
 from termsel.plugins.calling import Taken, call, listed
 from termsel.plugins.commands import COMMANDS
 from termsel.plugins.hookspecs import PROJECT
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import click
 
     from termsel.results.result import Result
-    from termsel.solvers.ledger import Progress
+    from termsel.selection.solvers.ledger import Progress
 
 HEARD = 600.0
 """Seconds that a plugin may take for a finished run, such as to send it somewhere."""

@@ -9,12 +9,12 @@ from __future__ import annotations
 import platform
 from collections.abc import Iterator
 
-from termsel.candidates.portfolio import EXACT
-from termsel.errors import counted, first_of
-from termsel.fits.figures import LEAVE_ONE_OUT
-from termsel.record.base import plain
-from termsel.record.figures import Accuracy, InImage, OnGround, Predicted, RoleRmse
-from termsel.record.record import Record
+from termsel.auto.portfolio import EXACT
+from termsel.core.errors import counted, first_of
+from termsel.data.record.base import plain
+from termsel.data.record.figures import Accuracy, InImage, OnGround, Predicted, RoleRmse
+from termsel.data.record.record import Record
+from termsel.fitting.figures import LEAVE_ONE_OUT
 from termsel.report.blocks import (
     Block,
     Code,

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from termsel.candidates.compare import WITHOUT_BLUNDERS
-from termsel.candidates.structures import named
-from termsel.record.figures import RmseByRole
-from termsel.record.record import Record
+from termsel.auto.compare import WITHOUT_BLUNDERS
+from termsel.auto.structures import named
+from termsel.data.record.figures import RmseByRole
+from termsel.data.record.record import Record
 
 THIS = "this result"
 

@@ -8,11 +8,11 @@ from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
 
-from termsel.errors import TermselError, requires
-from termsel.files.atomic import write_bytes
+from termsel.core.errors import TermselError, requires
+from termsel.core.files.atomic import write_bytes
+from termsel.core.version import __version__
 from termsel.report.pictures import bundle
 from termsel.report.theme import require_altair
-from termsel.version import __version__
 
 EMBED = "termselEmbed"
 """The function of the library, by a name that no other script on a page has."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import PurePath
 
-from termsel.candidates.structures import named
-from termsel.errors import counted, cut
-from termsel.measurements.coordinates.crs import LOCAL, short
-from termsel.record.figures import MANY_INDEPENDENT, Accuracy, Outlier, Predicted
-from termsel.record.record import Record, WhatWasRead
+from termsel.auto.structures import named
+from termsel.core.errors import counted, cut
+from termsel.data.coordinates.crs import LOCAL, short
+from termsel.data.record.figures import MANY_INDEPENDENT, Accuracy, Outlier, Predicted
+from termsel.data.record.record import Record, WhatWasRead
 from termsel.report.blocks import Note
 from termsel.report.compared import label_of
 from termsel.report.verdict import contradicting, off_option

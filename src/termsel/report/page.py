@@ -16,7 +16,7 @@ from importlib.resources import files
 from itertools import groupby
 from typing import Any
 
-from termsel.errors import printable
+from termsel.core.errors import printable
 from termsel.report.blocks import (
     Block,
     Code,

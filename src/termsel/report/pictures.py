@@ -7,8 +7,8 @@ import re
 from functools import cache
 from typing import Any
 
-from termsel.errors import TermselError, requires
-from termsel.guard.helper import Helper, ProcessEndedError
+from termsel.core.errors import TermselError, requires
+from termsel.core.isolation.helper import Helper, ProcessEndedError
 
 SCALE = 2.0
 """Pixels of a PNG for each pixel of the screen."""

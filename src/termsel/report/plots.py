@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from termsel.errors import TermselError, unknown_name
-from termsel.files.atomic import write_bytes
+from termsel.core.errors import TermselError, unknown_name
+from termsel.core.files.atomic import write_bytes
 from termsel.report.blocks import Figure
 from termsel.report.charts import bars, maps, search, terms
 from termsel.report.notebook import offline

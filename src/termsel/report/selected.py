@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import cast
 
-from termsel.errors import amount, counted, percent
-from termsel.fits.diagnosis import CORRELATED
-from termsel.record.figures import SIGNIFICANT, AdjustmentFigures, RoleRmse
-from termsel.record.record import Record
-from termsel.record.search import Certificate, Member, SizeRow, Strategy
+from termsel.core.errors import amount, counted, percent
+from termsel.data.record.figures import SIGNIFICANT, AdjustmentFigures, RoleRmse
+from termsel.data.record.record import Record
+from termsel.data.record.search import Certificate, Member, SizeRow, Strategy
+from termsel.fitting.diagnosis import CORRELATED
 from termsel.report import sizes
 from termsel.report.blocks import Block, Detail, Figure, Names, TableBlock
 from termsel.report.charts import search

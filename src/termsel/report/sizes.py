@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from termsel.errors import percent
-from termsel.record.search import Member, SelectionRecord, SizeRow
+from termsel.core.errors import percent
+from termsel.data.record.search import Member, SelectionRecord, SizeRow
 
 TITLE = "best of its size"
 COUNTS = {"n_terms": "terms", "n_features": "control features"}

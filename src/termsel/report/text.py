@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 
-from termsel.errors import printable
+from termsel.core.errors import printable
 from termsel.report.blocks import (
     Block,
     Code,

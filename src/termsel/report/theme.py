@@ -9,7 +9,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-from termsel.errors import requires
+from termsel.core.errors import requires
 
 CONTROL, CHECK, INDEPENDENT = "#0072b2", "#e08a00", "#1b1f24"
 UNUSED, BLUNDER = "#9aa1ab", "#c8003c"
@@ -79,7 +79,7 @@ def _wrapped(text: str, width: int = 84) -> list[str]:
     return textwrap.wrap(text, width)
 
 
-def data(rows: list[dict[str, Any]]) -> Any:
+def chart_rows(rows: list[dict[str, Any]]) -> Any:
     """Return rows as data of a chart; what is false is left out, as what is missing is false."""
     return _shared()(values=[{key: value for key, value in row.items() if value is not False}
                              for row in rows])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator
 
-from termsel.record.record import Record
+from termsel.data.record.record import Record
 from termsel.report.blocks import Block, TableBlock
 
 CERTAINTY = {"certain": "blunder", "probable": "probable blunder", "possible": "possible blunder"}

@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from termsel.record.record import Record
+from termsel.data.record.record import Record
 
 Row = dict[str, Any]
 

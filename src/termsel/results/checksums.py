@@ -10,8 +10,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from termsel.measurements.features import FeatureSet
-from termsel.record.record import Checksums
+from termsel.data.features import FeatureSet
+from termsel.data.record.record import Checksums
 
 SEALS = "checksums"
 """Key of the checksums in result.json."""

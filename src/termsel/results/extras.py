@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
-from termsel.errors import TermselError
-from termsel.guard.faults import blamed, wrong
+from termsel.core.errors import TermselError
+from termsel.core.isolation.faults import blamed, wrong
 from termsel.report.blocks import (
     Block,
     Code,

@@ -5,10 +5,10 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator
 
-from termsel.problems.recipes import Recipe
-from termsel.record.base import Value, plain
-from termsel.record.record import Record
-from termsel.solvers.base import GIVEN
+from termsel.data.record.base import Value, plain
+from termsel.data.record.record import Record
+from termsel.selection.problems.recipes import Recipe
+from termsel.selection.solvers.base import GIVEN
 
 
 def command(record: Record) -> str:

@@ -13,22 +13,14 @@ import numpy as np
 from msgspec import UNSET, convert, structs
 from numpy.typing import ArrayLike
 
-from termsel.display import Glance
-from termsel.errors import TermselError, counted
-from termsel.files.atomic import write_text
-from termsel.files.names import is_there
-from termsel.files.thumbnail import thumbnail
-from termsel.fits.diagnosis import Diagnosis
-from termsel.fits.figures import Baseline, Rmses, in_role, residuals_of, rmse_record
-from termsel.fits.fit import Fit
-from termsel.fits.locate import Surface
-from termsel.fits.residuals import Residuals
-from termsel.measurements.features import FeatureSet, FloatArray
-from termsel.measurements.roles import by_roles
-from termsel.problems.base import Selection
-from termsel.record.base import plain
-from termsel.record.figures import Accuracy, BlunderTest, Correlation, Outlier, Predicted
-from termsel.record.record import (
+from termsel.core.display import Glance
+from termsel.core.errors import TermselError, counted
+from termsel.core.files.atomic import write_text
+from termsel.core.files.names import is_there
+from termsel.data.features import FeatureSet, FloatArray
+from termsel.data.record.base import plain
+from termsel.data.record.figures import Accuracy, BlunderTest, Correlation, Outlier, Predicted
+from termsel.data.record.record import (
     SCHEMA,
     DataRecord,
     FinalFit,
@@ -37,7 +29,7 @@ from termsel.record.record import (
     PluginRecord,
     Record,
 )
-from termsel.record.search import (
+from termsel.data.record.search import (
     Certificate,
     HistoryRow,
     Member,
@@ -47,6 +39,13 @@ from termsel.record.search import (
     Strategy,
     TermFrequencies,
 )
+from termsel.data.roles import by_roles
+from termsel.data.thumbnail import thumbnail
+from termsel.fitting.diagnosis import Diagnosis
+from termsel.fitting.figures import Baseline, Rmses, in_role, residuals_of, rmse_record
+from termsel.fitting.fit import Fit
+from termsel.fitting.locate import Surface
+from termsel.fitting.residuals import Residuals
 from termsel.report.answers import document
 from termsel.report.opening import accuracy_of, title_of
 from termsel.report.page import page
@@ -56,6 +55,7 @@ from termsel.results.checksums import SEALS, checksums_of
 from termsel.results.extras import further_sections
 from termsel.results.same_fit import adjustment_figures, fit_record, least_squares_of
 from termsel.results.shown import Shown
+from termsel.selection.problems.base import Selection
 
 if TYPE_CHECKING:
     from termsel.models.base import SensorModel

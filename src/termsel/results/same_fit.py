@@ -12,19 +12,19 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from termsel.adjustment.solve import Adjustment
-from termsel.candidates import estimators
-from termsel.errors import TermselError
-from termsel.fits.figures import finite_or_none, number
-from termsel.fits.fit import Estimator, Fit, HeldOut
-from termsel.fits.fittable import Fittable
-from termsel.fits.least_squares import LeastSquares
-from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
-from termsel.measurements.scaling import Scaling
+from termsel.auto import estimators
+from termsel.core.errors import TermselError
+from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
+from termsel.data.record.figures import AdjustmentFigures
+from termsel.data.record.record import FitRecord
+from termsel.data.scaling import Scaling
+from termsel.fitting.adjustment.solve import Adjustment
+from termsel.fitting.figures import finite_or_none, number
+from termsel.fitting.fit import Estimator, Fit, HeldOut
+from termsel.fitting.fittable import Fittable
+from termsel.fitting.least_squares import LeastSquares
 from termsel.models.base import SensorModel
 from termsel.models.poles import guard_points, pole_margin, pole_violation
-from termsel.record.figures import AdjustmentFigures
-from termsel.record.record import FitRecord
 
 
 def fit_record(fitted: Fit) -> FitRecord:

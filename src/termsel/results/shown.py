@@ -8,16 +8,16 @@ from functools import cached_property
 
 import numpy as np
 
-from termsel.fits.figures import residuals_of
-from termsel.fits.fit import Fit
-from termsel.fits.residuals import Residual, Residuals
-from termsel.fits.scene import errors_on_ground, scene_grid
-from termsel.measurements.coordinates.crs import is_geographic
-from termsel.measurements.coordinates.metres import in_metres
-from termsel.measurements.coordinates.places import hull
-from termsel.measurements.features import FeatureSet, FloatArray, select
-from termsel.measurements.roles import by_roles
-from termsel.record.record import Record
+from termsel.data.coordinates.crs import is_geographic
+from termsel.data.coordinates.metres import in_metres
+from termsel.data.coordinates.places import hull
+from termsel.data.features import FeatureSet, FloatArray, select
+from termsel.data.record.record import Record
+from termsel.data.roles import by_roles
+from termsel.fitting.figures import residuals_of
+from termsel.fitting.fit import Fit
+from termsel.fitting.residuals import Residual, Residuals
+from termsel.fitting.scene import errors_on_ground, scene_grid
 from termsel.report.view import Row
 from termsel.results.repeat import command, not_by_command
 

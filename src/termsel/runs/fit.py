@@ -6,13 +6,13 @@ import logging
 from collections.abc import Mapping
 from typing import Any, cast
 
-from termsel.candidates.base import Candidate
-from termsel.errors import TermselError, unknown_name
-from termsel.fits.fit import Fit
-from termsel.guard.faults import blamed
+from termsel.auto.base import Candidate
+from termsel.core.errors import TermselError, unknown_name
+from termsel.core.isolation.faults import blamed
+from termsel.data.features import FeatureSet
+from termsel.data.roles import with_roles
+from termsel.fitting.fit import Fit
 from termsel.io.read import features_of
-from termsel.measurements.features import FeatureSet
-from termsel.measurements.roles import with_roles
 from termsel.models.base import SensorModel
 from termsel.plugins.registry import registry
 from termsel.runs.task.blank_heights import note_on_blank, to_leave_out

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any
 
-from termsel.solvers.ledger import Progress
+from termsel.selection.solvers.ledger import Progress
 
 _EVERY = 0.2
 """Seconds between two renewals."""

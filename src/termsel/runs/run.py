@@ -13,23 +13,22 @@ from typing import Any
 import numpy as np
 from msgspec import convert
 
-from termsel.adjustment import kernels
-from termsel.candidates.portfolio import Portfolio
-from termsel.criteria import Criterion
-from termsel.errors import TermselError
-from termsel.files.names import CERTIFICATE
+from termsel.auto.portfolio import Portfolio
+from termsel.core.errors import TermselError
+from termsel.core.files.names import CERTIFICATE
+from termsel.core.threads import one_blas_thread
+from termsel.data.datasets import DatasetSpec
+from termsel.data.features import FeatureSet
+from termsel.data.record.search import SearchLimits
+from termsel.fitting.adjustment import kernels
+from termsel.fitting.bayesian import held_out
 from termsel.formats.rpc_files import with_rpc
 from termsel.io.read import features_of
 from termsel.io.result_folder import claimed, write_result
 from termsel.io.spent import with_spent
-from termsel.measurements.datasets import DatasetSpec
-from termsel.measurements.features import FeatureSet
 from termsel.models.base import SensorModel
 from termsel.models.rpc import Rpc
 from termsel.plugins.registry import registry
-from termsel.priors import held_out
-from termsel.problems.recipes import Recipe
-from termsel.record.search import SearchLimits
 from termsel.results.result import Result
 from termsel.runs.auto.strategy import LEAST, choose_for, wanted
 from termsel.runs.notebook import notebook_observer
@@ -39,10 +38,11 @@ from termsel.runs.task.request import Request, loaded
 from termsel.runs.task.rpc_given import part_of_rpc, with_part
 from termsel.runs.task.task import Task, observe, prepared, with_shares
 from termsel.runs.task.verdict import judge_features
-from termsel.solvers.base import Solver
-from termsel.solvers.heuristics.yardsticks import AllTerms
-from termsel.solvers.search import Observer
-from termsel.threads import one_blas_thread
+from termsel.selection.criteria import Criterion
+from termsel.selection.problems.recipes import Recipe
+from termsel.selection.solvers.base import Solver
+from termsel.selection.solvers.heuristics.yardsticks import AllTerms
+from termsel.selection.solvers.search import Observer
 
 log = logging.getLogger(__name__)
 

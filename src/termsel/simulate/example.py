@@ -9,8 +9,8 @@ from functools import cache
 
 import numpy as np
 
-from termsel.fits.of_features import fit_all_terms
-from termsel.measurements.features import FeatureSet, FloatArray, Points
+from termsel.data.features import FeatureSet, FloatArray, Points
+from termsel.fitting.of_features import fit_all_terms
 from termsel.models.polynomial import Polynomial3D
 from termsel.models.rpc import Rpc
 from termsel.models.rpc_fit import rpc_of

@@ -9,8 +9,8 @@ from typing import get_type_hints
 
 from msgspec import ValidationError, convert
 
-from termsel.errors import TermselError
-from termsel.files.atomic import write_text
+from termsel.core.errors import TermselError
+from termsel.core.files.atomic import write_text
 from termsel.formats.base import located, parse_json, read_head, read_text
 from termsel.simulate.pushbroom import Pushbroom
 

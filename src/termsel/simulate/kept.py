@@ -12,7 +12,7 @@ from importlib.resources import files
 import msgspec
 import numpy as np
 
-from termsel.measurements.features import FeatureSet, Lines, Points
+from termsel.data.features import FeatureSet, Lines, Points
 
 FOLDER = "kept"
 """Folder of the files in the package that has them."""

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from termsel.errors import TermselError
-from termsel.measurements.coordinates.wgs84 import to_ecef
-from termsel.measurements.features import FloatArray
+from termsel.core.errors import TermselError
+from termsel.data.coordinates.wgs84 import to_ecef
+from termsel.data.features import FloatArray
 from termsel.simulate.pushbroom import ITERATIONS, Angle, Pushbroom
 
 

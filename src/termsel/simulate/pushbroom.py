@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from termsel.errors import TermselError
-from termsel.measurements.coordinates.wgs84 import (
+from termsel.core.errors import TermselError
+from termsel.data.coordinates.wgs84 import (
     EARTH_ROTATION,
     GRAVITY_CONSTANT,
     SEMI_MAJOR,
@@ -23,7 +23,7 @@ from termsel.measurements.coordinates.wgs84 import (
     to_ecef,
     vertical,
 )
-from termsel.measurements.features import FloatArray
+from termsel.data.features import FloatArray
 
 # Refractivity of air (n - 1) at sea level in the standard atmosphere, visible light, times the
 # height p0 / (rho0 g) = 8434 m of the equivalent homogeneous atmosphere: metres.

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from termsel.measurements.features import FloatArray
+from termsel.data.features import FloatArray
 from termsel.simulate.pushbroom import Heights, Pushbroom
 
 Pattern = Callable[[FloatArray], FloatArray]

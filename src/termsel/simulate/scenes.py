@@ -14,10 +14,10 @@ from functools import lru_cache, partial
 import numpy as np
 from numpy.random import Generator
 
-from termsel.errors import TermselError, unknown_name
-from termsel.measurements.coordinates.wgs84 import SEMI_MAJOR
-from termsel.measurements.datasets import DatasetSpec
-from termsel.measurements.features import (
+from termsel.core.errors import TermselError, unknown_name
+from termsel.data.coordinates.wgs84 import SEMI_MAJOR
+from termsel.data.datasets import DatasetSpec
+from termsel.data.features import (
     FeatureSet,
     FloatArray,
     IntArray,
@@ -26,7 +26,7 @@ from termsel.measurements.features import (
     no_lines,
     no_points,
 )
-from termsel.measurements.roles import ASSIGNABLE
+from termsel.data.roles import ASSIGNABLE
 from termsel.simulate.catalogue import OTHERS, SCENES, Scene
 from termsel.simulate.kept import kept_features
 from termsel.simulate.orbit import pushbroom_at

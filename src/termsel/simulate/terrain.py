@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from termsel.measurements.coordinates.wgs84 import SEMI_MAJOR
-from termsel.measurements.features import FloatArray
+from termsel.data.coordinates.wgs84 import SEMI_MAJOR
+from termsel.data.features import FloatArray
 
 _WAVES = 16
 

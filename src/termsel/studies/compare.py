@@ -9,15 +9,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from termsel.adjustment.kernels import needs_compilation
-from termsel.errors import TermselError, counted
-from termsel.files.atomic import private_folder
-from termsel.files.lock import locked
-from termsel.files.names import JOURNAL
-from termsel.guard.parts import part
+from termsel.core.errors import TermselError, counted
+from termsel.core.files.atomic import private_folder
+from termsel.core.files.lock import locked
+from termsel.core.files.names import JOURNAL
+from termsel.core.isolation.parts import part
+from termsel.core.options import options_of_file
+from termsel.data.features import FeatureSet
+from termsel.fitting.adjustment.kernels import needs_compilation
 from termsel.io.export import writer_of
-from termsel.measurements.features import FeatureSet
-from termsel.options import options_of_file
 from termsel.plugins.registry import registry
 from termsel.runs.notebook import line_of_many
 from termsel.runs.task.provenance import versions

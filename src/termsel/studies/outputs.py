@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from termsel.errors import counted
-from termsel.files.atomic import atomic_path, write_text
-from termsel.guard.parts import missing, package_of_name, parts
+from termsel.core.errors import counted
+from termsel.core.files.atomic import atomic_path, write_text
+from termsel.core.isolation.parts import missing, package_of_name, parts
 from termsel.studies.cells.table import csv_of
 from termsel.studies.study import Study
 

@@ -9,9 +9,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from termsel.display import Glance
-from termsel.errors import counted, requires
-from termsel.guard.parts import part
+from termsel.core.display import Glance
+from termsel.core.errors import counted, requires
+from termsel.core.isolation.parts import part
 from termsel.studies.cells.journal import CellRecord
 from termsel.studies.cells.table import Row, batch_of_records, columns_of, rows_of
 from termsel.studies.plan.spec import Spec

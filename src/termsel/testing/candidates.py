@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from termsel.candidates.base import Candidate, Judged
-from termsel.fits.fit import Fit, Undetermined
-from termsel.measurements.control import Control
-from termsel.measurements.features import FeatureSet, Points
+from termsel.auto.base import Candidate, Judged
+from termsel.data.control import Control
+from termsel.data.features import FeatureSet, Points
+from termsel.fitting.fit import Fit, Undetermined
 from termsel.testing.cases import Case, Suite, check_declaration, pickled, require
 from termsel.testing.scenes import seeded
 

@@ -13,10 +13,10 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from termsel.errors import TermselError, unknown_name
-from termsel.guard.calls import unguarded
-from termsel.guard.inside import TooSlow, within
-from termsel.options import Configurable
+from termsel.core.errors import TermselError, unknown_name
+from termsel.core.isolation.calls import unguarded
+from termsel.core.isolation.inside import TooSlow, within
+from termsel.core.options import Configurable
 from termsel.plugins.kinds import KINDS, summary
 
 LIMIT = 120.0

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from termsel.errors import TermselError
+from termsel.core.errors import TermselError
 from termsel.testing.cases import Case, Suite, require
 
 if TYPE_CHECKING:

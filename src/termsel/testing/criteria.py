@@ -6,13 +6,13 @@ from itertools import product
 
 import numpy as np
 
-from termsel.criteria import Criterion, Fits
-from termsel.measurements.features import BoolArray, FloatArray, Points
+from termsel.data.features import BoolArray, FloatArray, Points
 from termsel.models.polynomial import Polynomial3D
 from termsel.models.terms import Term
-from termsel.problems.base import Inputs
-from termsel.problems.selection import SelectionProblem
-from termsel.solvers.proofs.proof import prove
+from termsel.selection.criteria import Criterion, Fits
+from termsel.selection.problems.base import Inputs
+from termsel.selection.problems.selection import SelectionProblem
+from termsel.selection.solvers.proofs.proof import prove
 from termsel.testing.cases import (
     Case,
     Suite,

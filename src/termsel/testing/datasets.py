@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from termsel.measurements.coordinates.crs import normalise
-from termsel.measurements.coordinates.plausible import check_ground
-from termsel.measurements.datasets import DatasetSpec
-from termsel.measurements.features import FeatureSet
+from termsel.data.coordinates.crs import normalise
+from termsel.data.coordinates.plausible import check_ground
+from termsel.data.datasets import DatasetSpec
+from termsel.data.features import FeatureSet
 from termsel.results.checksums import of_features
 from termsel.testing.cases import Case, Suite, declares, pickled, require
 

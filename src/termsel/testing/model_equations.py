@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from termsel.adjustment.solve import solve
-from termsel.errors import TermselError
-from termsel.fits.least_squares import adjust
-from termsel.measurements.features import FeatureSet, FloatArray, Points
+from termsel.core.errors import TermselError
+from termsel.data.features import FeatureSet, FloatArray, Points
+from termsel.fitting.adjustment.solve import solve
+from termsel.fitting.least_squares import adjust
 from termsel.models.base import SensorModel
 from termsel.models.quotient import RationalModel
 from termsel.testing.cases import require

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from termsel.criteria import CheckRmse
-from termsel.measurements.features import FeatureSet, FloatArray
-from termsel.measurements.scaling import Scaling
+from termsel.data.features import FeatureSet, FloatArray
+from termsel.data.scaling import Scaling
 from termsel.models.base import SensorModel
-from termsel.problems.base import Inputs
-from termsel.problems.selection import SelectionProblem
+from termsel.selection.criteria import CheckRmse
+from termsel.selection.problems.base import Inputs
+from termsel.selection.problems.selection import SelectionProblem
 from termsel.testing.cases import Case, Suite, declares, label, pickled, require, require_unchanged
 from termsel.testing.model_equations import (
     control_kinds,

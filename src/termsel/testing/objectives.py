@@ -7,13 +7,13 @@ from functools import partial
 
 import numpy as np
 
-from termsel.criteria import CheckRmse
-from termsel.guard.arrays import of_shape
-from termsel.measurements.features import FloatArray, Points
+from termsel.core.isolation.arrays import of_shape
+from termsel.data.features import FloatArray, Points
 from termsel.models.polynomial import Affine
-from termsel.problems.base import Inputs
-from termsel.problems.objectives import Objective, PopulationSelection
-from termsel.problems.selection import SelectionProblem
+from termsel.selection.criteria import CheckRmse
+from termsel.selection.problems.base import Inputs
+from termsel.selection.problems.objectives import Objective, PopulationSelection
+from termsel.selection.problems.selection import SelectionProblem
 from termsel.testing.cases import Case, Suite, declares, pickled, require, require_unchanged
 from termsel.testing.scenes import imaged, random_coefficients, seeded
 

@@ -7,12 +7,12 @@ from functools import partial
 
 import numpy as np
 
-from termsel.problems.base import Evaluation, Problem, Selection, evaluation_fault
-from termsel.problems.recipes import Recipe
 from termsel.runs.task.task import prepare
-from termsel.solvers.heuristics.swap import neighbours
-from termsel.solvers.heuristics.yardsticks import RandomSearch
-from termsel.solvers.search import search
+from termsel.selection.problems.base import Evaluation, Problem, Selection, evaluation_fault
+from termsel.selection.problems.recipes import Recipe
+from termsel.selection.solvers.heuristics.swap import neighbours
+from termsel.selection.solvers.heuristics.yardsticks import RandomSearch
+from termsel.selection.solvers.search import search
 from termsel.testing.cases import Case, Suite, check_declaration, pickled, require
 
 Make = Callable[[], Problem]

@@ -6,12 +6,19 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from termsel.criteria import CheckRmse
-from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points, select
+from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points, select
 from termsel.models.polynomial import Polynomial2D
-from termsel.problems.base import WORST, Evaluation, Inputs, Problem, ProblemAround, Selection
-from termsel.problems.genome import Genome
-from termsel.problems.segments import (
+from termsel.selection.criteria import CheckRmse
+from termsel.selection.problems.base import (
+    WORST,
+    Evaluation,
+    Inputs,
+    Problem,
+    ProblemAround,
+    Selection,
+)
+from termsel.selection.problems.genome import Genome
+from termsel.selection.problems.segments import (
     AnySegment,
     Bits,
     Categories,
@@ -22,7 +29,7 @@ from termsel.problems.segments import (
     Reals,
     Subset,
 )
-from termsel.problems.selection import SelectionProblem
+from termsel.selection.problems.selection import SelectionProblem
 from termsel.testing.cases import require
 from termsel.testing.scenes import imaged, numbered
 

@@ -9,9 +9,9 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from termsel.errors import TermselError
+from termsel.core.errors import TermselError
+from termsel.data.features import FeatureSet
 from termsel.formats.base import Reader
-from termsel.measurements.features import FeatureSet
 from termsel.testing.cases import Case, Suite, declares, instance, label, refused, require
 
 HEAD = 65536

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from termsel.errors import TermselError
-from termsel.fits.least_squares import adjust
-from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points, no_lines, no_points
+from termsel.core.errors import TermselError
+from termsel.data.features import FeatureSet, FloatArray, Lines, Points, no_lines, no_points
+from termsel.fitting.least_squares import adjust
 from termsel.models.base import SensorModel
 
 LEAST_DENOMINATOR = 0.5

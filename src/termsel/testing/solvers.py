@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from termsel.errors import TermselError
-from termsel.problems.base import Evaluation, Problem
-from termsel.solvers.base import Generation, Solver
-from termsel.solvers.ledger import Progress
+from termsel.core.errors import TermselError
+from termsel.selection.problems.base import Evaluation, Problem
+from termsel.selection.solvers.base import Generation, Solver
+from termsel.selection.solvers.ledger import Progress
 from termsel.testing import problems
 from termsel.testing.cases import Case, Suite, check_declaration, label, require
 from termsel.testing.problems import Watched, require_genes

@@ -7,9 +7,9 @@ from importlib import import_module
 from inspect import signature
 from typing import Any
 
-from termsel.errors import TermselError
+from termsel.core.errors import TermselError
 from termsel.plugins.kinds import KINDS
-from termsel.problems.base import Problem
+from termsel.selection.problems.base import Problem
 from termsel.testing import (
     candidates,
     commands,
@@ -119,7 +119,7 @@ def check(thing: Any, *, expected_failures: Mapping[str, str] | None = None,
 
     Examples
     --------
-    >>> from termsel.criteria import CheckRmse
+    >>> from termsel.selection.criteria import CheckRmse
     >>> check(CheckRmse)
     """
     run_all(checks(thing, expected_failures=expected_failures, **about))

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from termsel.errors import TermselError
-from termsel.problems.base import Problem
-from termsel.solvers.base import Generation, Solver
-from termsel.solvers.ledger import Progress
-from termsel.solvers.search import Search, search
+from termsel.core.errors import TermselError
+from termsel.selection.problems.base import Problem
+from termsel.selection.solvers.base import Generation, Solver
+from termsel.selection.solvers.ledger import Progress
+from termsel.selection.solvers.search import Search, search
 from termsel.testing.problems import Counted
 
 FEW = 4

@@ -10,14 +10,14 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from termsel.errors import TermselError
+from termsel.core.errors import TermselError
+from termsel.data.features import FeatureSet, Points
 from termsel.formats.base import Writer
-from termsel.measurements.features import FeatureSet, Points
 from termsel.models.rational import RationalFunctions
 from termsel.results.result import Result
 from termsel.runs.judgement.assess import assessed
 from termsel.runs.task.task import prepare
-from termsel.solvers.search import search
+from termsel.selection.solvers.search import search
 from termsel.testing.cases import Case, Suite, declares, instance, label, refused, require
 from termsel.testing.scenes import imaged, random_coefficients, seeded
 
@@ -171,12 +171,12 @@ def example_results() -> tuple[Result, ...]:
 
 def _refused(export: Export, result: Result, path: Path, what: str) -> None:
     refused(lambda: export.writer.write(result, path), path, what,
-            "goes unnoticed: write through termsel.files.atomic")
+            "goes unnoticed: write through termsel.core.files.atomic")
 
 
 def _require_old(path: Path, what: str) -> None:
     require(path.read_bytes() == OLD, f"after {what} the file that was there before is lost; "
-                                      "write through termsel.files.atomic")
+                                      "write through termsel.core.files.atomic")
     _require_tidy(path)
 
 

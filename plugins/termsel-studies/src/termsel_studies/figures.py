@@ -15,7 +15,7 @@ from termsel.toolkit import (
     METHODS,
     WIDTH,
     Figure,
-    data,
+    chart_rows,
     require_altair,
     spread_scale,
     with_unit,
@@ -87,7 +87,7 @@ def _shares(rows: list[dict[str, Any]], methods: tuple[str, ...], x: str, of_x: 
             of_shares: str) -> Any:
     """Return a chart of the shares that methods reach, as steps over a logarithmic axis."""
     alt = require_altair()
-    return alt.Chart(data(rows)).mark_line(interpolate="step-after", strokeWidth=2).encode(
+    return alt.Chart(chart_rows(rows)).mark_line(interpolate="step-after", strokeWidth=2).encode(
         x=alt.X(x, title=f"{of_x}, logarithmic", scale=alt.Scale(type="log", nice=False)),
         y=alt.Y("share:Q", title=of_shares, scale=alt.Scale(domain=[0, 1]),
                 axis=alt.Axis(format="%")),
@@ -112,7 +112,7 @@ def convergence(groups: Groups) -> Figure:
                      if math.isfinite(high)]
     by_method = _by_method(groups.methods)
     scale, kind = spread_scale([row[end] for row in rows for end in ("low", "high")], zero=False)
-    base = alt.Chart(data(rows)).encode(color=by_method["color"], x=alt.X(
+    base = alt.Chart(chart_rows(rows)).encode(color=by_method["color"], x=alt.X(
         "evaluations:Q", title="evaluations, logarithmic",
         scale=alt.Scale(type="log", nice=False)))
     band = base.mark_area(opacity=0.18, interpolate="step-after").encode(
@@ -156,13 +156,13 @@ def critical_differences(comparison: Comparison) -> Figure:
     points = [{"row": i, "rank": rank, "name": f"{name} ({rank:.2f})"}
               for i, (name, rank) in enumerate(zip(names, ranks, strict=True))]
     bars = [{"row": f"bar {i}", "rank": low, "to": high} for i, (low, high) in enumerate(ends)]
-    base = alt.Chart(data(points)).encode(x=axis, y=row)
+    base = alt.Chart(chart_rows(points)).encode(x=axis, y=row)
     layers = [
         base.mark_rule(color=FAINT, strokeDash=[2, 2]).encode(x2=alt.datum(1)),
         base.mark_point(filled=True, size=90, color=INK, opacity=1),
         base.mark_text(align="left", dx=9, color=INK, fontSize=11.5).encode(text="name:N")]
     if bars:
-        layers.append(alt.Chart(data(bars)).mark_rule(strokeWidth=5, color=CONTROL).encode(
+        layers.append(alt.Chart(chart_rows(bars)).mark_rule(strokeWidth=5, color=CONTROL).encode(
             x=axis, x2="to:Q", y=row))
     drawn = alt.layer(*layers).properties(width=WIDTH, height=24 * (len(points) + len(bars) + 1))
     return Figure("critical-difference", f"Mean ranks over {comparison.instances} instances",

@@ -14,11 +14,11 @@ from termsel.cli.completion import complete
 from termsel.cli.messages import say_written
 from termsel.cli.options.shared import Command, progress_option, remote_option
 from termsel.cli.report import REPORT
-from termsel.errors import TermselError
-from termsel.options import SEED
+from termsel.core.errors import TermselError
+from termsel.core.options import SEED
 
 if TYPE_CHECKING:
-    from termsel.measurements.features import FeatureSet
+    from termsel.data.features import FeatureSet
     from termsel.results.result import Result
 
 COLUMNS_OPTION = click.option(
@@ -272,7 +272,7 @@ class Asked:
     def command(self, problem: str, solver: str, criterion: str,
                 settings: Mapping[str, str]) -> str:
         """Return a command that runs another method on the same data, all of ``--set`` included."""
-        from termsel.files.drivers import remote_allowed
+        from termsel.core.files.drivers import remote_allowed
 
         words = ["termsel", "run", "--problem", problem]
         data = {"--dataset": self.dataset, "--points": self.points, "--lines": self.lines,

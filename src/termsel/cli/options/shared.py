@@ -42,7 +42,7 @@ def remote_option(command: Command) -> Command:
 
 def _allow(context: click.Context, parameter: click.Parameter, given: bool) -> None:  # noqa: ARG001
     if given and not context.resilient_parsing:
-        from termsel.files.drivers import allow_remote as allowed
+        from termsel.core.files.drivers import allow_remote as allowed
 
         context.with_resource(allowed())
 
@@ -50,6 +50,6 @@ def _allow(context: click.Context, parameter: click.Parameter, given: bool) -> N
 def _allow_drivers(context: click.Context, parameter: click.Parameter,  # noqa: ARG001
                    names: tuple[str, ...]) -> None:
     if names and not context.resilient_parsing:
-        from termsel.files.drivers import allow_driver as allowed
+        from termsel.core.files.drivers import allow_driver as allowed
 
         context.with_resource(allowed(*names))

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from termsel.errors import TermselError
+from termsel.core.errors import TermselError
+from termsel.data.features import FloatArray
+from termsel.data.tables.columns import POINTS, Aliases, declared, matches, parse_columns
+from termsel.data.tables.numbers import COMMA, POINT, BadCell, decimal_signs, read_numbers
 from termsel.formats.readers.cells import WIDEST, BadText, read_cells
-from termsel.measurements.features import FloatArray
-from termsel.measurements.tables.columns import POINTS, Aliases, declared, matches, parse_columns
-from termsel.measurements.tables.numbers import COMMA, POINT, BadCell, decimal_signs, read_numbers
 
 _ROWS = 200
 _SPREADSHEETS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-from termsel.errors import TermselError
+from termsel.core.errors import TermselError
+from termsel.core.options import Option
+from termsel.data.areas import FORMS, Area, CornerError, boundary, centroids
+from termsel.data.features import FeatureSet
+from termsel.data.tables.attributes import alike
+from termsel.data.tables.columns import COORDINATES, CORNER, USE
 from termsel.formats.readers.table import Table
 from termsel.formats.readers.tables import COLUMNS, TableReader
-from termsel.measurements.areas import FORMS, Area, CornerError, boundary, centroids
-from termsel.measurements.features import FeatureSet
-from termsel.measurements.tables.attributes import alike
-from termsel.measurements.tables.columns import COORDINATES, CORNER, USE
-from termsel.options import Option
 
 
 class AreasCsv(TableReader):

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from termsel.errors import TermselError, requires
-from termsel.files.apart import apart
-from termsel.files.names import is_there
+from termsel.core.errors import TermselError, requires
+from termsel.core.files.apart import apart
+from termsel.core.files.names import is_there
+from termsel.data.tables.columns import FOREIGN, USE, Aliases, declared, matches
 from termsel.formats.base import read_data
-from termsel.measurements.tables.columns import FOREIGN, USE, Aliases, declared, matches
 
 _DELIMITERS = (",", ";", "\t", "|", "")
 """The last stands for spaces."""
@@ -222,7 +222,7 @@ def _sheets(path: Path, layer: str | None,
             ) -> tuple[list[str], dict[str, tuple[list[list[str]], list[int]]]]:
     """Return the names of the visible sheets, and the rows of the layer or of all of them.
 
-    A sheet of a kilobyte can say that it has 17 billion cells: see `termsel.files.apart`.
+    A sheet of a kilobyte can say that it has 17 billion cells: see `termsel.core.files.apart`.
     """
     from python_calamine import CalamineError, CalamineWorkbook, SheetVisibleEnum
 

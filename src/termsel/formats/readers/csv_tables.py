@@ -12,14 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from termsel.errors import TermselError
-from termsel.files.atomic import write_text
-from termsel.files.texts import guarded
+from termsel.core.errors import TermselError
+from termsel.core.files.atomic import write_text
+from termsel.core.files.texts import guarded
+from termsel.data.features import FeatureSet, FloatArray, Lines, Points
+from termsel.data.tables.attributes import Attributes
+from termsel.data.tables.columns import LINES, POINTS
 from termsel.formats.readers.table import Table, points_of
 from termsel.formats.readers.tables import TableReader
-from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points
-from termsel.measurements.tables.attributes import Attributes
-from termsel.measurements.tables.columns import LINES, POINTS
 
 
 class PointsCsv(TableReader):

@@ -10,10 +10,10 @@ from math import isfinite, nan
 from pathlib import Path
 from typing import Any
 
-from termsel.errors import TermselError
+from termsel.core.errors import TermselError
+from termsel.data.coordinates.crs import normalise
+from termsel.data.tables.attributes import is_free
 from termsel.formats.base import located, parse_json, read_text
-from termsel.measurements.coordinates.crs import normalise
-from termsel.measurements.tables.attributes import is_free
 
 
 @dataclass(frozen=True)

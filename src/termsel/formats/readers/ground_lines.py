@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from termsel.errors import TermselError, first_of
+from termsel.core.errors import TermselError, first_of
+from termsel.core.options import Option
+from termsel.data.features import FeatureSet, FloatArray, Lines
+from termsel.data.tables.attributes import alike, columns_of
+from termsel.data.tables.columns import LINES
 from termsel.formats.base import Reader, located, read_head
 from termsel.formats.readers.geojson import Feature, numbers_at, read_geojson, sniff_geojson
 from termsel.formats.readers.tables import read_table
 from termsel.formats.readers.vector import LAYER, is_vector, read_layer
-from termsel.measurements.features import FeatureSet, FloatArray, Lines
-from termsel.measurements.tables.attributes import alike, columns_of
-from termsel.measurements.tables.columns import LINES
-from termsel.options import Option
 
 log = logging.getLogger(__name__)
 

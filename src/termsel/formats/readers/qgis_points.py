@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from termsel.errors import TermselError
-from termsel.files.rasters import open_raster, positions
+from termsel.core.errors import TermselError
+from termsel.core.options import Option
+from termsel.data.features import FeatureSet, FloatArray
+from termsel.data.rasters import open_raster, positions
 from termsel.formats.readers.table import Table
 from termsel.formats.readers.tables import TableReader
-from termsel.measurements.features import FeatureSet, FloatArray
-from termsel.options import Option
 
 _COLUMNS = {
     "x": ("mapx",), "y": ("mapy",),

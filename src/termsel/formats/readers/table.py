@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from termsel.errors import TermselError
-from termsel.files.texts import unguarded
+from termsel.core.errors import TermselError
+from termsel.core.files.texts import unguarded
+from termsel.data.features import ROLES, FeatureSet, FloatArray, Points
+from termsel.data.tables.attributes import Attributes, rows_at
+from termsel.data.tables.numbers import POINT, BadCell, read_numbers
+from termsel.data.values import refused
 from termsel.formats.base import located
 from termsel.formats.repeated import averaged, is_averaging
-from termsel.measurements.features import ROLES, FeatureSet, FloatArray, Points
-from termsel.measurements.tables.attributes import Attributes, rows_at
-from termsel.measurements.tables.numbers import POINT, BadCell, read_numbers
-from termsel.measurements.values import refused
 
 _ENABLED = {"": True, "1": True, "true": True, "yes": True, "on": True,
             "0": False, "false": False, "no": False, "off": False}

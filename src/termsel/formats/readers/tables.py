@@ -14,8 +14,22 @@ from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
-from termsel.errors import TermselError
-from termsel.files.texts import unguarded
+from termsel.core.errors import TermselError
+from termsel.core.files.texts import unguarded
+from termsel.core.options import Option
+from termsel.data.coordinates.crs import normalise
+from termsel.data.features import FeatureSet
+from termsel.data.tables.attributes import is_free, text_array
+from termsel.data.tables.columns import (
+    OPTIONAL,
+    TAKEN,
+    USE,
+    Aliases,
+    declared,
+    matches,
+    parse_columns,
+)
+from termsel.data.tables.numbers import COMMA, POINT, BadCell, decimal_signs
 from termsel.formats.base import Reader, located
 from termsel.formats.readers.advice import with_advice
 from termsel.formats.readers.cells import (
@@ -27,20 +41,6 @@ from termsel.formats.readers.cells import (
     without_header,
 )
 from termsel.formats.readers.table import Table
-from termsel.measurements.coordinates.crs import normalise
-from termsel.measurements.features import FeatureSet
-from termsel.measurements.tables.attributes import is_free, text_array
-from termsel.measurements.tables.columns import (
-    OPTIONAL,
-    TAKEN,
-    USE,
-    Aliases,
-    declared,
-    matches,
-    parse_columns,
-)
-from termsel.measurements.tables.numbers import COMMA, POINT, BadCell, decimal_signs
-from termsel.options import Option
 
 log = logging.getLogger(__name__)
 

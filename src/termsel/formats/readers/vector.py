@@ -16,12 +16,12 @@ from warnings import catch_warnings, simplefilter
 
 import numpy as np
 
-from termsel.errors import GIS, TermselError, requires
-from termsel.files.apart import apart
-from termsel.files.atomic import private_folder
-from termsel.files.drivers import DRIVER_HINT, WORKING_DRIVERS, gdal_options, vector_drivers
-from termsel.files.names import is_there, require_regular
-from termsel.files.sources import foreign_format
+from termsel.core.errors import GIS, TermselError, requires
+from termsel.core.files.apart import apart
+from termsel.core.files.atomic import private_folder
+from termsel.core.files.drivers import DRIVER_HINT, WORKING_DRIVERS, gdal_options, vector_drivers
+from termsel.core.files.names import is_there, require_regular
+from termsel.core.files.sources import foreign_format
 from termsel.formats.base import read_head, read_text
 from termsel.formats.readers.geojson import Feature
 from termsel.formats.readers.tables import COLUMNS

@@ -10,21 +10,21 @@ from typing import ClassVar
 
 import numpy as np
 
-from termsel.errors import TermselError
-from termsel.files.atomic import atomic_path, encoded, write_bytes, write_text
-from termsel.files.names import is_there
-from termsel.files.rasters import require_rasterio, tiff_bytes
-from termsel.files.texts import xml_text
-from termsel.fits.fit import Fit
-from termsel.fits.sky import ground_where_held, refuse_sky, why_not_shown
+from termsel.core.errors import TermselError
+from termsel.core.files.atomic import atomic_path, encoded, write_bytes, write_text
+from termsel.core.files.names import is_there
+from termsel.core.files.texts import xml_text
+from termsel.core.options import COUNT, Option
+from termsel.data.coordinates.utm import for_warping
+from termsel.data.features import FloatArray, Points
+from termsel.data.rasters import require_rasterio, tiff_bytes
+from termsel.fitting.fit import Fit
+from termsel.fitting.sky import ground_where_held, refuse_sky, why_not_shown
 from termsel.formats.base import Writer
 from termsel.formats.deviation import by_splines, places_of, say_deviation
 from termsel.formats.heights import Dem, say_difference, surface_of
 from termsel.formats.pictures import Picture
 from termsel.formats.vrt import IMAGE, picture_for, vrt_text
-from termsel.measurements.coordinates.utm import for_warping
-from termsel.measurements.features import FloatArray, Points
-from termsel.options import COUNT, Option
 from termsel.results.result import Result
 
 log = logging.getLogger(__name__)

@@ -9,18 +9,18 @@ from typing import ClassVar
 
 import numpy as np
 
-from termsel.errors import TermselError
-from termsel.files.atomic import atomic_path, encoded, private_folder, write_bytes, write_text
-from termsel.files.names import is_there
-from termsel.files.rasters import empty_tiff, open_raster, require_rasterio
-from termsel.files.reasons import reason_of
+from termsel.core.errors import TermselError
+from termsel.core.files.atomic import atomic_path, encoded, private_folder, write_bytes, write_text
+from termsel.core.files.names import is_there
+from termsel.core.files.reasons import reason_of
+from termsel.core.options import Option
+from termsel.data.coordinates.crs import LOCAL, normalise, to_wgs84
+from termsel.data.rasters import empty_tiff, open_raster, require_rasterio
 from termsel.formats.base import Writer
 from termsel.formats.deviation import places_of, say_deviation
 from termsel.formats.rpc_files import read_rpc, rpb_text, rpc_items, rpc_txt_text
 from termsel.formats.vrt import IMAGE, picture_for, vrt_text
-from termsel.measurements.coordinates.crs import LOCAL, normalise, to_wgs84
 from termsel.models.rpc import Rpc
-from termsel.options import Option
 from termsel.results.result import Result
 
 log = logging.getLogger(__name__)

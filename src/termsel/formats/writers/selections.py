@@ -9,16 +9,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from termsel.errors import TermselError
-from termsel.files.atomic import write_text
+from termsel.core.errors import TermselError
+from termsel.core.files.atomic import write_text
+from termsel.core.options import Option
+from termsel.data.coordinates.crs import horizontal
+from termsel.data.coordinates.utm import for_warping
+from termsel.data.features import BoolArray, FloatArray, Points
 from termsel.formats.base import Writer
 from termsel.formats.deviation import GDALWARP, QGIS, say_measured, say_nearest
 from termsel.formats.readers.csv_tables import line_columns, point_columns, table_text
 from termsel.formats.vrt import IMAGE, picture_for, vrt_text
-from termsel.measurements.coordinates.crs import horizontal
-from termsel.measurements.coordinates.utm import for_warping
-from termsel.measurements.features import BoolArray, FloatArray, Points
-from termsel.options import Option
 from termsel.results.result import Result
 
 

@@ -17,7 +17,7 @@ from termsel.report.theme import (
     ROLE_SHAPES,
     UNUSED,
     WIDTH,
-    data,
+    chart_rows,
     legend_of,
     require_altair,
     spread_scale,
@@ -42,7 +42,7 @@ def worst_bars(view: View) -> Any:
                                 + [CERTAINTY[one] for one in [row["blunder"]] if one])}
             for row in view.worst[:WORST]]
     picked = alt.selection_point(name="picked", fields=["id"], empty=False)
-    base = alt.Chart(data(rows)).encode(
+    base = alt.Chart(chart_rows(rows)).encode(
         y=alt.Y("id:N", sort=[row["id"] for row in rows], title="feature", axis=alt.Axis(
             labelLimit=120, ticks=False, domain=False)))
     roles = {row["role"] for row in rows}
@@ -91,7 +91,7 @@ def baseline_bars(view: View) -> Any:
     scale, kind = spread_scale([row["rmse"] for row in rows], zero=True)
     x = alt.X("rmse:Q", title=f"RMSE [px], with 90 % interval{kind}", scale=scale)
     colours = alt.Scale(domain=list(roles), range=list(roles.values()))
-    base = alt.Chart(data(rows)).encode(
+    base = alt.Chart(chart_rows(rows)).encode(
         y=alt.Y("fit:N", sort=order, title="fit", axis=alt.Axis(
             ticks=False, domain=False, grid=True, labelLimit=160, labelFontWeight=alt.condition(
                 f"datum.value == '{THIS}'", alt.value("bold"), alt.value("normal")))),
@@ -128,7 +128,7 @@ def candidate_bars(view: View) -> Any:
     order = [row["fit"] for row in sorted(rows, key=lambda row: row["rmse"])]
     colour = alt.Color("state:N", scale=alt.Scale(domain=["chosen", "candidate"],
                                                   range=[CONTROL, UNUSED]))
-    base = alt.Chart(data(rows)).encode(
+    base = alt.Chart(chart_rows(rows)).encode(
         y=alt.Y("fit:N", sort=order, title="candidate", axis=alt.Axis(
             ticks=False, domain=False, grid=True, labelLimit=160)),
         x=alt.X("rmse:Q", title=f"leave-one-out RMSE [px]{kind}", scale=scale))

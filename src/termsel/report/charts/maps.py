@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.measurements.coordinates.crs import is_geographic, short
+from termsel.data.coordinates.crs import is_geographic, short
 from termsel.report.theme import (
     BLUNDER,
     EDGE,
@@ -15,7 +15,7 @@ from termsel.report.theme import (
     ROLE_COLOURS,
     ROLE_SHAPES,
     WIDTH,
-    data,
+    chart_rows,
     legend_of,
     require_altair,
 )
@@ -53,13 +53,13 @@ def image_map(view: View, image: str = "", rows: list[Row] | None = None,
               scale=alt.Scale(domain=[left - margin, right + margin], nice=False, zero=False))
     y = alt.Y("line:Q", title="line [px]", axis=alt.Axis(grid=False, tickCount=6),
               scale=alt.Scale(domain=[bottom + margin, top - margin], nice=False, zero=False))
-    frame = alt.Chart(data([{"line": top, "sample": left, "line2": bottom, "sample2": right,
+    frame = alt.Chart(chart_rows([{"line": top, "sample": left, "line2": bottom, "sample2": right,
                              "url": image}]))
     ends = {"x": x, "y": y, "x2": "sample2:Q", "y2": "line2:Q"}
     layers = [frame.mark_image(aspect=False).encode(url="url:N", **ends)] if image else []
     layers.append(frame.mark_rect(fill=None, stroke=EDGE, strokeWidth=1.2).encode(**ends))
     if view.lines:
-        layers.append(alt.Chart(data(view.lines)).mark_rule(
+        layers.append(alt.Chart(chart_rows(view.lines)).mark_rule(
             strokeWidth=1.8, strokeCap="round", opacity=0.55).encode(
                 color=_colour(view, rows),
                 strokeDash=alt.condition("datum.blunder", alt.value([4, 3]),
@@ -114,12 +114,12 @@ def sigma_map(view: View) -> Any:
     colour = alt.Color("sigma:Q", scale=alt.Scale(scheme="viridis", reverse=True),
                        legend=alt.Legend(title="standard deviation [px]", gradientLength=220))
     layers = [
-        alt.Chart(data(cells)).mark_rect(strokeWidth=0, clip=True, aria=False).encode(
+        alt.Chart(chart_rows(cells)).mark_rect(strokeWidth=0, clip=True, aria=False).encode(
             x=x, y=y, x2="sample2:Q", y2="line2:Q", color=colour,
             tooltip=[alt.Tooltip("sigma:Q", title="standard deviation [px]", format=".3g")]),
-        alt.Chart(data(view.hull)).mark_line(
+        alt.Chart(chart_rows(view.hull)).mark_line(
             color="black", strokeWidth=1.4, strokeDash=[5, 3]).encode(x=x, y=y, order="i:O"),
-        alt.Chart(data(view.control)).mark_point(
+        alt.Chart(chart_rows(view.control)).mark_point(
             filled=True, size=26, color="white", stroke="black", strokeWidth=0.9,
             opacity=1).encode(x=x, y=y)]  # the colours below are the same on dark pages
     return _map(layers, max(right - left, 1.0) / max(bottom - top, 1.0))
@@ -142,7 +142,7 @@ def _arrows(view: View, rows: list[Row], x: Any, y: Any, vector: tuple[str, str]
     drag = alt.param(name="exaggeration", value=scale, bind=alt.binding_range(
         min=0, max=3 * scale, step=scale / 50, name="Length of arrows [times true length] "))
     picked = alt.selection_point(name="picked", fields=["id"], empty=False)
-    base = alt.Chart(data(rows))
+    base = alt.Chart(chart_rows(rows))
     if member is not None:
         number = "(member.member ? member.member[0] : 0)"
         base = base.transform_calculate(
@@ -191,7 +191,7 @@ def _bar(x0: float, y0: float, length: float, text: str, at_x: str, at_y: str, x
          ) -> Any:
     """Return the bar that says how long a residual is drawn."""
     alt = require_altair()
-    base = alt.Chart(data([{at_x: x0, at_y: y0, "length": length, "text": text}])
+    base = alt.Chart(chart_rows([{at_x: x0, at_y: y0, "length": length, "text": text}])
                      ).transform_calculate(end=f"datum.{at_x} + exaggeration * datum.length")
     return alt.layer(
         base.mark_rule(strokeWidth=2.4, color=INK, aria=False).encode(x=x, y=y, x2="end:Q"),

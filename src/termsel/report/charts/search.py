@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from termsel.record.search import HistoryRow
+from termsel.data.record.search import HistoryRow
 from termsel.report.charts.maps import image_map
 from termsel.report.sizes import counted_by, recommended, size_of
 from termsel.report.theme import (
@@ -17,7 +17,7 @@ from termsel.report.theme import (
     INDEPENDENT,
     INK,
     WIDTH,
-    data,
+    chart_rows,
     require_altair,
     spread_scale,
 )
@@ -37,7 +37,7 @@ def front(view: View) -> Any:
     size = counted_by(view.record.front)
     member = choice(view)
     scale, kind = spread_scale([row["rmse"] for row in rows], zero=False)
-    base = alt.Chart(data(rows)).encode(
+    base = alt.Chart(chart_rows(rows)).encode(
         x=alt.X("size:Q", title=size, scale=alt.Scale(zero=False, padding=14),
                 axis=alt.Axis(tickMinStep=1, format="d")),
         y=alt.Y("rmse:Q", title=f"RMSE [px]{kind}", scale=scale))
@@ -98,12 +98,12 @@ def convergence(view: View) -> Any:
     x = alt.X("evaluations:Q", axis=alt.Axis(format=",d", tickCount=6))
     colour = alt.Color("what:N", scale=alt.Scale(domain=["best", "median"],
                                                  range=[CONTROL, CHECK]))
-    area = alt.Chart(data(share)).mark_area(color=EDGE, opacity=0.45, interpolate="step-after",
-                                            ).encode(
+    area = alt.Chart(chart_rows(share)).mark_area(
+        color=EDGE, opacity=0.45, interpolate="step-after").encode(
         x=x, y=alt.Y("infeasible:Q", title="infeasible share of the population",
                      scale=alt.Scale(domain=[0, 1]),
                      axis=alt.Axis(format="%", orient="right", grid=False, titleColor=FAINT)))
-    drawn = alt.Chart(data(lines)).mark_line(
+    drawn = alt.Chart(chart_rows(lines)).mark_line(
         strokeWidth=2, interpolate="step-after").encode(
         x=x, color=colour, strokeDash=alt.StrokeDash("what:N", scale=alt.Scale(
             domain=["best", "median"], range=[[1, 0], [5, 3]])),
@@ -122,7 +122,7 @@ def empires(view: View) -> Any:
     rows = [{"evaluations": one.evaluations, "empire": i + 1, "countries": countries,
              "left": sum(map(bool, one.empires))}
             for one in spaced(counted, most) for i, countries in enumerate(one.empires)]
-    return alt.Chart(data(rows)).mark_area(stroke=GROUND, strokeWidth=1, opacity=1).encode(
+    return alt.Chart(chart_rows(rows)).mark_area(stroke=GROUND, strokeWidth=1, opacity=1).encode(
         x=alt.X("evaluations:Q", axis=alt.Axis(format=",d", tickCount=6)),
         y=alt.Y("countries:Q", stack="zero", title="countries in the population"),
         order="empire:O",

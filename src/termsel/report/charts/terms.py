@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any
 
-from termsel.record.figures import SIGNIFICANT
+from termsel.data.record.figures import SIGNIFICANT
 from termsel.report.theme import (
     CHECK,
     CONTROL,
@@ -14,7 +14,7 @@ from termsel.report.theme import (
     INK,
     UNUSED,
     WIDTH,
-    data,
+    chart_rows,
     require_altair,
 )
 from termsel.report.view import Row, View
@@ -29,7 +29,7 @@ def term_bars(view: View) -> Any:
     kinds = [f"significant ({100 * SIGNIFICANT:.0f} %)", "not significant"]
     order = [row["term"] for row in rows]
     states = [{**row, "state": kinds[row["p"] > SIGNIFICANT]} for row in rows]
-    base = alt.Chart(data(states)).encode(
+    base = alt.Chart(chart_rows(states)).encode(
         y=alt.Y("term:N", sort=order, title="term",
                 axis=alt.Axis(ticks=False, domain=False, grid=True, labelLimit=170)))
     front = [alt.Tooltip("share:Q", title="share of the front", format=".0%")] \
@@ -40,7 +40,7 @@ def term_bars(view: View) -> Any:
     x = alt.X("t:Q", title=title,
               scale=alt.Scale(type="log", nice=False, padding=14))
     layers = [
-        alt.Chart(data([{"t": view.record.adjustment.least_t}])).mark_rule(
+        alt.Chart(chart_rows([{"t": view.record.adjustment.least_t}])).mark_rule(
             strokeDash=[5, 3], color=INK, strokeWidth=1.2).encode(x="t:Q"),
         base.mark_point(filled=True, size=75, opacity=1).encode(
             x=x, shape=shape, color=alt.Color("state:N", scale=alt.Scale(
@@ -68,7 +68,7 @@ def frequency_bars(view: View) -> Any:
     alt = require_altair()
     rows = frequency_rows(view)
     kinds = ["in this result", "not in this result"]
-    base = alt.Chart(data([{**row, "state": kinds[not row["used"]]} for row in rows])).encode(
+    base = alt.Chart(chart_rows([{**row, "state": kinds[not row["used"]]} for row in rows])).encode(
         y=alt.Y("term:N", sort=[row["term"] for row in rows], title="term",
                 axis=alt.Axis(ticks=False, domain=False, labelLimit=170)))
     stability = view.record.stability
@@ -81,7 +81,7 @@ def frequency_bars(view: View) -> Any:
         tooltip=[alt.Tooltip("term:N"), alt.Tooltip("share:Q", format=".0%"),
                  alt.Tooltip("state:N", title="it is")])]
     if stability:
-        layers.append(alt.Chart(data([{"share": stability.threshold}])).mark_rule(
+        layers.append(alt.Chart(chart_rows([{"share": stability.threshold}])).mark_rule(
             strokeDash=[5, 3], color=INK, strokeWidth=1.2).encode(x="share:Q"))
     return alt.layer(*layers).properties(width=WIDTH, height=ROW * len(rows))
 
@@ -120,7 +120,7 @@ def correlation_map(view: View) -> Any:
     side = min(max(13 * len(names), 200), WIDTH)
     labels = alt.Axis(labelFontSize=min(11, max(6, side / len(names) - 2)), ticks=False,
                       domain=False, grid=False, labelLimit=120)
-    return alt.Chart(data(rows)).mark_rect(stroke=GROUND, strokeWidth=0.4).encode(
+    return alt.Chart(chart_rows(rows)).mark_rect(stroke=GROUND, strokeWidth=0.4).encode(
         x=alt.X("other:N", sort=names, title=None, axis=alt.Axis(
             **{**labels.to_dict(), "labelAngle": -90})),
         y=alt.Y("one:N", sort=names, title=None, axis=labels),

@@ -17,13 +17,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from termsel.candidates.base import gain_of
-from termsel.candidates.portfolio import CLEARLY, Choice, Portfolio, choose
-from termsel.candidates.repetition import FOLDS_WITH_LINES
-from termsel.errors import TermselError
-from termsel.measurements.control import Control
-from termsel.measurements.coordinates.places import spatial_order
-from termsel.measurements.features import FloatArray, Points
+from termsel.auto.base import gain_of
+from termsel.auto.portfolio import CLEARLY, Choice, Portfolio, choose
+from termsel.auto.repetition import FOLDS_WITH_LINES
+from termsel.core.errors import TermselError
+from termsel.data.control import Control
+from termsel.data.coordinates.places import spatial_order
+from termsel.data.features import FloatArray, Points
 from termsel.runs.search.recommend import recommended
 from termsel.runs.search.steps import search_in_steps
 from termsel.runs.task.task import prepare

@@ -7,9 +7,9 @@ from collections.abc import Collection, Iterable, Sequence
 
 import numpy as np
 
-from termsel.candidates.base import Judged, has_pole
-from termsel.candidates.compare import compare
-from termsel.candidates.portfolio import (
+from termsel.auto.base import Judged, has_pole
+from termsel.auto.compare import compare
+from termsel.auto.portfolio import (
     EXACT,
     Portfolio,
     best_of,
@@ -17,23 +17,21 @@ from termsel.candidates.portfolio import (
     exact,
     exact_view,
 )
-from termsel.candidates.repetition import folds_of, repeated
-from termsel.errors import TermselError, counted
-from termsel.fits.accuracy import accuracy_of, predicted_by, predicted_of_all
-from termsel.fits.diagnosis import diagnose
-from termsel.fits.extrapolation import warnings_of
-from termsel.fits.figures import Baseline, figures, finite_or_none, in_role, residuals_of
-from termsel.fits.fit import Fit
-from termsel.interrupts import answered
-from termsel.measurements.control import Control
-from termsel.measurements.features import FloatArray, Points, no_points, select
-from termsel.measurements.roles import ASSIGNABLE, Observations, leave_out, with_lines
-from termsel.measurements.twins import merged
+from termsel.auto.repetition import folds_of, repeated
+from termsel.core.errors import TermselError, counted
+from termsel.core.interrupts import answered
+from termsel.data.control import Control
+from termsel.data.features import FloatArray, Points, no_points, select
+from termsel.data.record.search import CandidateRow, Strategy
+from termsel.data.roles import ASSIGNABLE, Observations, leave_out, with_lines
+from termsel.data.twins import merged
+from termsel.fitting.accuracy import accuracy_of, predicted_by, predicted_of_all
+from termsel.fitting.diagnosis import diagnose
+from termsel.fitting.extrapolation import warnings_of
+from termsel.fitting.figures import Baseline, figures, finite_or_none, in_role, residuals_of
+from termsel.fitting.fit import Fit
 from termsel.models.base import SensorModel
 from termsel.plugins.registry import registry
-from termsel.problems.base import Evaluation, Selection
-from termsel.problems.recipes import Recipe
-from termsel.record.search import CandidateRow, Strategy
 from termsel.results.result import Result
 from termsel.runs.judgement.judge import judge_choice
 from termsel.runs.task.data_notes import notes_on_data, notes_on_dem
@@ -41,9 +39,11 @@ from termsel.runs.task.given import all_candidates
 from termsel.runs.task.provenance import data_of, plugins_of, versions
 from termsel.runs.task.request import Setup
 from termsel.runs.task.verdict import Verdict, judge_features, judge_independent
-from termsel.solvers.base import Generation
-from termsel.solvers.ledger import Progress
-from termsel.solvers.search import Observer
+from termsel.selection.problems.base import Evaluation, Selection
+from termsel.selection.problems.recipes import Recipe
+from termsel.selection.solvers.base import Generation
+from termsel.selection.solvers.ledger import Progress
+from termsel.selection.solvers.search import Observer
 
 INTERRUPTED = ("The run was interrupted when {0} of {1} candidates were judged. The choice was not "
                "repeated without some of the points, so it predicts no accuracy.")

@@ -11,24 +11,22 @@ import numpy as np
 from msgspec import convert
 from msgspec.structs import asdict
 
-from termsel.candidates.compare import compare_robustly
-from termsel.candidates.portfolio import Portfolio
-from termsel.candidates.ridge import RidgeByOrder
-from termsel.errors import TermselError, unknown_name
-from termsel.files.names import CERTIFICATE
-from termsel.fits.accuracy import accuracy_of
-from termsel.fits.diagnosis import diagnose
-from termsel.fits.figures import Baseline, Rmses, baseline, figures, residuals_of, rmse_record
-from termsel.fits.fit import Fit
-from termsel.fits.least_squares import fit
-from termsel.guard.faults import HINT, wrong
-from termsel.measurements.features import BoolArray
-from termsel.measurements.roles import Observations
+from termsel.auto.compare import compare_robustly
+from termsel.auto.portfolio import Portfolio
+from termsel.auto.ridge import RidgeByOrder
+from termsel.core.errors import TermselError, unknown_name
+from termsel.core.files.names import CERTIFICATE
+from termsel.core.isolation.faults import HINT, wrong
+from termsel.data.features import BoolArray
+from termsel.data.record.base import plain
+from termsel.data.record.search import Certificate, Member, SizeRow
+from termsel.data.roles import Observations
+from termsel.fitting.accuracy import accuracy_of
+from termsel.fitting.diagnosis import diagnose
+from termsel.fitting.figures import Baseline, Rmses, baseline, figures, residuals_of, rmse_record
+from termsel.fitting.fit import Fit
+from termsel.fitting.least_squares import fit
 from termsel.models.base import SensorModel
-from termsel.problems.base import Selection
-from termsel.problems.segments import Genes
-from termsel.record.base import plain
-from termsel.record.search import Certificate, Member, SizeRow
 from termsel.results.checksums import of_certificate
 from termsel.results.result import Result
 from termsel.results.same_fit import has_pole, least_squares_of
@@ -38,10 +36,12 @@ from termsel.runs.task.fit_crs import note_on_pole
 from termsel.runs.task.provenance import data_of, notes_on_sessions, plugins_of, versions
 from termsel.runs.task.task import Task
 from termsel.runs.task.verdict import Verdict, judge_features, judge_independent
-from termsel.solvers.base import GIVEN
-from termsel.solvers.proofs.exact import gap
-from termsel.solvers.proofs.proof import SizeProof
-from termsel.solvers.search import Search
+from termsel.selection.problems.base import Selection
+from termsel.selection.problems.segments import Genes
+from termsel.selection.solvers.base import GIVEN
+from termsel.selection.solvers.proofs.exact import gap
+from termsel.selection.solvers.proofs.proof import SizeProof
+from termsel.selection.solvers.search import Search
 
 
 def assess(task: Task, genes: Genes) -> Result:

@@ -6,20 +6,20 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from termsel.candidates.base import Candidate
-from termsel.candidates.structures import named
-from termsel.criteria import Criterion
-from termsel.errors import counted
-from termsel.fits.diagnosis import PARALLEL, orientation_spread
-from termsel.fits.extrapolation import warnings_of
-from termsel.fits.figures import Baseline, Rmses
-from termsel.fits.fit import Fit
-from termsel.fits.least_squares import fit
-from termsel.measurements.roles import Observations
+from termsel.auto.base import Candidate
+from termsel.auto.structures import named
+from termsel.core.errors import counted
+from termsel.data.record.figures import MANY_INDEPENDENT
+from termsel.data.roles import Observations
+from termsel.fitting.diagnosis import PARALLEL, orientation_spread
+from termsel.fitting.extrapolation import warnings_of
+from termsel.fitting.figures import Baseline, Rmses
+from termsel.fitting.fit import Fit
+from termsel.fitting.least_squares import fit
 from termsel.plugins.registry import registry
-from termsel.problems.genome import Genome
-from termsel.record.figures import MANY_INDEPENDENT
-from termsel.solvers.search import Search
+from termsel.selection.criteria import Criterion
+from termsel.selection.problems.genome import Genome
+from termsel.selection.solvers.search import Search
 
 _ROUNDING = 1e-9  # px: smaller errors are those of arithmetic
 ALIKE = 1.05

@@ -10,18 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from termsel.candidates.portfolio import Portfolio
-from termsel.errors import TermselError
-from termsel.measurements.features import select
-from termsel.measurements.roles import leave_out
-from termsel.problems.segments import Bits, Subset
-from termsel.problems.selection import SelectionProblem
+from termsel.auto.portfolio import Portfolio
+from termsel.core.errors import TermselError
+from termsel.data.features import select
+from termsel.data.roles import leave_out
 from termsel.runs.search.recommend import recommended
 from termsel.runs.search.steps import search_in_steps
 from termsel.runs.task.enough import require_enough
 from termsel.runs.task.task import MIN_CONTROL, Task, build, scale
 from termsel.runs.task.verdict import Verdict, judge_features
-from termsel.solvers.search import Search
+from termsel.selection.problems.segments import Bits, Subset
+from termsel.selection.problems.selection import SelectionProblem
+from termsel.selection.solvers.search import Search
 
 FEATURES = "features"
 

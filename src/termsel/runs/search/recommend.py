@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from termsel.criteria import Ebic
-from termsel.problems.selection import SelectionProblem
 from termsel.runs.task.task import Task
-from termsel.solvers.proofs.exact import gap_of
-from termsel.solvers.search import Search
+from termsel.selection.criteria import Ebic
+from termsel.selection.problems.selection import SelectionProblem
+from termsel.selection.solvers.proofs.exact import gap_of
+from termsel.selection.solvers.search import Search
 
 
 def recommended(task: Task, found: Search) -> Search:

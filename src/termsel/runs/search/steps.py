@@ -6,16 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from termsel.errors import TermselError
-from termsel.guard.faults import PluginFault
-from termsel.measurements.features import BoolArray
-from termsel.problems.base import Problem
-from termsel.problems.selection import SelectionProblem
+from termsel.core.errors import TermselError
+from termsel.core.isolation.faults import PluginFault
+from termsel.data.features import BoolArray
 from termsel.runs.task.task import Task
-from termsel.solvers.base import Solver
-from termsel.solvers.budget import EVALUATIONS, require_limits
-from termsel.solvers.refinement import POLISH_SHARE
-from termsel.solvers.search import Search, begin, search
+from termsel.selection.problems.base import Problem
+from termsel.selection.problems.selection import SelectionProblem
+from termsel.selection.solvers.base import Solver
+from termsel.selection.solvers.budget import EVALUATIONS, require_limits
+from termsel.selection.solvers.refinement import POLISH_SHARE
+from termsel.selection.solvers.search import Search, begin, search
 
 
 def search_in_steps(task: Task, **how: Any) -> Search:

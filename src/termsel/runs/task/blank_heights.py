@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from termsel.errors import counted, first_of
-from termsel.measurements.control import Control, carriers
-from termsel.measurements.features import FeatureSet
+from termsel.core.errors import counted, first_of
+from termsel.data.control import Control, carriers
+from termsel.data.features import FeatureSet
 
 
 def to_leave_out(features: FeatureSet) -> tuple[str, ...]:

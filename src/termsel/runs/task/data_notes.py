@@ -6,19 +6,19 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from termsel.errors import counted, first_of
-from termsel.fits.fit import Fit
+from termsel.core.errors import counted, first_of
+from termsel.data.control import MEASURED, Control, carriers, off_plane
+from termsel.data.coordinates.crs import EARTH, body_of
+from termsel.data.coordinates.earth import note_on_turned
+from termsel.data.coordinates.longitudes import jumps
+from termsel.data.coordinates.metres import height_unit, is_in_degrees, plan_of
+from termsel.data.coordinates.mixed import note_on_mixed
+from termsel.data.features import FeatureSet, FloatArray, Points
+from termsel.data.roles import Observations
+from termsel.data.twins import groups, twins
+from termsel.data.two_groups import datum_of, two_groups
+from termsel.fitting.fit import Fit
 from termsel.formats.heights import pixels_of
-from termsel.measurements.control import MEASURED, Control, carriers, off_plane
-from termsel.measurements.coordinates.crs import EARTH, body_of
-from termsel.measurements.coordinates.earth import note_on_turned
-from termsel.measurements.coordinates.longitudes import jumps
-from termsel.measurements.coordinates.metres import height_unit, is_in_degrees, plan_of
-from termsel.measurements.coordinates.mixed import note_on_mixed
-from termsel.measurements.features import FeatureSet, FloatArray, Points
-from termsel.measurements.roles import Observations
-from termsel.measurements.twins import groups, twins
-from termsel.measurements.two_groups import datum_of, two_groups
 from termsel.runs.task.blank_heights import note_on_blank
 
 SOME = 5

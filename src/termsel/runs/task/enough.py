@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from termsel.criteria import Criterion
-from termsel.errors import TermselError, counted
-from termsel.fits.diagnosis import orientation_spread
-from termsel.measurements.roles import Observations
+from termsel.core.errors import TermselError, counted
+from termsel.data.roles import Observations
+from termsel.fitting.diagnosis import orientation_spread
 from termsel.models.base import SensorModel
-from termsel.problems.recipes import Recipe
+from termsel.selection.criteria import Criterion
+from termsel.selection.problems.recipes import Recipe
 
 MIN_CHECK = 2
 

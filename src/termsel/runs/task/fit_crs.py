@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from termsel.candidates.portfolio import choose
-from termsel.errors import TermselError
-from termsel.measurements.control import Control
-from termsel.measurements.coordinates.crs import (
+from termsel.auto.portfolio import choose
+from termsel.core.errors import TermselError
+from termsel.core.options import Option
+from termsel.data.control import Control
+from termsel.data.coordinates.crs import (
     EARTH,
     LOCAL,
     WGS84,
@@ -21,13 +22,12 @@ from termsel.measurements.coordinates.crs import (
     normalise,
     transformation,
 )
-from termsel.measurements.coordinates.longitudes import continuous
-from termsel.measurements.coordinates.metres import is_in_degrees
-from termsel.measurements.coordinates.utm import is_polar, metric_crs, polar_crs
-from termsel.measurements.features import FeatureSet, FloatArray
-from termsel.measurements.roles import Observations
+from termsel.data.coordinates.longitudes import continuous
+from termsel.data.coordinates.metres import is_in_degrees
+from termsel.data.coordinates.utm import is_polar, metric_crs, polar_crs
+from termsel.data.features import FeatureSet, FloatArray
+from termsel.data.roles import Observations
 from termsel.models.base import SensorModel
-from termsel.options import Option
 
 log = logging.getLogger(__name__)
 

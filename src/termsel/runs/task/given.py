@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from termsel.candidates.portfolio import Portfolio
-from termsel.criteria import Criterion
-from termsel.errors import TermselError
-from termsel.options import Configurable
+from termsel.auto.portfolio import Portfolio
+from termsel.core.errors import TermselError
+from termsel.core.options import Configurable
 from termsel.plugins.registry import registry
-from termsel.problems.constraints import listed
-from termsel.problems.objectives import Objective
-from termsel.problems.recipes import Recipe
+from termsel.selection.criteria import Criterion
+from termsel.selection.problems.constraints import listed
+from termsel.selection.problems.objectives import Objective
+from termsel.selection.problems.recipes import Recipe
 
 
 def all_candidates() -> Portfolio:

@@ -8,15 +8,15 @@ from functools import cache
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
-from termsel.guard.faults import is_own
-from termsel.measurements.coordinates.crs import height_reference
-from termsel.measurements.coordinates.earth import place_of, swapped
-from termsel.measurements.features import select
-from termsel.measurements.roles import Observations
-from termsel.measurements.two_groups import two_groups
+from termsel.core.isolation.faults import is_own
+from termsel.data.coordinates.crs import height_reference
+from termsel.data.coordinates.earth import place_of, swapped
+from termsel.data.features import select
+from termsel.data.record.record import Counts, DataRecord, IdsByRole, WhatWasRead
+from termsel.data.roles import Observations
+from termsel.data.two_groups import two_groups
 from termsel.plugins.hookspecs import PROJECT
 from termsel.plugins.registry import SESSION, registry
-from termsel.record.record import Counts, DataRecord, IdsByRole, WhatWasRead
 from termsel.results.checksums import of_features
 
 if TYPE_CHECKING:

@@ -8,26 +8,26 @@ from typing import Any
 
 from msgspec import json
 
-from termsel.criteria import Criterion
-from termsel.errors import TermselError, printable
-from termsel.guard.arrays import of_type
-from termsel.guard.faults import blamed, wrong
-from termsel.measurements.datasets import DatasetSpec
-from termsel.measurements.features import FeatureSet
-from termsel.measurements.roles import asked_roles, with_roles
-from termsel.measurements.splits import Split
+from termsel.core.errors import TermselError, printable
+from termsel.core.isolation.arrays import of_type
+from termsel.core.isolation.faults import blamed, wrong
+from termsel.core.options import SEED, Option, by_part, resolve
+from termsel.data.datasets import DatasetSpec
+from termsel.data.features import FeatureSet
+from termsel.data.roles import asked_roles, with_roles
+from termsel.data.splits import Split
 from termsel.models.base import SensorModel
 from termsel.models.image_part import ImagePart
 from termsel.models.interpolating import Interpolating
-from termsel.options import SEED, Option, by_part, resolve
 from termsel.plugins.registry import registry
-from termsel.problems.constraints import MAX_SHARE
-from termsel.problems.recipes import Recipe
 from termsel.runs.task.blank_heights import to_leave_out
 from termsel.runs.task.fit_crs import FIT_CRS
 from termsel.runs.task.given import class_of, second_solver, with_options
-from termsel.solvers.base import Solver
-from termsel.solvers.budget import SEARCH_OPTIONS
+from termsel.selection.criteria import Criterion
+from termsel.selection.problems.constraints import MAX_SHARE
+from termsel.selection.problems.recipes import Recipe
+from termsel.selection.solvers.base import Solver
+from termsel.selection.solvers.budget import SEARCH_OPTIONS
 
 FILE = "file"
 """The roles of the file, in place of a split."""

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from termsel.errors import TermselError
-from termsel.measurements.coordinates.crs import LOCAL, normalise, to_wgs84
-from termsel.measurements.coordinates.height_units import FOOT, UNITS
-from termsel.measurements.features import FeatureSet, FloatArray
+from termsel.core.errors import TermselError
+from termsel.data.coordinates.crs import LOCAL, normalise, to_wgs84
+from termsel.data.coordinates.height_units import FOOT, UNITS
+from termsel.data.features import FeatureSet, FloatArray
 from termsel.models.image_part import ImagePart, recognised
 from termsel.models.rpc import Rpc
 from termsel.runs.task.request import Setup

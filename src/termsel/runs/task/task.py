@@ -8,28 +8,28 @@ from typing import Any
 
 import numpy as np
 
-from termsel.criteria import Criterion
-from termsel.display import Glance
-from termsel.errors import TermselError
-from termsel.guard.faults import blamed
-from termsel.measurements.control import Control, carriers
-from termsel.measurements.datasets import DatasetSpec
-from termsel.measurements.features import FeatureSet
-from termsel.measurements.roles import Observations, check_as_control, parsed_shares
-from termsel.measurements.roles import observe as assign_roles
-from termsel.measurements.scaling import Scaling, scaling_of
+from termsel.core.display import Glance
+from termsel.core.errors import TermselError
+from termsel.core.isolation.faults import blamed
+from termsel.data.control import Control, carriers
+from termsel.data.datasets import DatasetSpec
+from termsel.data.features import FeatureSet
+from termsel.data.roles import Observations, check_as_control, parsed_shares
+from termsel.data.roles import observe as assign_roles
+from termsel.data.scaling import Scaling, scaling_of
 from termsel.models.base import SensorModel, require_heights
 from termsel.plugins.registry import registry
-from termsel.problems.base import Inputs, Problem
-from termsel.problems.constraints import without_heights
-from termsel.problems.parameters import ParameterProblem
-from termsel.problems.recipes import Recipe
 from termsel.runs.task.enough import require_enough
 from termsel.runs.task.fit_crs import with_fit_crs
 from termsel.runs.task.given import objectives_of
 from termsel.runs.task.request import ALIKE, FILE, Request, Setup, require_type, split_of
-from termsel.solvers.base import Solver
-from termsel.solvers.search import require_able
+from termsel.selection.criteria import Criterion
+from termsel.selection.problems.base import Inputs, Problem
+from termsel.selection.problems.constraints import without_heights
+from termsel.selection.problems.parameters import ParameterProblem
+from termsel.selection.problems.recipes import Recipe
+from termsel.selection.solvers.base import Solver
+from termsel.selection.solvers.search import require_able
 
 MIN_CONTROL = 3
 

@@ -12,19 +12,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from msgspec.structs import replace as changed
 
-from termsel.candidates.base import Judged, Suspects
-from termsel.candidates.blunders import MOST, find_blunders, judge_others
-from termsel.candidates.contradictions import Division
-from termsel.candidates.portfolio import Choice, Portfolio
-from termsel.fits.figures import finite_or_none
-from termsel.measurements.control import MEASURED, Control, off_plane
-from termsel.measurements.exchanged import Exchange, errors_by_others, exchange_of
-from termsel.measurements.features import FeatureSet, Points, select
-from termsel.measurements.roles import Observations, leave_out
-from termsel.measurements.twins import with_twins
-from termsel.record.base import Role
-from termsel.record.chances import median
-from termsel.record.figures import BlunderTest, Outlier
+from termsel.auto.base import Judged, Suspects
+from termsel.auto.blunders import MOST, find_blunders, judge_others
+from termsel.auto.contradictions import Division
+from termsel.auto.portfolio import Choice, Portfolio
+from termsel.data.control import MEASURED, Control, off_plane
+from termsel.data.exchanged import Exchange, errors_by_others, exchange_of
+from termsel.data.features import FeatureSet, Points, select
+from termsel.data.record.base import Role
+from termsel.data.record.chances import median
+from termsel.data.record.figures import BlunderTest, Outlier
+from termsel.data.roles import Observations, leave_out
+from termsel.data.twins import with_twins
+from termsel.fitting.figures import finite_or_none
 
 FEW = 17
 """Number of features below which a note says what errors cannot be found."""

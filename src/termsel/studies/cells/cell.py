@@ -8,9 +8,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from termsel.errors import TermselError, unknown_name
-from termsel.guard.parts import own_packages
-from termsel.options import Configurable, Option
+from termsel.core.errors import TermselError, unknown_name
+from termsel.core.isolation.parts import own_packages
+from termsel.core.options import Configurable, Option
 from termsel.plugins.hookspecs import PROJECT
 from termsel.plugins.loading import canonical
 from termsel.plugins.registry import SESSION, registry
@@ -19,8 +19,8 @@ from termsel.runs.auto.strategy import LEAST, wanted
 from termsel.runs.run import problem_for
 from termsel.runs.task.request import DATA_OPTIONS, Request, Setup
 from termsel.runs.task.task import build, observe, scale, with_shares
-from termsel.solvers.base import Solver
-from termsel.solvers.budget import SEARCH_OPTIONS
+from termsel.selection.solvers.base import Solver
+from termsel.selection.solvers.budget import SEARCH_OPTIONS
 from termsel.studies.cells.identity import made_of
 from termsel.studies.cells.table import LABELS, columns_of
 from termsel.studies.plan.data import Data, of_dataset

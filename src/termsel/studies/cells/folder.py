@@ -9,10 +9,10 @@ from typing import Any
 
 from msgspec import ValidationError, convert
 
-from termsel.errors import TermselError
-from termsel.files.atomic import write_text
-from termsel.files.lock import holder
-from termsel.files.names import inside
+from termsel.core.errors import TermselError
+from termsel.core.files.atomic import write_text
+from termsel.core.files.lock import holder
+from termsel.core.files.names import inside
 from termsel.formats.base import located, parse_json, read_text
 from termsel.studies.cells.cell import Cell
 from termsel.studies.cells.journal import read_journal

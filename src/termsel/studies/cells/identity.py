@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.options import Configurable
+from termsel.core.options import Configurable
 
 _VERSIONED = {*sys.stdlib_module_names, "termsel", "numpy", "scipy", "numba", "deap", "pymoo"} - {
     "__main__"}

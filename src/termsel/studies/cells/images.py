@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from termsel.errors import TermselError
-from termsel.files.atomic import private_folder, put_in_place, sync
+from termsel.core.errors import TermselError
+from termsel.core.files.atomic import private_folder, put_in_place, sync
 
 IMAGES = "images"
 

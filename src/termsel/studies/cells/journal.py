@@ -17,10 +17,10 @@ from typing import Annotated, Any, BinaryIO, Literal
 
 from msgspec import Meta, ValidationError, convert
 
-from termsel.errors import TermselError, counted
-from termsel.files.names import JOURNAL, inside, is_there, open_inside
+from termsel.core.errors import TermselError, counted
+from termsel.core.files.names import JOURNAL, inside, is_there, open_inside
+from termsel.data.record.base import RecordPart, plain
 from termsel.formats.base import read_data
-from termsel.record.base import RecordPart, plain
 
 SCHEMA = "termsel-study-1"
 

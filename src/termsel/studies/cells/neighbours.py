@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from termsel.errors import counted
-from termsel.measurements.coordinates.earth import degrees_of, in_words, is_mirrored, swapped
-from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, IntArray
+from termsel.core.errors import counted
+from termsel.data.coordinates.earth import degrees_of, in_words, is_mirrored, swapped
+from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray
 
 MOST = 2 / 3
 """Share of the images from which on they are those that the others are held against."""

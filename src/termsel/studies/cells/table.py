@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from termsel.files.texts import csv_table
-from termsel.measurements.coordinates.earth import in_words
+from termsel.core.files.texts import csv_table
+from termsel.data.coordinates.earth import in_words
 from termsel.studies.cells.journal import CellRecord
 from termsel.studies.cells.neighbours import Batch, batch_of
 

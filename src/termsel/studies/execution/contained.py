@@ -12,9 +12,9 @@ from functools import partial
 from queue import SimpleQueue
 from typing import IO
 
-from termsel.files.drivers import claim_process
-from termsel.guard.helper import Helper, ProcessEndedError
-from termsel.measurements.features import FeatureSet
+from termsel.core.files.drivers import claim_process
+from termsel.core.isolation.helper import Helper, ProcessEndedError
+from termsel.data.features import FeatureSet
 from termsel.plugins.loading import attempt
 from termsel.studies.cells.cell import Cell
 from termsel.studies.execution.executors import DIED, Stop

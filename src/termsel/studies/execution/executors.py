@@ -14,9 +14,9 @@ from contextlib import contextmanager
 from multiprocessing import get_context, parent_process
 from types import FrameType
 
-from termsel.files.drivers import claim_process
-from termsel.guard.helper import safe_start
-from termsel.measurements.features import FeatureSet
+from termsel.core.files.drivers import claim_process
+from termsel.core.isolation.helper import safe_start
+from termsel.data.features import FeatureSet
 from termsel.studies.cells.cell import Cell
 from termsel.studies.execution.work import Outcome, do, failed
 

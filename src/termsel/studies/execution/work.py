@@ -10,14 +10,15 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Final
 
-from termsel.display.quiet import quieted
-from termsel.errors import TermselError
-from termsel.files.atomic import private_folder
-from termsel.fits.figures import finite_or_none
-from termsel.fits.residuals import Rmse
+from termsel.core.display.quiet import quieted
+from termsel.core.errors import TermselError
+from termsel.core.files.atomic import private_folder
+from termsel.core.threads import one_blas_thread
+from termsel.data.features import BoolArray, FeatureSet
+from termsel.fitting.figures import finite_or_none
+from termsel.fitting.residuals import Rmse
 from termsel.io.export import export, writer_of
 from termsel.io.result_folder import write_result
-from termsel.measurements.features import BoolArray, FeatureSet
 from termsel.plugins.loading import attempt
 from termsel.plugins.registry import registry
 from termsel.results.extras import measured
@@ -26,15 +27,14 @@ from termsel.runs.judgement.assess import assessed, estimated, is_feasible
 from termsel.runs.run import run
 from termsel.runs.search.blunders_out import search_without_blunders
 from termsel.runs.task.task import Task, prepare
-from termsel.solvers.ledger import Progress
-from termsel.solvers.proofs.exact import gap
-from termsel.solvers.proofs.proof import TIE, count
-from termsel.solvers.search import Search
+from termsel.selection.solvers.ledger import Progress
+from termsel.selection.solvers.proofs.exact import gap
+from termsel.selection.solvers.proofs.proof import TIE, count
+from termsel.selection.solvers.search import Search
 from termsel.studies.cells.cell import Cell
 from termsel.studies.cells.journal import CellRecord, State
 from termsel.studies.cells.neighbours import setting_of
 from termsel.studies.execution.naming import named
-from termsel.threads import one_blas_thread
 
 DONE: Final = "done"
 INFEASIBLE: Final = "infeasible"
@@ -66,7 +66,8 @@ def failed(key: str, reason: str, features: FeatureSet | None = None) -> Outcome
 
 
 @one_blas_thread
-@quieted("termsel.solvers", logging.WARNING)  # plans that solvers announce, of thousands of runs
+# The plans that solvers announce, of thousands of runs.
+@quieted("termsel.selection.solvers", logging.WARNING)
 def do(cell: Cell, features: FeatureSet) -> Outcome:
     """Run a cell, and return its outcome; where the run fails, with the reason."""
     with named(cell.data.source):

@@ -12,10 +12,10 @@ from pathlib import Path
 from threading import Timer
 from typing import Any
 
-from termsel.errors import TermselError
+from termsel.core.errors import TermselError
+from termsel.data.datasets import DatasetSpec
+from termsel.data.features import FeatureSet
 from termsel.io.read import parts_of, read
-from termsel.measurements.datasets import DatasetSpec
-from termsel.measurements.features import FeatureSet
 from termsel.plugins.registry import registry
 from termsel.results.checksums import of_attributes, of_features
 from termsel.studies.execution.naming import named

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass, field
 from typing import Any
 
-from termsel.errors import TermselError, unknown_name
+from termsel.core.errors import TermselError, unknown_name
 
 Path = tuple[str | int, ...]
 """Keys and positions in lists that lead to a value."""

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from termsel.errors import is_printable
+from termsel.core.errors import is_printable
+from termsel.core.options import MOST_RUNS, SEED, Configurable
+from termsel.data.features import FeatureSet
 from termsel.formats.toml_files import read_toml
-from termsel.measurements.features import FeatureSet
-from termsel.options import MOST_RUNS, SEED, Configurable
 from termsel.studies.plan.places import Path as Keys
 from termsel.studies.plan.places import Places, places_of
 

@@ -1,0 +1,253 @@
+"""Features held against what the features in use predict for them.
+
+`termsel.auto.blunders` decides by it which are blunders.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TypeVar
+
+import numpy as np
+
+from termsel.auto.base import Suspects, gain_of
+from termsel.auto.local import LIKELY
+from termsel.auto.portfolio import BETTER
+from termsel.data.control import Control
+from termsel.data.features import BoolArray, FloatArray, IntArray
+from termsel.fitting.adjustment.equations import weights_of
+from termsel.fitting.adjustment.lines import row_weights
+from termsel.fitting.adjustment.monomials import monomials
+from termsel.fitting.bayesian.field import Collocation, collocate
+from termsel.fitting.bayesian.held_out import Prediction, chance_of
+from termsel.fitting.bayesian.of_lines import coupled
+from termsel.fitting.bayesian.posterior import Posterior, posterior, scales_of
+from termsel.models.polynomial import Polynomial, Polynomial2D, Polynomial3D
+
+UNLIKELY = 1e-3
+"""Chance of naming any point where there is no blunder, under normal errors."""
+
+STRAIN = 4.0
+"""Standard deviations of a prediction that an error must exceed: real errors are not normal, and no
+model is exact."""
+
+ALLOWANCE = 1.0
+"""Standard deviations it must exceed for each standard deviation of the noise that the prediction
+has, on account of the form of the model."""
+
+ROUNDING = 1e-6
+"""Errors that are none [px]."""
+
+LOOK = 2.0
+"""Standard deviations within which an error says nothing of a blunder, and is not looked at."""
+
+COMPARED = 1000
+"""Points by which the quadratic and the cubic polynomial are compared, about; more decide alike."""
+
+UNUSED = 1e-3
+"""Weight at which a point has no influence and is predicted all the same."""
+
+
+@dataclass(frozen=True, eq=False)
+class Test:
+    """What features in use predict for all features."""
+
+    errors: FloatArray  # (n,): largest in line or sample, or of a vertex off its line [px]
+    chance: FloatArray  # (n,): of an error as large
+    strain: FloatArray  # (n,): the error in standard deviations
+    spread: FloatArray  # (n,): standard deviation of the prediction by that of the noise
+    noise: float  # [px]
+    freedom: int  # degrees of freedom of the noise
+    squares: FloatArray  # of the errors of features in use
+    local: bool = False  # whether a random field predicts
+
+    def far(self, n: int) -> BoolArray:
+        """Return the features whose error is beyond chance."""
+        return (self.chance < UNLIKELY / n) & (self.strain > STRAIN) & (self.errors > ROUNDING)
+
+    def decided(self) -> BoolArray:
+        """Return the features whose error exceeds what their place allows."""
+        return self.strain > ALLOWANCE * self.spread
+
+    def suspects(self, blunders: BoolArray, probable: BoolArray, undecided: BoolArray,
+                 which: BoolArray) -> Suspects:
+        """Return what is found of some of the features."""
+        # Where `chance_of` is that: of normal errors one is as large at any of these features.
+        least = np.sqrt(self.freedom / 2
+                         * ((UNLIKELY / which.sum()) ** (-2 / self.freedom) - 1))
+        strain = np.maximum(max(STRAIN, float(least)), ALLOWANCE * self.spread)
+        return Suspects(blunders[which], probable[which], undecided[which], self.errors[which],
+                        np.maximum(strain * self.spread * self.noise, ROUNDING)[which])
+
+
+@dataclass(frozen=True, eq=False)
+class Division:
+    """Features, of which those `used` (n,) predict all."""
+
+    every: Control
+    used: BoolArray
+
+    @cached_property
+    def in_use(self) -> Control:
+        """The features in use, with the scaling that all are predicted in.
+
+        Points are tested in their own coordinates, whatever those of the fit.
+        """
+        features = self.every.features
+        if not features.fit_crs or len(features.lines):
+            return self.every.take(self.used)
+        return Control.of(replace(features, fit_crs="").take(self.used), self.every.heights)
+
+    @property
+    def _collocated(self) -> Collocation | None:
+        return collocate(self.in_use.scaled.points, 3 if self.every.heights else 2)
+
+    def test(self) -> Test | None:
+        """Return what the features in use predict, by a random field where points call for it.
+
+        Else by `shrunken_test`.
+        """
+        return self.local_test() or self.shrunken_test()
+
+    def local_test(self) -> Test | None:
+        """Return what points in use predict by a random field; None where they call for none."""
+        if len(self.every.features.lines):
+            return None
+        found = self._collocated
+        if found is None or found.probability <= LIKELY:
+            return None
+        points = self.every.features.points
+        scaling = self.in_use.scaling
+        used = self.used
+        scaled = scaling.points(points)
+        variance, unit = found.spread(scaled.ground)
+        noise = unit / weights_of(points) ** 2
+        errors = scaled.image - found.predict(scaled.ground)
+        statistic = (errors**2 / (variance + noise)).sum(axis=1) / 2
+        freedom = found.parts[0].posterior.freedom
+        rows = np.stack([*np.abs(errors.T), chance_of(statistic, freedom), np.sqrt(statistic),
+                         np.sqrt((1 + variance / noise).max(axis=1))], axis=1)
+        # A point in use is predicted by the others: its own measurement would hide its error.
+        rows[used] = _rows(found.left_out)
+        rows[used, :2] /= weights_of(self.in_use.features.points)
+        pixels = rows[:, :2] * scaling.image_scale
+        return Test(np.abs(pixels).max(axis=1), rows[:, 2], rows[:, 3], rows[:, 4],
+                    float(np.sqrt(unit[0])) * scaling.image_scale, freedom,
+                    (pixels[used] ** 2).sum(axis=1), local=True)
+
+    def shrunken_test(self) -> Test | None:
+        """Return what the features in use predict, by the shrunken quadratic or, if better, cubic.
+
+        None where they are too few.
+        """
+        if len(self.every.features.lines):
+            return _better(*(_test_of_lines(self, degree) for degree in (2, 3)))
+        one = _better(*(_of_points(self, degree) for degree in (2, 3)))
+        return one.test() if one else None
+
+    def likeliest_blunder(self) -> int | None:
+        """Return the point in use that is likeliest a blunder, under all polynomials and fields.
+
+        None if none is likelier a blunder than right. Beforehand one point of all is believed to be
+        one.
+        """
+        found = self._collocated
+        if found is None:
+            return None
+        large = np.abs(found.errors).max(axis=1) * self.in_use.scaling.image_scale > ROUNDING
+        looked_at = np.flatnonzero(large & (found.left_out.statistic > LOOK**2))
+        if not looked_at.size:
+            return None
+        odds = found.blunder_odds(looked_at)
+        likely = odds.max() > np.log(len(self.in_use) - 1)
+        return int(np.flatnonzero(self.used)[looked_at[odds.argmax()]]) if likely else None
+
+
+_One = TypeVar("_One", Test, "_OfPoints")
+
+
+def _better(quadratic: _One | None, cubic: _One | None) -> _One | None:
+    """Return the cubic if its squared errors are clearly smaller, else the quadratic."""
+    if quadratic is None or cubic is None:
+        return cubic or quadratic
+    return cubic if gain_of(cubic.squares, quadratic.squares, ROUNDING) > BETTER else quadratic
+
+
+def polynomial_of(heights: bool, degree: int) -> Polynomial:
+    return (Polynomial3D if heights else Polynomial2D)(degree=degree)
+
+
+@dataclass(frozen=True, eq=False)
+class _OfPoints:
+    """What a shrunken polynomial of the points in use predicts for all points.
+
+    `order` is that of the points in `found`: those in use come first.
+    """
+
+    found: Posterior
+    order: IntArray
+    weights: FloatArray
+    image_scale: float
+
+    @cached_property
+    def squares(self) -> FloatArray:
+        """Squared errors of the points in use, of many some, each by the others, shape (m,)."""
+        some = slice(0, self.found.in_use, -(-self.found.in_use // COMPARED))
+        errors = (self.found.left_out if some.step == 1 else self.found.without(some)).errors
+        return np.asarray(((errors / self.weights[self.order[some]]
+                            * self.image_scale) ** 2).sum(axis=1))
+
+    def test(self) -> Test:
+        """Return the test: points that are not in use are looked at here alone."""
+        found = self.found
+        rows = np.empty((len(self.order), 5))
+        rows[self.order] = np.concatenate([_rows(found.left_out), _rows(found.beyond(UNUSED))])
+        pixels = rows[:, :2] / self.weights * self.image_scale
+        noise = float(np.sqrt(found.cells.share @ found.square / found.freedom))
+        return Test(np.abs(pixels).max(axis=1), rows[:, 2], rows[:, 3], rows[:, 4],
+                    noise * self.image_scale, found.freedom,
+                    (pixels[self.order[:found.in_use]] ** 2).sum(axis=1))
+
+
+def _of_points(division: Division, degree: int) -> _OfPoints | None:
+    points = division.every.features.points
+    used = division.used
+    scaling = division.in_use.scaling
+    scaled = scaling.points(points)
+    exponents = polynomial_of(division.every.heights, degree).exponents
+    powers = np.array(exponents).sum(axis=1)
+    weights = weights_of(points)
+    order = np.argsort(~used, kind="stable")
+    found = posterior(monomials(scaled.ground[order], exponents), scaled.image[order], powers,
+                      (weights * np.where(used, 1.0, UNUSED)[:, None])[order],
+                      scales_of(np.array(exponents)[powers > 1]), int(used.sum()))
+    return None if found is None else _OfPoints(found, order, weights, scaling.image_scale)
+
+
+def _test_of_lines(division: Division, degree: int) -> Test | None:
+    """Test points and lines, without factors of single terms: many tests are made."""
+    control = division.every
+    used = division.used
+    scaling = division.in_use.scaling
+    scaled = scaling.features(control.features)
+    model = polynomial_of(control.heights, degree)
+    equations = model.equations(scaled)
+    weights = np.where(used, 1.0, UNUSED)[equations.feature]
+    found = coupled(replace(equations, A=equations.A * weights[:, None], b=equations.b * weights),
+                    model.exponents, 0, int((weights == 1.0).sum()))
+    if found is None:
+        return None
+    one = found.predictions(np.where(used, 1.0, UNUSED))
+    pixels = one.errors / row_weights(scaled, heights=control.heights) * scaling.image_scale
+    largest, squares = np.zeros((2, len(control)))
+    np.maximum.at(largest, equations.feature, np.abs(pixels))
+    np.add.at(squares, equations.feature, pixels**2)
+    return Test(largest, one.chance, one.strain, one.spread, found.noise * scaling.image_scale,
+                found.freedom, squares[used])
+
+
+def _rows(one: Prediction) -> FloatArray:
+    """Return errors of points in line and sample, chance, strain and spread, shape (m, 5)."""
+    return np.stack([*one.errors.T, one.chance, np.sqrt(one.statistic),
+                     np.sqrt(one.spread.max(axis=1))], axis=1)

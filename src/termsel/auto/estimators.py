@@ -1,0 +1,50 @@
+"""All estimators by their names in the record of a run."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from termsel.auto.local import Interpolated
+from termsel.auto.physical import Physical
+from termsel.auto.ridge import RidgeByOrder
+from termsel.auto.robust import Reweighted
+from termsel.auto.selected import ForwardSelection
+from termsel.auto.shrunken import Averaging
+from termsel.core.errors import TermselError, unknown_name
+from termsel.fitting.fit import Estimator, Given
+from termsel.fitting.least_squares import LeastSquares
+
+ESTIMATORS: dict[str, type[Estimator]] = {one.name: one for one in (
+    LeastSquares, RidgeByOrder, ForwardSelection, Averaging, Physical, Interpolated, Reweighted,
+    Given)}
+
+
+def estimator(name: str, /, **options: Any) -> Estimator:
+    """Return a built-in estimator.
+
+    Parameters
+    ----------
+    name : str
+        As records have it: least-squares, ridge-by-order, forward-selection, averaging,
+        interpolated, reweighted or given.
+    **options
+        As `Estimator.options` gives them.
+
+    Raises
+    ------
+    TermselError
+        For a name that none has, or options that it does not take.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> termsel.estimator("reweighted", biweight=True).options
+    {'biweight': True}
+    """
+    if name not in ESTIMATORS:
+        raise unknown_name("estimator", name, ESTIMATORS)
+    try:
+        return ESTIMATORS[name](**options)
+    except TypeError as error:
+        raise TermselError(f"the estimator {name} cannot be made with the options {options}",
+                           hint="Run the search again.") from error

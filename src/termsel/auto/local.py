@@ -1,0 +1,72 @@
+"""Fits that predict from the control points themselves, for images with local deformation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from termsel.data.features import BoolArray, FeatureSet, Points
+from termsel.data.scaling import Scaling
+from termsel.fitting.adjustment.interpolation import Interpolation
+from termsel.fitting.bayesian.field import Collocation
+from termsel.fitting.fit import Estimator, Fit, HeldOut, Undetermined
+from termsel.fitting.fittable import Fittable
+from termsel.fitting.least_squares import LeastSquares
+
+LIKELY = 0.75
+"""Probability of a random field beyond which points call for it: odds of three to one, beyond
+which the evidence is positive (Kass and Raftery 1995, J. Am. Stat. Assoc. 90)."""
+
+EXCLUDED = 0.05
+"""Probability up to which parts of many points are not asked for a field either."""
+
+
+def asked_of(found: Collocation) -> float:
+    """Return the probability of a random field beyond which points call for it.
+
+    Of few points without heights, up to `field.SURE`, any: they tell too little to choose by.
+    """
+    return LIKELY * (1.0 - found.few)
+
+
+def interpolated(model: Fittable, control: FeatureSet, scaling: Scaling) -> Interpolation | None:
+    """Return what a model predicts from control points; None where they are too few."""
+    return model.prepared(scaling, control.crs).interpolation(scaling.features(control))
+
+
+class Interpolated(Estimator):
+    """The interpolation of a model, where the points call for it.
+
+    Its terms are those of least squares, and have no influence. A random field is called for where
+    its probability exceeds that of `asked_of`.
+    """
+
+    name = "interpolated"
+
+    def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+            used: BoolArray) -> Fit:
+        """Fit a model (see `Estimator.fit`)."""
+        points_alone(control, used, "an interpolation")
+        found = interpolated(model, control.take(used), scaling)
+        if found is None:
+            raise Undetermined(f"{used.sum()} control points are too few to interpolate by",
+                               hint="Measure more control, spread over the area.")
+        if isinstance(found, Collocation) and found.probability <= asked_of(found):
+            raise Undetermined("the points do not call for a random field: its probability is "
+                               f"{found.probability:.2g}", hint="Choose a polynomial.")
+        plain = LeastSquares(iterated=False).fit(model, control, scaling, terms, used)
+        errors = found.errors * scaling.image_scale
+        unknown = np.full(len(terms), np.nan)
+        return replace(plain, estimator=self, trace=found.effective,
+                       held_out=HeldOut.of(errors, control.take(used)),
+                       adjustment=replace(plain.adjustment, deviations=unknown,
+                                          correlations=None))
+
+
+def points_alone(control: FeatureSet, used: BoolArray, what: str) -> Points:
+    """Return the points in use (n,), and refuse lines for what does not take them, in words."""
+    if len(control.lines):
+        raise Undetermined(f"{what} takes control points alone, and there are control lines",
+                           hint="Leave the lines out, or choose another model.")
+    return control.points.take(used)

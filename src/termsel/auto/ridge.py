@@ -1,0 +1,83 @@
+"""Ridge regression that shrinks a coefficient the more, the higher the order of its term."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from termsel.data.features import BoolArray, FeatureSet, FloatArray
+from termsel.data.scaling import Scaling
+from termsel.fitting.adjustment.parts import independent_parts
+from termsel.fitting.adjustment.ridge import Spectrum, choose_penalty
+from termsel.fitting.adjustment.solve import TOLERANCE
+from termsel.fitting.fit import Estimator, Fit
+from termsel.fitting.fittable import Fittable
+from termsel.fitting.least_squares import LeastSquares
+from termsel.models.terms import Term
+
+
+class RidgeByOrder(Estimator):
+    """Ridge regression that shrinks a coefficient the more, the higher the order of its term.
+
+    Minimises |b - A x|^2 + penalty^2 sum (w_j x_j)^2 over the control, for each independent part
+    with the penalty of the least generalised cross-validation. The weight of a numerator's term is
+    its order less 1, so that affine terms are not shrunk, that of a denominator's its order.
+    Without a feature, the penalty is chosen again.
+
+    References
+    ----------
+    Hoerl and Kennard 1970; Golub, Heath, Wahba 1979 for the penalty. The weights are termsel's
+    own choice.
+    """
+
+    name = "ridge-by-order"
+
+    def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+            used: BoolArray) -> Fit:
+        """Fit a model (see `Estimator.fit`); its adjustment is that of least squares."""
+        plain = LeastSquares(iterated=False).fit(model, control, scaling, terms, used)
+        coefficients = np.zeros(len(terms))
+        trace = 0.0
+        weights = np.array([_weight(name) for name in model.terms])
+        for part in independent_parts(plain.model.equations(plain.scaled_control), model.axis):
+            rows = used[part.equations.feature]
+            chosen = terms & part.columns
+            columns = part.equations.A[rows][:, chosen[part.columns]]
+            coefficients[chosen], effective = _ridge(columns, part.equations.b[rows],
+                                                     weights[chosen])
+            trace += effective
+        return plain.with_coefficients(coefficients, self, trace)
+
+
+def _weight(name: str) -> float:
+    """Return the weight of a term by its name, such as "line.den:X2Y"."""
+    term = Term.parse(name)
+    return float(term.order if term.is_denominator else max(term.order - 1, 0))
+
+
+def _ridge(columns: FloatArray, target: FloatArray,
+           weights: FloatArray) -> tuple[FloatArray, float]:
+    """Return coefficients and their effective number."""
+    free = weights == 0
+    x = np.zeros(columns.shape[1])
+    lead = columns[:, free]
+    q, strength = np.linalg.svd(lead, full_matrices=False)[:2]
+    q = q[:, strength > np.finfo(float).eps * max(lead.shape) * strength.max(initial=0.0)]
+    rest = (columns[:, ~free] - q @ (q.T @ columns[:, ~free])) / weights[~free]
+    y = target - q @ (q.T @ target)
+    effective = float(q.shape[1])
+    if rest.size:
+        u, s, vt = np.linalg.svd(rest, full_matrices=False)
+        live = s > TOLERANCE * s.max(initial=0.0)
+        u = u[:, live]
+        s = s[live]
+        vt = vt[live]
+        inner = u.T @ y
+        if len(s):
+            outside = max(float(y @ y - inner @ inner), 0.0)
+            penalty = choose_penalty(
+                Spectrum(s, np.abs(inner), outside, len(y) - q.shape[1]), "gcv")
+            x[~free] = vt.T @ (s / (s**2 + penalty**2) * inner) / weights[~free]
+            effective += float((s**2 / (s**2 + penalty**2)).sum())
+    if lead.size:
+        x[free] = np.linalg.lstsq(lead, target - columns @ x)[0]
+    return x, effective

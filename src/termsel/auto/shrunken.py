@@ -1,0 +1,148 @@
+"""Polynomials whose terms beyond the affine ones are shrunk, averaged over how much.
+
+The prior: with all coordinates scaled to [-1, 1], the coefficient of X^a Y^b Z^c, a + b + c >= 2,
+is normal with the mean 0 and the standard deviation
+
+    size * fall^(a + b + c - 2) * relief^c * own
+
+in units of the noise: the coefficients of a Taylor series of a smooth function fall from order
+to order by one rate, and by a further one with each power of Z, as the relief is shallow next to
+the scene. Affine terms are free. How large `size` is for line and for sample, and what `fall`
+and `relief` are for both, is not known: the least-squares solutions for all values on a wide
+grid are averaged with their posterior probabilities, and nothing is set. An affine image, of
+which all sizes are 0, is one of them, with a probability of its own. `own` is a factor for
+each term, log-normal, drawn many times, so that single terms may stand out from the rule.
+Noise is taken to be the same in line and sample; its variance is integrated out.
+
+Every solution on the grid is linear in the measurements. Leaving a point out changes it, and
+its probability, in closed form, so that the leave-one-out errors are those of the whole
+procedure repeated without each point. Lines couple line and sample:
+`termsel.fitting.bayesian.of_lines` has the same for them.
+
+References
+----------
+Hoerl and Kennard 1970 for ridge regression; Lindley and Smith 1972, J. R. Stat. Soc. B 34(1), for
+its prior; Gelman 2006, Bayesian Analysis 1(3), for that of its size; Hoeting et al. 1999,
+Statistical Science 14(4), for averaging. The prior's form is termsel's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from termsel.core.errors import counted
+from termsel.data.features import BoolArray, FeatureSet, FloatArray
+from termsel.data.scaling import Scaling
+from termsel.fitting.adjustment.equations import line_normals, weights_of
+from termsel.fitting.adjustment.lines import row_weights
+from termsel.fitting.adjustment.monomials import Exponents, monomials
+from termsel.fitting.adjustment.solve import Adjustment
+from termsel.fitting.bayesian.of_lines import averaged
+from termsel.fitting.bayesian.posterior import polynomial_posterior
+from termsel.fitting.fit import Estimator, Fit, HeldOut, Undetermined
+from termsel.fitting.fittable import Fittable
+from termsel.models.polynomial import Polynomial
+
+
+@dataclass(frozen=True, eq=False)
+class Average:
+    """An averaged polynomial."""
+
+    coefficients: FloatArray  # (k, 2): of line and sample
+    # (n, 2): measured minus predicted by the same procedure without that point, or without the line
+    # of a vertex.
+    errors: FloatArray
+    # Effective parameters of line and sample together: the trace of the matrix that turns
+    # measurements into their fitted values.
+    effective: float
+
+
+class Averaging(Estimator):
+    """The average of a polynomial's shrunken solutions."""
+
+    name = "averaging"
+
+    def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+            used: BoolArray) -> Fit:
+        """Fit a polynomial (see `Estimator.fit`) with all its terms."""
+        assert isinstance(model, Polynomial)
+        mine = scaling.features(control.take(used))
+        found = average_with_lines(mine, model) if len(mine.lines) else average(
+            mine.points.ground, mine.points.image, model.exponents,
+            None if mine.points.sigma is None else weights_of(mine.points))
+        if found is None:
+            what = "control feature" if len(mine.lines) else "control point"
+            raise Undetermined(
+                f"{counted(len(mine), what)} without any one of them do not determine an affine "
+                "model", hint="Measure more control, spread over the area.")
+        return fit_of(self, model, control, scaling, used, found)
+
+
+def fit_of(estimator: Estimator, model: Polynomial, control: FeatureSet, scaling: Scaling,
+           used: BoolArray, found: Average) -> Fit:
+    """Return the fit that an average of solutions for the features in use is."""
+    coefficients = found.coefficients.T.ravel()
+    equations = model.equations(
+        scaling.features(control))
+    in_use = (equations.b - equations.A @ coefficients)[used[equations.feature]]
+    freedom = len(in_use) - found.effective
+    count = round(found.effective)
+    sigma0 = float(np.sqrt(in_use @ in_use / freedom)) if freedom > 0.5 else np.nan
+    adjustment = Adjustment(coefficients, np.full(len(coefficients), np.nan), count, len(in_use),
+                            count, np.nan, sigma0)
+    return Fit(model, scaling, control, np.ones(len(coefficients), dtype=bool), used, adjustment,
+               estimator, found.effective,
+               HeldOut.of(found.errors * scaling.image_scale, control.take(used)))
+
+
+def average(ground: FloatArray, image: FloatArray, exponents: Exponents,
+            weights: FloatArray | None = None) -> Average | None:
+    """Fit an averaged polynomial; None if all points but any one do not determine the affine terms.
+
+    The ground (n, 3) is scaled to [-1, 1], the image is (n, 2), of the k exponents affine ones come
+    first. Equations are multiplied by weights (n, 2): reciprocals of standard deviations, up to a
+    factor.
+    """
+    order = np.array(exponents).sum(axis=1)
+    columns = monomials(ground, exponents)
+    found = polynomial_posterior(ground, image, exponents, weights)
+    if found is None:
+        return None
+    weights = np.ones_like(image) if weights is None else weights
+    coefficients = np.empty((len(exponents), 2))
+    effective = 0.0
+    for axis in (0, 1):
+        shrunk, own = found.mean(axis)
+        affine = columns[:, order < 2] * weights[:, axis, None]
+        rest = weights[:, axis] * (image[:, axis] - columns[:, order > 1] @ shrunk)
+        coefficients[order > 1, axis] = shrunk
+        coefficients[order < 2, axis] = np.linalg.lstsq(affine, rest)[0]
+        effective += own
+    return Average(coefficients, found.left_out.errors / weights, effective)
+
+
+def average_with_lines(features: FeatureSet, model: Polynomial) -> Average | None:
+    """Fit an averaged polynomial to points and lines, or to lines, scaled to [-1, 1].
+
+    The errors are of the points, then of both vertices of each line, along its normal. None if all
+    features but any one do not determine the affine terms.
+    """
+    equations = model.equations(features)
+    found = averaged(equations, model.exponents)
+    if found is None:
+        return None
+    k = len(model.exponents)
+    (shrunk, effective, errors) = found
+    free = np.tile(np.array(model.exponents).sum(axis=1) < 2, 2)
+    coefficients = np.empty(2 * k)
+    coefficients[~free] = shrunk
+    coefficients[free] = np.linalg.lstsq(equations.A[:, free],
+                                         equations.b - equations.A[:, ~free] @ shrunk)[0]
+    errors = errors / row_weights(features, heights=model.uses_height)
+    count = 2 * len(features.points)
+    normals = np.repeat(line_normals(features.lines)[0], 2, axis=0)
+    return Average(coefficients.reshape(2, k).T,
+                   np.concatenate([errors[:count].reshape(-1, 2),
+                                   errors[count:, None] * normals]), effective)

@@ -1,0 +1,38 @@
+"""Values at one glance: a few lines in a terminal, a small table in a notebook."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from html import escape
+
+from termsel.core.errors import cut, printable
+
+_LONGEST = 160
+"""Characters of a value."""
+
+
+class Glance:
+    """Base of values that show themselves by a title and a few figures.
+
+    Subclasses return both from `_glance`.
+    """
+
+    def _glance(self) -> tuple[str, Mapping[str, str]]:
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        title, rows = self._glance()
+        return "\n".join([f"<{_value(title)}>", *(f"  {name}: {_value(value)}"
+                                          for name, value in rows.items())])
+
+    def _repr_html_(self) -> str:
+        title, rows = self._glance()
+        cells = "".join(
+            f"<tr><th style='text-align:left'>{escape(name)}</th>"
+            f"<td style='text-align:left'>{escape(_value(value))}</td></tr>"
+            for name, value in rows.items())
+        return f"<div><strong>{escape(_value(title))}</strong><table>{cells}</table></div>"
+
+
+def _value(text: str) -> str:
+    return printable(cut(text, _LONGEST), kept="")

@@ -1,0 +1,142 @@
+"""Files read in a process of its own, whose memory and time have limits.
+
+Some libraries believe a small file that says it holds billions of cells, and a vector file may have
+a query without end. In the other process such a file ends that process alone. Its GDAL has only the
+drivers of `termsel.core.files.drivers`, whatever the program that imported termsel uses GDAL for.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import pickle
+import signal
+import sys
+from collections.abc import Callable
+from contextlib import ExitStack
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any, TypeVar
+
+from termsel.core.errors import TermselError
+from termsel.core.files.drivers import (
+    allow_driver,
+    allow_remote,
+    allowed_drivers,
+    program_environment,
+    remote_allowed,
+)
+from termsel.core.files.names import require_regular
+from termsel.core.isolation.helper import Helper, ProcessEndedError
+
+_CHILD = "from termsel.core.files.apart import serve; serve()"
+
+_MEMORY = 600 << 20
+"""Bytes for a small file."""
+_MEMORY_A_BYTE = 60
+_SECONDS = 3.0
+"""CPU time for a small file."""
+_SECONDS_A_BYTE = 2e-6
+
+Answer = TypeVar("Answer")
+
+HELPERS: list[Helper] = []
+"""Processes that were started."""
+
+_too_much: dict[tuple[object, ...], TermselError] = {}
+"""Files, as they were, that took too much."""
+
+
+def apart(work: Callable[..., Answer], path: Path, *more: Any) -> Answer:
+    """Return what a function of a module makes of a file, and further values, in another process.
+
+    Raises
+    ------
+    TermselError
+        As the function does; if the file is no regular one, or it takes more memory or time than
+        files of its size do.
+    """
+    require_regular(path)
+    state = path.stat() if path.is_file() else None
+    size = 0 if state is None else state.st_size
+    memory = _MEMORY + _MEMORY_A_BYTE * size
+    seconds = _SECONDS + _SECONDS_A_BYTE * size
+    helper = _helper(allowed_drivers(), remote_allowed())
+    question = (work.__module__, work.__name__, (path, *more), memory, seconds)
+    # Several readers look at a file before one reads it.
+    known = (str(path.absolute()), size, state and state.st_mtime_ns)
+    if known in _too_much:
+        raise _too_much[known]
+    try:
+        answer = helper.ask(question, 10 * seconds)
+    except ProcessEndedError:
+        answer = MemoryError()
+    if isinstance(answer, MemoryError):
+        error = TermselError(
+            f"reading this file takes more than {memory >> 20:,} MiB of memory or {seconds:.0f} s, "
+            f"which no file of {size / 1024:,.0f} KiB should", file=path,
+            hint="Save its table or layer alone, without blank cells and without queries, "
+                 "with the program that wrote it.")
+        _too_much[known] = error
+        raise error
+    if isinstance(answer, TermselError):
+        raise answer
+    return answer  # type: ignore[no-any-return]
+
+
+@cache
+def _helper(drivers: tuple[str, ...], remote: bool) -> Helper:
+    with ExitStack() as stack:
+        if remote:
+            stack.enter_context(allow_remote())
+        helper = Helper(f"{_CHILD.removesuffix('()')}({drivers!r}, {remote!r})",
+                        program_environment(os.environ))
+    atexit.register(helper.end)
+    HELPERS.append(helper)
+    return helper
+
+
+def serve(drivers: tuple[str, ...] = (), remote: bool = False) -> None:
+    """Answer the questions that come on stdin, in a new process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with os.fdopen(os.dup(1), "wb") as answers, ExitStack() as stack:
+        # What libraries print when they end is of no use to the user.
+        silent = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(silent, 1)
+        os.dup2(silent, 2)
+        stack.enter_context(allow_driver(*drivers))
+        if remote:
+            stack.enter_context(allow_remote())
+        while True:
+            try:
+                module, name, values, memory, seconds = pickle.load(sys.stdin.buffer)
+            except EOFError:
+                return
+            work = getattr(import_module(module), name)
+            answer: Any
+            try:
+                _limit(memory, seconds)
+                answer = work(*values)
+            except (TermselError, MemoryError) as error:
+                answer = error
+            pickle.dump(answer, answers)
+            answers.flush()
+
+
+def _limit(memory: int, seconds: float) -> None:
+    """Limit what this process may use from now on, as far as the system can."""
+    if sys.platform != "linux":
+        return
+    import resource
+
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    most = pages * resource.getpagesize() + memory
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS,
+                       (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
+    spent = resource.getrusage(resource.RUSAGE_SELF)
+    _, hard = resource.getrlimit(resource.RLIMIT_CPU)
+    limit = int(spent.ru_utime + spent.ru_stime + seconds) + 1
+    resource.setrlimit(resource.RLIMIT_CPU,
+                       (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))

@@ -1,0 +1,173 @@
+"""Write a file completely or not at all."""
+
+from __future__ import annotations
+
+import os
+import platform
+import secrets
+import shutil
+import sys
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from tempfile import gettempdir
+
+from termsel.core.errors import TermselError
+
+
+@contextmanager
+def atomic_path(path: Path | str) -> Iterator[Path]:
+    """Yield a temporary path that takes the place of `path` when the block succeeds.
+
+    It has the same name, in a private folder on the same disk; the block creates the file. An
+    existing `path` is replaced through symbolic links, and its permissions are kept. When the block
+    fails, it stays as it was. Raises TermselError if the file cannot be written, also for OSErrors
+    of the block.
+    """
+    target = Path(os.path.realpath(path))
+    # Replacing a folder fails anyway; replacing a device, such as /dev/null, must not succeed.
+    if os.path.lexists(target) and not os.path.isfile(target):
+        raise TermselError("this is not an ordinary file and cannot be replaced", file=path,
+                           hint="Give the name of a file to write.")
+    # Before long work, and with the name as given.
+    if not os.access(target.parent, os.W_OK | os.X_OK):
+        why = "no permission" if os.path.isdir(target.parent) else "there is no such folder"
+        raise _cannot_write(path, why)
+    try:
+        with private_folder(target.parent) as folder:
+            temporary = folder / target.name
+            yield temporary
+            sync(temporary)
+            put_in_place(temporary, target)
+            sync(target.parent)
+    except OSError as error:
+        raise _cannot_write(path, error.strerror or str(error)) from error
+
+
+def put_in_place(file: Path, target: Path) -> None:
+    """Replace a file, no link, by a synced one on this disk, which takes its permissions."""
+    with suppress(FileNotFoundError):
+        before = target.stat()
+        if sys.platform != "win32":
+            with suppress(PermissionError):  # only the superuser gives files away
+                os.chown(file, before.st_uid, before.st_gid)
+        file.chmod(before.st_mode & 0o7777)
+    file.replace(target)
+
+
+def sync(path: Path) -> None:
+    """Wait until the content of a file, or the names in a folder, are on the disk."""
+    if path.is_dir():
+        with suppress(OSError):  # some disks have no such thing for folders, nor has Windows
+            _sync(path, os.O_RDONLY)
+        return
+    _sync(path, os.O_RDWR if sys.platform == "win32" else os.O_RDONLY)
+
+
+def _sync(path: Path, mode: int) -> None:
+    descriptor = os.open(path, mode)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+_PREFIX = ".termsel-"
+
+
+@contextmanager
+def private_folder(parent: Path | None = None) -> Iterator[Path]:
+    """Yield a new folder that only this user can read, and remove it at the end.
+
+    The parent is by default the system's folder for temporary files.
+    """
+    try:
+        folder = _made(Path(gettempdir()) if parent is None else parent)
+    except OSError as error:
+        # Who names a parent says what could not be written there.
+        if parent is not None:
+            raise
+        raise TermselError(
+            f"cannot write temporary files: {error.strerror or error}",
+            hint="Make room on the disk, or name another folder in the variable TMPDIR."
+            ) from error
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)  # gone after a rename; never hide an error
+
+
+@contextmanager
+def new_folder(folder: Path) -> Iterator[Path]:
+    """Yield a private folder that becomes `folder` in the end, completely or not at all."""
+    if os.path.lexists(folder):
+        raise TermselError("this folder exists already" if folder.is_dir() else
+                           "a file of this name exists already", file=folder,
+                           hint="Name a new folder.")
+    try:
+        with private_folder(folder.absolute().parent) as made:
+            yield made
+            made.chmod(0o755)
+            made.rename(folder)
+    except OSError as error:
+        raise TermselError(f"cannot write this folder: {error.strerror or error}", file=folder,
+                           hint="Check that the folder above it exists and has free space."
+                           ) from error
+
+
+def _made(parent: Path) -> Path:
+    _remove_left(parent)  # processes that were killed leave theirs behind
+    folder = parent / f"{_PREFIX}{_here()}-{os.getpid()}-{secrets.token_hex(6)}"
+    folder.mkdir(mode=0o700)
+    return folder
+
+
+def _remove_left(parent: Path) -> None:
+    """Remove the private folders of processes of this user that have ended."""
+    for folder in parent.glob(f"{_PREFIX}{_here()}-*-*"):
+        process = folder.name.split("-")[2]
+        if process.isdecimal() and not _runs(int(process)):
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _here() -> str:
+    """Return a word for this machine: elsewhere process numbers mean other processes."""
+    try:
+        space = os.readlink("/proc/self/ns/pid")  # containers may share a disk and a name
+    except OSError:
+        space = ""
+    return f"{zlib.crc32(f'{platform.node()} {space}'.encode()):08x}"
+
+
+def _runs(process: int) -> bool:
+    if sys.platform == "win32":  # os.kill would end it; what is left there stays
+        return True
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        return True
+    return True
+
+
+def _cannot_write(path: Path | str, why: str) -> TermselError:
+    return TermselError(f"cannot write this file: {why}", file=path,
+                        hint="Check that the folder exists, is writable and has free space.")
+
+
+def write_bytes(path: Path | str, data: bytes) -> None:
+    """Write `data` to `path`, completely or not at all; TermselError if it cannot be written."""
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(data)
+
+
+def write_text(path: Path | str, text: str) -> None:
+    """Write text as UTF-8 with its line ends as they are, as `write_bytes`."""
+    write_bytes(path, encoded(text))
+
+
+def encoded(text: str) -> bytes:
+    """Return UTF-8, in which names of files that are not UTF-8 have the bytes that they have."""
+    return text.encode("utf-8", errors="surrogateescape")

@@ -1,0 +1,160 @@
+"""One process at a time in the folder of a result or a study."""
+
+from __future__ import annotations
+
+import errno
+import os
+import platform
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from io import FileIO
+from pathlib import Path
+from typing import Literal
+
+from termsel.core.errors import TermselError
+from termsel.core.files.names import inside, open_inside, refuse_links
+
+LOCK = ".lock"
+
+_HELD = (errno.EACCES, errno.EAGAIN, errno.EDEADLK)
+"""What systems say where another process holds a lock; all else is that nothing can be locked."""
+
+
+@contextmanager
+def locked(folder: Path, hint: str = "Wait for it, or choose another --out.") -> Iterator[None]:
+    """Hold the lock of a folder; the system takes it away from a process that ends.
+
+    Raises TermselError if another process holds it: which one, on which machine and since when; if
+    there is a link anywhere in the folder, which nobody follows.
+    """
+    refuse_links(folder)
+    with _held(folder, hint) as file:
+        try:
+            file.truncate(0)
+            file.write(f"process {os.getpid()} on {platform.node() or 'this machine'} since "
+                       f"{time.strftime('%Y-%m-%d %H:%M:%S')}".encode())
+        except OSError as error:  # the disk is full
+            raise _unwritable(folder, error) from error
+        yield
+
+
+@contextmanager
+def _held(folder: Path, hint: str) -> Iterator[FileIO]:
+    """Yield the file of a lock that is held, and remove the file at the end."""
+    # Who asks for the status holds it for a moment.
+    for i in range(5):
+        if i:
+            time.sleep(0.1)
+        with _opened(folder, "a+b") as file:
+            if not _free(file, folder):
+                continue
+            if not _is_at(file, folder / LOCK):  # who held it before has removed this file
+                continue
+            try:
+                yield file
+            finally:
+                _remove(file, folder / LOCK)
+            return
+    raise TermselError(f"{holder(folder) or 'another process'} is at work in this folder",
+                       file=folder, hint=hint)
+
+
+def turn(path: Path, seconds: float) -> FileIO | None:
+    """Return a lock, once another process that holds it is done: to do what is done only once.
+
+    None after so many seconds, or where nothing can be locked: nobody must depend on it.
+    """
+    until = time.monotonic() + seconds
+    with suppress(OSError), ExitStack() as files:
+        file = files.enter_context(open(path, "a+b", buffering=0))
+        while time.monotonic() < until:
+            if _taken(file):
+                files.pop_all()  # it is closed by `end_turn`
+                return file
+            time.sleep(0.05)
+    return None
+
+
+def end_turn(file: FileIO) -> None:
+    """Let other processes have their turn."""
+    _remove(file, Path(str(file.name)))
+    file.close()
+
+
+def holder(folder: Path) -> str | None:
+    """Return who is at work in a folder: process, machine and since when; None if nobody is."""
+    if not inside(folder, LOCK).exists():
+        return None
+    with _opened(folder, "r+b") as file:
+        if _free(file, folder):
+            return None
+        file.seek(0)
+        return file.read(200).decode(errors="replace").strip() or "another process"
+
+
+@contextmanager
+def _opened(folder: Path, mode: Literal["a+b", "r+b"]) -> Iterator[FileIO]:
+    try:
+        file = open(folder / LOCK, mode, buffering=0,  # noqa: SIM115 (closed below)
+                    opener=open_inside)
+    except OSError as error:
+        raise _unwritable(folder, error) from error
+    try:
+        yield file
+    finally:
+        file.close()
+
+
+def _free(file: FileIO, folder: Path) -> bool:
+    """Take the lock of a folder if no other process has it."""
+    try:
+        return _taken(file)
+    except OSError as error:
+        raise _unwritable(folder, error) from error
+
+
+def _taken(file: FileIO) -> bool:
+    """Take a lock if no other process has it; raises OSError where nothing can be locked."""
+    try:
+        _lock(file)
+    except OSError as error:
+        if error.errno in _HELD:
+            return False
+        raise
+    return True
+
+
+def _unwritable(folder: Path, error: OSError) -> TermselError:
+    return TermselError(f"cannot write to the folder: {error.strerror or error}", file=folder,
+                        hint="Choose another --out.")
+
+
+def _is_at(file: FileIO, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(file.fileno()), path.stat())
+    except FileNotFoundError:
+        return False
+
+
+if sys.platform == "win32":
+    import msvcrt
+
+    def _lock(file: FileIO) -> None:
+        file.seek(1 << 30)  # what is locked cannot be read by others, so not the text itself
+        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+
+    def _remove(file: FileIO, path: Path) -> None:
+        file.close()
+        with suppress(OSError):  # another process has opened it by now
+            path.unlink()
+else:
+    import fcntl
+
+    def _lock(file: FileIO) -> None:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+    def _remove(_file: FileIO, path: Path) -> None:
+        with suppress(OSError):  # the folder itself may be gone, or be read-only by now
+            path.unlink()

@@ -1,0 +1,156 @@
+"""Names of files: what is there, what can be read, and what other libraries take."""
+
+from __future__ import annotations
+
+import glob
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from termsel.core.errors import TermselError
+from termsel.core.files.atomic import private_folder
+
+JOURNAL = "journal.jsonl"
+"""Of a study: in the folder that has it, no result may be written."""
+
+CERTIFICATE = "certificate.json"
+"""Of the proof of `exact`, in the folder of a result."""
+
+STABILITY = "stability.json"
+"""Of ``termsel stability``, in the folder of the result of the stable terms."""
+
+
+def is_there(path: Path) -> bool:
+    """Return whether there is such a file or folder; TermselError if it cannot be told."""
+    try:
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    # The name may be too long, its folder not be searched, or links lead in a circle.
+    except OSError as error:
+        raise TermselError(f"cannot look for this file: {error.strerror or error}", file=path,
+                           hint="Check the name, and the permissions of its folder.") from error
+    return True
+
+
+def is_open_pipe(path: Path) -> bool:
+    """Return whether this is a pipe that the shell has opened: ``<(...)`` or /dev/stdin."""
+    return str(path).startswith(("/dev/", "/proc/")) and _kind(path) == stat.S_IFIFO
+
+
+def refuse_pipe(path: Path) -> None:
+    """Refuse a pipe or a device, which cannot be read twice or never ends."""
+    if _kind(path) not in (None, stat.S_IFREG, stat.S_IFDIR):
+        raise TermselError("this is a pipe or a device, expected a file", file=path,
+                           hint="Save what it carries to a file, and give that.")
+
+
+def require_regular(path: Path, named_by: object = None) -> None:
+    """Refuse what is no regular file, such as a pipe, which a file may name or be next to."""
+    if _kind(path) not in (None, stat.S_IFREG):
+        known = "" if named_by is None or str(named_by) == str(path) else f"{path.name!r}: "
+        raise TermselError(f"{known}this is a pipe or a device, expected a file",
+                           file=path if named_by is None else named_by,
+                           hint="Save what it carries to a file, and give that.")
+
+
+def _kind(path: Path) -> int | None:
+    try:
+        return stat.S_IFMT(path.stat().st_mode)
+    except OSError:  # whoever opens it says why
+        return None
+
+
+_HIDDEN = (".lock", ".termsel")
+"""What hidden names of termsel in the folder of a result begin with."""
+
+
+def inside(folder: Path, name: str) -> Path:
+    """Return a file in a folder of a result, study or block, which is no link and no pipe.
+
+    Only a name that the user types is followed to where it leads: a folder may have come with data.
+    """
+    path = folder / name
+    refuse_link(path)
+    require_regular(path)
+    return path
+
+
+def refuse_link(path: Path) -> None:
+    """Refuse a link in a folder that may have come with data."""
+    if os.path.islink(path):
+        raise _linked(path)
+
+
+def refuse_links(folder: Path) -> None:
+    """Refuse a folder to write results into that has links anywhere, or pipes by their names.
+
+    Hidden entries that are not termsel's, such as `.venv` and `.git` where results go to the folder
+    of a project, are left alone: nothing is written there.
+    """
+    waiting = [folder]
+    while waiting:
+        try:
+            with os.scandir(waiting.pop()) as entries:
+                for entry in entries:
+                    if entry.name.startswith(".") and not entry.name.startswith(_HIDDEN):
+                        continue
+                    refuse_link(Path(entry.path))
+                    if entry.is_dir(follow_symlinks=False):
+                        waiting.append(Path(entry.path))
+                    elif not entry.is_file(follow_symlinks=False):
+                        require_regular(Path(entry.path))
+        except OSError:  # whoever writes there says why that is not possible
+            continue
+
+
+def _linked(path: Path) -> TermselError:
+    return TermselError("this is a link, and in the folder of a result, study or block no link is "
+                        "followed", file=path,
+                        hint="Remove it, or choose another --out. Where you type the name of a "
+                             "link yourself, it is followed.")
+
+
+def open_inside(name: str, flags: int) -> int:
+    """Open a file as `os.open` does, and fail where it is a link."""
+    return os.open(name, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
+
+
+@contextmanager
+def utf8_name(path: Path | str) -> Iterator[Path | str]:
+    """Yield a name for libraries that take only UTF-8: the path, or that of a link to it."""
+    if _is_utf8(Path(path)):
+        yield path
+        return
+    path = Path(path)
+    with private_folder() as folder:
+        # Files with the same stem are linked too, as GDAL looks for them next to an image.
+        for file in (path, *path.parent.glob(f"{glob.escape(path.stem)}*")):
+            with suppress(FileExistsError):
+                (folder / _in_utf8(file.name)).symlink_to(file.absolute())
+        yield folder / _in_utf8(path.name)
+
+
+@contextmanager
+def utf8_folder(folder: Path) -> Iterator[Path]:
+    """Yield a name of a folder to write to, likewise."""
+    if _is_utf8(folder):
+        yield folder
+        return
+    with private_folder() as own:
+        (own / "folder").symlink_to(folder.absolute(), target_is_directory=True)
+        yield own / "folder"
+
+
+def _is_utf8(path: Path) -> bool:
+    try:
+        str(path.absolute()).encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def _in_utf8(name: str) -> str:
+    return os.fsencode(name).decode("utf-8", errors="replace")

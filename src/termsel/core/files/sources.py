@@ -1,0 +1,500 @@
+"""What a raster consists of, looked at before GDAL opens it, to the end of the chain.
+
+A virtual raster names other files, and those may name others; overviews, masks and auxiliary XML
+next to a file do so, too. Each of them must be a regular file of a format that may be opened (see
+`termsel.core.files.drivers`), since GDAL would open it with any driver, and ask any server.
+"""
+
+from __future__ import annotations
+
+import gzip
+import os
+import posixpath
+import re
+import tarfile
+import time
+import zipfile
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path, PurePosixPath
+from xml.etree import ElementTree
+
+from termsel.core.errors import TermselError, cut
+from termsel.core.files.drivers import DRIVER_HINT, allowed_drivers, remote_allowed
+from termsel.core.files.names import require_regular
+
+REMOTE_HINT = "If you trust it, add --allow-remote (in Python: with termsel.allow_remote())."
+
+_REMOTE = re.compile(
+    r"(/|%2f)vsi(curl|s3|gs|az|adls|oss|swift|hdfs|webhdfs)(_streaming)?([/?]|%2f|%3f)"
+    r"|\b(https?|ftp|wss?)s?(:|%3a)/", re.IGNORECASE)
+_ARCHIVE = re.compile(r"/vsi(zip|tar|gzip)/(.*)", re.DOTALL)
+_CLOCK = 2_000_000_000
+"""Nanoseconds within which some file systems give two changes of a folder the same time."""
+_BASE = ":::BASE:::"
+"""In front of the name of overviews: they are in the folder of the file that names them."""
+_CONTAINERS = re.compile(r"[a-z][\w+.-]+:", re.IGNORECASE)
+"""What begins names such as NETCDF:FILE:VARIABLE; a single letter is a drive of Windows."""
+_PARTS = re.compile(r"(?:GTIFF_DIR:(?:off:)?\d+|NITF_IM:\d+):(.+)", re.IGNORECASE | re.DOTALL)
+"""Names of one image of a file that has several."""
+
+_FILE_TAGS = frozenset(("sourcefilename", "sourcedataset", "sourcevrtfilename", "rpcdem", "dem",
+                        "rpc_dem", "dempath", "cutlinedsname", "indexdataset"))
+_FILE_KEYS = re.compile(r"(DATASET|FILE|FILENAME|DEM|SOURCE|URL)$", re.IGNORECASE)
+"""Keys of metadata that name files; others may mention any address."""
+
+_LARGEST_XML = 32 << 20  # bytes of a virtual raster, which has about 100,000 sources then
+_DEEPEST = 16
+_MOST_READS = 10_000  # readings of sources by nested virtual rasters, which multiply
+_HEAD = 4096
+_TEXTS = (".xml", ".txt", ".rpb", ".imd", ".pvl", ".prj", ".wld", ".hdr", ".tfw", ".att", ".eph",
+          ".geo", ".til", ".tab", ".points")
+"""Endings of texts that GDAL reads next to a raster."""
+
+_MAGIC = (
+    (b"II*\0", "GTiff"), (b"MM\0*", "GTiff"), (b"II+\0", "GTiff"), (b"MM\0+", "GTiff"),
+    (b"\x89PNG\r\n", "PNG"), (b"\xff\xd8\xff", "JPEG"), (b"GIF8", "GIF"), (b"BM", "BMP"),
+    (b"\0\0\0\x0cjP  ", "JP2OpenJPEG"), (b"\xff\x4f\xff\x51", "JP2OpenJPEG"),
+    (b"EHFA_HEADER_TAG", "HFA"), (b"NITF", "NITF"), (b"NSIF", "NITF"))
+_ASCII_GRID = re.compile(rb"\s*(ncols|nrows|[xy]ll(corner|center)|cellsize|d[xy]|nodata_value)\s",
+                         re.IGNORECASE)
+_SRTM = re.compile(r"[NS]\d\d[EW]\d{3}\w*(\.\w+)*\.(hgts?|raw)(\.zip)?", re.IGNORECASE)
+
+_FOREIGN = (
+    (re.compile(rb"<mrf_meta", re.IGNORECASE), "MRF"),
+    (re.compile(rb"<(gdal_wms|wms_)", re.IGNORECASE), "WMS"),
+    (re.compile(rb"<wcs_gdal", re.IGNORECASE), "WCS"),
+    (re.compile(rb"<gdal_wmts", re.IGNORECASE), "WMTS"),
+    (re.compile(rb"<ogrvrt(datasource|layer)", re.IGNORECASE), "OGR_VRT"),
+    (re.compile(rb"<gdaltileindexdataset", re.IGNORECASE), "GTI"),
+    (re.compile(rb"<(wfs_capabilities|ogrwfsdatasource)", re.IGNORECASE), "WFS"),
+    (re.compile(rb"<(\w+:)?product_observational", re.IGNORECASE), "PDS4"),
+    (re.compile(rb"\A\s*\{[\s\S]*gdal_streamed_alg"), "GDALG"),
+    (re.compile(rb"\A\s*\{[\s\S]*stac_version"), "STACIT"),
+    (re.compile(rb"PDS_VERSION_ID"), "PDS"),
+    # Raw pixels may begin with any text; these are labels that name the file of the pixels.
+    (re.compile(rb"IsisCube"), "ISIS3"), (re.compile(rb"\^(QUBE|IMAGE)"), "PDS"),
+    (re.compile(rb"OziExplorer Map Data File"), "MAP"), (re.compile(rb"numTiles\s*="), "TIL"),
+    (re.compile(rb"\[Raw data\]", re.IGNORECASE), "FujiBAS"),
+    (re.compile(rb"AuxilaryTarget"), "PAux"),
+    (re.compile(rb"\A\s*datasetheader\s+begin", re.IGNORECASE), "ERS"),
+    (re.compile(rb"\ASQLite format 3\0"), "GPKG"), (re.compile(rb"\ASIMPLE  ="), "FITS"),
+    (re.compile(rb"\ACDF[\1\2\5]"), "netCDF"), (re.compile(rb"\A\x89HDF"), "HDF5"),
+    (re.compile(rb"\A\x0e\x03\x13\x01"), "HDF4"), (re.compile(rb"\AGRIB"), "GRIB"),
+    (re.compile(rb"\A%PDF"), "PDF"), (re.compile(rb"\APCIDSK"), "PCIDSK"))
+"""Texts at the beginning of files of other drivers, of the more dangerous ones first."""
+
+
+def refuse_foreign(path: Path | str) -> list[str]:
+    """Refuse a raster that is of a driver that is off, or that names such a one, or a server.
+
+    Parameters
+    ----------
+    path : path-like
+        Also a name of GDAL such as ``/vsizip/maps.zip/map.tif``.
+
+    Returns
+    -------
+    list of str
+        The rasters of pixels that it consists of.
+
+    Raises
+    ------
+    TermselError
+        If it, a file next to it that GDAL would open, or a file that it names, to the end of the
+        chain, is no regular file, of a driver that is off, or on a server; if virtual rasters are
+        nested so deeply that reading them takes days.
+    """
+    chain = _Chain(str(path))
+    chain.require(chain.start, "")
+    return chain.plain
+
+
+def refuse_named(path: Path | str, names: Iterator[str]) -> None:
+    """Refuse a raster some of whose metadata name such files: overviews or arrays of places."""
+    chain = _Chain(str(path))
+    folder = os.path.dirname(chain.start)
+    for name in names:
+        chain.require_each(name.strip(), folder)
+
+
+def foreign_format(head: bytes) -> str:
+    """Return the driver of which a file seems to be by its first bytes; "" if none is known."""
+    return next((name for mark, name in _FOREIGN if mark.search(head[:_HEAD])), "")
+
+
+def refused_format(path: object, head: bytes, of: object = None) -> TermselError:
+    """Return the error for a file of a driver that is off."""
+    name = foreign_format(head)
+    what = (f"this is a raster of the format {name}, which termsel does not open" if name else
+            "this is no raster of a format that termsel opens")
+    hint = "Convert it: gdal_translate FILE map.tif."
+    if name:
+        hint = f"{hint} {DRIVER_HINT.format(name=name)}"
+    if of is not None and str(of) != str(path):
+        return TermselError(f"it refers to {cut(str(path), 100)!r}: {what}", file=of, hint=hint)
+    return TermselError(what, file=path, hint=hint)
+
+
+@dataclass
+class _Chain:
+    """The files of one raster; `start` is its name, which messages give.
+
+    `reads` counts, for each file that was looked at, the sources that reading it reads; `plain`
+    has those that are no virtual rasters.
+    """
+
+    start: str
+    reads: dict[str, int] = field(default_factory=dict)
+    plain: list[str] = field(default_factory=list)
+    elements: int = 0
+
+    def error(self, what: str, hint: str | None = None) -> TermselError:
+        return TermselError(what, file=self.start, hint=hint)
+
+    def require_each(self, name: str, folder: str, depth: int = 0) -> int:
+        """Require a file as seen from a folder and from the current one; return its reads."""
+        name = name.strip()
+        if name.startswith(_BASE):
+            name = os.path.normpath(os.path.join(folder, name.removeprefix(_BASE)))
+            return self.require(name, name, depth)
+        places = [name]
+        if folder and not os.path.isabs(name) and not _CONTAINERS.match(name) \
+                and name[:1] not in "<{":
+            places = [os.path.join(folder, name), name]
+            places = [place for place in places if _is_in_archive(place)
+                      or os.path.lexists(place)] or places[:1]
+        return max(self.require(place, name, depth) for place in dict.fromkeys(places))
+
+    def require(self, name: str, stated: str, depth: int = 0) -> int:
+        """Require that a file may be opened; return the number of sources that it reads."""
+        if name in self.reads:
+            return self.reads[name]
+        if depth > _DEEPEST:
+            raise self.error("its virtual rasters are nested too deeply",
+                             "Convert it: gdal_translate FILE map.tif.")
+        self.reads[name] = 1  # of a file that names itself
+        if _REMOTE.search(name):
+            if remote_allowed():
+                return 1
+            raise self.error(f"this refers to the remote source {cut(stated or name, 100)!r}, "
+                             "which is refused", REMOTE_HINT)
+        if name.lstrip()[:1] == "<":
+            self.reads[name] = self._of_text(name, "", depth)
+        elif name.lstrip()[:1] == "{":
+            raise refused_format(name, name.encode(), self.start)
+        elif name.casefold().startswith("vrt://"):
+            self.reads[name] = self.require(name[6:].partition("?")[0], stated, depth + 1)
+        elif part := _PARTS.fullmatch(name):
+            self.reads[name] = self.require(part[1], stated, depth + 1)
+        elif _ARCHIVE.match(name):
+            self.reads[name] = self._of_archive(name, depth)
+        elif name.startswith("/vsi"):
+            if depth or not name.startswith(("/vsi7z/", "/vsirar/", "/vsimem/")):
+                raise self.error(f"it refers to {cut(name, 100)!r}, which termsel does not open",
+                                 "Save the raster as a file of its own: gdal_translate.")
+        elif os.path.lexists(name):
+            self.reads[name] = self._of_file(name, depth)
+        elif _CONTAINERS.match(name):
+            self._require_allowed(name)
+        return self.reads[name]
+
+    def _require_allowed(self, name: str) -> None:
+        """Refuse a name such as NETCDF:FILE:VARIABLE unless the driver is allowed."""
+        prefix = name.partition(":")[0].casefold()
+        if not any(driver.casefold() == prefix for driver in allowed_drivers()):
+            raise self.error(f"it refers to {cut(name, 100)!r}, which termsel does not open",
+                             DRIVER_HINT.format(name=name.partition(":")[0]))
+
+    def _of_file(self, name: str, depth: int) -> int:
+        """Require a file of the disk and what is next to it."""
+        path = Path(name)
+        if path.is_dir():
+            raise self.error(f"it refers to the folder {cut(name, 100)!r}" if depth else
+                             "this is a folder, expected a raster", "Give a file.")
+        require_regular(path, self.start)
+        self._require_neighbours(path, depth)
+        try:
+            with path.open("rb") as file:
+                head = file.read(_HEAD)
+                if not _is_virtual(head):
+                    self._require_known(path, head)
+                    self.plain.append(name)
+                    return 1
+                content = head + file.read(_LARGEST_XML + 1 - len(head))
+        except OSError:  # GDAL says why
+            return 1
+        return self._of_text(self._decoded(content, name), os.path.dirname(name), depth)
+
+    def _require_known(self, path: Path, head: bytes) -> None:
+        """Refuse a file of a driver that is off."""
+        driver = foreign_format(head)
+        if driver in allowed_drivers() or (not driver and _is_known(path, head)):
+            return
+        if allowed_drivers() and not driver:  # what the user trusts may begin in any way
+            return
+        raise refused_format(path, head, self.start)
+
+    def _require_neighbours(self, path: Path, depth: int) -> None:
+        """Require the overviews, masks and auxiliary files that GDAL would open as well."""
+        stems = tuple(f"{stem}{sign}".casefold() for stem in (path.name, path.stem)
+                      for sign in "._")
+        for entry in _entries(str(path.parent)):
+            known = entry.casefold()
+            if not known.startswith(stems) or entry == path.name:
+                continue
+            place = path.parent / entry
+            if known.endswith((".ovr", ".msk", ".aux", ".rrd")):
+                self.require(str(place), entry, depth + 1)
+            elif not place.is_dir():
+                require_regular(place, self.start)
+                if known.endswith(_TEXTS) and place.stat().st_size > _LARGEST_XML:
+                    raise self._too_large(str(place))
+            if known.endswith(".aux.xml"):
+                self._of_auxiliary(place, depth)
+        for entry in _special_entries(str(path.parent)):
+            require_regular(path.parent / entry, self.start)
+
+    def _of_auxiliary(self, path: Path, depth: int) -> None:
+        """Require what an .aux.xml names."""
+        try:
+            with path.open("rb") as file:
+                content = file.read(_LARGEST_XML + 1)
+        except OSError:
+            return
+        if content.strip():
+            self._of_text(self._decoded(content, str(path)), str(path.parent), depth, "")
+
+    def _decoded(self, content: bytes, name: str) -> str:
+        if len(content) > _LARGEST_XML:
+            raise self._too_large(name)
+        try:
+            return content.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            raise self.error("this raster has text that is not UTF-8",
+                             "Save the file, or what is next to it, with the encoding UTF-8."
+                             ) from None
+
+    def _of_archive(self, name: str, depth: int) -> int:
+        """Require a file in an archive on this disk."""
+        archive, member = _divided(name)
+        if archive is None:
+            return 1  # GDAL says that there is none
+        require_regular(archive, self.start)
+        self._require_members_near(name, archive, member, depth)
+        content = _content(name, archive, member)
+        if content is None:
+            raise self.error(f"there is no raster {cut(name, 100)!r}", "Check the name.")
+        if _is_virtual(content[:_HEAD]):
+            folder = str(PurePosixPath(name).parent)
+            return self._of_text(self._decoded(content, name), folder, depth)
+        self._require_known(Path(member or archive.name), content[:_HEAD])
+        self.plain.append(name)
+        return 1
+
+    def _require_members_near(self, name: str, archive: Path, member: str, depth: int) -> None:
+        """Require what GDAL would open next to a file in an archive, as next to one on the disk."""
+        members = _members(name, archive)
+        if members is None:  # a single file, next to which are those of the disk
+            self._require_neighbours(archive, depth)
+            return
+        if len(set(members)) < len(members):
+            raise self.error(f"{archive.name} has two files of one name",
+                             "Unpack it, and give the raster.")
+        place = PurePosixPath(member or members[0] if members else "")
+        prefix = name.removesuffix(member).rstrip("/") if member else name
+        stems = tuple(f"{stem}{sign}".casefold() for stem in (place.name, place.stem)
+                      for sign in "._")
+        for other in map(PurePosixPath, members):
+            known = other.name.casefold()
+            if other == place or other.parent != place.parent or not known.startswith(stems):
+                continue
+            if known.endswith((".ovr", ".msk", ".aux", ".rrd")):
+                self.require(f"{prefix}/{other}", str(other), depth + 1)
+            elif known.endswith(".aux.xml"):
+                content = _content(name, archive, str(other)) or b""
+                folder = str(PurePosixPath(f"{prefix}/{other}").parent)
+                if content.strip():
+                    self._of_text(self._decoded(content, str(other)), folder, depth, "")
+
+    def _of_text(self, text: str, folder: str, depth: int, expected: str = "vrtdataset") -> int:
+        """Require all that a virtual raster or auxiliary XML names; return the reads."""
+        if "<!DOCTYPE" in text or "<!ENTITY" in text:
+            raise self._not_plain()
+        try:
+            root = ElementTree.fromstring(text.lstrip())
+        except (ElementTree.ParseError, ValueError):
+            raise self._not_plain() from None
+        if expected and root.tag.casefold() != expected:
+            raise refused_format(self.start, text.encode()[:_HEAD])
+        self._refuse_code(root)
+        sources = [name.strip() for name in _named(root, folder)]
+        self.elements += len(sources)
+        reads = sum(self.require_each(name, folder, depth + 1) for name in sources)
+        if reads > max(_MOST_READS, 5 * self.elements):
+            raise self.error("its virtual rasters multiply: a pixel is read from "
+                             f"{reads:,} sources",
+                             "Convert one of them to a plain raster: gdal_translate.")
+        return max(reads, 1)
+
+    def _refuse_code(self, root: ElementTree.Element) -> None:
+        """Refuse virtual rasters of raw bytes, of any file, and with code of Python."""
+        for element in root.iter():
+            kinds = [value.casefold() for key, value in element.items()
+                     if key.rpartition("}")[2].casefold() == "subclass"]
+            if "vrtrawrasterband" in kinds:
+                raise self.error("a virtual raster of raw bytes (VRTRawRasterBand) is not opened",
+                                 "Convert it: gdal_translate FILE map.tif.")
+            language = (element.text or "").strip()
+            if element.tag.rpartition("}")[2].casefold() == "pixelfunctionlanguage" \
+                    and language.casefold() == "python":
+                raise self.error("a virtual raster with code in Python is not opened",
+                                 "Convert it: gdal_translate FILE map.tif.")
+
+    def _too_large(self, name: str) -> TermselError:
+        return self.error(f"{cut(name, 100)} has more than {_LARGEST_XML >> 20} MiB of text",
+                          "Convert it: gdal_translate FILE map.tif.")
+
+    def _not_plain(self) -> TermselError:
+        return self.error("the XML of this raster, or of a file that it names, is not well-formed",
+                          "Write it again by gdal_translate or gdalbuildvrt.")
+
+
+def _named(root: ElementTree.Element, folder: str) -> Iterator[str]:
+    """Yield every text and attribute that can be the name of a raster."""
+    waiting = [root]
+    while waiting:
+        element = waiting.pop()
+        tag = element.tag.rpartition("}")[2].casefold()
+        text = (element.text or "").strip()
+        if tag == "metadata":
+            for item in element.iter():
+                if _FILE_KEYS.search(item.get("key", "")) and item.text and item.text.strip():
+                    yield item.text
+            continue
+        if text and (tag in _FILE_TAGS or _may_be_name(text, folder)):
+            yield text
+        yield from (value for key, value in element.items()
+                    if not key.endswith("schemaLocation") and _may_be_name(value, folder))
+        waiting += element
+
+
+def _may_be_name(text: str, folder: str) -> bool:
+    """Return whether a text is the name of something that GDAL could open."""
+    if len(text) > 4096 and text[:1] not in "<{":
+        return False
+    if text.lstrip()[:1] in ("<", "{") or text.startswith("/vsi") or _REMOTE.match(text):
+        return True
+    if "\0" in text or re.fullmatch(r"[-+.\d,\seE]*", text):
+        return False
+    return any(os.path.isfile(place) for place in (text, os.path.join(folder, text)))
+
+
+def _is_virtual(head: bytes) -> bool:
+    text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
+    # Any number of blanks may be in front of it.
+    return bool(head) and (not text or text[:1] == b"<") and not foreign_format(text)
+
+
+def _is_known(path: Path, head: bytes) -> bool:
+    """Return whether a file is of a format of `RASTER_DRIVERS`, other than a virtual raster."""
+    if head.startswith(tuple(magic for magic, _ in _MAGIC)) or _ASCII_GRID.match(head) \
+            or (head[:4] == b"RIFF" and head[8:12] == b"WEBP"):
+        return True
+    if any(head[start:start + 4] == b"UHL1" for start in (0, 80, 160)):  # DTED
+        return True
+    if _SRTM.fullmatch(path.name):
+        return True
+    # Raw pixels are known by the header next to them.
+    headers = (path.with_suffix(".hdr"), Path(f"{path}.hdr"), path.with_suffix(".HDR"))
+    return head.lstrip()[:1] not in (b"<", b"{") and any(map(os.path.isfile, headers)) \
+        and not os.path.islink(path)
+
+
+@cache
+def _cached_entries(folder: str, changed: int) -> tuple[str, ...]:  # noqa: ARG001 (a key alone)
+    try:
+        return tuple(os.listdir(folder))
+    except OSError:
+        return ()
+
+
+def _special_entries(folder: str) -> Iterator[str]:
+    """Yield the pipes and devices in a folder that have the names of such texts."""
+    for entry in _entries(folder):
+        if entry.casefold().endswith(_TEXTS):
+            place = os.path.join(folder, entry)
+            if not os.path.isfile(place) and not os.path.isdir(place) and os.path.exists(place):
+                yield entry
+
+
+def _entries(folder: str) -> tuple[str, ...]:
+    """Return the names in a folder."""
+    folder = folder or "."
+    try:
+        changed = os.stat(folder).st_mtime_ns
+    except OSError:
+        return ()
+    if abs(time.time_ns() - changed) < _CLOCK:  # another file may have come within the same tick
+        return tuple(os.listdir(folder))
+    return _cached_entries(os.path.realpath(folder), changed)
+
+
+def _is_in_archive(name: str) -> bool:
+    return name.startswith("/vsi")
+
+
+def _divided(name: str) -> tuple[Path | None, str]:
+    """Return the archive of a name such as /vsizip/maps.zip/map.tif, and the name in it."""
+    found = _ARCHIVE.match(name)
+    rest = found[2] if found else ""
+    if rest.startswith("{"):
+        archive, _, member = rest[1:].partition("}")
+        return (Path(archive) if os.path.isfile(archive) else None), member.lstrip("/")
+    parts = PurePosixPath(rest)
+    for start in (parts, *parts.parents):
+        if os.path.isfile(start):
+            return Path(start), str(parts.relative_to(start)) if start != parts else ""
+    return None, ""
+
+
+def _members(name: str, archive: Path) -> list[str] | None:
+    """Return the files in an archive as GDAL calls them; None where it is one compressed file."""
+    if name.startswith("/vsigzip/"):
+        return None
+    try:
+        if name.startswith("/vsitar/"):
+            with tarfile.open(archive) as files:
+                names = [entry.name for entry in files if not entry.isdir()]
+        else:
+            with zipfile.ZipFile(archive) as packed:
+                names = [entry for entry in packed.namelist() if not entry.endswith("/")]
+    except (OSError, EOFError, ValueError, zlib.error, NotImplementedError, RuntimeError,
+            tarfile.TarError, zipfile.BadZipFile):
+        return []
+    return [posixpath.normpath(entry.replace("\\", "/")).lstrip("/") for entry in names]
+
+
+def _content(name: str, archive: Path, member: str) -> bytes | None:
+    """Return the beginning of a file in an archive; all of it if it is a virtual raster."""
+    try:
+        if name.startswith("/vsigzip/"):
+            with gzip.open(archive) as file:
+                return file.read(_LARGEST_XML + 1)
+        if name.startswith("/vsitar/"):
+            with tarfile.open(archive) as files:
+                names = [member] if member else files.getnames()
+                opened = files.extractfile(names[0]) if len(names) == 1 else None
+                return None if opened is None else opened.read(_LARGEST_XML + 1)
+        with zipfile.ZipFile(archive) as packed:
+            names = [member] if member else packed.namelist()
+            if len(names) != 1:
+                return None
+            with packed.open(names[0]) as file:
+                head = file.read(_HEAD)
+                return head + file.read(_LARGEST_XML) if _is_virtual(head) else head
+    except (OSError, EOFError, KeyError, ValueError, zlib.error, NotImplementedError, RuntimeError,
+            tarfile.TarError, zipfile.BadZipFile):
+        return None

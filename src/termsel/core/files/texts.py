@@ -1,0 +1,79 @@
+"""Tables, XML and Markdown for other programs, whatever the names in them hold.
+
+Every table and every XML that termsel writes goes through here. A spreadsheet would run a cell that
+begins like a formula, a terminal obeys control characters, and no XML may hold them.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Iterable
+from xml.sax.saxutils import escape, quoteattr
+
+from termsel.core.errors import printable
+
+_FORMULA = re.compile(r"'*\s*[=+\-@\uff1d\uff0b\uff0d\uff20\ufe62\ufe63\ufe66\ufe6b]")
+"""How a formula begins, in characters of full width and small ones as well."""
+
+_NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+"""Characters that no XML document holds."""
+
+_MARKDOWN = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", "|": r"\|", "`": r"\`",
+                           "[": r"\[", "]": r"\]"})
+
+
+def guarded(text: str) -> str:
+    """Return a cell that no spreadsheet takes for a formula, as `unguarded` takes it back."""
+    # A spreadsheet runs text that begins with = + - or @, unless an apostrophe is in front of it.
+    return f"'{text}" if _FORMULA.match(text) and not is_number(text) else text
+
+
+def unguarded(text: str) -> str:
+    """Return a cell without the apostrophe that guards it."""
+    return text[1:] if text[:1] == "'" and _FORMULA.match(text) else text
+
+
+def is_number(text: str) -> bool:
+    """Return True for text that Python reads as a number."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def csv_table(rows: Iterable[Iterable[object]]) -> str:
+    """Return rows as CSV: text guarded and printable, numbers as they are, None as a blank cell."""
+    page = io.StringIO()
+    writer = csv.writer(page, lineterminator="\n")
+    for row in rows:
+        writer.writerow([guarded(printable(cell)) if isinstance(cell, str) else cell
+                         for cell in row])
+    return page.getvalue()
+
+
+def xml_text(text: str) -> str:
+    """Return text as XML holds it; a character that no XML holds is replaced."""
+    return escape(_NO_XML.sub("\ufffd", text))
+
+
+def xml_attribute(text: str) -> str:
+    """Return text as an attribute of XML with its quotation marks, likewise."""
+    return quoteattr(_NO_XML.sub("\ufffd", text))
+
+
+def xml_characters(text: str) -> str:
+    """Return text without characters that no XML holds, for libraries that write XML."""
+    return _NO_XML.sub("\ufffd", text)
+
+
+def is_xml_text(text: str) -> bool:
+    """Return whether XML can hold a text as it is, such as the name of a file."""
+    return _NO_XML.search(text) is None
+
+
+def markdown_text(text: str) -> str:
+    """Return text on one line of Markdown, as it is: no HTML, no link, no control characters."""
+    return " ".join(printable(" ".join(text.split())).translate(_MARKDOWN).split())

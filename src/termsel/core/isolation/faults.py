@@ -1,0 +1,139 @@
+"""Faults of plugins: which plugin, where in its code, and what was expected."""
+
+from __future__ import annotations
+
+import inspect
+import os
+import sys
+import traceback
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from functools import lru_cache
+from importlib.metadata import PackageNotFoundError, packages_distributions, version
+from types import TracebackType
+from typing import Any
+
+from termsel.core.errors import TermselError, raised
+from termsel.core.isolation.inside import code_of, is_marked
+
+OWN = "termsel"
+
+HINT = "This is a bug in the plugin, not your mistake: tell its author."
+
+_packages: dict[str, str] = {}
+
+
+class PluginFault(TermselError):
+    """Code of a plugin failed, or returned what it must not; the command ends with exit code 2."""
+
+
+def remember(package: str, distribution: str) -> None:
+    """Remember the distribution, such as "termsel-demo 1.0", that a top-level module comes with."""
+    _packages[package] = distribution
+
+
+def package_of(definition: Any) -> str:
+    """Return the top-level module in which a class, function or object is defined."""
+    # Objects mostly have no module of their own: that of their class counts.
+    named = definition if hasattr(definition, "__module__") else type(definition)
+    return str(named.__module__).partition(".")[0]
+
+
+def is_own(definition: Any) -> bool:
+    """Return True for what is defined in termsel itself."""
+    return package_of(definition) == OWN
+
+
+def distribution_of(package: str) -> str:
+    """Return the distribution and version of a top-level module, as far as they are known."""
+    if package in _packages:
+        return _packages[package]
+    for name in _installed(tuple(sys.path)).get(package, ()):
+        try:
+            return f"{name} {version(name)}"
+        except PackageNotFoundError:
+            continue
+    return "this session" if package == "__main__" else f"the module {package}"
+
+
+@lru_cache(maxsize=1)
+def _installed(_path: tuple[str, ...]) -> Mapping[str, list[str]]:
+    """Return distributions by top-level module; all of them are opened to find that out."""
+    return packages_distributions()
+
+
+def name_of(definition: Any) -> str:
+    """Return what a message calls a class, function or object: kind, name and distribution."""
+    cls = definition if isinstance(definition, type) else type(definition)
+    declared_name = getattr(definition, "name", None)
+    # An object of a class that declares no name is called by its class.
+    shown_name = getattr(definition, "__name__", cls.__name__)
+    if isinstance(declared_name, str):
+        shown_name = repr(declared_name)
+    distribution = distribution_of(package_of(definition))
+    return f"{getattr(cls, 'kind', '')} {shown_name} of {distribution}".strip()
+
+
+def wrong(definition: Any, method: str, fault: str, hint: str = HINT) -> PluginFault:
+    """Return the fault of a method, such as "score": what it returned, and what was expected."""
+    file, line = _defined(definition, method)
+    return PluginFault(f"{name_of(definition)}: {method}() {fault}", file=file, line=line,
+                       hint=hint)
+
+
+@contextmanager
+def blamed(definition: Any, method: str, hint: str = HINT) -> Iterator[None]:
+    """Run code of a plugin; what it raises becomes its PluginFault, with the method named.
+
+    termsel's own errors pass, such as a `TermselError` on a file that the user can correct. So does
+    all of a class, function or object of termsel. The hint says what to do, where it may be the
+    user's own mistake.
+    """
+    package = package_of(definition)
+    if package == OWN:
+        yield
+        return
+    try:
+        with code_of(package):
+            yield
+    # A plugin may raise anything at all, even leave the program.
+    except BaseException as error:
+        # Memory that is too small is no fault of the plugin.
+        if isinstance(error, KeyboardInterrupt | MemoryError) or is_own(type(error)) \
+                or is_marked(error):
+            raise
+        raise failed(error, f"{name_of(definition)} failed in {method}()", package, hint) from error
+
+
+def failed(error: BaseException, activity: str, package: str, hint: str = HINT) -> PluginFault:
+    """Return the fault of code that raised an exception, at the package's innermost line."""
+    if os.environ.get("TERMSEL_DEBUG") == "1":
+        traceback.print_exc()
+    file, line = _raised(error.__traceback__, package)
+    return PluginFault(f"{activity}: {raised(error)}", file=file, line=line, hint=hint)
+
+
+def _raised(trace: TracebackType | None, package: str) -> tuple[str | None, int | None]:
+    """Return the innermost line of the package's code in a traceback."""
+    # From the outermost call inwards: the last one of the package is the innermost.
+    location: tuple[str | None, int | None] = (None, None)
+    while trace is not None:
+        module = str(trace.tb_frame.f_globals.get("__name__", ""))
+        if module.partition(".")[0] == package:
+            location = trace.tb_frame.f_code.co_filename, trace.tb_lineno
+        trace = trace.tb_next
+    return location
+
+
+def _defined(definition: Any, method: str) -> tuple[str | None, int | None]:
+    """Return where a method is defined."""
+    function = getattr(definition if isinstance(definition, type) else type(definition), method,
+                       definition)
+    # Of a property its getter, of a cached one its function.
+    function = getattr(function, "fget", None) or getattr(function, "func", function)
+    code = getattr(inspect.unwrap(function), "__code__", None)
+    # What is compiled, or a callable object, has no code: its module's file must do.
+    if code is None:
+        module = sys.modules.get(str(getattr(function, "__module__", "")))
+        return getattr(module, "__file__", None), None
+    return code.co_filename, code.co_firstlineno

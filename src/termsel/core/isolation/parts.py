@@ -1,0 +1,71 @@
+"""Parts of packages that termsel asks for at one place, and does without where there are none."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+from termsel.core.errors import TermselError
+
+
+@dataclass(frozen=True)
+class Part:
+    """What a package gives termsel for one place.
+
+    Parameters
+    ----------
+    place : str
+        "study": a `StudyOutput`, what is made of a study. "study-map": what makes a map of its
+        images, called as `termsel_studies.map_of`. "scheduler": what runs cells, called as
+        `termsel_cluster.on_cluster`. "certificate": what makes the writer of a certificate, called
+        as `termsel_bench.certificate.certifier`.
+    value : object
+        What the place takes.
+    """
+
+    place: str
+    value: Any
+
+
+sources: list[Callable[[], Iterable[Part]]] = []
+"""What gives the parts of plugins: the registry, which lies above this room, adds itself."""
+
+
+def parts(slot: str) -> list[Any]:
+    """Return what packages give for a place; empty where none is installed."""
+    values: list[Any] = []
+    for source in sources:
+        values += [extension.value for extension in source() if extension.place == slot]
+    return values
+
+
+def part(slot: str, purpose: str) -> Any:
+    """Return what a package gives for a slot; refuse where none does. `purpose` has its verb."""
+    # Of several the first: plugins are in the order in which they were loaded.
+    if extensions := parts(slot):
+        return extensions[0]
+    raise missing(slot, purpose)
+
+
+def missing(slot: str, purpose: str) -> TermselError:
+    """Return the error that says which package a slot lacks; `purpose` has its verb."""
+    package = package_of_name(slot)
+    return TermselError(f"{purpose} the package {package}, which is not installed",
+                        hint=f"In a clone of termsel: pip install ./plugins/{package}")
+
+
+@cache
+def own_packages() -> dict[str, list[str]]:
+    """Return the names that each plugin package of termsel's own provides, by distribution."""
+    names_by_package: dict[str, list[str]] = json.loads(
+        (files("termsel.plugins") / "packages.json").read_text("utf-8"))
+    return names_by_package
+
+
+def package_of_name(name: str) -> str:
+    """Return which package of termsel's own provides a name; nothing if none does."""
+    return next((package for package, names in own_packages().items() if name in names), "")

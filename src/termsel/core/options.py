@@ -1,0 +1,247 @@
+"""Typed, documented options of models, problems, solvers and criteria."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+from operator import index
+from typing import Any, ClassVar
+
+from termsel.core.display import Glance
+from termsel.core.errors import TermselError, unknown_name
+from termsel.core.isolation.calls import Check, Guarded
+
+COUNT = 1_000_000
+"""Most of what is counted, where an option has no limit of its own: more is a mistake of typing."""
+
+MOST_RUNS = 100_000
+"""Most seeds, or splits, of a study."""
+
+SEED = 2**63 - 1
+"""Greatest seed."""
+
+_file: ContextVar[str] = ContextVar("file", default="")  # whose options are being resolved
+
+
+@contextmanager
+def options_of_file(file: object) -> Iterator[None]:
+    """Resolve options of a file: within, those that no file may set are refused.
+
+    A study, a block, a result or results of the benchmark may come from a stranger. Every value of
+    an option goes through `Option.parse`, which looks here. None is no file: what a user typed or
+    gave in Python.
+    """
+    token = _file.set("" if file is None else str(file))
+    try:
+        yield
+    finally:
+        _file.reset(token)
+
+
+_WORDS = {int: "whole number", float: "number", bool: "true | false", str: "text"}
+_TRUE = {"true", "yes", "on", "1"}
+_FALSE = {"false", "no", "off", "0"}
+
+
+@dataclass(frozen=True)
+class Option:
+    """One setting, as ``--set name=value`` or as a keyword in Python.
+
+    Parameters
+    ----------
+    name : str
+        The key.
+    default : object
+        Its value if none is given; None where it is not set; `doc` says what then holds.
+    doc : str
+        One sentence: meaning, unit, source where there is one.
+    type : type
+        int, float, bool or str.
+    minimum, maximum : float, optional
+        Closed range of a number.
+    choices : tuple of str
+        The accepted values, if they are few.
+    from_files : bool or tuple of str
+        Whether studies, blocks, results and other files may set it; or the only values that they
+        may give it. False for what names code: that do the command line and Python alone.
+        No option names an output: outputs have names of their own within ``--out``.
+    """
+
+    name: str
+    default: Any
+    doc: str
+    type: type = str
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[str, ...] = ()
+    from_files: bool | tuple[str, ...] = True
+
+    def __post_init__(self) -> None:
+        if self.type not in _WORDS:
+            raise TermselError(f"option {self.name!r} has the type {self.type!r:.100}",
+                               hint="Give int, float, bool or str.")
+
+    @property
+    def accepts(self) -> str:
+        """The accepted values, in words."""
+        if self.choices:
+            return " | ".join(self.choices)
+        kind = _WORDS[self.type]
+        if self.minimum is not None and self.maximum is not None:
+            return f"{kind} from {_plain(self.minimum)} to {_plain(self.maximum)}"
+        if self.minimum is not None:
+            return f"{kind} of at least {_plain(self.minimum)}"
+        if self.maximum is not None:
+            return f"{kind} of at most {_plain(self.maximum)}"
+        return kind
+
+    @property
+    def limits_files(self) -> str:
+        """What a file may not set, in words; "" where it may give every value."""
+        if self.from_files is True:
+            return ""
+        if self.from_files is False:
+            return "not from files"
+        return f"from files only {' | '.join(self.from_files)}"
+
+    def _require_from_file(self, value: Any) -> None:
+        """Refuse a value that the file whose options are being resolved may not give."""
+        allowed = self.from_files
+        if not _file.get() or allowed is True or value == self.default or (
+                allowed and str(value) in allowed):
+            return
+        values = f" but to {', '.join(allowed)}" if allowed else ""
+        raise TermselError(
+            f"a file may not set the option {self.name!r}{values}", file=_file.get(),
+            hint="It is set on the command line (--set) or in Python alone.",
+            name=self.name)
+
+    def parse(self, value: Any) -> Any:
+        """Return `value` in the option's type.
+
+        Parameters
+        ----------
+        value : object
+            A value of the type, or its text as typed on the command line.
+
+        Raises
+        ------
+        TermselError
+            If the value is not of the type, out of range or not one of the choices; or is one that
+            the file that gives it may not set.
+        """
+        if value is None and self.default is None:
+            return None
+        self._require_from_file(value)
+        wrong = TermselError(f"option {self.name!r} does not accept {value!r}",
+                             hint=f"Accepted: {self.accepts}.", name=self.name)
+        parsed: Any
+        if self.type is bool:
+            text = str(value).strip().lower()
+            if text not in _TRUE | _FALSE:
+                raise wrong
+            return text in _TRUE
+        if self.type is str:
+            parsed = str(value)
+        else:
+            try:
+                parsed = self._number(value)
+            except (TypeError, ValueError, OverflowError):
+                raise wrong from None
+            if isinstance(value, bool) or parsed != parsed or abs(parsed) == float("inf"):
+                raise wrong
+        if self.choices and str(parsed) not in self.choices:
+            raise wrong
+        if self.minimum is not None and parsed < self.minimum:
+            raise wrong
+        if self.maximum is not None and parsed > self.maximum:
+            raise wrong
+        return parsed
+
+
+    def _number(self, value: Any) -> float:
+        """Return a number; whole ones of any size keep all their digits."""
+        if self.type is float:
+            return float(value)
+        try:
+            return int(value) if isinstance(value, str) else index(value)
+        except (TypeError, ValueError):  # such as 1e3
+            number = float(value)
+            if number != int(number):
+                raise ValueError from None
+            return int(number)
+
+
+def _plain(bound: float) -> str:
+    """Return a bound as people write it: 1,000,000 and not 1e+06."""
+    return f"{bound:,.0f}" if 1e5 <= abs(bound) < 1e13 and bound == int(bound) else f"{bound:g}"
+
+
+def by_part(given: Mapping[str, Any],
+            declared: Mapping[str, Iterable[Option]]) -> dict[str, dict[str, Any]]:
+    """Return the options by part of a run, all parts among them; each has its declared options.
+
+    They are given by name, or by ``part.name`` where several parts have an option of that name.
+    Raises TermselError for an option that no part has, that several have, or that is given twice.
+    """
+    parts_of: dict[str, list[str]] = {}
+    for part, options in declared.items():
+        for option in options:
+            parts_of.setdefault(option.name, []).append(part)
+    chosen: dict[str, dict[str, Any]] = {part: {} for part in declared}
+    for key, value in given.items():
+        asked, _, name = key.rpartition(".")
+        parts = [part for part in parts_of.get(name, ()) if asked in ("", part)]
+        if not parts:
+            raise unknown_name("option", key, parts_of)
+        if len(parts) > 1:
+            raise TermselError(f"{' and '.join(parts)} each have an option {name!r}",
+                               hint=f"Write {' or '.join(f'{one}.{name}' for one in parts)}.",
+                               name=name)
+        if name in chosen[parts[0]]:
+            raise TermselError(f"option {name!r} of the {parts[0]} is given twice",
+                               hint="Give it once.", name=name)
+        chosen[parts[0]][name] = value
+    return chosen
+
+
+def resolve(declared: Iterable[Option], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the value of every declared option, given what was set; refuse all else."""
+    options = {option.name: option for option in declared}
+    for key in given:
+        if key not in options:
+            raise unknown_name("option", key, options)
+    return {name: option.parse(given.get(name, option.default)) for name, option in options.items()}
+
+
+class Configurable(Glance, Guarded):
+    """A named thing with declared options; base of models, solvers and criteria.
+
+    Parameters
+    ----------
+    **options
+        Values of the options declared in `declared_options`.
+
+    Raises
+    ------
+    TermselError
+        For an unknown option or a value it does not accept.
+    """
+
+    name: ClassVar[str]
+    """As on the command line and in ``termsel list``."""
+
+    declared_options: ClassVar[tuple[Option, ...]] = ()
+    """The options it takes, which ``termsel describe`` shows."""
+
+    guards: ClassVar[Mapping[str, Check | None]] = {"__init__": None}
+
+    def __init__(self, **options: Any) -> None:
+        self.options: dict[str, Any] = resolve(self.declared_options, options)
+        """The value of every declared option."""
+
+    def _glance(self) -> tuple[str, Mapping[str, str]]:
+        return f"{type(self).__name__}: {self.name}", {
+            name: str(value) for name, value in self.options.items()}

@@ -1,0 +1,191 @@
+"""Areas as control features: a polygon's edges as conjugate lines, or its centroid as a point."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from termsel.core.errors import TermselError
+from termsel.data.features import FloatArray, Lines, Points
+from termsel.data.tables.attributes import columns_of
+from termsel.data.values import FARTHEST
+
+FORMS = ("boundary", "centroid")
+
+_FLAT = 1e-9  # area over the square of the extent; rounding of metres in a UTM zone is below
+_MANY = 1000  # most corners for which crossing edges, at quadratic cost, are looked for
+
+
+class CornerError(TermselError):
+    """An invalid area, and the corner, counted from 0, that shows it in the image or on the ground.
+    """
+
+    def __init__(self, what: str, corner: int, where: str, hint: str) -> None:
+        super().__init__(what, hint=hint)
+        self.corner = corner
+        self.where = where
+
+
+@dataclass(frozen=True, eq=False)
+class Area:
+    """A polygon given by its corners, in the image and on the ground.
+
+    At least three corners in order around the area, line and sample [px] (n, 2) and X, Y, Z (n, 3)
+    with NaN for heights that are not known; the first may be repeated at the end. Role and
+    attributes are those of features. Raises TermselError if image and ground have different numbers
+    of corners; a `CornerError` for fewer than three, for a repeated one, for corners on one
+    straight line and for edges that cross.
+    """
+
+    id: str
+    image: FloatArray
+    ground: FloatArray
+    role: str = ""
+    attributes: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        image, ground = (np.array(ring, dtype=np.float64) for ring in (self.image, self.ground))
+        n = len(image)
+        if image.shape != (n, 2) or ground.shape != (n, 3):
+            raise TermselError(
+                f"area {self.id!r} has corners of the shapes {image.shape} in the image and "
+                f"{ground.shape} on the ground, expected (n, 2) and (n, 3)", ids=[self.id],
+                hint="Measure each corner in the image and on the ground.")
+        if n > 1 and (image[0] == image[-1]).all() and (ground[0, :2] == ground[-1, :2]).all():
+            image = image[:-1]
+            ground = ground[:-1]
+        object.__setattr__(self, "image", image)
+        object.__setattr__(self, "ground", ground)
+        for values, what in ((image, "image"), (ground[:, :2], "ground")):
+            far = ~(np.abs(values) < FARTHEST).all(axis=1)  # NaN too
+            if far.any():
+                corner = int(np.argmax(far))
+                raise CornerError(f"corner {corner + 1} of area {self.id!r} has {what} coordinates "
+                                  f"that are not finite, or of {FARTHEST:g} or more", corner, what,
+                                  "Correct the values or remove the area.")
+        _refuse_bad(self.id, image, "image")
+        _refuse_bad(self.id, ground[:, :2], "ground")
+
+
+def boundary(areas: Sequence[Area]) -> Lines:
+    """Return the edges of areas as lines, those of one area under its id; "off" ones stay out.
+
+    Those of one area are pieces of one feature. An edge that neighbours share, with the same X and
+    Y at its ends, is used once, by the area that has fewer so far: each keeps some. Raises
+    TermselError for an area in the role check or independent, which lines cannot have; for one
+    whose edges others have all taken; and as `Lines`.
+
+    Yavari, Valadan Zoej and Salehi (2018) name areas as control features, next to points and lines;
+    that an area enters by its boundary or its centroid is termsel's own formulation.
+    """
+    for area in areas:
+        if area.role in ("check", "independent"):
+            raise TermselError(
+                f"the boundary of area {area.id!r} cannot have the role {area.role!r}",
+                hint="Lines are always control: use control, off or blank. Centroids can have any "
+                     "role (--set areas_as=centroid).", ids=[area.id])
+    on = [area for area in areas if area.role != "off"]
+    used = list(zip(on, _own_edges(on), strict=True))
+    for area, edges in used:
+        if not edges:
+            raise TermselError(f"all edges of area {area.id!r} belong to other areas on the same "
+                               "side", ids=[area.id], hint="Remove one of these areas.")
+    # The empty arrays are for no areas at all.
+    return Lines(tuple(area.id for area, edges in used for _ in edges), np.concatenate([
+        np.empty((0, 2, 2)), *(_edges(area.image)[edges] for area, edges in used)]),
+                 np.concatenate([
+        np.empty((0, 2, 3)), *(_edges(area.ground)[edges] for area, edges in used)]),
+                 attributes=columns_of([area.attributes for area, edges in used for _ in edges]))
+
+
+def centroids(areas: Sequence[Area]) -> Points:
+    """Return the centroids of areas as points; without a role they become control."""
+    # That in the image is the image of that on the ground where the area is plane, and so small
+    # that the projection is affine across it.
+    return Points(tuple(area.id for area in areas),
+                  np.reshape([centroid(area.image) for area in areas], (-1, 2)),
+                  np.reshape([centroid(area.ground) for area in areas], (-1, 3)),
+                  roles=tuple(area.role or "control" for area in areas),
+                  attributes=columns_of([area.attributes for area in areas]))
+
+
+def centroid(ring: ArrayLike) -> FloatArray:
+    """Return the centroid of the area that a ring of corners, (n, 2) or (n, 3), bounds.
+
+    Corners are in order, either way, without the first repeated; an unknown height gives NaN.
+    """
+    corners = np.asarray(ring, dtype=np.float64)
+    # About the mean corner, so that large coordinates do not cancel.
+    middle = corners.mean(axis=0)
+    # From the triangles between the mean corner and each edge, in the plane of the first two
+    # coordinates; the third is the mean over that area.
+    edges = _edges(corners - middle)
+    twice = _cross(edges[:, 0], edges[:, 1])
+    return np.asarray(middle + twice @ edges.sum(axis=1) / (3 * twice.sum()))
+
+
+def _own_edges(areas: Sequence[Area]) -> list[list[int]]:
+    """Return the numbers of each area's edges, without those that another area uses."""
+    # By its ends: the first area on either side of an edge, and the number it has there.
+    sides: dict[frozenset[tuple[float, ...]], dict[bool, tuple[int, int]]] = {}
+    for i, area in enumerate(areas):
+        ring = _edges(area.ground[:, :2])
+        around = _cross(*np.moveaxis(ring - ring.mean(axis=(0, 1)), 1, 0)).sum() > 0
+        for j, (one, other) in enumerate(ring.tolist()):
+            ends = frozenset((tuple(one), tuple(other)))
+            sides.setdefault(ends, {}).setdefault((one < other) == around, (i, j))
+    own: list[list[int]] = [[] for _ in areas]
+    # To the one with fewer. Every area lies on either side of some of its edges, so that the
+    # rule for equal numbers leaves none without.
+    for on_either in sorted(sides.values(), key=len):
+        i, j = on_either[min(on_either, key=lambda side: (len(own[on_either[side][0]]), not side))]
+        own[i].append(j)
+    return [sorted(edges) for edges in own]
+
+
+def _edges(ring: FloatArray) -> FloatArray:
+    return np.stack([ring, np.roll(ring, -1, axis=0)], axis=1)
+
+
+def _cross(first: FloatArray, second: FloatArray) -> FloatArray:
+    return np.asarray(first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0])
+
+
+def _refuse_bad(name: str, ring: FloatArray, where: str) -> None:
+    """Raise a CornerError if a ring, shape (n, 2), bounds no area."""
+    n = len(ring)
+    place = "in the image" if where == "image" else "on the ground"
+    if n < 3:
+        raise CornerError(f"area {name!r} has {n} corner" + "s" * (n != 1), max(n - 1, 0), where,
+                          "An area requires at least three.")
+    _, first, inverse = np.unique(ring, axis=0, return_index=True, return_inverse=True)
+    before = first[inverse.ravel()]
+    if (before != np.arange(n)).any():
+        corner = int(np.argmax(before != np.arange(n)))
+        raise CornerError(f"corner {corner + 1} of area {name!r} repeats corner "
+                          f"{before[corner] + 1} {place}", corner, where,
+                          "Give every corner once; only the first may be repeated at the end, in "
+                          "the image and on the ground.")
+    edges = _edges(ring - ring.mean(axis=0))
+    if abs(_cross(edges[:, 0], edges[:, 1]).sum()) <= _FLAT * float(np.ptp(ring, axis=0).max())**2:
+        raise CornerError(f"area {name!r} has no extent {place}", 0, where,
+                          "Its corners lie on one straight line, or its edges cross.")
+    crossed = _crossing(edges) if n <= _MANY else None
+    if crossed is not None:
+        one, other = crossed
+        raise CornerError(f"the edges from corners {one + 1} and {other + 1} of area {name!r} "
+                          f"cross {place}", other, where,
+                          "Give the corners in order around the area.")
+
+
+def _crossing(edges: FloatArray) -> tuple[int, int] | None:
+    """Return the first two edges, shape (n, 2, 2), that cross, or None."""
+    along = edges[:, 1] - edges[:, 0]
+    # On which side of edge i the ends of edge j are; zero for an end the two share.
+    start, end = (_cross(along[:, None], edges[None, :, k] - edges[:, None, 0]) for k in (0, 1))
+    parts = start * end < 0
+    pairs = np.argwhere(np.triu(parts & parts.T))
+    return (int(pairs[0, 0]), int(pairs[0, 1])) if len(pairs) else None

@@ -1,0 +1,371 @@
+"""Coordinate reference systems: names, kinds, transformations.
+
+pyproj is optional. Without it only the form of a name and the well-known codes are checked.
+In termsel x is always longitude or easting and y latitude or northing, whatever axis order
+the authority gives.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+from collections.abc import Callable
+from functools import lru_cache
+from typing import TYPE_CHECKING
+from warnings import catch_warnings, simplefilter
+
+import numpy as np
+
+from termsel.core.errors import GIS, TermselError, requires
+from termsel.data.coordinates.wgs84 import ECCENTRICITY, SEMI_MAJOR, FloatArray
+
+if TYPE_CHECKING:
+    from pyproj import CRS
+
+log = logging.getLogger(__name__)
+
+LOCAL = "local"
+EXAMPLES = ("EPSG:4979 (longitude, latitude, ellipsoidal height), EPSG:32631 (UTM zone 31 north) "
+            "or local (plane coordinates without a CRS)")
+
+WGS84 = frozenset({"EPSG:4326", "EPSG:4979"})
+"""WGS84 longitude and latitude; the second also says that heights are ellipsoidal."""
+
+Transformation = Callable[[FloatArray], FloatArray]
+"""From ground coordinates to others, shapes (n, 3)."""
+
+_GRIDS = 3  # that an error names
+_OF_EARTH = 0.01  # share by which ellipsoids of the Earth differ at most
+_NAMED = re.compile(r'\w+\s*\[\s*"([^"]{1,80})"')
+_BODY = re.compile(r"(?:GCS_|D_)?([A-Za-z]+)")
+
+_CODE = re.compile(r"(?:urn:ogc:def:crs:)?(EPSG|OGC):(?:[\d.]*:)?(\w+)", re.IGNORECASE)
+_OTHER_CODE = re.compile(r"(IAU_\d{4}|ESRI):(\d{1,9})", re.IGNORECASE)
+_COMPOUND = re.compile(r"EPSG:(\d{1,9})\+(\d{1,9})", re.IGNORECASE)
+# x is longitude in termsel, so the OGC names say nothing more than the EPSG codes.
+_OGC = {"CRS84": "EPSG:4326", "CRS84H": "EPSG:4979"}
+UTM = re.compile(r"EPSG:32([67])(0[1-9]|[1-5]\d|60)")
+_WKT = re.compile(r"(GEOG|GEOD|GEOC|PROJ|COMP|LOCAL_CS|ENG|BOUND|DERIVED)\w*\s*\[.*\]",
+                  re.IGNORECASE | re.DOTALL)
+
+# The code of the whole CRS is last, in WKT's outermost bracket.
+_AUTHORITY = re.compile(r'(?:ID|AUTHORITY)\s*\[\s*"EPSG"\s*,\s*"?(\d{1,9})"?\s*\]\s*\]\s*$',
+                        re.IGNORECASE)
+
+
+def normalise(crs: str) -> str:
+    """Return the normal form of a CRS, in which names are compared.
+
+    It is "EPSG:n", "EPSG:n+m" with heights of their own, "OGC:CRS84", their URN forms, WKT,
+    "local", or with pyproj "ESRI:n" and the codes of other bodies than the Earth, "IAU_2015:n".
+    "EPSG:n" is returned where the code is known, pyproj finds it or WKT ends with it. Raises
+    TermselError for text in none of these forms. If pyproj is installed, also for a code that does
+    not exist, WKT that cannot be read, or a CRS without horizontal coordinates.
+    """
+    text = crs.strip()
+    if text.lower() == LOCAL:
+        return LOCAL
+    code = _CODE.fullmatch(text)
+    if code:
+        authority = code[1].upper()
+        number = code[2].upper()
+        if authority == "OGC" and number in _OGC:
+            return _OGC[number]
+        if authority == "EPSG" and number.isdecimal() and len(number) < 10:
+            name = f"EPSG:{int(number)}"
+            if name not in WGS84 and not UTM.fullmatch(name) and _with_pyproj(name) is None:
+                _say_unchecked(name)
+            return name
+    elif other := _OTHER_CODE.fullmatch(text):
+        name = f"{other[1].upper()}:{int(other[2])}"
+        with requires(f"the CRS {name} requires", "pyproj", GIS):
+            import pyproj  # noqa: F401 - whether it is there
+        _with_pyproj(name)
+        return name
+    elif (two := _COMPOUND.fullmatch(text)) or _WKT.fullmatch(text):
+        text = f"EPSG:{int(two[1])}+{int(two[2])}" if two else text
+        known = _with_pyproj(text)
+        if known is None:
+            own = _AUTHORITY.search(text)
+            return f"EPSG:{int(own[1])}" if own else text
+        return _as_listed(text)
+    guess = f"Did you mean EPSG:{text}? " if text.isdecimal() else ""
+    raise TermselError(f"unknown CRS {crs!r}", hint=f"{guess}Examples: {EXAMPLES}; or WKT.")
+
+
+@lru_cache
+def _as_listed(text: str) -> str:
+    """Return the EPSG code of what pyproj knows by another name, else the text; a search of 10 ms.
+
+    Shapefiles call a CRS by other names than EPSG, whatever they say being the same.
+    """
+    known = _with_pyproj(text)
+    epsg = None if known is None else known.to_epsg(min_confidence=25)
+    listed = None if epsg is None else _with_pyproj(f"EPSG:{epsg}")
+    return f"EPSG:{epsg}" if known is not None and listed is not None and known.equals(
+        listed, ignore_axis_order=True) else text
+
+
+def is_geographic(crs: str) -> bool:
+    """Return True where x and y are longitude and latitude, as far as is known without pyproj."""
+    return kind_of(normalise(crs)) == "geographic"
+
+
+def metres_per_unit(crs: str) -> float | None:
+    """Return the unit of x and y of a projected CRS [m]; None for others, or where nobody knows."""
+    crs = normalise(crs)
+    if UTM.fullmatch(crs):
+        return 1.0
+    known = None if crs == LOCAL or crs in WGS84 else _with_pyproj(crs)
+    return float(known.axis_info[0].unit_conversion_factor) \
+        if known is not None and known.is_projected else None
+
+
+def metres_per_height(crs: str) -> float:
+    """Return the unit of heights [m]: that of a vertical axis, 1 where the CRS has none."""
+    unit = height_axis_unit(crs)
+    return 1.0 if unit is None else unit
+
+
+def height_axis_unit(crs: str) -> float | None:
+    """Return the unit of the vertical axis of a CRS [m]; None if it has none."""
+    crs = normalise(crs)
+    known = None if crs in (LOCAL, "", "EPSG:4326") or UTM.fullmatch(crs) else \
+        1.0 if crs == "EPSG:4979" else _with_pyproj(crs)
+    if known is None or isinstance(known, float):
+        return known
+    return float(known.axis_info[2].unit_conversion_factor) if len(known.axis_info) > 2 else None
+
+
+def has_ellipsoidal_metres(crs: str) -> bool:
+    """Return whether heights are ellipsoidal and in metres, or taken as such."""
+    known = None if crs in WGS84 or UTM.fullmatch(crs) else _with_pyproj(crs)
+    return metres_per_height(crs) == 1.0 and (
+        known is None or not any(part.is_vertical for part in known.sub_crs_list))
+
+
+def to_wgs84(crs: str) -> Transformation:
+    """Return the `transformation` to WGS84 longitude, latitude and ellipsoidal height."""
+    return transformation(crs, "EPSG:4979")
+
+
+@lru_cache
+def transformation(source: str, target: str, *, strict: bool = True) -> Transformation:
+    """Return a function that transforms ground coordinates (n, 3) from one CRS to another.
+
+    If a CRS has no vertical datum, heights are taken as ellipsoidal, unknown ones as 0. Coordinates
+    that cannot be transformed are an error if `strict`, else they become infinite. Raises
+    TermselError for "local"; if pyproj, which is needed for all but WGS84 itself, is not installed
+    or cannot transform the CRS.
+    """
+    source = normalise(source)
+    target = normalise(target)
+    if source == target or WGS84.issuperset((source, target)):
+        return np.asarray
+    into = "longitude and latitude" if target in WGS84 else short(target)
+    if LOCAL in (source, target):
+        raise TermselError(f"plane coordinates without a CRS cannot be transformed to {into}",
+                           hint="State the CRS of the ground coordinates.")
+    with requires(f"the transformation of {short(source)} to {into} requires", "pyproj", GIS):
+        from pyproj import Transformer
+        from pyproj.exceptions import ProjError
+
+    failure = f"coordinates in {short(source)} cannot be transformed to {into}"
+    known = [_with_pyproj(name) for name in (source, target)]
+    here = body_of(source)
+    there = body_of(target)
+    if here != there:
+        raise TermselError(f"{short(source)} is on {here}, and {short(target)} on {there}",
+                           hint="Formats of WGS84, such as RPCs and GeoJSON, are for the Earth. "
+                                "gcp-grid-vrt and geolocation-vrt keep the CRS.")
+    ends = [one if len(one.axis_info) > 2 else one.to_3d() for one in known if one is not None]
+    try:
+        turn = Transformer.from_crs(*ends, always_xy=True, allow_ballpark=False)
+    except ProjError as error:
+        grids = _missing_grids(*ends)
+        if not grids:
+            raise TermselError(f"{failure}: {error}") from error
+        more = f" or one of {len(grids) - _GRIDS} others" if len(grids) > _GRIDS else ""
+        raise TermselError(
+            f"{failure}: PROJ does not have the grid {' or '.join(grids[:_GRIDS])}{more}",
+            hint=f"Get it with pyproj sync --file {grids[0]}, or set PROJ_NETWORK=ON. Or give "
+                 "ellipsoidal heights, as in EPSG:4979.") from error
+
+    def convert(ground: FloatArray) -> FloatArray:
+        known_heights = np.nan_to_num(ground, nan=0.0)
+        try:
+            turned = turn.transform(*known_heights.T, errcheck=strict)
+        except ProjError as error:
+            raise TermselError(f"{failure}: {error}") from error
+        return np.stack(turned, axis=1)
+
+    return convert
+
+
+EARTH = "the Earth"
+
+
+@lru_cache
+def body_of(crs: str) -> str:
+    """Return the celestial body of a CRS as messages call it, such as "Mars"."""
+    known = _ellipsoid_and_name(crs)
+    if known is None or abs(known[0] / SEMI_MAJOR - 1.0) < _OF_EARTH:
+        return EARTH
+    word = _BODY.match(known[2])
+    name = word[1].capitalize() if word else ""
+    return {"Moon": "the Moon", "": "another body", "Unknown": "another body"}.get(name, name)
+
+
+@lru_cache
+def ellipsoid_of(crs: str) -> tuple[float, float]:
+    """Return semi-major axis [m] and square of the first eccentricity; those of WGS84 by default.
+    """
+    known = _ellipsoid_and_name(crs)
+    return (SEMI_MAJOR, ECCENTRICITY) if known is None else known[:2]
+
+
+def geodetic_of(crs: str) -> str:
+    """Return the CRS of longitude, latitude and height on the body of a CRS."""
+    if body_of(crs) == EARTH:
+        return "EPSG:4979"
+    known = _with_pyproj(normalise(crs))
+    assert known is not None  # without pyproj all are on the Earth
+    return crs if known.is_geographic else str(known.geodetic_crs.to_wkt())
+
+
+def _ellipsoid_and_name(crs: str) -> tuple[float, float, str] | None:
+    """Return the axis, the squared eccentricity and the name of a body; None where WGS84 serves."""
+    name = normalise(crs) if crs else LOCAL
+    known = None if name == LOCAL or name in WGS84 or UTM.fullmatch(name) else _with_pyproj(name)
+    if known is None or known.ellipsoid is None:
+        return None
+    major = known.ellipsoid.semi_major_metre
+    minor = known.ellipsoid.semi_minor_metre
+    body = known.geodetic_crs or known
+    return float(major), float(1.0 - (minor / major) ** 2), str(body.name)
+
+
+def area_of_use(crs: str) -> tuple[float, float, float, float] | None:
+    """Return west, south, east and north [deg] of the area that a CRS is for, as far as known."""
+    name = normalise(crs)
+    known = None if name == LOCAL or name in WGS84 else _with_pyproj(name)
+    area = None if known is None else known.area_of_use
+    return None if area is None else tuple(area.bounds)
+
+
+def is_geocentric(crs: str) -> bool:
+    """Return True where coordinates are counted from the centre of the Earth."""
+    return kind_of(normalise(crs)) == "geocentric"
+
+
+def height_reference(crs: str) -> str:
+    """Return the vertical datum of a CRS, in words; "" for "local"."""
+    name = normalise(crs)
+    if name == LOCAL:
+        return ""
+    if name == "EPSG:4979":
+        return "ellipsoidal (WGS 84)"
+    plane = name in WGS84 or UTM.fullmatch(name)
+    known = None if plane else _with_pyproj(name)
+    stated = "" if known is None else vertical_datum(known)
+    body = body_of(name)
+    return stated or f"not stated by {short(name)}; taken as ellipsoidal" + (
+        "" if body == EARTH else f", above the sphere or ellipsoid of {body}")
+
+
+def vertical_datum(crs: CRS) -> str:
+    """Return the vertical datum of a CRS, "" if it has none."""
+    if len(crs.axis_info) < 3:
+        return ""
+    vertical = [part for part in crs.sub_crs_list if part.is_vertical]
+    if vertical:
+        return str(vertical[0].name)
+    return f"ellipsoidal ({crs.name if crs.geodetic_crs is None else crs.geodetic_crs.name})"
+
+
+def horizontal(crs: str) -> str:
+    """Return a CRS without its heights, as files of plane coordinates state it; "" for none."""
+    name = normalise(crs)
+    if name == LOCAL:
+        return ""
+    if name in WGS84:
+        return "EPSG:4326"
+    known = _with_pyproj(name)
+    return name if known is None or len(known.axis_info) < 3 else normalise(known.to_2d().to_wkt())
+
+
+def with_stated_heights(crs: str, other: str) -> str:
+    """Return another CRS if it is this one with heights, else this one: in feet, for example."""
+    return normalise(other) if height_axis_unit(crs) is None \
+        and horizontal(other) == horizontal(crs) else normalise(crs)
+
+
+@lru_cache  # an error is not kept with what raised it
+def _missing_grids(source: CRS, target: CRS) -> tuple[str, ...]:
+    """Return the names of grids with which PROJ could transform."""
+    from pyproj.transformer import TransformerGroup
+
+    with catch_warnings():
+        simplefilter("ignore")  # warnings of missing grids
+        group = TransformerGroup(source, target, always_xy=True)
+    return tuple(dict.fromkeys(grid.short_name for operation in group.unavailable_operations
+                               for grid in operation.grids if not grid.available))
+
+
+def short(crs: str) -> str:
+    """Return a CRS as messages name it: WKT is long, so they say the name in it."""
+    name = _NAMED.match(crs)
+    return name[1] if name else crs if len(crs) <= 40 else f"{crs[:40]}..."
+
+
+def kind_of(crs: str) -> str:
+    """Return "geographic", "projected" or "geocentric" for a CRS in its normal form; else ""."""
+    if crs in WGS84:
+        return "geographic"
+    if UTM.fullmatch(crs):
+        return "projected"
+    known = None if crs == LOCAL else _with_pyproj(crs)
+    if known is not None:
+        return ("geographic" if known.is_geographic else
+                "projected" if known.is_projected else
+                "geocentric" if known.is_geocentric else "")
+    return {"GEOG": "geographic", "PROJ": "projected", "GEOC": "geocentric"}.get(
+        crs.upper()[:4], "")
+
+
+@lru_cache
+def _say_unchecked(name: str) -> None:
+    """Say once that only the form of a CRS was checked."""
+    log.warning("Note: pyproj is not installed, so nothing checks that %s exists. Install it: "
+                'pip install "termsel[gis]".', name)
+
+
+def _with_pyproj(crs: str) -> CRS | None:
+    """Return the CRS, or None where pyproj is not installed."""
+    try:
+        import pyproj  # noqa: F401 - whether it is there
+    except ImportError:
+        return None
+    return _read(crs)
+
+
+@lru_cache
+def _read(crs: str) -> CRS:
+    """Return the CRS by pyproj, which takes 10 ms to read one; a run asks a hundred times."""
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    try:
+        known = CRS.from_user_input(crs)
+    except CRSError:
+        raise TermselError(f"CRS {short(crs)!r} does not exist or cannot be read",
+                           hint=f"Examples: {EXAMPLES}.") from None
+    if known.is_geographic or known.is_projected or known.is_geocentric or known.is_engineering:
+        # The usual order of termsel's x and y turns westings round for nobody.
+        if crs.startswith("IAU_") and "west" in [axis.direction for axis in known.axis_info]:
+            raise TermselError(f"CRS {crs} ({known.name}) counts to the west, and termsel's x to "
+                               "the east", hint="Transform the ground coordinates to a CRS whose "
+                               f"longitudes grow to the east, such as {crs[:-2]}00.")
+        return known
+    raise TermselError(f"CRS {short(crs)!r} ({known.name}) has no horizontal coordinates",
+                       hint=f"Examples: {EXAMPLES}.")

@@ -1,0 +1,237 @@
+"""Where features are, and whether their axes look swapped or turned round."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+
+from termsel.core.errors import TermselError
+from termsel.data.coordinates.crs import (
+    EARTH,
+    EXAMPLES,
+    area_of_use,
+    body_of,
+    geodetic_of,
+    horizontal,
+    is_geocentric,
+    is_geographic,
+    kind_of,
+    normalise,
+    short,
+    transformation,
+)
+from termsel.data.coordinates.longitudes import continuous
+from termsel.data.coordinates.metres import in_metres
+from termsel.data.features import FeatureSet, FloatArray
+from termsel.data.record.chances import median
+
+log = logging.getLogger(__name__)
+
+_TELLING = 4  # points from which on a mirror image shows, or half as many again lines
+MIRRORED = 3  # points from which on it shows next to other images
+_UPWARDS = "line numbers grow to the north"
+_UNLIKE = 0.2  # share of the image coordinates' variance that relief and distortion may leave
+_FLAT = 0.05  # ratio of the axes of what a matrix makes of a circle, below which nothing tells
+_WIDE = 20.0  # degrees that a scene may be wide
+_BEYOND = 5.0  # degrees outside the area of a CRS at which features may still be
+
+
+def place_of(features: FeatureSet) -> str:
+    """Return where the middle of features is, such as "34.8 N, 48.5 E"; "" if nothing tells."""
+    ground = features.ground_vertices()
+    middle = degrees_of(features.crs, ground) if len(ground) else None
+    if middle is None:
+        return ""
+    place = in_words(middle)
+    body = body_of(features.crs)
+    return place if body == EARTH else f"{place} on {body}"
+
+
+def in_words(place: tuple[float, float]) -> str:
+    """Return longitude and latitude [deg] as words, such as "34.8 N, 48.5 E"."""
+    lon, lat = (round(degrees, 1) for degrees in place)
+    return f"{abs(lat):.1f} {'N' if lat >= 0 else 'S'}, {abs(lon):.1f} {'E' if lon >= 0 else 'W'}"
+
+
+def say_turned(features: FeatureSet) -> None:
+    """Say so where axes look swapped, or where lines or samples are counted the other way."""
+    if said := note_on_turned(features):
+        log.warning("%s: %s", "Warning" if swapped(features) else "Note", said)
+
+
+def note_on_turned(features: FeatureSet) -> str:
+    """Return what a reader must know where axes look swapped or are counted the other way; or "".
+    """
+    if doubt := swapped(features):
+        which, other = _exchanged(doubt)
+        place = place_of(features)
+        where = f" As they stand, x and y are near {place}." if place else ""
+        return (f"{doubt}.{where} Name the columns the other way round, as in --columns {which}; "
+                f"or else --columns {other}.")
+    if counted := _counted(features):
+        upwards = (" If lines count from the lower edge of the image, say --set "
+                   "image_origin=bottom-left and --image FILE." if counted == _UPWARDS else "")
+        return (f"{counted} here, as on maps whose y points up and in some radar images.{upwards} "
+                "If this is neither, check whether x and y are swapped.")
+    return ""
+
+
+def unknown_crs(features: FeatureSet, may_turn: bool) -> TermselError:
+    """Return the error for features without a CRS, with what --crs could say where they tell.
+
+    Where axes look swapped and `may_turn`, it says what --columns could say, too.
+    """
+    error = TermselError("the CRS of the ground coordinates is unknown",
+                         hint=f"State it with --crs: {EXAMPLES}.")
+    ground = features.ground_vertices()
+    place = ground[:, :2]
+    if not len(ground) or np.abs(place).max() > 180 or np.ptp(place, axis=0).max() > _WIDE \
+            or np.hypot(*place.mean(axis=0)) < _WIDE:  # near 0, 0: rather metres of an own plane
+        return error
+    crs = "EPSG:4979" if np.isfinite(ground[:, 2]).any() else "EPSG:4326"
+    error.options["--crs"] = crs
+    error.hint = f"{error.hint} They look like degrees: --crs {crs}."
+    beyond = "x and y look swapped: no latitude is beyond 90" if np.abs(place[:, 1]).max() > 90 \
+        else ""
+    if may_turn and (doubt := beyond or swapped(replace(features, crs=crs))):
+        error.options["--columns"] = _exchanged(doubt)[0]
+        error.hint = f"{error.hint} {doubt[0].upper()}{doubt[1:]}."
+    return error
+
+
+def _exchanged(doubt: str) -> tuple[str, ...]:
+    """Return what --columns says to exchange the axes that `swapped` names, then the others."""
+    return ("x=y,y=x", "line=sample,sample=line")[::-1 if doubt[0] == "l" else 1]
+
+
+def swapped(features: FeatureSet) -> str:
+    """Return which axes look swapped, and why; "" if none do.
+
+    A mirror image about an axis is none: maps may count lines upwards, and radar images show what
+    lies to their right.
+    """
+    # Outside the area of its CRS, and inside with x and y exchanged.
+    if _misplaced(features):
+        return (f"x and y look swapped: exchanged, they lie in the area of "
+                f"{short(features.crs)}, and not as they stand")
+    # A mirror image of the ground about a diagonal: exchanging makes it the view from above.
+    turn = _turn(features)
+    if turn is None or np.linalg.det(turn) >= 0 or not _is_diagonal(turn):
+        return ""
+    pair = "x and y" if turn[0, 1] + turn[1, 0] > 0 else "line and sample"
+    return f"{pair} look swapped: the image is a mirror image of the ground about its diagonal"
+
+
+def _counted(features: FeatureSet) -> str:
+    """Return which image coordinate is counted the other way than from the upper left corner."""
+    turn = _turn(features)
+    if turn is None or np.linalg.det(turn) >= 0:
+        return ""
+    return (_UPWARDS if turn[0, 0] > turn[1, 1]
+            else "sample numbers grow to the west")
+
+
+def is_mirrored(features: FeatureSet) -> bool | None:
+    """Return whether the image is a mirror image of the ground; None where nothing tells.
+
+    The determinant of the matrix from ground to image says so, of three points on no line already.
+    Whether this is right depends on how the image is counted: others of its kind tell.
+    """
+    turn = _matrix(features, MIRRORED)
+    return None if turn is None else bool(np.linalg.det(turn) < 0)
+
+
+def _is_diagonal(turn: FloatArray) -> bool:
+    """Return whether a reflection exchanges both axes, and does not turn one of them round."""
+    # The reflection next to the matrix has cos 2t and sin 2t proportional to these.
+    return bool(abs(turn[0, 1] + turn[1, 0]) > abs(turn[0, 0] - turn[1, 1]))
+
+
+def _turn(features: FeatureSet) -> FloatArray | None:
+    """Return the matrix from metres (east, north) to the image (sample, up), if one describes it.
+
+    Of lines each vertex on the ground lies on the line in the image. None for "local", whose x and
+    y may point anywhere, for too few features, and where the matrix explains too little.
+    """
+    if kind_of(normalise(features.crs)) not in ("geographic", "projected"):
+        return None
+    return _matrix(features, _TELLING)
+
+
+def _matrix(features: FeatureSet, fewest: int) -> FloatArray | None:
+    """Return the matrix of `_turn` in any CRS; None for fewer features than `fewest`."""
+    points = features.points
+    lines = features.lines
+    if len(points) + len(lines) // 1.5 < fewest:
+        return None
+    ground = features.ground_vertices()[:, :2]
+    apart = ground - ground.mean(axis=0)
+    metres = in_metres(features.crs, ground, apart)
+    design = np.column_stack([apart if metres is None else metres, np.ones(len(ground))])
+    design[:, :2] /= max(float(np.abs(design[:, :2]).max()), np.finfo(float).tiny)
+    seen = features.image_vertices()
+    middle = seen.mean(axis=0)
+    zero = np.zeros((len(points), 3))
+    size = max(float(np.abs(seen - middle).max()), np.finfo(float).tiny)
+    of_points = design[:len(points)]
+    sample, up = ((points.image - middle) / size).T[::-1] * [[1.0], [-1.0]]
+    first, second = ((end - middle) / size for end in (lines.image[:, 0], lines.image[:, 1]))
+    along = second - first
+    length = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), np.finfo(float).tiny)
+    # Of a line in the image: its normal in (sample, up), and its distance from the middle.
+    normal = along / length
+    rho = normal[:, 0] * first[:, 1] - normal[:, 1] * first[:, 0]
+    both = np.repeat(normal, 2, axis=0)
+    of_lines = design[len(points):]
+    matrix = np.vstack([np.hstack([of_points, zero]), np.hstack([zero, of_points]),
+                        np.hstack([both[:, :1] * of_lines, both[:, 1:] * of_lines])])
+    image = np.concatenate([sample, up, np.repeat(rho, 2)])
+    found = np.linalg.lstsq(matrix, image)[0]
+    rest = float(((image - matrix @ found)**2).mean())
+    if rest > _UNLIKE * float(((seen - middle)**2).mean()) / size**2:
+        return None
+    turn = np.array([found[:2], found[3:5]])
+    wide, narrow = np.linalg.svd(turn, compute_uv=False)
+    return turn if narrow > _FLAT * wide else None
+
+
+def _misplaced(features: FeatureSet) -> bool:
+    """Return whether features lie outside the area of their CRS, but inside if swapped."""
+    ground = features.ground_vertices()
+    area = area_of_use(features.crs) if len(ground) else None
+    if area is None or is_geocentric(features.crs):
+        return False
+    here, there = (degrees_of(features.crs, place) for place in (ground, ground[:, [1, 0, 2]]))
+    # Scenes may reach beyond the area, so one that is near it is not outside.
+    return there is not None and _is_inside(there, area, 0.0) \
+        and (here is None or not _is_inside(here, area, _BEYOND))
+
+
+def _is_inside(place: tuple[float, float], area: tuple[float, float, float, float],
+               beyond: float) -> bool:
+    lon, lat = place
+    west, south, east, north = area
+    wide = (east - west) % 360 or 360.0
+    return south - beyond <= lat <= north + beyond \
+        and ((lon - west + beyond) % 360 <= wide + 2 * beyond or wide + 2 * beyond >= 360)
+
+
+def degrees_of(crs: str, ground: FloatArray) -> tuple[float, float] | None:
+    """Return longitude and latitude [deg] of the middle of places, None where nothing tells."""
+    try:
+        if is_geographic(crs):
+            lon = float(median(continuous(ground[:, 0])))
+            lat = float(median(ground[:, 1]))
+        else:
+            middle = median(np.nan_to_num(ground).T)[None]
+            geodetic = geodetic_of(crs)
+            turn = transformation(crs, geodetic) if is_geocentric(crs) else transformation(
+                horizontal(crs), horizontal(geodetic), strict=False)
+            lon, lat = turn(middle)[0, :2].tolist()
+    except TermselError:  # without a CRS or without pyproj nothing tells
+        return None
+    return ((lon + 180.0) % 360.0 - 180.0, lat) if np.isfinite([lon, lat]).all() \
+        and abs(lat) <= 90 else None
+

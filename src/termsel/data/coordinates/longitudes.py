@@ -1,0 +1,66 @@
+"""Longitudes without a jump at the 180 degree meridian."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from termsel.data.coordinates.crs import is_geographic
+from termsel.data.features import BoolArray, FeatureSet, FloatArray
+
+TURN = 360.0
+"""A full turn [deg]."""
+
+
+def continuous(lon: FloatArray) -> FloatArray:
+    """Return longitudes [deg] (n,) that go on beyond 180 degrees where they would jump."""
+    # They stay as they are unless they span more than half a turn and need not.
+    if np.ptp(lon) <= TURN / 2:
+        return lon
+    turned = np.sort(lon % TURN)
+    gaps = np.diff(turned, append=turned[0] + TURN)
+    widest = int(np.argmax(gaps))
+    if gaps[widest] < TURN / 2:
+        return lon
+    first = turned[(widest + 1) % len(turned)]
+    return nearest(lon, first + (TURN - gaps[widest]) / 2)
+
+
+def nearest(lon: FloatArray, middle: float) -> FloatArray:
+    """Return longitudes [deg], each by whole turns as near to a middle as it can be."""
+    return np.asarray(lon - TURN * np.round((lon - middle) / TURN))
+
+
+def jumps(features: FeatureSet) -> bool:
+    """Return whether longitudes of features jump, whatever independent points and others do."""
+    lon = features.ground_vertices()[_deciding(features), 0]
+    return bool(len(lon)) and is_geographic(features.crs) and (continuous(lon) != lon).any()
+
+
+def without_jump(features: FeatureSet) -> FeatureSet:
+    """Return features whose longitudes go on beyond 180 degrees; the same where none jump."""
+    points = features.points
+    lines = features.lines
+    every = features.ground_vertices()[:, 0]
+    decides = _deciding(features)
+    if not decides.any() or not is_geographic(features.crs):
+        return features
+    lon = continuous(every[decides])
+    if np.ptp(lon) > TURN:
+        return features
+    moved = nearest(every, float(lon.min() + lon.max()) / 2)
+    if (moved == every).all():
+        return features
+    of_points = points.ground.copy()
+    of_lines = lines.ground.copy()
+    of_points[:, 0] = moved[:len(points)]
+    of_lines[..., 0] = moved[len(points):].reshape(-1, 2)
+    return features.with_(points=replace(points, ground=of_points),
+                          lines=replace(lines, ground=of_lines))
+
+
+def _deciding(features: FeatureSet) -> BoolArray:
+    """Return the ground vertices whose longitudes decide, as independent points must not."""
+    apart = np.isin(np.array(features.points.roles, dtype=object), ("independent", "off"))
+    return np.concatenate([~apart, np.ones(2 * len(features.lines), dtype=bool)])

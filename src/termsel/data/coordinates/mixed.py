@@ -1,0 +1,124 @@
+"""Ground coordinates that are not all of one kind: zones of UTM, and minutes typed as decimals.
+
+What the image shows tells: read the other way, the points are its affine image, and as they stand
+they are not.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from termsel.core.errors import TermselError
+from termsel.data.coordinates.crs import UTM, normalise, transformation
+from termsel.data.coordinates.metres import is_in_degrees
+from termsel.data.features import BoolArray, FeatureSet, FloatArray
+
+FEWEST = 6
+"""Points from which on an affine image tells."""
+
+BETTER = 0.1
+"""Share of the errors as the coordinates stand, which those of another reading must stay below."""
+
+APART = 100_000.0
+"""Gap between eastings [m] from which on two groups of them may be of two zones."""
+
+MINUTES = 0.6
+"""Decimals of a degree below which minutes typed as decimals stay."""
+
+NAMED = 5
+"""Points that a note names."""
+
+
+def note_on_mixed(features: FeatureSet) -> str:
+    """Return which coordinates look as if they were of another kind than the others; or ""."""
+    points = features.points
+    if len(points) < FEWEST or not features.crs:
+        return ""
+    return _two_zones(features) or _minutes(features)
+
+
+def _two_zones(features: FeatureSet) -> str:
+    """Return which points look as if they were in the next zone of UTM."""
+    crs = normalise(features.crs)
+    match = UTM.fullmatch(crs)
+    ground = features.points.ground
+    far = _far_group(ground[:, 0])
+    if match is None or far is None:
+        return ""
+    as_it_stands = _error(features.points.image, ground)
+    zone = int(crs[-2:])
+    for other in (zone - 1, zone + 1):
+        if not 1 <= other <= 60:
+            continue
+        read = ground.copy()
+        try:
+            turned = transformation(f"{crs[:-2]}{other:02}", crs)(ground[far])
+        except TermselError:  # nothing can be where these coordinates are in that zone
+            continue
+        read[far, :2] = turned[:, :2]
+        if _error(features.points.image, read) < BETTER * as_it_stands:
+            ids = [features.points.ids[i] for i in np.flatnonzero(far)]
+            # Which of the two is the zone of the CRS, the coordinates do not tell.
+            side = "west" if other < zone else "east"
+            return (f"{len(ids)} of {len(features.points)} points look as if they were in the zone "
+                    f"of UTM {side} of that of the others: {_listed(ids)}. Transform them into one "
+                    "zone, and state its CRS.")
+    return ""
+
+
+def _far_group(eastings: FloatArray) -> BoolArray | None:
+    """Return the smaller of two groups of eastings (n,) with a wide gap between them, if any."""
+    order = np.sort(eastings)
+    gaps = [second - first for first, second in pairwise(order.tolist())]
+    widest = int(np.argmax(gaps))
+    if gaps[widest] < APART:
+        return None
+    above = np.asarray(eastings > order[widest])
+    return np.asarray(above if above.sum() <= len(above) / 2 else ~above)
+
+
+def _minutes(features: FeatureSet) -> str:
+    """Return that degrees and minutes, or seconds too, look as if they were typed as decimals."""
+    if not is_in_degrees(features.crs):
+        return ""
+    ground = features.points.ground
+    image = features.points.image
+    size = np.abs(ground[:, :2])
+    sign = np.sign(ground[:, :2])
+    whole = np.floor(size + 1e-9)
+    part = size - np.floor(size + 1e-9)
+    # Within one degree both readings are affine images of each other, and nothing tells.
+    if not (np.ptp(whole * sign, axis=0) > 0).any() or (part >= MINUTES).any():
+        return ""
+    minutes = np.floor(part * 100 + 1e-6)
+    seconds = (part * 100 - minutes) * 100
+    readings = {"degrees and minutes": whole + part * 100 / 60,
+                "degrees, minutes and seconds": whole + minutes / 60 + seconds / 3600}
+    if (seconds >= 60).any():
+        del readings["degrees, minutes and seconds"]
+    errors = {name: _error(image, sign * read) for name, read in readings.items()}
+    name = min(errors, key=lambda reading: errors[reading])
+    if errors[name] >= BETTER * _error(image, ground):
+        return ""
+    first = ground[0, 0]
+    value = part[0, 0] * 100
+    typed = f"{whole[0, 0]:.0f}\N{DEGREE SIGN}{value:.6g}'" if name == "degrees and minutes" else \
+        f"{whole[0, 0]:.0f}\N{DEGREE SIGN}{minutes[0, 0]:.0f}'{seconds[0, 0]:.6g}\""
+    return (f"Coordinates look like {name} typed as decimals: {first:.10g} for {typed}. Write "
+            "decimal degrees, or degrees and minutes with their signs.")
+
+
+def _error(image: FloatArray, ground: FloatArray) -> float:
+    """Return the root mean square of what an affine image of the ground leaves [px]."""
+    plan = ground[:, :2] - ground[:, :2].mean(axis=0)
+    plan = plan / np.maximum(np.abs(plan).max(axis=0), np.finfo(float).tiny)
+    design = np.column_stack([np.ones(len(plan)), plan])
+    left = image - design @ np.linalg.lstsq(design, image)[0]
+    return float(np.sqrt((left**2).sum(axis=1).mean()))
+
+
+def _listed(ids: list[str]) -> str:
+    more = len(ids) - NAMED
+    return ", ".join(ids[:NAMED]) + (f" and {more} more" if more > 0 else "")

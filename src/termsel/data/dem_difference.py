@@ -1,0 +1,127 @@
+"""A DEM held against the heights of control: by how much it is off as a whole.
+
+With d the DEM's height less that of control, the median of d tells a shift, of which
+
+    s^2 = (n scatter^2 + AS_MANY USUAL^2) / (n + AS_MANY)
+
+is the variance of one difference: the robust scatter of n differences, and what errors of DEMs
+usually are, as if AS_MANY differences more had told that. So two heights that agree by chance claim
+no precision. The median of n has the standard deviation EFFICIENCY s / sqrt(n); next to it DEMs are
+off as a whole by some ROUGHLY, by their making and by epochs of the ground.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from termsel.core.errors import counted
+from termsel.data.coordinates.height_units import FOOT, UNITS
+from termsel.data.coordinates.wgs84 import FloatArray
+
+USUAL, AS_MANY = 5.0, 2.0
+"""Usual standard deviation of a DEM's errors [m], and the differences that it counts as."""
+
+ROUGHLY = 0.5
+"""Standard deviation of what DEMs are off as a whole [m] where all is as it should be."""
+
+BEYOND = 3.0
+"""Standard deviations beyond which a DEM contradicts the control."""
+
+TAKEN = 1e-5
+"""Difference [m] up to which a height was taken from the DEM itself, and tells nothing."""
+
+GEOID = "geoid and ellipsoid?"
+"""The usual cause."""
+
+_MAD = 1.4826  # from the median absolute deviation to the standard deviation of normal errors
+_EFFICIENCY = float(np.sqrt(np.pi / 2))  # standard deviation of a median by that of a mean
+_FEET = 1 / 3
+_EXACT = 3.0  # what is left where heights are read as feet: a share, and metres
+_VISIBLE = 0.1  # px
+
+
+@dataclass(frozen=True)
+class DemDifference:
+    """How far a DEM is above the heights of control as a whole.
+
+    Parameters
+    ----------
+    above : float
+        Median of the DEM's heights less those of control [m].
+    sigma : float
+        Standard deviation of this median where DEM and control refer to the same [m].
+    count : int
+        Heights of control that tell it.
+    in_feet : bool
+        Whether one of both looks as if it were in feet.
+    dem : str
+        Name of the DEM's file.
+    """
+
+    above: float
+    sigma: float
+    count: int
+    in_feet: bool = False
+    dem: str = ""
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether the median is beyond three times its standard deviation."""
+        return abs(self.above) > BEYOND * self.sigma
+
+    def sentence(self, pixels: float | None = None) -> str:
+        """Return it as one sentence, with what it does to a map [px], where that is known."""
+        effect = "" if pixels is None else f": {_rounded(pixels)} px on a map" \
+            if pixels >= _VISIBLE else ", of which this model makes no use"
+        evidence = (f"median of {counted(self.count, 'height')}, standard deviation "
+                    f"{_rounded(self.sigma)} m")
+        return off_as_a_whole(self.above, "the control", evidence, effect, self.dem,
+                              "feet and metres?" if self.in_feet else GEOID)
+
+
+def off_as_a_whole(above: float, other: str, evidence: str, effect: str = "", dem: str = "",
+                   cause: str = GEOID) -> str:
+    """Return in a sentence that a DEM is so much above something [m], and what may be the cause."""
+    side = "above" if above > 0 else "below"
+    name = f" {dem}" if dem else ""
+    return (f"The DEM{name} is {_rounded(abs(above))} m {side} {other} ({evidence}){effect}; "
+            f"{cause}")
+
+
+def dem_difference(control: FloatArray, dem: FloatArray, name: str = "") -> DemDifference | None:
+    """Return the difference of heights of control and of a DEM at their places, shapes (n,) [m].
+
+    Those that are not known on either side, and those that were taken from the DEM, tell nothing.
+    None where no height tells anything.
+    """
+    over = dem - control
+    telling = np.isfinite(over) & (np.abs(over) > TAKEN)
+    over = over[telling]
+    control = control[telling]
+    dem = dem[telling]
+    n = len(over)
+    if not n:
+        return None
+    median = float(np.median(over))
+    scatter = _MAD * float(np.median(np.abs(over - median)))
+    variance = (n * scatter**2 + AS_MANY * USUAL**2) / (n + AS_MANY)
+    sigma = float(np.sqrt(_EFFICIENCY**2 * variance / n + ROUGHLY**2))
+    return DemDifference(median, sigma, n, _in_feet(control, dem, scatter), name)
+
+
+def _in_feet(control: FloatArray, dem: FloatArray, scatter: float) -> bool:
+    """Return whether heights agree better where one side is in feet than by any shift in metres."""
+    foot = UNITS[FOOT]
+    remaining = min(_away(control * foot, dem), _away(control, dem * foot))
+    return remaining < min(_FEET * _away(control, dem), max(scatter, _EXACT))
+
+
+def _away(control: FloatArray, dem: FloatArray) -> float:
+    """Return the median distance of heights [m]."""
+    return float(np.median(np.abs(dem - control)))
+
+
+def _rounded(size: float) -> str:
+    return f"{size:.3g}" if size < 999.5 else f"{size:,.0f}"

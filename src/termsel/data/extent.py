@@ -1,0 +1,48 @@
+"""What part of an image, and of the ground, a fit is for: few points span less than an RPC does.
+
+A model that corrects an RPC has the option "rpc".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container
+
+import numpy as np
+
+from termsel.data.coordinates.crs import transformation
+from termsel.data.features import FeatureSet, FloatArray, KnownGeometry
+
+
+def image_extent(features: FeatureSet, options: Container[str],
+                 ) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return first and last line and sample [px] of the image, of its RPC or of the features."""
+    if features.image_size is not None:
+        lines, samples = features.image_size
+        return (0.0, 0.0), (lines - 1.0, samples - 1.0)
+    image = features.image_vertices()
+    if (rpc := features.rpc) is not None and "rpc" in options:
+        image = np.concatenate([_of_rpc(rpc), image])
+    (top, left) = image.min(axis=0).tolist()
+    (bottom, right) = image.max(axis=0).tolist()
+    return (top, left), (bottom, right)
+
+
+def _of_rpc(rpc: KnownGeometry) -> FloatArray:
+    """Return first and last line and sample of an RPC, shape (2, 2): no image begins below 0.
+
+    RPCs are in the middle of their images, and scaled by no less than half of these; so the margin
+    before the first pixel is beyond the last one, too.
+    """
+    middle = np.array(rpc.image_offset)
+    half = np.abs(rpc.image_scale)
+    half = np.where(middle > 0.0, np.minimum(half, middle), half)
+    return np.stack([middle - half, middle + half])
+
+
+def reach(features: FeatureSet, options: Container[str]) -> FloatArray:
+    """Return half the size of the area of the RPC that is corrected, shape (3,); else 0."""
+    if (rpc := features.rpc) is None or "rpc" not in options:
+        return np.zeros(3)
+    box = np.array(rpc.ground_offset) + np.outer([-1.0, 1.0], rpc.ground_scale)
+    there = transformation("EPSG:4979", features.crs, strict=False)(box)
+    return np.asarray(np.abs(there[1] - there[0]) / 2)

@@ -1,0 +1,391 @@
+"""What was measured: points and lines in the image and on the ground."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from termsel.core.display import Glance
+from termsel.core.errors import TermselError, counted
+from termsel.data.dem_difference import DemDifference
+from termsel.data.record.record import RpcNumbers
+from termsel.data.tables.attributes import (
+    Attributes,
+    TextArray,
+    all_rows,
+    as_numbers,
+    rows_at,
+)
+from termsel.data.tables.tabular import Tabular
+from termsel.data.values import check_places, check_segments
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.intp]
+
+ROLES = ("control", "check", "independent", "off")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Points(Tabular):
+    """Conjugate points.
+
+    Parameters
+    ----------
+    ids : sequence of str, length n
+        Unique names: printable, without line breaks, of at most 200 characters.
+    image : array_like, shape (n, 2)
+        Line and sample [px]; the centre of the upper-left pixel is (0, 0).
+    ground : array_like, shape (n, 3)
+        X, Y, Z in the units of the feature set's CRS; NaN for a height that is not known.
+    sigma : array_like, shape (n, 2), optional
+        Standard deviations of line and sample [px].
+    roles : sequence of str, length n, optional
+        Role given in the file: "control", "check", "independent", "off" or "" for none.
+    attributes : mapping, optional
+        Further columns of the file by name, n values each, such as source or date. They are kept as
+        text, "" for what is not known.
+
+    Raises
+    ------
+    TermselError
+        For shapes that do not fit, values that are not finite, ids used twice or not printable,
+        two points at one place on the ground, or a role that does not exist.
+    """
+
+    ids: tuple[str, ...]
+    image: FloatArray
+    ground: FloatArray
+    sigma: FloatArray | None = None
+    roles: tuple[str, ...] = ()
+    attributes: Attributes = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._check("point", ())
+        n = len(self.ids)
+        roles = tuple(self.roles) or ("",) * n
+        object.__setattr__(self, "roles", roles)
+        if n == 0:
+            return
+        if len(roles) != n:
+            raise TermselError(f"{len(roles)} roles for {n} points")
+        for name, role in zip(self.ids, roles, strict=True):
+            if role and role not in ROLES:
+                raise TermselError(f"point {name!r} has the unknown role {role!r}",
+                                   hint=f"Roles are {', '.join(ROLES)}, or blank.", ids=[name])
+        check_places(self.ground, self.ids)
+
+    def _glance(self) -> tuple[str, Mapping[str, str]]:
+        roles = Counter(role or "no role" for role in self.roles)
+        return f"Points: {len(self)}", {
+            "ids": ", ".join(self.ids[:5]) + ", ..." * (len(self) > 5),
+            "roles": ", ".join(f"{count} {role}" for role, count in roles.items())}
+
+    def _columns(self) -> dict[str, object]:
+        sigma = {} if self.sigma is None else {
+            "sigma_line": self.sigma[:, 0], "sigma_sample": self.sigma[:, 1]}
+        x, y, z = self.ground.T
+        return {"id": self.ids, "role": self.roles, "line": self.image[:, 0],
+                "sample": self.image[:, 1], "x": x, "y": y, "z": z, **sigma, **self.attributes}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Lines(Tabular):
+    """Conjugate straight lines, whose end points are not conjugate.
+
+    Lines with one id are pieces of one feature, such as a polyline: they are selected and held
+    out together.
+
+    Parameters
+    ----------
+    ids : sequence of str, length n
+        Name of the feature each line is, or is a piece of.
+    image : array_like, shape (n, 2, 2)
+        Two measured image points per line, each as line and sample [px].
+    ground : array_like, shape (n, 2, 3)
+        Two ground vertices per line, X, Y, Z; NaN for heights that are not known.
+    sigma : array_like, shape (n,), optional
+        Standard deviation of the measured image points across the line [px].
+    attributes : mapping, optional
+        Further columns of the file by name, n values each; as of `Points`.
+
+    Raises
+    ------
+    TermselError
+        For shapes that do not fit, values that are not finite, lines of zero length, or two
+        lines with the same ground vertices.
+    """
+
+    ids: tuple[str, ...]
+    image: FloatArray
+    ground: FloatArray
+    sigma: FloatArray | None = None
+    attributes: Attributes = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._check("line", (2,), "sigma")
+        if not self.ids:
+            return
+        for values, where in ((self.image, "in the image"),
+                              (self.ground[..., :2], "on the ground")):
+            short = (values[:, 0] == values[:, 1]).all(axis=1)
+            if short.any():
+                name = self.ids[int(np.argmax(short))]
+                raise TermselError(f"line {name!r} has zero length {where}",
+                                   hint="A control line needs two different points.", ids=[name])
+        check_segments(self.ground, self.ids)
+
+    def _glance(self) -> tuple[str, Mapping[str, str]]:
+        return f"Lines: {len(self)}", {
+            "ids": ", ".join(self.features[:5]) + ", ..." * (len(self.features) > 5)}
+
+    def _columns(self) -> dict[str, object]:
+        (l1, s1), (l2, s2) = self.image.transpose(1, 2, 0)
+        (x1, y1, z1), (x2, y2, z2) = self.ground.transpose(1, 2, 0)
+        sigma = {} if self.sigma is None else {"sigma": self.sigma}
+        return {"id": self.ids, "line1": l1, "sample1": s1, "line2": l2, "sample2": s2, "x1": x1,
+                "y1": y1, "z1": z1, "x2": x2, "y2": y2, "z2": z2, **sigma, **self.attributes}
+
+    @cached_property
+    def features(self) -> tuple[str, ...]:
+        """Names of the features, each once, in the order of their first lines."""
+        return tuple(dict.fromkeys(self.ids))
+
+    @cached_property
+    def feature(self) -> IntArray:
+        """The feature each line is a piece of, counted from 0; shape (n,)."""
+        number = {name: i for i, name in enumerate(self.features)}
+        return np.array([number[name] for name in self.ids], dtype=np.intp)
+
+    def by_feature(self, values: FloatArray) -> FloatArray:
+        """Return the mean of values over the lines of each feature.
+
+        Parameters
+        ----------
+        values : ndarray, shape (n, ...)
+            One, or an array, of each line.
+
+        Returns
+        -------
+        ndarray, shape (len(features), ...)
+        """
+        total = np.zeros((len(self.features), *values.shape[1:]))
+        np.add.at(total, self.feature, values)
+        count = np.bincount(self.feature, minlength=len(total))
+        return np.asarray(total / count.reshape(-1, *[1] * (values.ndim - 1)))
+
+
+class KnownGeometry(Protocol):
+    """What is known of an image next to its features: `termsel.Rpc`, which stands above them."""
+
+    @property
+    def source(self) -> str:
+        """Name of its file, or ""."""
+
+    @property
+    def image_offset(self) -> tuple[float, float]:
+        """Middle of its image, line and sample [px]."""
+
+    @property
+    def image_scale(self) -> tuple[float, float]:
+        """Half the size of its image [px]."""
+
+    @property
+    def ground_offset(self) -> tuple[float, float, float]:
+        """Middle of its area in WGS84."""
+
+    @property
+    def ground_scale(self) -> tuple[float, float, float]:
+        """Half the size of its area."""
+
+    def project(self, ground: FloatArray) -> FloatArray:
+        """Return where places in WGS84 are seen [px], shape (n, 2)."""
+
+    def numbers(self) -> RpcNumbers:
+        """Return the numbers that the record of a run holds."""
+
+
+_POINTS = Points((), np.empty((0, 2)), np.empty((0, 3)))
+_LINES = Lines((), np.empty((0, 2, 2)), np.empty((0, 2, 3)))
+
+
+def no_points() -> Points:
+    """Return an empty set of points."""
+    return _POINTS
+
+
+def no_lines() -> Lines:
+    """Return an empty set of lines."""
+    return _LINES
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FeatureSet(Glance):
+    """Points and lines of one image.
+
+    Parameters
+    ----------
+    points : Points
+    lines : Lines
+    crs : str
+        Coordinate reference system of the ground coordinates, such as "EPSG:4979", or
+        "local" for plane coordinates without one.
+    image_size : tuple of int, optional
+        Lines and samples of the image [px].
+    noise : float, optional
+        Standard deviation of the image measurements [px], if it is known, as for
+        simulated data.
+    heights : str
+        Source and vertical datum of the heights, if a raster gave them.
+    fit_crs : str, optional
+        CRS of the fit, if it differs from `crs`.
+    rpc : Rpc, optional
+        The vendor's RPC of the image.
+    dem_difference : DemDifference, optional
+        How far a raster of heights is above those of control, where both are there.
+    z_unit : str
+        Unit of z and what tells it, where that was open.
+    image_origin : str
+        Where the file counted lines and samples from, where that is not the centre of the
+        upper-left pixel by the format; they count from there here.
+
+    Raises
+    ------
+    TermselError
+        If a point and a line have the same id.
+    """
+
+    points: Points = field(default_factory=no_points)
+    lines: Lines = field(default_factory=no_lines)
+    crs: str = "local"
+    image_size: tuple[int, int] | None = None
+    noise: float | None = None
+    heights: str = ""
+    fit_crs: str = ""
+    rpc: KnownGeometry | None = None
+    dem_difference: DemDifference | None = None
+    z_unit: str = ""
+    image_origin: str = ""
+
+    def __post_init__(self) -> None:
+        both = set(self.points.ids) & set(self.lines.ids)
+        if both:
+            name = min(both)
+            raise TermselError(f"{name!r} is the id of a point and of a line",
+                               hint="Give every feature an id of its own.", ids=[name])
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Ids of all features, points first."""
+        return self.points.ids + self.lines.features
+
+    def __len__(self) -> int:
+        return len(self.points) + len(self.lines.features)
+
+    def _glance(self) -> tuple[str, Mapping[str, str]]:
+        roles = Counter(role or "no role" for role in self.points.roles)
+        size = self.image_size
+        return (f"FeatureSet: {counted(len(self.points), 'point')}, "
+                f"{counted(len(self.lines.features), 'line')}"), {
+            "CRS": self.crs,
+            "image": "size not known" if size is None else f"{size[0]} lines, {size[1]} samples",
+            "roles of points": ", ".join(f"{n} {role}" for role, n in roles.items()) or "-",
+            **({"RPC": self.rpc.source or "given"} if self.rpc is not None else {})}
+
+    @property
+    def word(self) -> str:
+        """What messages call them."""
+        return "features" if len(self.lines) else "points"
+
+    @property
+    def feature(self) -> IntArray:
+        """The feature each point, then each line, belongs to; counted from 0, points first."""
+        n = len(self.points)
+        return np.concatenate([np.arange(n), n + self.lines.feature])
+
+    @property
+    def vertex_feature(self) -> IntArray:
+        """The feature each point, then each vertex of the lines, belongs to."""
+        n = len(self.points)
+        return np.concatenate([np.arange(n), n + np.repeat(self.lines.feature, 2)])
+
+    def with_(self, *, points: Points | None = None, lines: Lines | None = None) -> FeatureSet:
+        """Return a copy with other points or lines."""
+        return replace(self, points=self.points if points is None else points,
+                       lines=self.lines if lines is None else lines)
+
+    def take(self, mask: BoolArray) -> FeatureSet:
+        """Return the features whose mask is set, lines with all their pieces."""
+        n = len(self.points)
+        return self.with_(points=self.points.take(mask[:n]),
+                          lines=self.lines.take(mask[n:][self.lines.feature])
+                          if len(self.lines) else None)
+
+    def texts(self, name: str) -> TextArray:
+        """Return a column of attributes of all features.
+
+        Parameters
+        ----------
+        name : str
+            Such as "source", as in the header of the file; upper and lower case count as the same.
+
+        Returns
+        -------
+        ndarray of str, shape (n_features,)
+            In the order of `ids`; of a line with pieces that of its first piece. "" where it is not
+            known.
+
+        Raises
+        ------
+        TermselError
+            If neither points nor lines have the column.
+        """
+        _, first = np.unique(self.lines.feature, return_index=True)
+        parts = (self.points.attributes, rows_at(self.lines.attributes, first))
+        return all_rows(parts, (len(self.points), len(first)), name)
+
+    def numbers(self, name: str) -> FloatArray:
+        """Return a column of attributes of all features as numbers.
+
+        Parameters
+        ----------
+        name : str
+            As for `texts`.
+
+        Returns
+        -------
+        ndarray, shape (n_features,)
+            In the order of `ids`; NaN where the column is blank.
+
+        Raises
+        ------
+        TermselError
+            If neither points nor lines have the column, or a cell is no finite number.
+        """
+        return as_numbers(self.texts(name), self.ids, name)
+
+    def without_height(self) -> tuple[str, ...]:
+        """Return the ids of features with an unknown height."""
+        points = np.isnan(self.points.ground[:, 2])
+        lines: BoolArray = np.any(np.isnan(self.lines.ground[..., 2]), axis=1)
+        return select(self.points.ids, points) + tuple(
+            dict.fromkeys(select(self.lines.ids, lines)))
+
+    def ground_vertices(self) -> FloatArray:
+        """Return ground points and line vertices together, shape (n_points + 2 n, 3) of n lines."""
+        return np.concatenate([self.points.ground, self.lines.ground.reshape(-1, 3)])
+
+    def image_vertices(self) -> FloatArray:
+        """Return image points and line ends together, shape (n_points + 2 n, 2) of n lines."""
+        return np.concatenate([self.points.image, self.lines.image.reshape(-1, 2)])
+
+
+def select(names: Sequence[str], mask: Iterable[bool]) -> tuple[str, ...]:
+    """Return the names whose mask is set."""
+    return tuple(name for name, on in zip(names, mask, strict=True) if on)

@@ -1,0 +1,254 @@
+"""Rasters through rasterio and its GDAL, which are optional."""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from termsel.core.errors import GIS, TermselError, cut, requires
+from termsel.core.files.drivers import (
+    NO_PROXY_EXISTS,
+    drivers_are_off,
+    gdal_options,
+    own_drivers,
+    raster_drivers,
+    without_exceptions,
+)
+from termsel.core.files.names import is_there, refuse_pipe, utf8_name
+from termsel.core.files.sources import REMOTE_HINT, refuse_foreign, refuse_named, refused_format
+from termsel.data.features import FloatArray
+
+LARGEST_BLOCK = 2**29
+"""Bytes of one band that GDAL may have to hold at once."""
+
+SMALL = 2**28
+"""Bytes of pixels that are read whatever the size of the file."""
+
+_DENSEST = 500
+"""Bytes of pixels that a byte of a file may hold; images have fewer, but some compressors can more.
+"""
+
+_BYTES = {"complex_int16": "complex64"}
+"""Types of rasterio that NumPy has not."""
+
+
+def require_rasterio() -> Any:
+    """Return the package rasterio; the TermselError says how to install it if it is not there."""
+    if "rasterio" not in sys.modules:
+        # GDAL's errors come as exceptions, which termsel explains; the log would repeat them.
+        logging.getLogger("rasterio").addHandler(logging.NullHandler())
+    with own_drivers(), requires("this requires", "rasterio", GIS):
+        import rasterio
+
+        with rasterio.Env():  # GDAL looks for its drivers now
+            pass
+    return rasterio
+
+
+def empty_tiff() -> bytes:
+    """Return a GeoTIFF with a single pixel, for files that GDAL reads only next to an image."""
+    return tiff_bytes(np.zeros((1, 1, 1), dtype=np.uint8))
+
+
+def tiff_bytes(pixels: Any, driver: str = "GTiff", **profile: Any) -> bytes:
+    """Return a GeoTIFF, or other image, of pixels (bands, lines, samples), made in memory."""
+    rasterio = require_rasterio()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        # What is written as bytes is complete; GDAL may not report a full disk.
+        with rasterio.MemoryFile() as memory:
+            with memory.open(driver=driver, count=pixels.shape[0], height=pixels.shape[1],
+                             width=pixels.shape[2], dtype=pixels.dtype.name, **profile) as raster:
+                raster.write(pixels)
+            return bytes(memory.read())
+
+
+@contextmanager
+def _quiet_about_encodings() -> Iterator[None]:
+    """Keep Python from printing that rasterio cannot log a message that is not UTF-8."""
+    # It prints that twice, through either hook, before the error comes as an exception.
+    unraisable = sys.unraisablehook
+    uncaught = sys.excepthook
+
+    def not_raised(what: sys.UnraisableHookArgs) -> None:
+        if not isinstance(what.exc_value, UnicodeDecodeError):
+            unraisable(what)
+
+    def not_caught(kind: type[BaseException], error: BaseException,
+                   trace: TracebackType | None) -> None:
+        if not isinstance(error, UnicodeDecodeError):
+            uncaught(kind, error, trace)
+
+    sys.unraisablehook = not_raised
+    sys.excepthook = not_caught
+    try:
+        yield
+    finally:
+        sys.unraisablehook = unraisable
+        sys.excepthook = uncaught
+
+
+@contextmanager
+def open_raster(path: Path | str) -> Iterator[Any]:
+    """Open a raster for reading.
+
+    Parameters
+    ----------
+    path : path-like
+        Of a format of `termsel.core.files.drivers`, or one that the user allows; a virtual raster
+        whose sources are such.
+
+    Yields
+    ------
+    rasterio.DatasetReader
+
+    Raises
+    ------
+    TermselError
+        If rasterio is not installed; if GDAL cannot open or read the file; if it, or what it
+        names, is of another format or on a server (see `termsel.core.files.sources`).
+    """
+    rasterio = require_rasterio()
+    from rasterio._err import CPLE_BaseError
+
+    refuse_pipe(Path(path))
+    path = gdal_name(path)
+    sources = refuse_foreign(path)
+    try:
+        with (without_exceptions(), rasterio.Env(**gdal_options()), utf8_name(path) as name,
+              _quiet_about_encodings(), np.errstate(over="ignore")):
+            # The last: rasterio compares a value for no data with what pixels of the type can hold.
+            with warnings.catch_warnings():
+                # An image that is to be georeferenced has no geotransform.
+                warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+                # rasterio.open itself takes no list of drivers.
+                raster = rasterio.io.DatasetReader(str(name), driver=list(raster_drivers()))
+            with raster:
+                refuse_named(path, _named_by(raster))
+                if not drivers_are_off():
+                    _require_drivers(path, sources)
+                _refuse_large_blocks(path, raster)
+                yield raster
+    except (rasterio.errors.RasterioError, CPLE_BaseError) as error:
+        # rasterio's own message only points to the cause.
+        raise _unreadable(path, str(error.__cause__ or error).rstrip(".")) from error
+    except UnicodeDecodeError as error:  # names, or what GDAL quotes of the file
+        raise TermselError("this raster has text that is not UTF-8", file=path,
+                           hint="Save the file, or what is next to it, with the encoding UTF-8."
+                           ) from error
+
+
+def gdal_name(path: Path | str) -> Path | str:
+    """Return a name of GDAL with the second slash of places, which paths lose.
+
+    These are addresses such as ``/vsicurl/https://...`` and absolute places of archives.
+    """
+    name = str(path)
+    if os.path.lexists(name):
+        return path
+    address = re.sub(r"\b(https?|ftp):/(?!/)", r"\1://", name)
+    if address != name:
+        return address
+    found = re.fullmatch(r"(/vsi(?:zip|tar|gzip|7z|rar)/)([^/{].*)", name)
+    if found is None or any(map(os.path.lexists, (found[2], found[2].partition("/")[0]))):
+        return path
+    return f"{found[1]}/{found[2]}"
+
+
+def _require_drivers(path: Path | str, sources: list[str]) -> None:
+    """Require that drivers of the list open the sources of a raster, and what those name, too.
+
+    GDAL opens a source with any driver that takes it, and reads the names of overviews within.
+    """
+    import rasterio
+
+    drivers = [name for name in raster_drivers() if name != "VRT"]
+    for name in sources:
+        if name == str(path):
+            continue
+        try:
+            source = rasterio.io.DatasetReader(name, driver=drivers)
+        except rasterio.errors.RasterioIOError as error:
+            raise TermselError(f"it refers to {cut(name, 100)!r}, which is no raster of a format "
+                               "that termsel opens", file=path,
+                               hint="Convert it: gdal_translate FILE map.tif.") from error
+        with source:
+            refuse_named(name, _named_by(source))
+
+
+def _named_by(raster: Any) -> Iterator[str]:
+    """Yield the rasters that the metadata of an open one name, wherever GDAL found them."""
+    for domain in ("OVERVIEWS", "GEOLOCATION"):
+        tags = raster.tags(ns=domain)
+        yield from (value for key, value in tags.items()
+                    if key.upper() in ("OVERVIEW_FILE", "X_DATASET", "Y_DATASET"))
+
+
+def _refuse_large_blocks(path: Path | str, raster: Any) -> None:
+    """Refuse a raster of which GDAL must hold more than a gigabyte to read a single pixel."""
+    sizes = [lines * samples * np.dtype(_BYTES.get(kind, kind)).itemsize
+             for (lines, samples), kind in zip(raster.block_shapes, raster.dtypes, strict=True)]
+    if max(sizes, default=0) > LARGEST_BLOCK:
+        raise TermselError(
+            f"GDAL would have to hold {max(sizes) / 2**30:,.1f} GiB of this raster at once",
+            file=path, hint="Divide it into tiles: gdal_translate -co TILED=YES FILE map.tif.")
+
+
+def refuse_empty_giant(raster: Any) -> None:
+    """Refuse to read a raster whose pixels are hundreds of times what its files hold.
+
+    A small file can claim to have any size. Where GDAL is asked for all of its pixels, that takes
+    hours.
+
+    Raises
+    ------
+    TermselError
+    """
+    pixels = float(raster.width) * raster.height * raster.count
+    size = pixels * np.dtype(_BYTES.get(raster.dtypes[0], raster.dtypes[0])).itemsize
+    held = sum(os.path.getsize(file) for file in raster.files if os.path.isfile(file))
+    archived = any(file.startswith("/vsi") for file in raster.files)
+    if not archived and size > SMALL and size > _DENSEST * held:
+        raise TermselError(
+            f"this raster of {raster.height:,} lines and {raster.width:,} samples has only "
+            f"{held / 1024:,.0f} KiB of data", file=raster.name,
+            hint="Give a raster that has pixels, or a smaller one.")
+
+
+def _unreadable(path: Path | str, reason: str) -> TermselError:
+    """Return the error for a raster that GDAL cannot read."""
+    if not is_there(Path(path)) and not str(path).startswith("/vsi"):
+        return TermselError("this file does not exist", file=path,
+                            hint="Check the name and the folder.")
+    if "not recognized as being in a supported file format" in reason:
+        try:
+            head = Path(path).read_bytes() if Path(path).stat().st_size < 4096 else b""
+        except OSError:
+            head = b""
+        return refused_format(path, head)
+    hint = REMOTE_HINT if NO_PROXY_EXISTS in reason else "Is it complete, and an image?"
+    return TermselError(f"GDAL cannot read this raster: {reason}", file=path, hint=hint)
+
+
+def positions(raster: Any, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Return line and sample (n, 2) of coordinates in the CRS of a raster with a geotransform.
+
+    The centre of the upper-left pixel is (0, 0). Raises TermselError if the pixels have no size.
+    """
+    if raster.transform.is_degenerate:
+        raise TermselError("the pixels of this raster have no size", file=raster.name,
+                           hint="Correct its geotransform.")
+    to_pixel = ~raster.transform
+    with np.errstate(invalid="ignore", over="ignore"):  # what cannot be transformed is infinite
+        return np.stack([to_pixel.d * x + to_pixel.e * y + to_pixel.f,
+                         to_pixel.a * x + to_pixel.b * y + to_pixel.c], axis=1) - 0.5

@@ -1,0 +1,278 @@
+"""Parts of a record that tell how good a fit is: RMSE, accuracy, diagnosis."""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Annotated, Literal
+
+from msgspec import UNSET, Meta, UnsetType, field
+
+from termsel.data.record.base import (
+    Count,
+    Name,
+    Names,
+    Positive,
+    RecordPart,
+    Role,
+    Roles,
+    Share,
+    Size,
+)
+from termsel.data.record.chances import chi_squared_quantile, t_quantile
+
+CONFIDENCE = 0.9
+"""Probability of an interval."""
+
+MANY_INDEPENDENT = 20
+"""Number of independent points below which the predicted RMSE is shown before theirs: it varies
+less, and its interval holds more often (docs/evidence/intervals.md)."""
+
+MANY_INDEPENDENT = 20
+"""Number of independent points below which the predicted RMSE is shown before theirs: it varies
+less, and its interval holds more often (docs/evidence/intervals.md)."""
+
+SIGNIFICANT = 0.05
+"""Chance below which a coefficient is called significant."""
+
+
+def rmse_interval(total: float, freedom: float) -> tuple[float, float]:
+    """Return the interval of the RMSE [px] that endlessly many such points would have.
+
+    The squares of independent errors have a chi-squared distribution of so many degrees of freedom:
+    two of a point if its errors are normal and alike in line and sample, otherwise fewer.
+    """
+    tail = (1 - CONFIDENCE) / 2
+    freedom = max(freedom, 1.0)
+    return (total * sqrt(freedom / chi_squared_quantile(1 - tail, freedom)),
+            total * sqrt(freedom / chi_squared_quantile(tail, freedom)))
+
+
+class RoleRmse(RecordPart, frozen=True):
+    """RMSE over the features of one role [px]; null where there are none."""
+
+    line: Size | None
+    """Along lines [px]."""
+    sample: Size | None
+    """Along samples [px]."""
+    total: Size | None
+    """Of the distances [px]."""
+    n: Count
+    """Number of features."""
+    freedom: Size | None = None
+    """Degrees of freedom of the squared errors; absent where they are two of a feature."""
+
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """Interval of the RMSE of endlessly many such points [px]; None without a total."""
+        return rmse_interval(self.total, self.freedom or 2 * self.n) if self.total else None
+
+
+class RmseByRole(RecordPart, frozen=True):
+    """RMSE by role [px]."""
+
+    control: RoleRmse
+    """Over control features in use."""
+    check: RoleRmse
+    """Over check points; the fitness where the objective is check-rmse, or a fit to them."""
+    independent: RoleRmse
+    """Over independent points; the accuracy."""
+    leave_one_out: RoleRmse | None = field(name="leave-one-out", default=None)
+    """Over control, each feature held out once, under models that the control corrects."""
+
+    @property
+    def by_role(self) -> dict[str, RoleRmse]:
+        """The RMSE by the key of its role, with "leave-one-out" where it is known."""
+        of_roles = {"control": self.control, "check": self.check, "independent": self.independent}
+        return of_roles if self.leave_one_out is None else {
+            **of_roles, "leave-one-out": self.leave_one_out}
+
+
+class BaselineRow(RecordPart, frozen=True):
+    """A fit without a search, for comparison."""
+
+    name: Name
+    """Name of the structure; `all-terms` is the conventional fit."""
+    n_terms: Count
+    """Number of terms."""
+    fitted_to: Roles
+    """Roles of the points it was fitted to."""
+    determined: bool
+    """False if the points do not determine it, or its fit did not converge; its figures are then
+    those of the least-norm solution, or of the last step."""
+    predicted: float | None
+    """RMSE by leave-one-out [px] where it was computed."""
+    rmse: RmseByRole
+    """RMSE by role [px]."""
+    refused: str | UnsetType = UNSET
+    """Why a choice left it out, though the points determine it."""
+
+
+class Outlier(RecordPart, frozen=True, omit_defaults=False):
+    """A feature that all others contradict."""
+
+    id: str
+    """Id of the feature."""
+    kind: Literal["point", "line"]
+    """What it is."""
+    role: Role
+    """Its role before it was left out."""
+    error: Size
+    """Its error [px]: of a point the larger in line and sample, of a line the largest distance of
+    a vertex, as the others predict it."""
+    certainty: Literal["certain", "probable", "possible"]
+    """Whether it is a blunder: certainly; more likely than not; or the others are too few or too
+    far to tell."""
+    excluded: bool
+    """Whether the fit does without it."""
+
+
+class BlunderTest(RecordPart, frozen=True, omit_defaults=False):
+    """What the test of control and check features for blunders could find."""
+
+    features: int
+    """Number of features that were tested."""
+    limit: Size | None
+    """Error that half of them must exceed to be found for certain [px]; null where they are too few
+    for any test."""
+    extent: Size
+    """Larger side of the box around them in the image [px]."""
+
+
+class Predicted(RecordPart, frozen=True, omit_defaults=False):
+    """A predicted RMSE with its interval."""
+
+    rmse: Size
+    """Of points held out in folds, and of what heights of independent points add [px]."""
+    low: Size
+    """Lower end of the interval [px]."""
+    high: Size
+    """Upper end of the interval [px]."""
+    level: Share = CONFIDENCE
+    """Probability that the interval holds the RMSE."""
+    points: Positive | None = None
+    """Number of independent points whose RMSE the interval is for; null for the true accuracy."""
+
+
+class Errors(RecordPart, frozen=True, kw_only=True):
+    """Errors of independent points, in the image [px] or on the ground [m]."""
+
+    n: Count
+    """Number of points."""
+    total: Size
+    """RMSE of the distances."""
+    maximum: Size
+    """Largest distance."""
+    ce90: Size
+    """Distance that nine in ten points do not exceed."""
+    mean: tuple[float, float] | None = None
+    """Mean errors, of line and of sample, or of x and of y."""
+    normal: tuple[float, float] | None = None
+    """Of each axis the chance that normal errors look so little normal (Shapiro and Wilk 1965);
+    absent for fewer than 8 points, more than 5000, or equal errors."""
+    freedom: Size | None = None
+    """Degrees of freedom of the squared errors; absent where they are two of a point."""
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Interval of the RMSE of endlessly many such points."""
+        return rmse_interval(self.total, self.freedom or 2 * self.n) if self.total else (0.0, 0.0)
+
+
+class InImage(Errors, frozen=True, kw_only=True):
+    """Errors of independent points in the image [px]."""
+
+    line: Size
+    """RMSE of line."""
+    sample: Size
+    """RMSE of sample."""
+
+
+class OnGround(Errors, frozen=True, kw_only=True):
+    """Errors of independent points on the ground, each at its height [m]."""
+
+    x: Size
+    """RMSE to the east."""
+    y: Size
+    """RMSE to the north."""
+
+
+class StandardFigure(RecordPart, frozen=True, omit_defaults=False):
+    """A figure of a standard, or why there is none."""
+
+    value: float | None
+    """The figure [m], or null."""
+    reason: str | None = None
+    """Why there is no figure, or null."""
+
+
+class Accuracy(RecordPart, frozen=True):
+    """The accuracy on independent points."""
+
+    image: InImage
+    """In the image [px]."""
+    ground: OnGround | None
+    """On the ground, at the height of each point [m]; null where it is not known in metres."""
+    nssda: StandardFigure
+    """Horizontal accuracy by NSSDA at 95 % confidence."""
+    asprs: StandardFigure
+    """Horizontal RMSE by ASPRS 2024, without the error of the check points' survey."""
+    spent_by: Names | None = None
+    """Folders of earlier results that showed errors of these points under another fit; absent where
+    none did."""
+    spent: Names | None = None
+    """Ids of the points that these showed; absent where `spent_by` is, and before 0.4, when it was
+    not recorded which they are."""
+
+    @property
+    def spent_count(self) -> int:
+        """Number of points whose errors an earlier result showed under another fit."""
+        if not self.spent_by:
+            return 0
+        return self.image.n if self.spent is None else min(len(self.spent), self.image.n)
+
+
+class Significance(RecordPart, frozen=True):
+    """A coefficient against zero."""
+
+    t: float
+    """The coefficient divided by its standard deviation."""
+    p: Share
+    """Chance of so large a t if the coefficient were zero (two-sided Student test)."""
+
+
+class Correlation(RecordPart, frozen=True):
+    """Two coefficients that correlate."""
+
+    terms: tuple[str, str]
+    """The two terms."""
+    correlation: Annotated[float, Meta(ge=-1, le=1)]
+    """Their correlation."""
+
+
+class AdjustmentFigures(RecordPart, frozen=True):
+    """Figures of the least-squares adjustment."""
+
+    equations: Count
+    """Number of equations."""
+    terms: Count
+    """Number of terms; effective parameters, rounded, of a shrunken polynomial."""
+    redundancy: int
+    """Equations less terms."""
+    rank: Count
+    """Rank of the design matrix."""
+    condition: float | None
+    """Ratio of extreme singular values, columns scaled to one length; null if infinite."""
+    sigma0: float | None
+    """Standard deviation of unit weight [px]."""
+    orientation_spread: float | None
+    """1 if control lines of all directions occur equally, 0 if all are parallel; null without
+    lines."""
+    steps: Count | None = None
+    """Gauss-Newton steps of a fit whose equations are not exact."""
+    converged: bool | None = None
+    """Whether these steps converged."""
+
+    @property
+    def least_t(self) -> float:
+        """The t from which on a coefficient is significant, for a redundancy of 1 or more."""
+        return t_quantile(1 - SIGNIFICANT / 2, self.redundancy)

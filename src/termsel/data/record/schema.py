@@ -1,0 +1,52 @@
+"""The JSON Schema of result.json, generated from the types of its parts."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+from typing import Any
+
+import msgspec
+
+from termsel.data.record.base import RecordPart
+from termsel.data.record.record import SCHEMA, Record
+
+
+def json_schema() -> dict[str, Any]:
+    """Return the JSON Schema (draft 2020-12) of result.json.
+
+    Types and ranges are those that reading holds a record to; descriptions are the docstrings of
+    the fields.
+    """
+    (root,), definitions = msgspec.json.schema_components(
+        [Record], ref_template="#/$defs/{name}")
+    of_name = {part.__name__: part for part in _parts(RecordPart)}
+    for name, definition in definitions.items():
+        definition.pop("title")
+        definition["description"] = (of_name[name].__doc__ or "").partition("\n")[0]
+        docs = _descriptions(of_name[name])
+        for key, content in definition["properties"].items():
+            definition["properties"][key] = {"description": docs[key], **content}
+    whole = definitions.pop(root["$ref"].rpartition("/")[2])
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "$id": SCHEMA,
+            "title": "termsel result", **whole, "$defs": definitions}
+
+
+def _parts(kind: type[RecordPart]) -> list[type[RecordPart]]:
+    """Return all kinds of parts."""
+    return [one for part in kind.__subclasses__() for one in (part, *_parts(part))]
+
+
+def _descriptions(kind: type[RecordPart]) -> dict[str, str]:
+    """Return the docstrings of the fields of a part, those inherited too, by their keys in JSON."""
+    (body,) = ast.parse(inspect.getsource(kind)).body
+    assert isinstance(body, ast.ClassDef)
+    keys = dict(zip(kind.__struct_fields__, kind.__struct_encode_fields__, strict=True))
+    found = {key: doc for base in kind.__bases__ if base is not RecordPart
+             for key, doc in _descriptions(base).items()}
+    for field, doc in zip(body.body, body.body[1:], strict=False):
+        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name):
+            assert isinstance(doc, ast.Expr)
+            assert isinstance(doc.value, ast.Constant)
+            found[keys[field.target.id]] = inspect.cleandoc(str(doc.value.value)).replace("\n", " ")
+    return found

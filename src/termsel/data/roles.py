@@ -1,0 +1,263 @@
+"""Roles of points: control fits the model, check judges a choice, independent the result."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from termsel.core.errors import TermselError, unknown_name
+from termsel.data.control import Control, carriers
+from termsel.data.coordinates.crs import LOCAL
+from termsel.data.coordinates.globe import on_globe
+from termsel.data.coordinates.longitudes import without_jump
+from termsel.data.features import (
+    ROLES,
+    FeatureSet,
+    IntArray,
+    Lines,
+    Points,
+    no_lines,
+    no_points,
+)
+from termsel.data.splits import ASSIGNABLE as ASSIGNABLE
+from termsel.data.splits import STRATIFIED, Split
+from termsel.data.tables.tabular import unchecked
+from termsel.data.twins import merged, twins
+
+THIRDS = (1 / 3, 1 / 3, 1 / 3)
+_NUMBER = re.compile(r"([0-9]+)")
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """Measured features, each point in the one role it plays in a run.
+
+    `features` are all points and the control lines; `control` control points and lines, which are
+    always control. Check points judge the fitness of a choice, independent points the result: no
+    choice ever sees them. What follows from features and roles is derived once and kept here.
+    """
+
+    features: FeatureSet
+    control: FeatureSet
+    check: Points
+    independent: Points
+
+    @property
+    def off(self) -> tuple[str, ...]:
+        """Ids of points that take no part."""
+        points = self.features.points
+        return tuple(name for name, role in zip(points.ids, points.roles, strict=True)
+                     if role == "off")
+
+    @cached_property
+    def together(self) -> FeatureSet:
+        """Control and check points as control, and the control lines."""
+        return self.control.with_(points=self.control.points.rejoin(self.check))
+
+    @cached_property
+    def carriers(self) -> tuple[str, ...]:
+        """One or two features of `together` without which all heights lie on a plane, if any."""
+        return carriers(self.joint) if self.joint.heights else ()
+
+    @cached_property
+    def heights(self) -> bool:
+        """Whether all features have heights, and these differ without any one or two of them."""
+        # Of independent points nothing else is looked at.
+        return not np.isnan(self.independent.ground[:, 2]).any() \
+            and self.joint.heights and not self.carriers
+
+    @cached_property
+    def pool(self) -> Control:
+        """What a choice is made from: the features of `together`, twins merged."""
+        features = merged(self.together)
+        return (replace(self.joint, heights=self.heights) if features is self.together
+                else Control.of(features, self.heights))
+
+    @cached_property
+    def joint(self) -> Control:
+        """Those of `together` with their scaling, heights where these differ."""
+        return Control.of(self.together)
+
+    def fitted_in(self, crs: str) -> Observations:
+        """Return the observations with the CRS a model is to be fitted in."""
+        return replace(self, features=replace(self.features, fit_crs=crs),
+                       control=replace(self.control, fit_crs=crs))
+
+
+def assign(
+    points: Points,
+    *,
+    split: Split = STRATIFIED,
+    fractions: Sequence[float] = THIRDS,
+    lines: bool = False,
+    crs: str = LOCAL,
+    rng: np.random.Generator,
+) -> tuple[str, ...]:
+    """Assign the roles control, check and independent to points, by their places on the ground.
+
+    Shares of control, check and independent points are scaled to a sum of one; where lines are the
+    control, that of control is 0. Raises TermselError for negative ones, or where none is left.
+    """
+    shares = np.array((0.0, *fractions[1:]) if lines else fractions, dtype=np.float64)
+    if shares.shape != (3,) or not np.isfinite(shares).all() or (shares < 0).any() \
+            or not shares[int(lines)]:
+        raise TermselError(f"fractions {list(fractions)} do not assign the points",
+                           hint="Give three numbers: control (above 0), check, independent.")
+    shares = shares / shares.max()  # the sum of huge ones is infinite
+    # By the ground, so that what an independent point's image coordinates are changes no role.
+    ground = on_globe(points.ground, crs) if split.on_globe else points.ground
+    return split.roles(points.ids, ground, shares / shares.sum(), rng)
+
+
+def asked_roles(off: str | None, role: str | None) -> dict[str, str]:
+    """Return the role of each feature that the options `off` and `role` name.
+
+    Ids, and ID=ROLE, each with commas between them. Raises TermselError for what is not of this
+    form, a role that does not exist, or a feature named twice.
+    """
+    named: dict[str, str] = {}
+    pairs = [(name, "off") for name in (off or "").split(",")]
+    for part in (role or "").split(","):
+        name, equals, value = part.rpartition("=")
+        if part.strip() and (not equals or value.strip() not in ROLES):
+            raise TermselError(f"role {part.strip()!r} is not of the form ID=ROLE",
+                               hint=f"For example P07=check. Roles are {', '.join(ROLES)}.")
+        pairs.append((name, value.strip()))
+    for name, value in ((name.strip(), value) for name, value in pairs if name.strip()):
+        if named.setdefault(name, value) != value:
+            raise TermselError(f"{name!r} is given the roles {named[name]} and {value}",
+                               hint="Give it one role.")
+    return named
+
+
+def with_roles(features: FeatureSet, named: Mapping[str, str]) -> FeatureSet:
+    """Return the features with the roles that are named; lines that are off are not among them."""
+    if not named:
+        return features
+    points = features.points
+    lines = features.lines
+    for name, role in named.items():
+        if name not in features.ids:
+            raise unknown_name("feature", name, features.ids)
+        if name in lines.features and role not in ("control", "off"):
+            raise TermselError(f"{name!r} is a line and cannot have the role {role}",
+                               hint="Lines are control, or off.", ids=[name])
+    roles = tuple(named.get(name, role)
+                  for name, role in zip(points.ids, points.roles, strict=True))
+    kept = [named.get(name) != "off" for name in lines.ids]
+    return features.with_(points=replace(points, roles=roles), lines=lines.take(kept))
+
+
+def observe(
+    features: FeatureSet,
+    *,
+    control: str = "points",
+    split: Split | None = None,
+    fractions: Sequence[float] = THIRDS,
+    rng: np.random.Generator,
+) -> Observations:
+    """Give every measured feature its role; in the order of ids, with longitudes that do not jump.
+
+    `control`, "points", "lines" or "both", says which features are control; with lines control
+    points stay out. Without a split the roles of the file stay, and blank ones are stratified; a
+    split disregards the file's roles, except "off". Twins that are assigned share a role. Fractions
+    are those of control, check and independent among the points that are assigned; with control
+    from lines alone, all become check and independent points. Raises TermselError if the control
+    that is required is not there.
+    """
+    features, labels = _ordered(features)
+    points = features.points
+    if control == "points" and not len(points):
+        raise TermselError("the problem needs control points and there are none",
+                           hint="Give a points file, or choose a problem over lines.")
+    if control in ("lines", "both") and not len(features.lines):
+        raise TermselError(
+            "the problem needs control lines and there are none",
+            hint="Give them with --lines FILE, or choose a problem over points, without mixed=true."
+            if control == "both"
+            else "Give them with --lines FILE, or choose a problem over points.")
+    roles = np.array(points.roles, dtype=object)
+    if split is not None:
+        roles[roles != "off"] = ""
+    given = {label: role for label, role in zip(labels, roles, strict=True)
+             if role not in ("", "off")}
+    for i in np.flatnonzero(roles == ""):
+        roles[i] = given.get(labels[i], "")
+    blank = np.flatnonzero(roles == "")
+    if blank.size:
+        _, first, group = np.unique(labels[blank], return_index=True, return_inverse=True)
+        assigned = assign(points.take(blank[first]), split=split or STRATIFIED,
+                          fractions=fractions, lines=control == "lines", crs=features.crs, rng=rng)
+        roles[blank] = np.array(assigned, dtype=object)[group]
+    if control == "lines":
+        roles[roles == "control"] = "off"
+    return by_roles(features.with_(points=unchecked(points, roles=tuple(roles)),
+                                   lines=no_lines() if control == "points" else features.lines))
+
+
+@lru_cache(maxsize=2)
+def _ordered(features: FeatureSet) -> tuple[FeatureSet, IntArray]:
+    """Return features in order, without jumps, and their twins; cells of a study share theirs."""
+    features = without_jump(in_order(features))
+    return features, twins(features.points.ground)
+
+
+def in_order(features: FeatureSet) -> FeatureSet:
+    """Return features in the order of their ids, in which P2 comes before P10."""
+    # What chance or ties decide is then the same, however the rows of a file are ordered.
+    points, lines = ([i for _, i in sorted((_by_name(name), i) for i, name in enumerate(part.ids))]
+                     for part in (features.points, features.lines))
+    return features.with_(points=features.points.take(points), lines=features.lines.take(lines))
+
+
+def _by_name(name: str) -> tuple[list[tuple[int, str]], str]:
+    """Return what sorts numbers in a name by their value; names that differ sort apart."""
+    # Of two numbers without leading zeros the longer one is larger, however long they are.
+    parts = [part.lstrip("0") if i % 2 else part for i, part in enumerate(_NUMBER.split(name))]
+    return [(len(part) if i % 2 else 0, part) for i, part in enumerate(parts)], name
+
+
+def by_roles(features: FeatureSet) -> Observations:
+    """Return the observations of features whose points all have a role; lines are control."""
+    points, roles = features.points, np.array(features.points.roles, dtype=object)
+    control, check, independent = (points.take(roles == role) if (roles == role).any()
+                                   else no_points() for role in ASSIGNABLE)
+    return Observations(features, features.with_(points=control), check, independent)
+
+
+def leave_out(observations: Observations, ids: Iterable[str]) -> Observations:
+    """Return the observations with some points in the role off, and without some lines."""
+    off = dict.fromkeys(ids, "off")
+    return by_roles(with_roles(observations.features, off)) if off else observations
+
+
+def with_lines(observations: Observations, lines: Lines) -> Observations:
+    """Return the observations with other control lines."""
+    return by_roles(observations.features.with_(lines=lines))
+
+
+def check_as_control(observations: Observations) -> Observations:
+    """Return the observations with all check points as further control."""
+    points = observations.features.points
+    roles = tuple("control" if role == "check" else role for role in points.roles)
+    return Observations(observations.features.with_(points=replace(points, roles=roles)),
+                        observations.together, no_points(), observations.independent)
+
+
+def parsed_shares(text: str, needs_check: bool) -> tuple[float, ...]:
+    """Return the shares of control, check and independent points, from an option like "1:1:1"."""
+    try:
+        found = tuple(float(part) for part in text.replace(",", ":").split(":"))
+    except ValueError:
+        found = ()
+    if len(found) != 3 or not np.isfinite(found).all() or min(found) < 0 \
+            or (needs_check and not found[1]):
+        raise TermselError(f"option 'fractions' cannot be {text!r}",
+                           hint="It takes three numbers for control, check and independent, "
+                                "such as 1:1:1 or 0.4:0.3:0.3; check must be above 0 "
+                                "for a criterion that needs check points.")
+    return found

@@ -1,0 +1,155 @@
+"""Offsets and half-ranges that bring control features to [-1, 1], in the CRS of the fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from termsel.data.coordinates.crs import transformation
+from termsel.data.coordinates.longitudes import TURN, continuous
+from termsel.data.coordinates.metres import is_in_degrees, plan_of
+from termsel.data.features import FeatureSet, FloatArray, Lines, Points
+from termsel.data.record.record import ScalingNumbers
+from termsel.data.tables.tabular import unchecked
+
+_Table = TypeVar("_Table", Points, Lines)
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """Ground and image offsets and scales.
+
+    Line and sample share one scale, so that a residual in scaled units is the same in px
+    along both axes and the normal of an image line keeps unit length.
+
+    Parameters
+    ----------
+    ground_offset, ground_scale : tuple of 3 floats
+        Mid-range and half-range of X, Y, Z, in the CRS of the fit.
+    image_offset : tuple of 2 floats
+        Mid-range of line and sample [px].
+    image_scale : float
+        The larger half-range of line and sample [px].
+    crs, fit_crs : str
+        CRS of the ground coordinates and CRS of the fit, if these differ; else both are
+        empty.
+    x_turn : float
+        360 where X is a longitude [deg], which is the same after a full turn; else 0.
+    """
+
+    ground_offset: tuple[float, float, float]
+    ground_scale: tuple[float, float, float]
+    image_offset: tuple[float, float]
+    image_scale: float
+    crs: str = ""
+    fit_crs: str = ""
+    x_turn: float = 0.0
+
+    def ground(self, ground: ArrayLike) -> FloatArray:
+        """Return scaled ground coordinates; unknown heights become 0."""
+        fitted = in_fit_crs(np.asarray(ground, dtype=np.float64), self.crs, self.fit_crs)
+        away = fitted - self.ground_offset
+        if self.x_turn:
+            # As GDAL evaluates an RPC.
+            far = np.abs(away[..., 0]) > 0.75 * self.x_turn
+            away[..., 0] -= np.where(far, np.copysign(self.x_turn, away[..., 0]), 0.0)
+        scaled = away / self.ground_scale
+        # Places without coordinates in the CRS of the fit are far outside the image.
+        return scaled if np.isfinite(scaled).all() else np.nan_to_num(
+            scaled, nan=0.0, posinf=_FAR, neginf=-_FAR)
+
+    def unscaled(self, ground: ArrayLike) -> FloatArray:
+        """Return ground coordinates from scaled ones."""
+        fitted = np.asarray(ground) * self.ground_scale + self.ground_offset
+        return in_fit_crs(fitted, self.fit_crs, self.crs)
+
+    def image(self, image: ArrayLike) -> FloatArray:
+        """Return scaled image coordinates."""
+        return np.asarray((np.asarray(image) - self.image_offset) / self.image_scale)
+
+    def pixels(self, scaled: ArrayLike) -> FloatArray:
+        """Return image coordinates [px] from scaled ones."""
+        return np.asarray(np.asarray(scaled) * self.image_scale + self.image_offset)
+
+    def points(self, points: _Table) -> _Table:
+        """Return points, or lines, in scaled coordinates."""
+        return unchecked(points, image=self.image(points.image), ground=self.ground(points.ground),
+                         sigma=None if points.sigma is None else points.sigma / self.image_scale)
+
+    def lines(self, lines: Lines) -> Lines:
+        """Return the lines in scaled coordinates."""
+        return self.points(lines)
+
+    def features(self, features: FeatureSet) -> FeatureSet:
+        """Return the features in scaled coordinates."""
+        return _scaled(self, features)
+
+    def numbers(self) -> ScalingNumbers:
+        """Return the scaling as the record of a run holds it."""
+        return ScalingNumbers(
+            self.image_offset[0], self.image_scale, self.image_offset[1], self.image_scale,
+            *self.ground_offset, *self.ground_scale, self.crs if self.fit_crs else "",
+            self.fit_crs, self.x_turn)
+
+    @classmethod
+    def from_numbers(cls, numbers: ScalingNumbers) -> Scaling:
+        """Return the scaling that `numbers` returned these for."""
+        return cls((numbers.x_offset, numbers.y_offset, numbers.z_offset),
+                   (numbers.x_scale, numbers.y_scale, numbers.z_scale),
+                   (numbers.line_offset, numbers.sample_offset), numbers.line_scale,
+                   numbers.crs, numbers.fit_crs, numbers.x_turn)
+
+
+@lru_cache(maxsize=8)
+def _scaled(scaling: Scaling, features: FeatureSet) -> FeatureSet:
+    """Return scaled features, the same ones again: many models are fitted to the same control."""
+    return replace(features, points=scaling.points(features.points),
+                   lines=scaling.lines(features.lines))
+
+
+_FAR = 1e6
+
+def in_fit_crs(ground: FloatArray, crs: str, fit_crs: str) -> FloatArray:
+    """Return ground coordinates (..., 3) in the CRS a model is fitted in, if any; NaN stays NaN."""
+    if not (crs and fit_crs):
+        return ground
+    flat = ground.reshape(-1, 3)
+    fitted = np.array(transformation(crs, fit_crs, strict=False)(flat))
+    fitted[np.isnan(flat)] = np.nan
+    return fitted.reshape(ground.shape)
+
+
+SHALLOW = 0.03
+"""Least scale of heights, in metres as those of X and Y are. Relief is shallow next to a scene, and
+heights that hardly differ must not become large numbers at other places."""
+
+
+def scaling_of(features: FeatureSet) -> Scaling:
+    """Return the scaling that brings these control features to [-1, 1]."""
+    own = (features.crs, features.fit_crs) if features.fit_crs else ("", "")
+    ground = in_fit_crs(features.ground_vertices(), *own)
+    image = features.image_vertices()
+    turns = is_in_degrees(features.fit_crs or features.crs)
+    if turns:
+        ground = np.column_stack([continuous(ground[:, 0]), ground[:, 1:]])
+    known = np.where(np.isnan(ground), np.nanmin(ground[:, :2]), ground)
+    blank = bool(np.isnan(ground[:, 2]).any())
+    if blank:
+        known[:, 2] = 0.0
+    low = known.min(axis=0)
+    high = known.max(axis=0)
+    half = (high - low) / 2
+    plan = None if blank else plan_of(features.fit_crs or features.crs, known)
+    if plan is not None:
+        half[2] = max(half[2], SHALLOW * np.ptp(plan, axis=0).max() / 2)
+    middle = (image.max(axis=0) + image.min(axis=0)) / 2
+    image_half = np.ptp(image, axis=0) / 2
+    scale = float(image_half.max())
+    gx, gy, gz = ((low + high) / 2).tolist()
+    sx, sy, sz = np.where(half > 0, half, 1.0).tolist()
+    return Scaling((gx, gy, gz), (sx, sy, sz), (float(middle[0]), float(middle[1])),
+                   scale if scale > 0 else 1.0, *own, TURN if turns else 0.0)

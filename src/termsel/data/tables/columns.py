@@ -1,0 +1,147 @@
+"""Names of the columns of tables: what means what, and which names are free for others."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+
+from termsel.core.errors import TermselError, unknown_name
+
+Aliases = Mapping[str, tuple[str, ...]]
+"""Names that the column of each meaning may have."""
+
+USE: dict[str, tuple[str, ...]] = {
+    "id": ("id", "name"), "role": ("role",), "enabled": ("enabled", "enable")}
+"""Columns of text by their meaning, with the names they may have; all others hold numbers."""
+
+COORDINATES: dict[str, tuple[str, ...]] = {
+    "line": ("line", "row", "y_px"),
+    "sample": ("sample", "col", "column", "x_px", "pixel"),
+    "x": ("x", "lon", "longitude", "easting"),
+    "y": ("y", "lat", "latitude", "northing"),
+    "z": ("z", "h", "height", "elev", "elevation", "alt", "altitude"),
+}
+POINTS = USE | COORDINATES | {
+    "sigma_line": ("sigma_line", "sigma_px"), "sigma_sample": ("sigma_sample", "sigma_px")}
+LINES = {**USE, "sigma": ("sigma", "sigma_px")} | {
+    f"{meaning}{end}": tuple(f"{alias}{end}" for alias in aliases)
+    for end in "12" for meaning, aliases in COORDINATES.items()}
+CORNER: dict[str, tuple[str, ...]] = {"corner": ("corner", "vertex")}
+OPTIONAL = frozenset({"id", "role", "enabled", "sigma_line", "sigma_sample", "sigma"})
+"""Meanings that a table may have no column for."""
+
+COMPUTED = ("computed_line", "computed_sample", "residual_line", "residual_sample",
+            "residual1", "residual2", "dx", "dy", "residual", "geometry")
+"""Columns that termsel, QGIS and GeoPandas add to measurements."""
+
+TAKEN = frozenset(COMPUTED).union(*POINTS.values(), *LINES.values()) - {"sigma"}
+"""Names, in lower case, that columns of attributes cannot have; of lines nor sigma."""
+
+# Names in other languages and of other programs, without accents and signs. They count where no
+# column has one of the names above, so that a table may keep them for attributes.
+_FURTHER = {meaning: frozenset(names.split()) for meaning, names in {
+    "id": "pt ptid ptno point points pointid pointname pointno pointnr pointnumber gcp gcpid gcpno "
+          "gcpname label nr no num number punkt punktid punktnr punktnummer punktname nummer "
+          "numero nom nombre punto idpunto nome ponto 点 点号 点名 编号 序号 名称 id号",
+    "line": "lines rows ypix ypixel pixely imgy imagey yimg yimage lineno zeile bildzeile ligne "
+            "rangee fila linea riga linha 行 行号 行数 行坐标",
+    "sample": "samples samp cols columns xpix xpixel pixelx pix imgx imagex ximg ximage spalte "
+              "bildspalte colonne columna muestra colonna campione coluna 列 列号 列数 列坐标",
+    "x": "e east lng long easting lange laenge langengrad laengengrad rechtswert ostwert ost "
+         "longitud longitudine este est 经度 东经 东坐标",
+    "y": "n north nord norte breite breitengrad hochwert nordwert latitud latitudine 纬度 北纬 "
+         "北坐标",
+    "z": "hohe hoehe hauteur altura altitud altitudine altezza cota quota elevazione elevacion "
+         "elevacao ellipsoidalheight ellheight 高程 高度 高 大地高 海拔"}.items()}
+FOREIGN = frozenset(name for names in _FURTHER.values() for name in names if not name.isascii())
+"""Names that only one encoding of Chinese text gives."""
+
+_UNIT = re.compile(r"\s*[\[({<【].*$|[\s_.-]+(px|pix|pixels?|m|deg|degrees?|dms|wgs84|utm)$")
+
+
+def folded(name: str) -> str:
+    """Return a name without accents, signs and capitals."""
+    letters = unicodedata.normalize("NFKD", name.casefold())
+    return re.sub(r"[\W_]", "", "".join(one for one in letters if not unicodedata.combining(one)))
+
+
+@lru_cache(10_000)
+def _forms(name: str) -> tuple[str, str]:
+    """Return a name, and the same without its unit: X (px) may be x_px, and Line (px) is line."""
+    plain = unicodedata.normalize("NFKC", name.strip().casefold())
+    return folded(plain), folded(_UNIT.sub("", plain))
+
+
+@lru_cache(100)
+def _names(aliases: tuple[tuple[str, tuple[str, ...]], ...],
+           ) -> tuple[dict[str, tuple[frozenset[str], frozenset[str]]], frozenset[str]]:
+    """Return the plain and the further names of each meaning, and all of them."""
+    known = POINTS | LINES
+    # Readers of other programs' tables have meanings of these names, too, and no further names.
+    names = {meaning: (frozenset(map(folded, plain)), frozenset(
+        f"{name}{end}" for name in _FURTHER.get(base, ()) if plain == known.get(meaning)))
+        for meaning, plain in aliases for base, end in [_parted(meaning)]}
+    return names, frozenset().union(*(one for both in names.values() for one in both))
+
+
+def matches(header: Sequence[str], aliases: Aliases) -> dict[str, list[int]]:
+    """Return the columns that could hold each meaning, by their names."""
+    of_meaning, every = _names(tuple((one, tuple(names)) for one, names in aliases.items()))
+    # Most rows that are asked about hold numbers, none of which is a name.
+    forms = {i: both for i, both in enumerate(map(_forms, header)) if not every.isdisjoint(both)}
+    found: dict[str, list[int]] = {}
+    for meaning, names in of_meaning.items():
+        # Names in other languages count where no column has one of the plain names.
+        for known in names:
+            found[meaning] = [i for i, (whole, bare) in forms.items() if whole in known or (
+                bare in known and whole not in every)]
+            if found[meaning]:
+                break
+    if found.get("y") and not found.get("x"):  # n numbers points, unless e is next to it
+        found["y"] = [i for i in found["y"] if forms[i][0] != "n"]
+    return found
+
+
+def _parted(meaning: str) -> tuple[str, str]:
+    """Return a meaning without the end of a line that it is of, and that end."""
+    return (meaning[:-1], meaning[-1]) if meaning[-1] in "12" else (meaning, "")
+
+
+def columns_text(given: str | Mapping[str, object]) -> str:
+    """Return the text of ``--columns`` for a mapping of the same meaning, or the text itself."""
+    return given if isinstance(given, str) else ",".join(
+        f"{meaning}={column}" for meaning, column in given.items())
+
+
+def parse_columns(given: str) -> dict[str, str]:
+    """Return the name or number of a column by its meaning, of pairs "line=Zeile,sample=4"."""
+    known = POINTS | LINES | CORNER
+    own: dict[str, str] = {}
+    for pair in filter(None, map(str.strip, given.split(","))):
+        meaning, sign, name = re.sub("[:=]", "\0", pair, count=1).partition("\0")
+        meaning, name = meaning.strip().lower(), name.strip()
+        if not sign or not name:
+            raise TermselError(f"{meaning!r} does not declare a column",
+                               hint="Write meaning=name or meaning=number, such as "
+                                    "--columns x=Rechtswert,line=4.")
+        if meaning not in known:
+            raise unknown_name("meaning of a column", meaning, known)
+        if meaning in own:
+            raise TermselError(f"the column of {meaning} is declared twice",
+                               hint="Declare it once.")
+        own[meaning] = name
+    return own
+
+
+def declared(header: Sequence[str], own: Mapping[str, str]) -> dict[str, int]:
+    """Return the columns that the user declares by name, or number from 1, and this table has."""
+    names = [name.strip().casefold() for name in header]
+    found = {}
+    for meaning, name in own.items():
+        if name.casefold() in names:
+            found[meaning] = names.index(name.casefold())
+        elif name.isdecimal() and 1 <= int(name) <= len(header):
+            found[meaning] = int(name) - 1
+    return found

@@ -1,0 +1,58 @@
+"""An image made small, for a page."""
+
+from __future__ import annotations
+
+import base64
+from pathlib import Path
+
+import numpy as np
+
+from termsel.core.errors import TermselError
+from termsel.data.features import FloatArray
+from termsel.data.rasters import (
+    open_raster,
+    refuse_empty_giant,
+    require_rasterio,
+    tiff_bytes,
+)
+
+LONGEST = 1000
+"""Pixels of the longer side."""
+
+
+def thumbnail(path: Path | str, expected: tuple[int, int] | None = None,
+              ) -> tuple[str, tuple[int, int]]:
+    """Return an image as a small grey JPEG in a data URL, and its size, which may be expected."""
+    rasterio = require_rasterio()
+    with open_raster(path) as raster:
+        size = (int(raster.height), int(raster.width))
+        if expected is not None and size != tuple(expected):
+            raise TermselError(
+                f"this image has {size[0]} lines and {size[1]} samples, and the points were "
+                f"measured in one of {expected[0]} and {expected[1]}", file=path,
+                hint="Give the image that the points were measured in.")
+        refuse_empty_giant(raster)
+        small = max(1.0, max(size) / LONGEST)
+        shape = (max(1, round(size[0] / small)), max(1, round(size[1] / small)))
+        indices = raster.colorinterp[0] == rasterio.enums.ColorInterp.palette
+        band = raster.read(1, out_shape=shape, masked=True, resampling=(
+            rasterio.enums.Resampling.nearest if indices else rasterio.enums.Resampling.average))
+        if indices:
+            band = np.ma.array(_brightness(raster.colormap(1), int(band.data.max()))[band.data],
+                               mask=band.mask)
+    values = np.ma.filled(band.astype(np.float64), np.nan)
+    known = values[np.isfinite(values)]
+    low, high = np.percentile(known, [2, 98]) if known.size else (0.0, 1.0)
+    grey = np.clip((values - low) / max(high - low, 1e-12), 0, 1)
+    # Pale, so that arrows stand out; white where there is nothing.
+    pixels = np.nan_to_num(110 + 145 * grey, nan=255.0).astype(np.uint8)
+    content = tiff_bytes(pixels[None], driver="JPEG", quality=80)
+    return f"data:image/jpeg;base64,{base64.b64encode(content).decode()}", size
+
+
+def _brightness(table: dict[int, tuple[int, int, int, int]], largest: int) -> FloatArray:
+    """Return how bright the colour of each index is, 0 to 255."""
+    colours = np.zeros((max(largest, *table) + 1, 3))
+    for index, colour in table.items():
+        colours[index] = colour[:3]
+    return colours @ [0.299, 0.587, 0.114]  # of red, green and blue, by ITU-R BT.601

@@ -1,0 +1,145 @@
+"""Ids, coordinates and deviations that every reader, plugin and program takes."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from termsel.core.errors import TermselError, cut, is_printable
+
+FloatArray = NDArray[np.float64]
+
+FARTHEST = 1e50
+"""Coordinates from which on squares and products of some of them overflow."""
+
+LONGEST = 200
+"""Characters of an id."""
+
+_NAMED = 8
+"""Points and places that a message names."""
+
+_CORRECT = "Correct the values or remove the feature."
+
+
+def frozen(values: ArrayLike, shape: tuple[int, ...], what: str) -> FloatArray:
+    """Return values as an array that cannot be written to; refuse another shape."""
+    array = np.array(values, dtype=np.float64)
+    if array.shape != shape:
+        raise TermselError(f"{what} has shape {array.shape}, expected {shape}")
+    array.setflags(write=False)
+    return array
+
+
+def check_finite(values: FloatArray, ids: Sequence[str], kind: str, what: str) -> None:
+    """Refuse coordinates that are not finite, or too far."""
+    _refuse(~np.isfinite(values), ids, kind, f"{what} that are not finite numbers", _CORRECT)
+    check_near(values, ids, kind, what)
+
+
+def check_near(values: FloatArray, ids: Sequence[str], kind: str, what: str) -> None:
+    """Refuse coordinates that are too far."""
+    _refuse(np.abs(values) >= FARTHEST, ids, kind, f"{what} of {FARTHEST:g} or more", _CORRECT)
+
+
+def check_heights(z: FloatArray, ids: Sequence[str], kind: str) -> None:
+    """Refuse infinite heights; blank heights are NaN and suit models without height."""
+    _refuse(np.isinf(z), ids, kind, "an infinite height")
+    check_near(z, ids, kind, "a height")
+
+
+def check_deviations(sigma: FloatArray, ids: Sequence[str], kind: str) -> None:
+    """Refuse deviations that are not positive, or beyond what can be computed with."""
+    # Their squares, and those of weights, must not overflow.
+    _refuse(~((sigma > 1 / FARTHEST) & (sigma < FARTHEST)), ids, kind,
+            "a standard deviation that is not positive, or beyond what can be computed with")
+
+
+def _refuse(bad: NDArray[np.bool_], ids: Sequence[str], kind: str, what: str,
+            hint: str | None = None) -> None:
+    """Refuse the first feature with a value that is bad, shape (n, ...)."""
+    features = bad.reshape(len(ids), -1).any(axis=1)
+    if features.any():
+        name = ids[int(np.argmax(features))]
+        raise TermselError(f"{kind} {name!r} has {what}", hint=hint, ids=[name])
+
+
+def check_places(ground: FloatArray, ids: Sequence[str]) -> None:
+    """Refuse points at one place on the ground, naming all of them."""
+    # One image position with several ground points is a line of sight through several
+    # heights; one ground point cannot be seen at two image positions.
+    places = repeated_places(ground)
+    if places:
+        few = len(places) == 1 and len(places[0]) == 2
+        which = "one of them" if few else "all but one of each"
+        raise TermselError(places_in_words(ids, places), ids=[ids[places[0][1]], ids[places[0][0]]],
+                           hint=f"Remove {which}, or average their image coordinates: --set "
+                                "repeated=average.")
+
+
+def repeated_places(ground: FloatArray, *, alone: bool = False) -> list[list[int]]:
+    """Return the rows of each place (n, 3) on the ground that has several; or of all with `alone`.
+    """
+    _, place = np.unique(np.nan_to_num(ground, nan=0.0), axis=0, return_inverse=True)
+    rows: dict[int, list[int]] = {}
+    for row, number in enumerate(place.ravel().tolist()):
+        rows.setdefault(number, []).append(row)
+    return [some for some in rows.values() if alone or len(some) > 1]
+
+
+def places_in_words(ids: Sequence[str], places: Sequence[Sequence[int]]) -> str:
+    """Return which points have the same ground coordinates, given the rows of each place."""
+    named = [" and ".join(repr(ids[row]) for row in rows[:_NAMED])
+             + (f" and {len(rows) - _NAMED} more" if len(rows) > _NAMED else "")
+             for rows in places[:_NAMED]]
+    more = f", and those of {len(places) - _NAMED} more places" if len(places) > _NAMED else ""
+    each = " each" if len(places) > 1 else ""
+    return f"points {', '.join(named)}{more}{each} have the same ground coordinates"
+
+
+def check_segments(ground: FloatArray, ids: Sequence[str]) -> None:
+    """Refuse two lines with the same ground vertices."""
+    ends = np.nan_to_num(ground, nan=0.0)
+    # One order of the ends, by X, then Y, then Z, so that a reversed line is found too.
+    differs = ends[:, 0] != ends[:, 1]
+    first_difference = np.argmax(differs, axis=1)
+    each = np.arange(len(ends))
+    swap = ends[each, 0, first_difference] > ends[each, 1, first_difference]
+    ends[swap] = ends[swap][:, ::-1]
+    pair = _repeated(ends.reshape(len(ids), -1))
+    if pair:
+        first, again = (ids[i] for i in pair)
+        raise TermselError(f"lines {first!r} and {again!r} have the same ground vertices",
+                           hint="Remove one of them.", ids=[again, first])
+
+
+def _repeated(rows: FloatArray) -> tuple[int, int] | None:
+    """Return the first row that repeats an earlier one, after that one."""
+    _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    earlier = first[inverse.ravel()]
+    repeated = np.flatnonzero(earlier != np.arange(len(rows)))
+    return (int(earlier[repeated[0]]), int(repeated[0])) if repeated.size else None
+
+
+def refused(name: str) -> str:
+    """Return what is wrong with an id, "" if nothing."""
+    # So that tables keep it, and a terminal shows it.
+    if not name:
+        return "is blank"
+    if len(name) > LONGEST:
+        return f"has {len(name):,} characters, more than {LONGEST}"
+    return "" if is_printable(name) else "has a line break or a character that cannot be printed"
+
+
+def check_ids(ids: Sequence[str], kind: str, *, unique: bool) -> None:
+    """Refuse ids of points or lines, a `kind`, that break the rule, or are not `unique`."""
+    for name in ids:
+        if wrong := refused(name):
+            raise TermselError(f"the id {cut(name, 40)!r} of a {kind} {wrong}", ids=[name],
+                               hint="Give every feature a short id of letters, digits and signs.")
+    twice = [name for name, count in Counter(ids).items() if count > 1] if unique else []
+    if twice:
+        raise TermselError(f"{kind} id {twice[0]!r} is used {Counter(ids)[twice[0]]} times",
+                           hint="Give every feature an id of its own.", ids=twice[:1])

@@ -1,0 +1,214 @@
+"""The central projection that points call for: the view of a camera, be it oblique.
+
+Line and sample are linear in X, Y (and Z) over one denominator, which is the distance from the
+camera along its view. It is zero in the plane of the camera: below it, and beyond the horizon of
+the image. Such places are never in the image, whatever the fit says there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from termsel.data.coordinates.places import spatial_order
+from termsel.data.features import BoolArray, FloatArray, Points
+
+CLEARER = 0.5
+"""What a central projection leaves of the image coordinates, by what an affine transformation
+leaves, from which on down the points call for it."""
+
+NEARER = 0.5
+"""Places nearer to the camera than this part of the distance of the nearest point are outside the
+image."""
+
+FARTHER = 1.5
+"""A map shows no places farther from the camera than this many times the farthest point."""
+
+ENOUGH = 200
+"""Points by which a view is found; more are thinned out evenly."""
+
+BEST = 5 / 6
+"""Part of the points, those that fit best, that tell how well they are measured."""
+
+_STEPS, _HALVINGS, _GAIN = 30, 8, 1e-6
+_DETERMINED = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A central projection of scaled places.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (3, 3) or (3, 4)
+        Of 1, X, Y and perhaps Z: the numerators of line and sample, and the denominator.
+    ground : ndarray, shape (n, 3)
+        Places that it was fitted to.
+    sigma : float
+        Standard deviation of an image coordinate [scaled].
+    noise : float
+        Likewise, of the points that fit best.
+    """
+
+    matrix: FloatArray
+    ground: FloatArray
+    sigma: float
+    noise: float
+
+    def distances(self, ground: FloatArray) -> FloatArray:
+        """Return the distances of places from the camera along its view, (n,)."""
+        return np.asarray(_columns(ground, self.matrix.shape[1]) @ self.matrix[2])
+
+    @cached_property
+    def nearest(self) -> float:
+        """Distance of the nearest point."""
+        return float(self.distances(self.ground).min())
+
+    @cached_property
+    def depth(self) -> float:
+        """Distance of the nearest point by that of the middle of the points' box.
+
+        Denominators of models are in units of the latter.
+        """
+        middle = float(self.matrix[2, 0])
+        return self.nearest / middle if middle > 0.0 else 0.0
+
+    def shows(self, ground: FloatArray) -> BoolArray:
+        """Return whether places are in front of the camera, and not much nearer than the points."""
+        return np.asarray(self.distances(ground) >= NEARER * self.nearest)
+
+    def holds(self, ground: FloatArray) -> BoolArray:
+        """Return whether places are about as far from the camera as some points are."""
+        far = self.distances(ground) <= FARTHER * self.distances(self.ground).max()
+        return np.asarray(self.shows(ground) & far)
+
+    def above_horizon(self, image: FloatArray) -> BoolArray:
+        """Return whether the rays of scaled image places (n, 2) lead away from the ground.
+
+        A level place X, Y seen at an image place is that of the homogeneous solution of H (1, X, Y)
+        = t (line, sample, 1), whose first coordinate has the sign of 1 / t: the place is in front
+        of the camera where t, its distance, is positive.
+        """
+        level = self.matrix[:, :3].copy()
+        places = np.column_stack([image, np.ones(len(image))]) @ np.linalg.inv(level).T
+        return np.asarray(~(places[:, 0] > 0.0))
+
+    def magnification(self, ground: FloatArray) -> FloatArray:
+        """Return how far places move in the image, by a move in X or in Y, (n, 2).
+
+        Places nearer than the image shows count as the nearest there are.
+        """
+        columns = _columns(ground, self.matrix.shape[1])
+        above = columns @ self.matrix[:2].T
+        below = np.maximum(columns @ self.matrix[2], NEARER * self.nearest)[:, None]
+        # With f = a / d: df/dX = (da/dX - f dd/dX) / d.
+        moves = [(self.matrix[:2, axis] - above / below * self.matrix[2, axis]) / below
+                 for axis in (1, 2)]
+        return np.stack([np.linalg.norm(move, axis=1) for move in moves], axis=1)
+
+
+@lru_cache(maxsize=16)
+def view_of(points: Points) -> View | None:
+    """Return the central projection that scaled points call for, or None.
+
+    A DLT, or a projective transformation of the plane where heights are not known or tell nothing.
+    """
+    if len(points) > ENOUGH:
+        even = np.linspace(0, len(points) - 1, ENOUGH).astype(int)
+        points = points.take(spatial_order(points.ground[:, :2])[even])
+    views = []
+    for size in (3, 4) if np.isfinite(points.ground).all() else (3,):
+        columns = _columns(points.ground, size)
+        view = _fitted(columns, points)
+        plain = _affine(columns, points.image)
+        if view is not None and plain is not None and view.sigma < CLEARER * plain:
+            views.append(view)
+    return min(views, key=lambda view: view.sigma, default=None)
+
+
+def _columns(ground: FloatArray, size: int) -> FloatArray:
+    return np.column_stack([np.ones(len(ground)), ground[:, :size - 1]])
+
+
+def _affine(columns: FloatArray, image: FloatArray) -> float | None:
+    """Return the standard deviation of what an affine transformation leaves."""
+    freedom = image.size - 2 * columns.shape[1]
+    if freedom <= 0:
+        return None
+    left = image - columns @ np.linalg.lstsq(columns, image)[0]
+    return float(np.sqrt((left**2).sum() / freedom))
+
+
+def _fitted(columns: FloatArray, points: Points) -> View | None:
+    """Return the projection of least distances; None if not determined, or with points behind."""
+    matrix = _least_distances(columns, points.image)
+    if matrix is None:
+        return None
+    left = np.linalg.norm(points.image - _seen(matrix, columns), axis=1)
+    unknown = 3 * matrix.shape[1] - 1
+    noise = np.inf
+    kept = np.argsort(left)[:round(BEST * len(left))]
+    again = _least_distances(columns[kept], points.image[kept])
+    if again is not None:
+        closest = points.image[kept] - _seen(again, columns[kept])
+        noise = float(np.sqrt((closest**2).sum() / (closest.size - unknown)))
+    sigma = float(np.sqrt((left**2).sum() / (2 * len(left) - unknown)))
+    return View(matrix, points.ground, sigma, min(noise, sigma))
+
+
+def _least_distances(columns: FloatArray, image: FloatArray) -> FloatArray | None:
+    """Return the matrix of least distances in the image, (3, k), by Gauss-Newton.
+
+    None without redundancy, where it is not determined, and where no start has all points in front.
+    """
+    size = columns.shape[1]
+    if image.size <= 3 * size - 1:
+        return None
+    zero = np.zeros_like(columns)
+    system = np.concatenate([
+        np.concatenate([columns, zero, -image[:, :1] * columns], axis=1),
+        np.concatenate([zero, columns, -image[:, 1:] * columns], axis=1)])
+    *_, values, vectors = np.linalg.svd(system, full_matrices=False)
+    if values[-2] <= _DETERMINED * values[0]:
+        return None
+    matrix = vectors[-1].reshape(3, size)
+    below = columns @ matrix[2]
+    matrix = matrix * np.sign(below.sum())
+    if not (columns @ matrix[2] > 0.0).all():
+        return None
+    left = image - _seen(matrix, columns)
+    for _ in range(_STEPS):
+        step = _step(matrix, columns, left)
+        for halving in range(_HALVINGS):
+            tried = matrix + 0.5**halving * step
+            after = image - _seen(tried, columns)
+            if (columns @ tried[2] > 0.0).all() and (after**2).sum() < (left**2).sum():
+                break
+        else:
+            break
+        gain = 1.0 - (after**2).sum() / (left**2).sum()
+        matrix = tried / np.linalg.norm(tried)
+        left = after
+        if gain < _GAIN:
+            break
+    return np.asarray(matrix)
+
+
+def _step(matrix: FloatArray, columns: FloatArray, left: FloatArray) -> FloatArray:
+    """Return the Gauss-Newton step of a matrix, at right angles to it as its size is free."""
+    seen = _seen(matrix, columns)
+    below = columns @ matrix[2]
+    by = columns / below[:, None]
+    zero = np.zeros_like(columns)
+    design = np.concatenate([np.concatenate([by, zero, -seen[:, :1] * by], axis=1),
+                             np.concatenate([zero, by, -seen[:, 1:] * by], axis=1),
+                             matrix.reshape(1, -1)])
+    right = np.concatenate([left.T.ravel(), [0.0]])
+    return np.asarray(np.linalg.lstsq(design, right)[0].reshape(matrix.shape))
+
+
+def _seen(matrix: FloatArray, columns: FloatArray) -> FloatArray:
+    line, sample, below = matrix @ columns.T
+    return np.asarray(np.column_stack([line, sample]) / below[:, None])

@@ -1,0 +1,180 @@
+"""Figures of accuracy: of points that took no part, by standards, and as it is predicted.
+
+References
+----------
+FGDC-STD-007.3-1998, National Standard for Spatial Data Accuracy, section 3.2 and appendix 3-A.
+ASPRS Positional Accuracy Standards for Digital Geospatial Data, edition 2 (2023, version 2 of
+2024): at least 30 check points, accuracy as RMSE without a level of confidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar
+
+import numpy as np
+
+from termsel.core.errors import counted
+from termsel.data.control import Control, off_plane, with_usual_heights
+from termsel.data.coordinates.metres import in_metres
+from termsel.data.features import FeatureSet, FloatArray, Points
+from termsel.data.record.chances import quantile, t_quantile
+from termsel.data.record.figures import (
+    CONFIDENCE,
+    Accuracy,
+    InImage,
+    OnGround,
+    Predicted,
+    StandardFigure,
+)
+from termsel.fitting.fit import Fit
+from termsel.fitting.next_places import share_left
+from termsel.fitting.normality import chances_if_normal
+from termsel.fitting.residuals import freedom_of
+from termsel.fitting.uncertainty import shared_variance
+
+NSSDA_POINTS, ASPRS_POINTS = 20, 30
+"""Fewest check points of the standards."""
+
+ROUND = 0.6
+"""Least ratio of the RMSE of x and y for which NSSDA has a figure."""
+
+
+def ce90(errors: FloatArray) -> FloatArray:
+    """Return the circular error of nine in ten points: the 90 % quantile of the distances.
+
+    Of errors (..., n, 2) it has the shape (...). It is interpolated linearly between the distances;
+    no distribution is assumed.
+    """
+    return quantile(np.linalg.norm(errors, axis=-1), 0.9)
+
+
+def predicted_rmse(errors: FloatArray, effective: float, points: int,
+                   shared: float | None = None) -> Predicted:
+    """Return the RMSE that held-out errors predict, with an interval.
+
+    Errors [px] (n, 2) are of points under choices made without them, `effective` the parameters of
+    both axes together, `points` the number of independent points, and `shared` the relative
+    variance of the mean square error that all places have in common; by default that of as many
+    equally uncertain coefficients as are effective.
+
+    No constant says how large the uncertainties of its logarithm are.
+    """
+    n = len(errors)
+    freedom = freedom_of(errors)
+    rmse = float(np.sqrt((errors**2).sum(axis=1).mean()))
+    if freedom is None:
+        return Predicted(rmse, rmse, rmse, points=points or None)
+    spread = 2 * n / freedom  # relative variance of a squared distance
+    redundancy = max(2 * n - effective, 2.0)
+    shared = effective / 2 / n**2 if shared is None else shared
+    quantile = t_quantile((1 + CONFIDENCE) / 2, redundancy)
+    # Of a mean of so many squares, of those held out and of those to come; and what all places have
+    # in common: coefficients that few points determine, and the doubt which solution is right.
+    variance = min(spread / redundancy / 2 + (spread / points if points else 0.0) / 4 + shared / 4,
+                   quantile**2)
+    # The prediction is the mean of a log-normal RMSE.
+    middle = np.log(rmse) - variance / 2
+    half = quantile * np.sqrt(variance)
+    return Predicted(rmse, float(np.exp(middle - half)), float(np.exp(middle + half)),
+                     points=points or None)
+
+
+def predicted_by(fitted: Fit, errors: FloatArray, points: int,
+                 ground: FloatArray | None = None) -> Predicted:
+    """Return the RMSE that held-out errors predict for a fit (see `predicted_rmse`).
+
+    With the ground (m, 3) of the points, it is that at their heights, unlike the control's or not.
+    """
+    mine = fitted.control.take(fitted.used)
+    found = predicted_rmse(errors, fitted.effective, points, shared_variance(
+        fitted.model, fitted.scaling.features(mine)))
+    more = 0.0 if ground is None else _by_heights(fitted, mine, ground)
+    # What a metre of height does is one normal vector for all places, so that its square by the
+    # mean of that is exponentially distributed.
+    low, high = np.sqrt(-more * np.log1p([-(1 - CONFIDENCE) / 2, -(1 + CONFIDENCE) / 2]))
+    rmse, low, high = np.hypot([found.rmse, found.low, found.high],
+                               [more**0.5, low, high]).tolist()
+    return Predicted(rmse, low, high, points=points or None)
+
+
+def predicted_of_all(fitted: Fit, expected: Predicted, ground: FloatArray) -> Predicted:
+    """Return the RMSE predicted for the same structure once places (m, 3) are control, too.
+
+    `expected` is that of the fit without them. By what the error falls follows from the places
+    alone, so that their measurements stay unseen.
+    """
+    share = share_left(fitted, ground)
+    return Predicted(expected.rmse * share, expected.low * share, expected.high * share)
+
+
+def _by_heights(fitted: Fit, control: FeatureSet, ground: FloatArray) -> float:
+    """Return the mean square error that places (m, 3) add by heights unlike the control's [px^2].
+    """
+    flat = Control(control, fitted.scaling, False)
+    usual = with_usual_heights(flat, ground)
+    if usual is ground:
+        return 0.0
+    more = (fitted.sigma(ground)**2 - fitted.sigma(usual)**2).sum(axis=1)
+    more = np.where(np.isfinite(more), more, off_plane(flat, ground)[1]**2)
+    return float(max(more.mean(), 0.0))
+
+
+_Distances = TypeVar("_Distances", InImage, OnGround)
+
+
+def distances(kind: Callable[..., _Distances], errors: FloatArray) -> _Distances:
+    """Return the figures of errors (n, 2), of line and sample [px], or of x and y [m]."""
+    axes = dict(zip(("line", "sample") if kind is InImage else ("x", "y"),
+                    np.sqrt((errors**2).mean(axis=0)).tolist(), strict=True))
+    return kind(**axes, n=len(errors), total=float(np.hypot(*axes.values())),
+                maximum=float(np.linalg.norm(errors, axis=1).max()), ce90=float(ce90(errors)),
+                mean=tuple(errors.mean(axis=0).tolist()), normal=chances_if_normal(errors),
+                freedom=freedom_of(errors))
+
+
+def accuracy_of(fitted: Fit, independent: Points) -> Accuracy | None:
+    """Return the accuracy on independent points; None without any."""
+    if not len(independent):
+        return None
+    errors = fitted.errors(independent)
+    if not np.isfinite(errors).all():
+        return None
+    metres = _on_ground(fitted, independent)
+    ground = None if metres is None else distances(OnGround, metres)
+    return Accuracy(distances(InImage, errors), ground, nssda(len(independent), ground),
+                    asprs(len(independent), ground))
+
+
+def _on_ground(fitted: Fit, points: Points) -> FloatArray | None:
+    """Return computed minus given ground positions [m]; None where they are not all known."""
+    heights = np.nan_to_num(points.ground[:, 2]) if not fitted.model.uses_height \
+        else points.ground[:, 2]
+    offsets = (fitted.locate(points.image, heights) - points.ground)[:, :2]
+    metres = in_metres(fitted.control.crs, points.ground, offsets)
+    return None if metres is None or not np.isfinite(metres).all() else metres
+
+
+def nssda(points: int, ground: OnGround | None) -> StandardFigure:
+    """Return the horizontal accuracy at 95 % confidence by NSSDA (appendix 3-A)."""
+    missing = _missing(points, ground, NSSDA_POINTS)
+    if ground is None or missing:
+        return StandardFigure(None, missing)
+    low, high = sorted((ground.x, ground.y))
+    if high > 0 and low < ROUND * high:
+        return StandardFigure(None, f"the RMSE of one axis is below {ROUND:g} of the other")
+    return StandardFigure(2.4477 * (low + high) / 2)
+
+
+def asprs(points: int, ground: OnGround | None) -> StandardFigure:
+    """Return the horizontal RMSE by ASPRS 2024, which has words of its own for fewer points."""
+    missing = _missing(points, ground, ASPRS_POINTS, "; for fewer run termsel accuracy")
+    return StandardFigure(None if ground is None or missing else ground.total, missing)
+
+
+def _missing(points: int, ground: OnGround | None, fewest: int, more: str = "") -> str | None:
+    if points < fewest:
+        return f"{counted(points, 'independent point')}, at least {fewest} needed{more}"
+    if ground is None:
+        return "the errors on the ground are not known in metres"
+    return None

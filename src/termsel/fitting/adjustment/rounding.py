@@ -1,0 +1,36 @@
+"""What is rounding of a computation, so that no choice is made by it.
+
+Residuals of points that a model fits exactly are rounding, and other processors round otherwise. A
+choice by them would differ from machine to machine, and add terms without any meaning.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from termsel.data.features import FloatArray, IntArray
+
+ROUNDING = 1e-9
+"""Share of the size of data below which errors are rounding.
+
+Double precision has 2e-16, columns that nearly depend on each other lose six digits of it, and
+files hold hardly more digits than this. Of an image of 10,000 px it is 5e-6 px.
+"""
+
+
+def by_size(figures: FloatArray, floor: FloatArray | float, share: FloatArray) -> FloatArray:
+    """Return figures of selections, in which those that are rounding are by the size alone.
+
+    Figures up to `floor` become that times the selection's share of what may be selected, 0 to 1:
+    they stay below all others, and the smaller selection is the better one.
+    """
+    return np.asarray(np.where(figures <= floor, floor * share, figures))
+
+
+def largest(values: FloatArray) -> IntArray:
+    """Return the index of the largest value of each row, of those equal but for rounding the first.
+
+    Values are not negative, or mark by a negative number what cannot be taken.
+    """
+    maxima = values.max(axis=-1, keepdims=True)
+    return np.asarray((values >= maxima - ROUNDING * np.abs(maxima)).argmax(axis=-1))

@@ -1,0 +1,512 @@
+"""One fitted model: its adjustment, its residuals, its RMSE, and itself without each feature."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, is_dataclass, replace
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from termsel.core.display import Glance
+from termsel.core.errors import TermselError
+from termsel.core.threads import one_blas_thread
+from termsel.data.extent import image_extent, reach
+from termsel.data.features import BoolArray, FeatureSet, FloatArray, Lines, Points
+from termsel.data.record.base import Settings
+from termsel.data.scaling import Scaling, scaling_of
+from termsel.data.view import View, view_of
+from termsel.fitting.adjustment.equations import line_normals
+from termsel.fitting.adjustment.interpolation import Interpolation
+from termsel.fitting.adjustment.solve import Adjustment
+from termsel.fitting.extrapolation import by_heights
+from termsel.fitting.fittable import Fittable
+from termsel.fitting.locate import Surface, locate
+from termsel.fitting.misfit import Misfit, misfit_of
+from termsel.fitting.residuals import Residuals, Rmse, control_residuals, rmse_of
+from termsel.fitting.uncertainty import Spread, spread_of
+
+AT_ONCE = 2000
+"""Places whose covariances are held in memory."""
+
+
+class Undetermined(TermselError):
+    """The control does not determine the terms of a model."""
+
+
+class Estimator(ABC):
+    """How terms and coefficients are found from control: by least squares, by shrinkage ..."""
+
+    name: ClassVar[str]
+    """Name in the record of a run."""
+
+    least_squares: ClassVar[bool] = False
+    """Whether the coefficients are those of least squares, which the adjustment describes; others
+    are determined whatever the adjustment says of the terms."""
+
+    repeatable: ClassVar[bool] = True
+    """Whether the estimator can be applied again, such as without a feature."""
+
+    @property
+    def options(self) -> Settings:
+        """What the estimator was made with, by name."""
+        return asdict(self) if is_dataclass(self) and not isinstance(self, type) else {}
+
+    @abstractmethod
+    def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+            used: BoolArray) -> Fit:
+        """Fit a model to control features.
+
+        Parameters
+        ----------
+        model : Fittable
+        control : FeatureSet
+            In px and ground units.
+        scaling : Scaling
+        terms : ndarray of bool, shape (k,)
+            Terms in use; an estimator that selects terms offers itself all of them.
+        used : ndarray of bool, shape (len(control),)
+            Features in use.
+
+        Raises
+        ------
+        Undetermined
+            By an estimator that finds no solution.
+        """
+
+    def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
+        """Return the mean square errors of a fit at scaled places, shape (m, 3).
+
+        See `termsel.fitting.uncertainty`, which judges any coefficients.
+        """
+        used = fitted.scaled_control.take(fitted.used)
+        image = fitted.model.predict(fitted.adjustment.coefficients, used, ground)
+        return spread_of(fitted.model, used, fitted.terms, fitted.adjustment, ground, image,
+                         least_squares=self.least_squares)
+
+    def without_each(self, fitted: Fit) -> Iterator[Fit]:
+        """Yield a fit of this estimator without each feature in use, by repeating it."""
+        for out in np.flatnonzero(fitted.used):
+            used = fitted.used.copy()
+            used[out] = False
+            yield self.fit(fitted.model, fitted.control, fitted.scaling, fitted.terms, used)
+
+
+class Given(Estimator):
+    """Coefficients from elsewhere: a solver's own, those of a record or of more features."""
+
+    name = "given"
+    repeatable = False
+
+    def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+            used: BoolArray) -> Fit:
+        """Refuse, as it is not known how the coefficients were found."""
+        raise TermselError("this fit has given coefficients, so no feature can be held out",
+                           hint="Fit the model with termsel.fit to leave features out.")
+
+
+GIVEN = Given()
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """Errors of control features in use under the same procedure without them.
+
+    Parameters
+    ----------
+    errors : ndarray, shape (m, 2)
+        Measured minus predicted [px], as of `FeatureSet.ground_vertices`.
+    squares : ndarray, shape (n,)
+        Sums of their squares by feature.
+    """
+
+    errors: FloatArray
+    squares: FloatArray
+
+    @classmethod
+    def of(cls, errors: FloatArray, features: FeatureSet) -> HeldOut:
+        """Return the errors of features in use, with the sums of their squares."""
+        squares = np.bincount(features.vertex_feature, weights=(errors**2).sum(axis=1))
+        return cls(errors, np.asarray(squares, dtype=np.float64))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Fit(Glance):
+    """A model fitted to control features.
+
+    Parameters
+    ----------
+    model : SensorModel
+    scaling : Scaling
+    control : FeatureSet
+        All control features on offer [px, ground units].
+    terms : ndarray of bool, shape (k,)
+        Terms in use.
+    used : ndarray of bool, shape (len(control),)
+        Features in the adjustment, points before lines.
+    adjustment : Adjustment
+        In scaled coordinates.
+    estimator : Estimator
+        How the coefficients were found.
+    trace : float, optional
+        Trace of the matrix that turns measurements into fitted values, where coefficients are
+        shrunk.
+    held_out : HeldOut, optional
+        Errors without each point, where the estimator finds them on its way.
+    made : Fit, optional
+        The fit as it was made, where `control` is only a part of what it was fitted to.
+    """
+
+    model: Fittable
+    scaling: Scaling
+    control: FeatureSet
+    terms: BoolArray
+    used: BoolArray
+    adjustment: Adjustment
+    estimator: Estimator
+    trace: float | None = None
+    held_out: HeldOut | None = None
+    made: Fit | None = None
+
+    def _glance(self) -> tuple[str, Mapping[str, str]]:
+        rmse = self.control_rmse()
+        return f"Fit of {self.model.name}: {self.terms.sum()} terms, {self.used.sum()} features", {
+            "RMSE of control": "-" if rmse is None else f"{rmse.total:.3g} px",
+            "effective parameters": f"{self.effective:.1f}", "CRS": self.control.crs}
+
+    @property
+    def scaled_control(self) -> FeatureSet:
+        """The control features on offer in scaled coordinates."""
+        return self.scaling.features(self.control)
+
+    @cached_property
+    def _scaled_used(self) -> FeatureSet:
+        """The features that the fit was made with, scaled."""
+        made = self.made or self
+        return self.scaling.features(made.control.take(made.used))
+
+    @property
+    def interpolation(self) -> Interpolation | None:
+        """The prediction by control points, of a model that predicts by them alone."""
+        used = self._scaled_used
+        return None if len(used.lines) else self.model.interpolation(used)
+
+    @property
+    def determined(self) -> bool:
+        """True if the control determines the coefficients, and an iteration to them converged."""
+        return (self.adjustment.feasible and self.adjustment.converged
+                ) or not self.estimator.least_squares
+
+    @property
+    def effective(self) -> float:
+        """Effective parameters: the number of terms, or the trace where they are shrunk."""
+        return float(self.adjustment.n_terms) if self.trace is None else self.trace
+
+    @property
+    def coefficients(self) -> dict[str, float]:
+        """Coefficients of the terms in use by name, in scaled coordinates."""
+        return self._by_term(self.adjustment.coefficients)
+
+    @property
+    def standard_deviations(self) -> dict[str, float]:
+        """Standard deviations of the coefficients by name, in scaled coordinates.
+
+        NaN without redundancy and for coefficients that are not those of least squares.
+        """
+        return self._by_term(self.adjustment.deviations)
+
+    def _by_term(self, values: FloatArray) -> dict[str, float]:
+        return {str(self.model.terms[i]): float(values[i]) for i in np.flatnonzero(self.terms)}
+
+    def with_coefficients(self, coefficients: FloatArray, estimator: Estimator = GIVEN,
+                          trace: float = np.nan) -> Fit:
+        """Return the fit with coefficients that are not those of least squares."""
+        return replace(self, estimator=estimator, trace=trace, held_out=None, adjustment=replace(
+            self.adjustment, coefficients=coefficients, sigma0=np.nan, correlations=None,
+            deviations=np.full(len(coefficients), np.nan), steps=None, converged=True))
+
+    def project(self, ground: ArrayLike) -> FloatArray:
+        """Return where ground points are seen.
+
+        Parameters
+        ----------
+        ground : array_like, shape (n, 3), of a plane model also (n, 2)
+            In the CRS of the control; NaN for heights a plane model does without.
+
+        Returns
+        -------
+        ndarray, shape (n, 2)
+            Line and sample [px]; NaN where a coordinate that the model uses is not finite, and at
+            places that no image shows (see `unseen`).
+
+        Raises
+        ------
+        TermselError
+            If the array has another shape.
+        """
+        places = self._places(ground)
+        image = self._computed(places)
+        image[self.unseen(places)] = np.nan
+        return image
+
+    def _computed(self, places: FloatArray) -> FloatArray:
+        """Return what the model gives for places (n, 3), be they behind the camera or not [px]."""
+        scaled = self.model.predict(self.adjustment.coefficients, self._scaled_used,
+                                    self.scaling.ground(places))
+        return self._known(self.scaling.pixels(scaled), places)
+
+    def unseen(self, ground: ArrayLike) -> BoolArray:
+        """Return whether ground points lie behind the camera or beyond the horizon, (n,).
+
+        There a denominator is zero, or has another sign than at the control; the quotient would
+        be the mirrored place of a ray that leads away from the ground. The model has no place for
+        it, so `project` has none either.
+
+        Parameters
+        ----------
+        ground : array_like
+            As for `project`.
+
+        Raises
+        ------
+        TermselError
+            If the array has another shape.
+        """
+        places = self._places(ground)
+        coefficients = self.adjustment.coefficients
+        below = self.model.denominators(coefficients, self.scaling.ground(places))
+        if below is None:
+            return np.zeros(len(places), dtype=bool)
+        return np.asarray(~(below * self._sides > 0.0).all(axis=1))
+
+    def above_horizon(self, image: ArrayLike) -> BoolArray:
+        """Return whether image points lie above the horizon of the view, (n,).
+
+        The horizon is where the distances of places on the level of the control grow without end.
+        Nothing is above it where the control calls for no view.
+
+        Parameters
+        ----------
+        image : array_like, shape (n, 2)
+            Line and sample [px].
+        """
+        scaled = self.scaling.image(image)
+        return np.zeros(len(scaled), dtype=bool) if self.view is None \
+            else self.view.above_horizon(scaled)
+
+    def holds(self, ground: ArrayLike) -> BoolArray:
+        """Return whether a map may show ground points, (n,): no image of such a view is of use
+        much nearer to the camera than the control, or much farther away.
+
+        True throughout where the control calls for no view, but for places that are `unseen`.
+
+        Parameters
+        ----------
+        ground : array_like
+            As for `project`.
+        """
+        places = self._places(ground)
+        seen = ~self.unseen(places)
+        return seen if self.view is None else \
+            seen & self.view.holds(self.scaling.ground(places))
+
+    @cached_property
+    def _sides(self) -> FloatArray:
+        """Signs of the denominators at most of the control, shape (2,)."""
+        below = self.model.denominators(self.adjustment.coefficients,
+                                        self._scaled_used.ground_vertices())
+        assert below is not None
+        return np.where(np.median(below, axis=0) < 0.0, -1.0, 1.0)
+
+    @cached_property
+    def view(self) -> View | None:
+        """The central projection that the points in use call for, of scaled places, or None."""
+        return view_of(self._scaled_used.points)
+
+    def sigma(self, ground: ArrayLike, *, measured: bool = False) -> FloatArray:
+        """Return the standard deviation of the error of `project`.
+
+        Not of the control's ground coordinates. For control points it holds
+        what other models they leave open, what they do not tell of heights, and what the model
+        does not fit: see `termsel.fitting.uncertainty` and `termsel.fitting.misfit`. For lines and
+        few points the model's form is taken for true.
+
+        Parameters
+        ----------
+        ground : array_like
+            As for `project`.
+        measured : bool
+            Whether to add the noise of a measurement at the place, taken to be the control's.
+
+        Returns
+        -------
+        ndarray, shape (n, 2)
+            Of line and sample [px]; NaN as for `project`, and without redundancy of the control.
+
+        Raises
+        ------
+        TermselError
+            If the array has another shape.
+        """
+        made = self.made or self
+        places = self._places(ground)
+        found = made.estimator.spread(made, made.scaling.ground(places))
+        missed = made.missed_at(places)
+        variance = (found.variance + missed + found.noise * measured) * self.scaling.image_scale**2
+        variance += by_heights(made.control.take(made.used), made.scaling, made.project, places)
+        sigma = self._known(np.sqrt(variance), places)
+        sigma[self.unseen(places)] = np.nan
+        return sigma
+
+    def missed_at(self, ground: FloatArray) -> FloatArray:
+        """Return the mean square of what the model does not fit at places (m, 3), scaled (m, 2)."""
+        if self.misfit is None:
+            return np.zeros((len(ground), 2))
+        image = self.scaling.image(self._computed(ground))
+        known = np.isfinite(image).all(axis=1)
+        squares = np.full(image.shape, np.nan)
+        for some in np.array_split(np.flatnonzero(known), len(ground) // AT_ONCE + 1):
+            squares[some] = self.misfit.squares(image[some])
+        return squares
+
+    @cached_property
+    def misfit(self) -> Misfit | None:
+        """What the residuals of control points tell that the model does not fit, or None.
+
+        A local model fits it itself, and lines tell too little of it.
+        """
+        control = self._scaled_used
+        if len(control.lines) or self.model.interpolation(control) is not None \
+                or self.adjustment.redundancy <= 0:
+            return None
+        points = control.points
+        image = self.scaling.image(self._computed(
+            self.control.take(self.used).points.ground))
+        return misfit_of(image, points.image - image, points.sigma, self.effective)
+
+    def _places(self, ground: ArrayLike) -> FloatArray:
+        """Return ground points (n, 3); a plane model also takes them without heights."""
+        places = np.asarray(ground, dtype=np.float64)
+        if places.shape[1:] == (2,) and not self.model.uses_height:
+            return np.pad(places, ((0, 0), (0, 1)), constant_values=np.nan)
+        if places.shape[1:] != (3,):
+            raise TermselError(f"ground points have shape {places.shape}, expected (n, 3)",
+                               hint="Models without heights take (n, 2), too.")
+        return places
+
+    def _known(self, image: FloatArray, places: FloatArray) -> FloatArray:
+        """Return figures at places, and NaN where a coordinate that the model uses is unknown."""
+        needed = places if self.model.uses_height else places[:, :2]
+        image[~np.isfinite(needed).all(axis=1)] = np.nan
+        return image
+
+    def locate(self, image: ArrayLike, heights: ArrayLike | Surface) -> FloatArray:
+        """Return the ground points seen at image points (see `termsel.fitting.locate.locate`)."""
+        centre, scale = self.ground_box()
+        scale = np.maximum(scale, reach(self.control, self.model.options))
+        return locate(self.project, image, heights, centre=centre, scale=scale)
+
+    def ground_box(self) -> tuple[FloatArray, FloatArray]:
+        """Return middle and half-range of the control, shapes (3,), in its own CRS."""
+        own = self.scaling
+        box = scaling_of(replace(self.control, fit_crs="")) if own.fit_crs else own
+        return np.array(box.ground_offset), np.array(box.ground_scale)
+
+    def image_box(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Return first and last line and sample [px]: of the image, its RPC or the control."""
+        return image_extent(self.control, self.model.options)
+
+    def errors(self, points: Points) -> FloatArray:
+        """Return measured minus computed line and sample [px], shape (n, 2)."""
+        return points.image - self._computed(points.ground)
+
+    def line_errors(self, lines: Lines | None = None) -> FloatArray:
+        """Return the vectors from projected ground vertices of lines to their image lines.
+
+        They are along the normal [px], shape (n, 2, 2): line and vertex; line and sample. By
+        default those of the control lines.
+        """
+        lines = self.control.lines if lines is None else lines
+        normal, rho = line_normals(lines)
+        image = self._computed(lines.ground.reshape(-1, 3)).reshape(-1, 2, 2)
+        distance = rho[:, None] - np.einsum("ia,iva->iv", normal, image)
+        return np.asarray(distance[..., None] * normal[:, None, :])
+
+    @property
+    def residuals(self) -> Residuals:
+        """Measured minus computed of all control features on offer, as a table."""
+        return control_residuals(self.control, self.used, self.errors(self.control.points),
+                                 self.line_errors())
+
+    @property
+    def leave_one_out(self) -> Residuals:
+        """Measured minus predicted of each control feature by the same procedure without it.
+
+        In closed form for least squares, for lines under separate denominators to first order
+        about the solution; else by repeating the fit, as where a model corrects predictions by
+        its control. A feature on offer that is not in use has its residual.
+
+        Raises
+        ------
+        TermselError
+            If the control without some feature does not determine the terms, or the
+            coefficients were given.
+        """
+        each, determined = self._left_out
+        if not determined:
+            raise Undetermined("without one of its control features the fit is not determined",
+                               hint="Measure more control, or choose a model with fewer terms.")
+        n = len(self.control.points)
+        points = self.errors(self.control.points)
+        lines = self.line_errors()
+        for out, errors in zip(np.flatnonzero(self.used), each, strict=True):
+            if out < n:
+                points[out] = errors[0]
+            else:
+                lines[self.control.lines.feature == out - n] = errors.reshape(-1, 2, 2)
+        return control_residuals(self.control, self.used, points, lines)
+
+    def leave_one_out_rmse(self) -> Rmse | None:
+        """Return the RMSE of the control features in use, each under the fit without it.
+
+        Where the others do not determine the terms, their least-norm solution counts.
+        """
+        each, _ = self._left_out
+        return rmse_of(np.concatenate(each), len(each))
+
+    @cached_property
+    def _left_out(self) -> tuple[tuple[FloatArray, ...], bool]:
+        """Errors of each feature in use by the fit without it, and whether all are determined."""
+        if self.held_out is not None:
+            owner = self.control.take(self.used).vertex_feature
+            return tuple(self.held_out.errors[owner == i] for i in range(owner.max() + 1)), True
+        found = self.interpolation if self.estimator.repeatable else None
+        return _repeated(self) if found is None else (
+            tuple(found.errors[:, None] * self.scaling.image_scale), True)
+
+    def control_rmse(self) -> Rmse | None:
+        """Return the RMSE of the control features in use."""
+        return rmse_of(self.control_errors(self.used), int(self.used.sum()))
+
+    def control_errors(self, features: BoolArray) -> FloatArray:
+        """Return the errors of some control features [px], of lines at each vertex."""
+        some = self.control.take(features)
+        errors = [self.errors(some.points)]
+        if len(some.lines):
+            which = features[len(self.control.points):][self.control.lines.feature]
+            errors.append(self.line_errors()[which].reshape(-1, 2))
+        return np.concatenate(errors)
+
+    def rmse(self, points: Points) -> Rmse | None:
+        """Return the RMSE of points that took no part in the adjustment; None without points."""
+        return rmse_of(self.errors(points), len(points))
+
+
+@one_blas_thread
+def _repeated(fitted: Fit) -> tuple[tuple[FloatArray, ...], bool]:
+    others = list(fitted.estimator.without_each(fitted))
+    return (tuple(other.control_errors(fitted.used & ~other.used) for other in others),
+            all(other.determined for other in others))

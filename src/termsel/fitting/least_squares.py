@@ -1,0 +1,174 @@
+"""The least squares of distances in the image, as an estimator and as a verb."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from termsel.core.isolation.faults import wrong
+from termsel.data.features import BoolArray, FeatureSet, FloatArray
+from termsel.data.scaling import Scaling
+from termsel.fitting.adjustment.equations import Equations
+from termsel.fitting.adjustment.iterated import HALVINGS, ITERATIONS
+from termsel.fitting.adjustment.leave_out import leave_one_out
+from termsel.fitting.adjustment.parts import IndependentPart, independent_parts
+from termsel.fitting.adjustment.solve import Adjustment, solve
+from termsel.fitting.fit import Estimator, Fit
+from termsel.fitting.fittable import Fittable
+
+OFFSET, ROUNDING = 1e-3, 1e-12
+"""A fit has converged where a step would take away less than this share of the residuals
+(the relative offset of D.M. Bates and D.G. Watts, Technometrics 23 (1981) 179-183), or less than
+this much of each in the scaled image unit."""
+
+
+@dataclass(frozen=True)
+class LeastSquares(Estimator):
+    """The coefficients of the least squares of distances in the image.
+
+    If `iterated`, it goes on from equations that hold to first order to the least squares of
+    distances; else the fit is the one a search judges.
+    """
+
+    name = "least-squares"
+    least_squares = True
+    iterated: bool = True
+
+    def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+            used: BoolArray) -> Fit:
+        """Fit a model (see `Estimator.fit`); `Fit.determined` says whether there is one."""
+        model = model.prepared(scaling, control.crs)
+        features = scaling.features(control)
+        adjustment = (adjust(model, features, terms, used) if self.iterated
+                      else solve(first_order(model, features), terms, used))
+        return Fit(model, scaling, control, terms, used, adjustment, self)
+
+    def without_each(self, fitted: Fit) -> Iterator[Fit]:
+        """Yield the fits without each feature, in closed form.
+
+        Where equations are not exact, they are those about the solution: each fit is then one
+        Gauss-Newton step away from it. Models that correct by their control are fitted again.
+        """
+        model = fitted.model
+        features = fitted.scaled_control
+        equations = (model.linearised(features, fitted.adjustment.coefficients)
+                     if self.iterated else None) or first_order(model, features)
+        solutions = None if model.corrects else solutions_without_each(
+            independent_parts(equations, model.axis), fitted.terms, fitted.used)
+        if solutions is None:
+            yield from super().without_each(fitted)
+            return
+        for out in np.flatnonzero(fitted.used):
+            used = fitted.used.copy()
+            used[out] = False
+            # Of the adjustment, only the coefficients are those of the others.
+            yield replace(fitted, used=used, adjustment=replace(
+                fitted.adjustment, coefficients=solutions[out]))
+
+
+LEAST_SQUARES = LeastSquares()
+
+
+def adjust(model: Fittable, features: FeatureSet, terms: BoolArray,
+           used: BoolArray) -> Adjustment:
+    """Return the least squares of distances, by Gauss-Newton where equations are not exact.
+
+    The model is prepared, the features are scaled; `terms` (k,) and `used` (features,) are in use.
+    Steps begin at the model's own start, else at the solution of its equations. A step that does
+    not lessen the sum of squared distances is halved, and where that does not help the search ends.
+    """
+    start = model.start(features.take(used))
+    if start is None:
+        adjustment = solve(model.equations(features), terms, used)
+        first = model.first_terms
+        x = (adjustment if first is None else
+             solve(model.equations(features), terms & first, used)).coefficients
+        equations = model.linearised(features, x) if adjustment.feasible else None
+        if equations is None:
+            return adjustment
+    else:
+        x = np.where(terms, start, 0.0)
+        equations = _linearised(model, features, x)
+        adjustment = replace(solve(equations, terms, used), coefficients=x)
+        if not adjustment.feasible:
+            return adjustment
+
+    def left(equations: Equations, coefficients: FloatArray) -> FloatArray:
+        """Return what the rows in use leave, pseudo-observations with them."""
+        A, b = equations.take(used[equations.feature], np.ones_like(terms)).held()
+        return np.asarray(b - A @ coefficients)
+
+    converged, steps, v = False, 0, left(equations, x)
+    while np.isfinite(v).all():
+        full = solve(equations, terms, used).coefficients
+        # The share of the residuals that the tangent plane can still take away.
+        gain = v - left(equations, full)
+        converged = bool(np.linalg.norm(gain)
+                         <= OFFSET * np.linalg.norm(v) + ROUNDING * len(v)**0.5)
+        for share in HALVINGS if steps < ITERATIONS else ():
+            tried = x + share * (full - x)
+            nearer = _linearised(model, features, tried)
+            w = left(nearer, tried)
+            if w @ w < (1 - 1e-10) * (v @ v):
+                break
+        else:
+            break
+        there = solve(nearer, terms, used)
+        if not there.feasible:  # near a pole, where the equations say nothing of what is determined
+            break
+        x = tried
+        equations = nearer
+        v = w
+        steps = steps + 1
+        adjustment = replace(there, coefficients=x)
+    return replace(adjustment, steps=steps, converged=converged)
+
+
+def _linearised(model: Fittable, features: FeatureSet, coefficients: FloatArray) -> Equations:
+    """Return the equations about a solution, of a model that has them."""
+    equations = model.linearised(features, coefficients)
+    if equations is None:
+        raise wrong(model, "linearised", "returned nothing; expected Equations, as it has a start")
+    return equations
+
+
+def first_order(model: Fittable, features: FeatureSet) -> Equations:
+    """Return the equations by which a search judges selections, of scaled features.
+
+    Of a model with a start they are those about the least squares of all terms.
+    """
+    everything = (np.ones(n, dtype=bool) for n in (len(model.terms), len(features)))
+    if model.start(features) is None:
+        return model.equations(features)
+    return _linearised(model, features, adjust(model, features, *everything).coefficients)
+
+
+def solutions_without_each(parts: tuple[IndependentPart, ...], terms: BoolArray,
+                           used: BoolArray) -> FloatArray | None:
+    """Return the least-squares solutions without each feature, in closed form, shape (n, k).
+
+    Parts are of the equations of n features, `terms` (k,) and `used` (n,) are in use. None where
+    the terms are not determined, or some feature is indispensable.
+    """
+    solutions = np.zeros((len(used), len(terms)))
+    for part in parts:
+        found, determined = leave_one_out(part.equations, terms[None, part.columns], used[None])
+        if not determined.all():
+            return None
+        solutions[:, part.columns] = found[:, 0]
+    return solutions
+
+
+def fit(model: Fittable, control: FeatureSet, scaling: Scaling,
+        terms: BoolArray | None = None, used: BoolArray | None = None, *,
+        iterated: bool = True) -> Fit:
+    """Fit a model to control features by least squares, whether or not they determine it.
+
+    Features are in px and ground units; terms (k,) and features in use are all by default.
+    `iterated` is as for `LeastSquares`.
+    """
+    terms = np.ones(len(model.terms), dtype=bool) if terms is None else terms
+    used = np.ones(len(control), dtype=bool) if used is None else used
+    return LeastSquares(iterated).fit(model, control, scaling, terms, used)

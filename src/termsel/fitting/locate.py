@@ -1,0 +1,165 @@
+"""From the image to the ground: where the rays of image points meet heights or terrain."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from termsel.core.errors import TermselError
+from termsel.data.features import FloatArray, IntArray
+
+Projection = Callable[[FloatArray], FloatArray]
+"""Line and sample, shape (n, 2), of ground points, shape (n, 3)."""
+
+Surface = Callable[[FloatArray], FloatArray]
+"""Heights, shape (n,), of plane ground coordinates, shape (n, 2); NaN where there are none."""
+
+TOLERANCE = 1e-6
+"""Largest distance [px] between the image point and the projection of its ground point."""
+
+_STEPS, _KEPT = 24, 3
+_WORSE, _SHORTER = 2.0, 8
+_SECANTS, _HALVINGS = 20, 40
+_AT_SURFACE, _CLOSE = 1e-6, 1e-3  # in the unit of height; both far less than 1 px
+_FAR = 5.0  # half-ranges
+_DIFFERENCE = 1e-4  # of the half-range: central differences leave about 1e-8 of a derivative
+
+
+def locate(
+    project: Projection,
+    image: ArrayLike,
+    height: ArrayLike | Surface,
+    *,
+    centre: ArrayLike,
+    scale: ArrayLike,
+) -> FloatArray:
+    """Return where the rays of image points [px] (n, 2) reach heights or a surface, shape (n, 3).
+
+    Heights are (n,), one number, or a surface that gives them for x and y; the search starts in the
+    middle, `centre` and half-range `scale` of the ground (3,). NaN where the ray meets no ground
+    point, or the surface has no height there. Where a ray meets a steep surface several times, one
+    of the places is returned, not always the visible one. Raises TermselError for other shapes.
+    """
+    image = np.asarray(image, dtype=np.float64)
+    if image.ndim != 2 or image.shape[1] != 2:
+        raise TermselError(f"image points have shape {image.shape}, expected (n, 2)")
+    middle = np.asarray(centre, dtype=np.float64)
+    unit = np.asarray(scale, dtype=np.float64)
+    ground = np.tile(middle, (len(image), 1))
+    if not callable(height):
+        heights = np.asarray(height, dtype=np.float64)
+        if heights.shape not in ((), (len(image),)):
+            raise TermselError(f"heights have shape {heights.shape}, expected ({len(image)},) or "
+                               "one number for all image points")
+        ground[:, 2] = heights
+    # Newton's method at fixed heights, then the secant method for that of the surface.
+    inverse = _inverse(project, ground, unit)
+    ground = _newton(project, image, ground, unit, inverse)
+    if callable(height):
+        ground = _meet(project, image, height, ground, unit, inverse)
+    # Higher polynomials map places far away to the same image point.
+    ground[(np.abs(ground[:, :2] - middle[:2]) > _FAR * unit[:2]).any(axis=1)] = np.nan
+    return ground
+
+
+def _newton(project: Projection, image: FloatArray, ground: FloatArray, unit: FloatArray,
+            inverse: FloatArray) -> FloatArray:
+    """Return ground points at their heights, moved until they project to the image points.
+
+    `inverse`, the moves on the ground for 1 px, hardly changes over an image. It is renewed
+    only for points that do not converge. In an oblique view it does change, and a step may end
+    behind the camera. Such a step is made again from where it began, by half of it where need be,
+    and so are all further ones of the point.
+    """
+    ground, oblique = ground.copy(), np.zeros(len(ground), dtype=bool)
+    with np.errstate(all="ignore"):
+        error = image - project(ground)
+        for step in range(_STEPS):
+            going = np.flatnonzero(np.abs(error).max(axis=1) > TOLERANCE / 100)
+            if not going.size:
+                break
+            before = error[going]
+            at = ground[going]
+            moves = (_inverse(project, at, unit) if step and not step % _KEPT
+                     else inverse[going])
+            ground[going, :2] += np.einsum("nij,nj->ni", moves, before)
+            error[going] = image[going] - project(ground[going])
+            oblique[going] |= ~(np.abs(error[going]).max(axis=1)
+                                <= _WORSE * np.abs(before).max(axis=1))
+            wrong = oblique[going]
+            if wrong.any():
+                again = going[wrong]
+                ground[again] = _shortened(project, image[again], at[wrong], before[wrong], unit)
+                error[again] = image[again] - project(ground[again])
+    ground[~(np.abs(error).max(axis=1) <= TOLERANCE)] = np.nan
+    return ground
+
+
+def _shortened(project: Projection, image: FloatArray, ground: FloatArray, error: FloatArray,
+               unit: FloatArray) -> FloatArray:
+    """Return ground points moved by their own Newton steps, or shares of these that help."""
+    full = np.einsum("nij,nj->ni", _inverse(project, ground, unit), error)
+    moved = ground.copy()
+    todo = np.arange(len(ground))
+    for halving in range(_SHORTER):
+        tried = ground[todo]
+        tried[:, :2] += 0.5**halving * full[todo]
+        left = np.abs(image[todo] - project(tried)).max(axis=1)
+        better = left < np.abs(error[todo]).max(axis=1)
+        moved[todo[better]] = tried[better]
+        todo = todo[~better]
+        if not todo.size:
+            break
+    return moved
+
+
+def _inverse(project: Projection, ground: FloatArray, unit: FloatArray) -> FloatArray:
+    """Return the moves in x and y for 1 px of line and of sample, shape (n, 2, 2)."""
+    with np.errstate(all="ignore"):
+        steps = np.diag(_DIFFERENCE * unit)[:2]
+        (lx, sx), (ly, sy) = (((project(ground + step) - project(ground - step)) / 2).T
+                              for step in steps)
+        moves = np.stack([np.stack([sy, -ly], axis=-1), np.stack([-sx, lx], axis=-1)], axis=-2)
+        moves /= (lx * sy - ly * sx)[:, None, None]
+    return np.asarray(moves * (_DIFFERENCE * unit[:2])[:, None])
+
+
+def _meet(project: Projection, image: FloatArray, surface: Surface, ground: FloatArray,
+          unit: FloatArray, inverse: FloatArray) -> FloatArray:
+    """Return ground points moved along their rays onto the surface."""
+    def moved(rays: IntArray, height: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return places of rays at heights, and how far the surface lies above them."""
+        places = ground[rays]
+        places[:, 2] = height
+        places = _newton(project, image[rays], places, unit, inverse[rays])
+        return places, surface(places[:, :2]) - places[:, 2]
+
+    above = surface(ground[:, :2]) - ground[:, 2]
+    low = ground[:, 2].copy()
+    high = ground[:, 2].copy()
+    slope = np.zeros(len(ground))  # of the surface's height over the height of the ray
+    for _ in range(_SECANTS):
+        going = np.flatnonzero(np.abs(above) > _AT_SURFACE)
+        if not going.size:
+            break
+        before = above[going]
+        step = before / (1.0 - np.clip(slope[going], -3.0, 0.7))
+        ground[going], above[going] = moved(going, ground[going, 2] + step)
+        low = np.fmin(low, ground[:, 2])
+        high = np.fmax(high, ground[:, 2])
+        with np.errstate(all="ignore"):
+            slope[going] = np.nan_to_num(1.0 + (above[going] - before) / step)
+    # The rest is too steep for that: halve the interval of heights where the ray meets the surface.
+    going = np.flatnonzero(~(np.abs(above) <= _AT_SURFACE))
+    below = np.full(len(going), np.fmin.reduce(low, initial=np.nan))
+    over = np.full(len(going), np.fmax.reduce(high, initial=np.nan))
+    for _ in range(_HALVINGS if going.size else 0):
+        middle = (below + over) / 2
+        ground[going], above[going] = moved(going, middle)
+        rises = above[going] > 0
+        below = np.where(rises, middle, below)
+        over = np.where(rises, over, middle)
+    ground[~(np.abs(above) <= _CLOSE)] = np.nan
+    return ground

@@ -1,0 +1,159 @@
+"""What is left at every feature once a model is fitted, and its root mean square."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
+
+import numpy as np
+
+from termsel.data.features import FeatureSet, FloatArray, IntArray, Lines, Points, select
+from termsel.data.tables.tabular import Framed
+
+
+@dataclass(frozen=True)
+class Residual:
+    """What is left at one point, or at one ground vertex of a control line.
+
+    Its kind is "point", or "vertex 1" and "vertex 2" of a line and of its further pieces from 3 on.
+    Line and sample are measured minus computed [px], for a vertex from its projection to the image
+    line; the distance is the length of that vector. Ground coordinates have NaN for a height that
+    is not known. The blunder is "certain", "probable" or "possible" where the feature is one.
+    """
+
+    id: str
+    kind: str
+    role: str
+    used: bool
+    line: float
+    sample: float
+    x: float
+    y: float
+    z: float
+    distance: float = field(init=False)
+    blunder: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "distance", float(np.hypot(self.line, self.sample)))
+
+
+class Residuals(tuple[Residual, ...], Framed):
+    """Residuals as a table.
+
+    `to_pandas` gives a row for each, `to_geopandas` also its point on the ground.
+    """
+
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        worst = max((r.distance for r in self), default=0.0)
+        return f"<Residuals: {len(self)}, largest {worst:.3g} px>"
+
+    @property
+    def ground(self) -> FloatArray:
+        """Ground coordinates of each, shape (n, 3)."""
+        return np.array([(r.x, r.y, r.z) for r in self]).reshape(-1, 3)
+
+    def _places(self) -> FloatArray:
+        return self.ground
+
+    def _columns(self) -> dict[str, list[Any]]:
+        return {field.name: [getattr(r, field.name) for r in self] for field in fields(Residual)}
+
+    @property
+    def __geo_interface__(self) -> dict[str, Any]:
+        """The residuals as a GeoJSON feature collection, in the CRS of the ground coordinates."""
+        return {"type": "FeatureCollection", "features": [
+            {"type": "Feature", "id": i, "properties": asdict(residual),
+             "geometry": {"type": "Point", "coordinates": [
+                 value for value in (residual.x, residual.y, residual.z) if value == value]}}
+            for i, residual in enumerate(self)]}
+
+
+def control_residuals(control: FeatureSet, used: Iterable[bool], errors: FloatArray,
+                      line_errors: FloatArray) -> Residuals:
+    """Return the errors [px] of control features as a table.
+
+    Of points (n, 2), and of both ground vertices of the lines (n_lines, 2, 2).
+    """
+    return Residuals(_of_control(control, tuple(bool(on) for on in used), errors, line_errors))
+
+
+def point_residuals(points: Points, errors: FloatArray, role: str,
+                    used: Iterable[bool]) -> Residuals:
+    """Return the errors of points [px], shape (n, 2), that all have one role, as a table."""
+    return Residuals(_rows(points.ids, errors, points.ground, role, used))
+
+
+def _of_control(control: FeatureSet, used: tuple[bool, ...], errors: FloatArray,
+                line_errors: FloatArray) -> Iterator[Residual]:
+    points = control.points
+    lines = control.lines
+    yield from _rows(points.ids, errors, points.ground, "control", used[:len(points)])
+    piece = _pieces(lines)
+    for i in range(piece.max(initial=-1) + 1):
+        which = piece == i
+        features = len(points) + lines.feature[which]
+        for vertex in (0, 1):
+            yield from _rows(select(lines.ids, which), line_errors[which, vertex],
+                             lines.ground[which, vertex], "control",
+                             tuple(used[f] for f in features), f"vertex {2 * i + vertex + 1}")
+
+
+def _rows(ids: tuple[str, ...], errors: FloatArray, ground: FloatArray, role: str,
+          used: Iterable[bool], kind: str = "point") -> Iterator[Residual]:
+    for name, on, error, place in zip(ids, used, errors.tolist(), ground.tolist(), strict=True):
+        yield Residual(name, kind, role, on, *error, *place)
+
+
+def _pieces(lines: Lines) -> IntArray:
+    """Return which piece of its feature each line is, counted from 0."""
+    seen: Counter[str] = Counter()
+    piece = np.empty(len(lines), dtype=np.intp)
+    for i, name in enumerate(lines.ids):
+        piece[i] = seen[name]
+        seen[name] += 1
+    return piece
+
+
+@dataclass(frozen=True)
+class Rmse:
+    """Root mean square errors [px] over n features.
+
+    `total` is sqrt(mean(dl^2 + ds^2)) over points. For control lines the error is the
+    distance of each projected ground vertex from the image line, taken along its normal.
+    """
+
+    line: float
+    sample: float
+    total: float
+    n: int
+    freedom: float | None = None
+    """Degrees of freedom of the squared errors, by `freedom_of`; None if not known."""
+
+
+def rmse_of(errors: FloatArray, n: int) -> Rmse | None:
+    """Return the RMSE of errors, shape (..., 2), of n features; None without any."""
+    if not n:
+        return None
+    with np.errstate(over="ignore"):  # beyond all numbers is infinite
+        line, sample = np.sqrt((errors**2).mean(axis=0)).tolist()
+    return Rmse(line, sample, float(np.hypot(line, sample)), n, freedom_of(errors))
+
+
+def freedom_of(errors: FloatArray) -> float | None:
+    """Return the degrees of freedom of squared errors, shape (..., 2).
+
+    Those of the chi-squared distribution with the variance that the sum of squares has: of normal
+    errors, by the mean squares of line and of sample (Satterthwaite 1946); or, if that variance is
+    larger, by how squared distances differ, as those of heavy tails do. None if all are zero.
+    """
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        squares = (errors**2).reshape(-1, 2)
+        squares = squares / squares.mean(axis=0).sum()  # lest squares of squares overflow
+        distances = squares.sum(axis=1)
+        spread = float(distances.var(ddof=1)) / 2 if len(distances) > 1 else 0.0
+        freedom = len(distances) / max(float((squares.mean(axis=0)**2).sum()), spread)
+    return float(freedom) if np.isfinite(freedom) else None

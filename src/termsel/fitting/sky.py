@@ -1,0 +1,93 @@
+"""What of an image has ground: all of it, or what is below the horizon and about as far as control.
+
+A file that holds a model alone, such as an RPC or an affine map, gives each place of the image a
+place on the ground, the sky included, and puts places behind the camera into the sky, mirrored.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from termsel.core.errors import TermselError
+from termsel.data.features import BoolArray, FloatArray
+from termsel.fitting.fit import Fit
+from termsel.fitting.locate import Surface
+
+SKY = "above the horizon"
+FAR = f"{SKY} or much farther away than any control"
+NEAR_OR_FAR = "much nearer or farther away than any control"
+
+_ACROSS = 41  # places along either side of the image by which parts of it are told
+
+
+def image_places(fitted: Fit, across: int = _ACROSS) -> FloatArray:
+    """Return lines and samples of a grid over the image, its corners included, (across^2, 2)."""
+    (top, left), (bottom, right) = fitted.image_box()
+    return np.stack(np.meshgrid(np.linspace(top, bottom, across),
+                                np.linspace(left, right, across), indexing="ij"),
+                    axis=-1).reshape(-1, 2)
+
+
+def middle_height(fitted: Fit) -> float:
+    """Return the middle height of the control; 0 where it is not known."""
+    return float(np.nan_to_num(fitted.ground_box()[0][2]))
+
+
+def ground_where_held(fitted: Fit, image: FloatArray, heights: FloatArray | float | Surface,
+                      ) -> FloatArray:
+    """Return the ground seen at image places (n, 2), shape (n, 3); NaN where the model has none.
+
+    It has none, either, where it does not hold (see `Fit.holds`): close to the horizon a pixel is
+    kilometres long, and tells nothing of them.
+    """
+    ground = fitted.locate(image, heights)
+    ground[~fitted.holds(ground)] = np.nan
+    return ground
+
+
+def sky_of(fitted: Fit, image: FloatArray) -> BoolArray:
+    """Return which image places (n, 2) are above the horizon, and have no ground by the model."""
+    above = fitted.above_horizon(image)
+    above[above] = np.isnan(fitted.locate(image[above], middle_height(fitted))).any(axis=1)
+    return above
+
+
+def refuse_sky(fitted: Fit, what: str) -> None:
+    """Refuse to write what gives all of the image a place on the ground, if the sky is in it.
+
+    Raises
+    ------
+    TermselError
+    """
+    sky = sky_said(fitted)
+    if sky:
+        raise TermselError(
+            f"{sky}, and {what} would give it ground",
+            hint="Rectify the image, or export it as geolocation-vrt: both leave the sky empty. "
+                 "Or crop the image below the horizon, and measure it there.")
+
+
+def why_not_shown(fitted: Fit) -> str:
+    """Return why a part of the image of a view has no ground; "" where control calls for none."""
+    if fitted.view is None:
+        return ""
+    return FAR if fitted.above_horizon(image_places(fitted, 2)).any() else NEAR_OR_FAR
+
+
+def sky_said(fitted: Fit) -> str:
+    """Return how much of the image is above the horizon; "" if nothing is."""
+    share = float(sky_of(fitted, image_places(fitted)).mean())
+    return f"{_percent(share)} of the image is {SKY}" if share else ""
+
+
+def part_said(fitted: Fit) -> str:
+    """Return how much of the image has no ground as the model does not hold; "" if all has."""
+    if fitted.view is None:
+        return ""
+    ground = ground_where_held(fitted, image_places(fitted), middle_height(fitted))
+    share = float(np.isnan(ground[:, :2]).any(axis=1).mean())
+    return f"{_percent(share)} of the image is {why_not_shown(fitted)}" if share else ""
+
+
+def _percent(share: float) -> str:
+    return f"about {max(100 * share, 1):.0f} %"

@@ -1,0 +1,197 @@
+"""How uncertain a fitted model is at any place.
+
+The truth is believed to be a shrunken cubic polynomial (see `termsel.fitting.bayesian.posterior`):
+its posterior, given the same control points, says how likely each other course of the image is
+between and beyond them. The mean square error of any fit at a place is the variance of that
+posterior there, and the square of the distance of the fit from its mean. A model of a kind that
+the polynomial does not contain, and that predicts left-out control no worse than by a standard
+error, is judged by the propagation of the noise through its own adjustment, as is one of lines or
+of few points. A spline
+or a random field has a variance of its own. To all others comes what the model does not fit
+(`termsel.fitting.misfit`). Where the control does not tell what a height does, the
+effect of views in general is added (`termsel.fitting.extrapolation.by_heights`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from termsel.data.features import BoolArray, FeatureSet, FloatArray
+from termsel.fitting.adjustment.equations import weights_of
+from termsel.fitting.adjustment.monomials import graded_exponents, monomials
+from termsel.fitting.adjustment.solve import Adjustment
+from termsel.fitting.bayesian.field import Collocation
+from termsel.fitting.bayesian.foresight import foresee
+from termsel.fitting.bayesian.posterior import Posterior, polynomial_posterior
+from termsel.fitting.fittable import Fittable
+
+DEGREE = 3
+"""Degree of the polynomial that the truth is believed to be; that of the model, if higher."""
+
+STEP = 1e-6
+"""Change of a coefficient, in scaled coordinates, by which a prediction is differentiated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """Mean square errors of predictions, in scaled coordinates.
+
+    Attributes
+    ----------
+    variance, noise : ndarray, shapes (m, 2) and (2,)
+        Of line and sample without, and of, the noise of a measurement of unit weight at the place.
+    factors : ndarray, shape (m, 2, d), or None
+        Their products, where known, are the covariances of what is not known, at all places and of
+        both axes: a measurement lessens it elsewhere too.
+    """
+
+    variance: FloatArray
+    noise: FloatArray
+    factors: FloatArray | None = None
+
+
+def spread_of(model: Fittable, control: FeatureSet, terms: BoolArray, adjustment: Adjustment,
+              ground: FloatArray, image: FloatArray, *, least_squares: bool) -> Spread:
+    """Return the mean square errors of what a fit predicts; NaN where there is no redundancy.
+
+    All is scaled: the prepared model, the features in use, ground (m, 3) and the image that the fit
+    predicts there (m, 2). `least_squares` says whether the coefficients are its own.
+    """
+    own = None if len(control.lines) else model.interpolation(control)
+    if own is not None:
+        return Spread(*own.spread(ground))
+    seen = sees_heights(lambda places: model.project(adjustment.coefficients, places), ground)
+    believed = _Belief.of(model, control, heights=seen)
+    if believed is None:
+        return _propagated(model, control, terms, adjustment, ground)[0] if least_squares else \
+            _unknown(len(ground))
+    if least_squares and model.polynomial_degree is None:
+        propagated, squares = _propagated(model, control, terms, adjustment, ground)
+        more = squares - believed.squares()
+        # Within a standard error they predict alike, and the model knows more of what is beyond.
+        if np.isfinite(more).all() and more.mean() <= more.std() / len(more)**0.5:
+            return propagated
+    return believed.spread(ground, image)
+
+
+def sees_heights(project: Callable[[FloatArray], FloatArray], ground: FloatArray) -> bool:
+    """Return whether heights of places (m, 3) make a difference to where they are projected."""
+    some = ground[:3]
+    return bool((project(some) != project(some + np.array([0.0, 0.0, 1.0]))).any())
+
+
+def believed_spread(model: Fittable, control: FeatureSet, ground: FloatArray,
+                    image: FloatArray) -> Spread | None:
+    """Return the mean square errors as the polynomial sees them (see `spread_of`), or None."""
+    believed = _Belief.of(model, control)
+    return None if believed is None else believed.spread(ground, image)
+
+
+def shared_variance(model: Fittable, control: FeatureSet) -> float | None:
+    """Return the relative variance of the mean square error that all places have in common.
+
+    Where few coefficients are uncertain, the mean square of errors all over the scene is so, too.
+    None with lines, and where points are too few for a posterior.
+    """
+    believed = _Belief.of(model, control)
+    if believed is None:
+        return None
+    points = control.points
+    local = model.interpolation(control)
+    left_out = (local if isinstance(local, Collocation) else believed.found).left_out
+    weights = weights_of(points)
+    # What places have in common, those of the control points, the posterior sees.
+    factors = believed.spread(points.ground, points.image).factors
+    assert factors is not None
+    # A point that is left out is less certain, and about as much alike others.
+    grown = np.sqrt((left_out.spread - 1.0) / weights**2) \
+        / np.maximum(np.linalg.norm(factors, axis=2), np.finfo(float).tiny)
+    along = (factors * grown[..., None]).reshape(-1, factors.shape[2])
+    # To this comes how much the mean squares of its solutions differ.
+    return 2 * float(((along.T @ along) ** 2).sum()
+                     / (left_out.spread / weights**2).sum() ** 2) + believed.contest(weights)
+
+
+@dataclass(frozen=True, eq=False)
+class _Belief:
+    """A shrunken polynomial of the control points, and where it can be looked up."""
+
+    found: Posterior
+    degree: int
+    variables: int
+
+    @classmethod
+    def of(cls, model: Fittable, control: FeatureSet,
+           heights: bool | None = None) -> _Belief | None:
+        """Return what is believed, by default with the heights that the model uses.
+
+        None with lines, or if points determine no affine model.
+        """
+        if len(control.lines):
+            return None
+        degree = max(DEGREE, model.polynomial_degree or 0)
+        heights = model.uses_height if heights is None else heights
+        points = control.points
+        variables = 3 if heights else 2
+        found = polynomial_posterior(points.ground, points.image,
+                                     graded_exponents(degree, variables),
+                                     None if points.sigma is None else weights_of(points))
+        return None if found is None else cls(found, degree, variables)
+
+    def spread(self, ground: FloatArray, image: FloatArray) -> Spread:
+        """Return the mean square errors of predictions at places."""
+        columns = _columns(ground, self.degree, self.variables)
+        there = foresee(self.found, columns[:, :self.variables + 1],
+                        columns[:, self.variables + 1:])
+        return Spread(there.variance + (image - there.image) ** 2,
+                      np.full(2, there.noise), there.factors)
+
+    def contest(self, weights: FloatArray) -> float:
+        """Return the variance, over the solutions, of the logarithm of their mean square error."""
+        found = self.found
+        each = sum((1.0 / side.left / w**2).sum(axis=1)[side.cell] for some in found.pieces
+                   for side, w in zip(found.at(some), weights[some].T, strict=True))
+        logarithm = np.log(found.square * each)  # up to what all solutions share
+        return float(found.cells.share @ (logarithm - found.cells.share @ logarithm) ** 2)
+
+    def squares(self) -> FloatArray:
+        """Return the squared errors of the points (n,), each by the others."""
+        return np.asarray((self.found.left_out.errors**2).sum(axis=1))
+
+
+def _columns(ground: FloatArray, degree: int, variables: int) -> FloatArray:
+    return monomials(ground, graded_exponents(degree, variables))
+
+
+def _unknown(count: int) -> Spread:
+    return Spread(np.full((count, 2), np.nan), np.full(2, np.nan))
+
+
+def _propagated(model: Fittable, control: FeatureSet, terms: BoolArray, adjustment: Adjustment,
+                ground: FloatArray) -> tuple[Spread, FloatArray]:
+    """Return the noise propagated through an adjustment, and squared held-out errors of features.
+
+    Of a model that corrects predictions by its control it is that of the uncorrected ones, which
+    are worse.
+    """
+    if not adjustment.feasible or not adjustment.redundancy > 0:
+        return _unknown(len(ground)), np.full(len(control), np.inf)
+    x = adjustment.coefficients
+    equations = model.linearised(control, x) or model.equations(control)
+    held, right = equations.take(np.ones(len(equations.b), dtype=bool), terms).held()
+    q, r = np.linalg.qr(held)
+    errors = (right - held @ x[terms])[:len(equations.b)]
+    left = np.maximum(1.0 - (q[:len(errors)] ** 2).sum(axis=1), np.finfo(float).eps)
+    steps = STEP * np.maximum(1.0, np.abs(x[terms]))
+    moved = np.repeat(x[None], len(steps), axis=0)
+    moved[:, terms] += np.diag(steps)
+    back = 2 * x - moved
+    slopes = (model.project(moved, ground) - model.project(back, ground)) \
+        / (2 * steps[:, None, None])                                           # (k, m, 2)
+    along = np.linalg.solve(r.T, slopes.reshape(len(steps), -1))
+    factors = adjustment.sigma0 * along.T.reshape(len(ground), 2, len(steps))
+    return Spread((factors**2).sum(axis=2), np.full(2, adjustment.sigma0**2), factors), \
+        np.bincount(equations.feature, (errors / left) ** 2, len(control)).astype(np.float64)

@@ -1,0 +1,1 @@
+"""Which terms and features to use: problems, criteria, solvers, best subsets."""

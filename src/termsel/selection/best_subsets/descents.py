@@ -1,0 +1,104 @@
+"""Good subsets of every size, found before any proof: bounds then rule out more."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import count
+
+import numpy as np
+
+from termsel.data.features import FloatArray, IntArray
+from termsel.selection.best_subsets.columns.kernels import RSS
+from termsel.selection.best_subsets.columns.system import BITS, Masks, SubtreeNode, better
+from termsel.selection.best_subsets.score_systems import ScoreSystems
+
+_RESTARTS = 8  # of the descent
+_KICKS = 16  # restarts around the best that may fail in a row
+_SWAPPED = (2, 5)  # columns before each of these, at least and at most
+_WORTH = 1 << 15  # subsets that branch and bound decides in the time of one node of a descent
+_ROUNDING = 1e-9  # a subset reached in another order differs by less
+
+
+def descents(systems: ScoreSystems) -> Iterator[tuple[FloatArray, Masks]]:
+    """Yield ever better subsets of every size, found by adding, dropping and swapping columns.
+
+    Descents begin with no column, with random subsets, and then with the best of every size after
+    some random swaps, until that has not helped the size for a while, or until they have cost as
+    much as the proof without them: the same on every machine.
+    """
+    candidates = systems.everything.candidates
+    room = systems.everything.room
+    rng = np.random.default_rng(0)  # the same on every machine, as the proof is
+    best, masks, nodes = _descent(systems, [candidates[:0]])
+    yield best, masks
+    # Kicks of each size since its best was found.
+    failures = np.zeros(systems.k + 1, dtype=np.intp)
+    for restart in count():
+        if nodes * _WORTH > systems.everything.count:
+            return
+        if restart >= _RESTARTS and systems.kind == RSS:
+            return  # the proof finds better ones as fast
+        if restart < _RESTARTS:
+            starts = [rng.permutation(len(candidates))[:rng.integers(1, room + 1)]]
+        else:
+            kicked = np.flatnonzero((masks > 0) & (failures < _KICKS))
+            if not len(kicked):
+                return
+            starts = [_kicked(systems, masks[size], rng) for size in kicked]
+            failures[kicked] += 1
+        start_columns = [candidates[start] for start in starts]
+        reached, reached_masks, walked_nodes = _descent(systems, start_columns)
+        nodes += walked_nodes
+        failures[reached < (1.0 - _ROUNDING) * best] = 0
+        best, masks = better(best, masks, reached, reached_masks)
+        yield best, masks
+
+
+def _kicked(systems: ScoreSystems, mask: np.uint64, rng: np.random.Generator) -> IntArray:
+    """Return a subset, as indices of the candidates, with some columns replaced by random ones."""
+    inside = (BITS[systems.everything.candidates] & mask) != 0
+    members = rng.permutation(np.flatnonzero(inside))
+    outsiders = rng.permutation(np.flatnonzero(~inside))
+    swapped = min(int(rng.integers(*_SWAPPED, endpoint=True)), len(members), len(outsiders))
+    return np.concatenate([members[swapped:], outsiders[:swapped]])
+
+
+def _descent(systems: ScoreSystems, starts: list[IntArray]) -> tuple[FloatArray, Masks, int]:
+    """Return the best subset of every size that single changes reach from some subsets.
+
+    Every change of each best subset of a size is tried, until none helps. The last value is the
+    number of nodes that this took.
+    """
+    centres = [int(BITS[np.concatenate([systems.everything.used, start])].sum())
+              for start in starts]
+    best = np.full(systems.k + 1, np.inf)
+    masks = np.zeros(systems.k + 1, dtype=np.uint64)
+    visited = set(centres)
+    nodes = 0
+    while centres:
+        # Each neighbourhood is walked with the best so far, and thus bounded.
+        for mask in centres:
+            for node in _changes(systems, mask):
+                result = systems.walk(node, best, masks)
+                best = result.best
+                masks = result.masks
+                nodes += 1
+        centres = [mask for mask in masks.tolist() if mask and mask not in visited]
+        visited.update(centres)
+    return best, masks, nodes
+
+
+def _changes(systems: ScoreSystems, mask: int) -> list[SubtreeNode]:
+    """Return the subsets with one more column than a subset, and with one or none instead."""
+    used = systems.everything.used
+    candidates = systems.everything.candidates
+    room = systems.everything.room
+    inside = (BITS[candidates] & np.uint64(mask)) != 0
+    members = candidates[inside]
+    outsiders = candidates[~inside]
+    nodes = [SubtreeNode(np.concatenate([used, members]), outsiders, min(1, room - len(members)))]
+    # Without column i: with none of the others instead, or one.
+    for i in range(len(members)):
+        without_member = np.concatenate([used, np.delete(members, i)])
+        nodes.append(SubtreeNode(without_member, outsiders, 1))
+    return nodes

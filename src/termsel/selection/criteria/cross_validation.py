@@ -1,0 +1,165 @@
+"""Criteria that predict control features from the others."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, ClassVar
+
+import numpy as np
+
+from termsel.core.options import COUNT, SEED, Option
+from termsel.data.coordinates.places import spatial_order
+from termsel.data.features import FeatureSet, FloatArray, IntArray, Lines, Points, no_lines
+from termsel.data.twins import twins
+from termsel.fitting.adjustment.leave_out import leave_one_out
+from termsel.fitting.adjustment.parts import solve_parts
+from termsel.selection.criteria.base import Criterion, Fits
+from termsel.selection.criteria.losses import LOSS, SQUARES, THRESHOLD
+
+_SOLUTIONS = 1 << 22
+"""Coefficients of leave-one-out solutions held at once: 32 MB."""
+
+
+class _LeftOut(Criterion):
+    """Base of criteria of the errors of control features that are held out."""
+
+    needs_check = False
+    in_px = True
+    declared_options: ClassVar[tuple[Option, ...]] = (LOSS, THRESHOLD)
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        if self.options["loss"] != SQUARES:  # no sum over rows, and no standard error
+            self.is_rmse = False
+            self.subset_score = ""
+
+    def combined(self, fits: Fits, squares: FloatArray) -> FloatArray:
+        """Return the RMSE, or the figure of another loss."""
+        return fits.rmse(squares, self.options["loss"], self.options["threshold"])
+
+
+class Press(_LeftOut):
+    """RMSE of each control feature, predicted from all others [px]; needs no check points.
+
+    A feature is held out with all its rows (leave-one-out), and twins together. Its squared error
+    is the true image error under that solution, with the denominator of that solution. A selection
+    in which some feature is indispensable has no figure. If features are selected too, only those
+    in use count, so that a search can drop difficult ones.
+
+    References
+    ----------
+    Allen 1974, Technometrics 16(1): the prediction sum of squares, here its root mean.
+    """
+
+    name = "press"
+    subset_score = "press"
+
+    def score(self, fits: Fits) -> FloatArray:
+        """Return the RMSE [px]."""
+        p, k = fits.terms.shape
+        used = fits.in_use
+        n = used.shape[1]
+        squares = np.empty((p, n))
+        groups = _groups(fits.control, fits.lines)
+        step = max(1, _SOLUTIONS // (n * k))
+        # A solution for each feature and individual: as many individuals at once as memory allows.
+        for start in range(0, p, step):
+            batch = slice(start, start + step)
+            solutions = np.zeros((n, *fits.terms[batch].shape))
+            determined = np.ones(len(fits.terms[batch]), dtype=bool)
+            for system in fits.parts:
+                solutions[..., system.columns], one_by_one = leave_one_out(
+                    system.equations, fits.terms[batch, system.columns], used[batch])
+                determined &= one_by_one
+            squares[batch] = np.where(determined[:, None], fits.held_out_each(solutions), np.inf)
+        # A twin would tell what the point held out is: all of them are held out together.
+        for group in groups:
+            if len(group) > 1:
+                squares[:, group] = _without(fits, group)
+        return self.combined(fits, squares)
+
+    def subset_folds(self, control: Points) -> tuple[IntArray, ...]:
+        """Return each point with its twins; nothing without twins."""
+        groups = _groups(control, no_lines())
+        return groups if len(groups) < len(control) else ()
+
+
+class KFold(_LeftOut):
+    """RMSE of the control features of each fold, predicted from all other folds [px].
+
+    All available control is assigned to the folds once, whatever features are selected. Folds
+    that are blocks of the scene show how a model extrapolates over gaps in the control; random
+    ones, like `press`, do not. Needs no check points.
+
+    References
+    ----------
+    Stone 1974, J. R. Stat. Soc. B 36(2); blocks: Roberts et al. 2017, Ecography 40(8).
+    """
+
+    name = "kfold"
+    subset_score = "kfold"
+    declared_options = (
+        Option("folds", 5, "Folds of control features; with more folds than features each is held "
+                           "out alone.", int, 2, COUNT),
+        Option("repeats", 1, "How many times features are assigned to folds: again at random, or "
+                             "in blocks along axes turned by parts of 90 degrees.", int, 1, 1000),
+        Option("how", "spatial", "Folds as blocks of neighbours on the ground, or at random.",
+               choices=("spatial", "random")),
+        Option("fold_seed", 0, "Seed of random folds.", int, 0, SEED),
+        LOSS, THRESHOLD,
+    )
+
+    def score(self, fits: Fits) -> FloatArray:
+        """Return the RMSE [px]."""
+        used = fits.in_use
+        squares = np.zeros(used.shape)
+        for fold in self.folds(fits.control, fits.lines):
+            squares[:, fold] += _without(fits, fold)
+        return self.combined(fits, squares / self.options["repeats"])
+
+    def folds(self, points: Points, lines: Lines) -> tuple[IntArray, ...]:
+        """Return the features of each fold, points before lines, for all repeats.
+
+        Twins are in one fold. The position of a line is the middle of its ground vertices.
+        """
+        xy = np.concatenate([points.ground[:, :2],
+                             lines.by_feature(lines.ground[:, :, :2].mean(axis=1))])
+        rng = np.random.default_rng(self.options["fold_seed"])
+        groups = _groups(points, lines)
+        xy = xy[[group[0] for group in groups]]
+        repeats = self.options["repeats"]
+        folds = min(self.options["folds"], len(xy))
+        folds_of_features: list[IntArray] = []
+        # Blocks along other axes each time, evenly over a quarter turn.
+        for turn in np.arange(repeats) * np.pi / 2 / repeats:
+            rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+            order = (rng.permutation(len(xy)) if self.options["how"] == "random"
+                     else spatial_order(xy @ rotation))
+            for fold in np.array_split(order, folds):
+                members = [groups[i] for i in fold]
+                folds_of_features.append(np.sort(np.concatenate(members)))
+        return tuple(folds_of_features)
+
+    def subset_folds(self, control: Points) -> tuple[IntArray, ...]:
+        """Return the folds of control points."""
+        return self.folds(control, no_lines())
+
+
+def _without(fits: Fits, fold: IntArray) -> FloatArray:
+    """Return the squared errors of a fold predicted from all others, shape (p, n of the fold)."""
+    # Features that are not in use stay out, whatever the fold.
+    control_in_use = fits.in_use.copy()
+    control_in_use[:, fold] = False
+    coefficients, undetermined = solve_parts(fits.parts, fits.terms, control_in_use)
+    return np.where(undetermined[:, None] == 0, fits.held_out(coefficients, fold), np.inf)
+
+
+@lru_cache(maxsize=4)  # a search asks again and again
+def _groups(points: Points, lines: Lines) -> tuple[IntArray, ...]:
+    """Return each feature with its twins, points before lines, by their first ones."""
+    labels = twins(points.ground)
+    n = len(FeatureSet(points, lines))
+    labels = np.concatenate([labels, np.arange(len(labels), n)])
+    # Lines have no twins: each has a label of its own. Groups are runs of equal labels.
+    order = np.argsort(labels, kind="stable")
+    return tuple(np.split(order, np.flatnonzero(np.diff(labels[order])) + 1))

@@ -1,0 +1,176 @@
+"""Constraints of selections: forced genes, hierarchy of monomials, most terms."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from termsel.core.errors import TermselError, unknown_name
+from termsel.core.options import Option
+from termsel.data.features import BoolArray, FloatArray, IntArray
+from termsel.fitting.adjustment.parts import IndependentPart
+from termsel.models.terms import Term
+from termsel.selection.problems.segments import Bits
+
+FORCE_OPTIONS = (
+    Option("force_on", None, "Terms and features that every selection has, separated by commas. "
+           "Give ids of features; `line.num:X`, `num:X` for both axes, or `X` in all parts."),
+    Option("force_off", None, "Terms and features that no selection has, given in the same way."),
+)
+"""Options of problems that select anything."""
+
+TERM_OPTIONS = (
+    *FORCE_OPTIONS,
+    Option("hierarchy", False, "Select a monomial only together with those of one power less, "
+           "such as X2Y with XY and X2. With weighted=true of rfm no origin of coordinates "
+           "then changes the optimum.", bool),
+    Option("max_share", None, "Most terms per axis, as a share of its equations, 0 to 1; of both "
+           "axes together where lines or a denominator couple them. At least one degree of freedom "
+           "is kept. By default two thirds; 1, which is no limit, for a solver that uses all "
+           "terms.", float, 0.0, 1.0),
+    Option("shrink", False, "Shrink the coefficients of the selection by ridge regression; terms "
+           "of higher order more.", bool),
+)
+"""Options of problems that select terms."""
+
+
+def listed(value: str | None) -> list[str]:
+    """Return the names in the value of an option, which are separated by commas."""
+    names = map(str.strip, (value or "").split(","))
+    return [name for name in names if name]
+
+
+def without_heights(names: tuple[str, ...], options: Mapping[str, Any]) -> dict[str, str]:
+    """Return options of a problem by which no term with Z is in use but those that are asked for.
+
+    They are for control that does not tell what a height does; `options` are those it has.
+    """
+    height_terms = {name: term for name in names if (term := Term.parse(name)).has_height
+            and not isinstance(term.exponents, str)}
+    # A problem without term genes takes the terms in use as a list; others force genes off.
+    if "terms" in options:
+        return {"terms": options["terms"] or ",".join(name for name in names
+                                                      if name not in height_terms)}
+    if "force_off" not in options:
+        return {}
+    forced_on = set(listed(options["force_on"]))
+    # A term may be asked for by its own name, by that of both axes, or by its monomial.
+    remaining = {term.shared for name, term in height_terms.items()
+                 if forced_on & {name, str(term.shared), term.column}}
+    off = [str(term.shared) for term in height_terms.values() if term.shared not in remaining]
+    return {"force_off": ",".join(dict.fromkeys([*listed(options["force_off"]), *off]))}
+
+
+def forced(value: str | None, labels: tuple[str, ...], ids: tuple[str, ...]) -> list[str]:
+    """Return the labels of the genes that the value of an option names.
+
+    Labels are those of all genes of terms, such as "line.num:X", or "num:X" for both axes; ids
+    those of all features that are selected. Raises TermselError for a name that none has.
+    """
+    genes: list[str] = []
+    for name in listed(value):
+        named = [label for label, term in zip(labels, map(Term.parse, labels), strict=True)
+                 if name in (label, str(term.shared), term.column)]
+        named += [feature_id for feature_id in ids if feature_id == name]
+        if not named:
+            kinds = []
+            if labels:
+                kinds.append("term")
+            if ids:
+                kinds.append("feature")
+            raise unknown_name(" or ".join(kinds), name, (*labels, *ids))
+        genes += named
+    return genes
+
+
+def parents(names: tuple[str, ...]) -> tuple[IntArray, IntArray]:
+    """Return pairs of terms, the second a monomial of one power less in the first's part.
+
+    Names are of all terms (see `termsel.Term.parents`).
+    """
+    terms = [Term.parse(name) for name in names]
+    index = {term: i for i, term in enumerate(terms)}
+    pairs: list[tuple[int, int]] = []
+    for i, term in enumerate(terms):
+        # The model may lack a parent: then nothing is asked of that term.
+        pairs += [(i, index[parent]) for parent in term.parents if parent in index]
+    children, parents_of_children = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
+    return children, parents_of_children
+
+
+def orphans(terms: BoolArray, pairs: tuple[IntArray, IntArray]) -> FloatArray:
+    """Return how many terms in use lack a parent, each counted for every one, shape (p,)."""
+    child, parent = pairs
+    return np.asarray((terms[:, child] & ~terms[:, parent]).sum(axis=1), dtype=np.float64)
+
+
+MAX_SHARE = 2 / 3
+"""Default of the most terms as a share of their equations: a third of the equations is
+redundant."""
+
+
+def most_terms(equations: IntArray, share: float, freedom: int = 1) -> IntArray:
+    """Return how many terms so many equations support, as a share of these.
+
+    At least `freedom` degrees of freedom are left.
+    """
+    # 0.29 of 100 is 29, which rounding makes 28.999...
+    rounding = 1e-9
+    supported = np.floor(share * equations + rounding).astype(np.intp)
+    return np.asarray(np.minimum(supported, equations - freedom))
+
+
+def excess(systems: tuple[IndependentPart, ...], terms: BoolArray, features: BoolArray | None,
+           share: float, freedom: int = 1) -> FloatArray:
+    """Return how many terms are in use in excess of what the equations in use support, shape (p,).
+
+    Each part supports its own terms, (p, k), or (1, k) if all have the same. Features (p, f) are
+    all in use by default. Share and freedom are those of `most_terms`.
+    """
+    total: FloatArray = np.zeros(len(terms))
+    for system in systems:
+        # Only rows of features in use count: a feature may have several in a part, or none.
+        rows_of_feature = np.bincount(system.equations.feature,
+                           minlength=0 if features is None else features.shape[1])
+        # As floats, which are exact here: BLAS has no whole numbers.
+        rows = np.asarray(rows_of_feature.sum() if features is None
+                          else features @ rows_of_feature.astype(np.float64), dtype=np.intp)
+        n_terms = terms[:, system.columns].sum(axis=1)
+        total = total + np.maximum(n_terms - most_terms(rows, share, freedom), 0)
+    return total
+
+
+def capped(segments: Iterable[Bits], gene_of_term: IntArray, systems: tuple[IndependentPart, ...],
+           share: float) -> list[Bits]:
+    """Return the segments of terms with a maximum that no selection without excess is above.
+
+    Segments are all those of terms, in the order of the genes. Raises TermselError if one may not
+    have any term.
+    """
+    # This keeps a search from most of what `excess` would count, which is more where several
+    # segments share equations, or features are selected too.
+    limited = []
+    start = 0
+    for segment in segments:
+        genes = np.arange(start, start + len(segment.labels))
+        start += len(genes)
+        maximum = len(genes)
+        for system in systems:
+            columns = np.bincount(gene_of_term[system.columns], minlength=start)[genes]
+            # A gene of a shared mask switches a column in each axis, one of a mask per axis in one.
+            if columns.any():
+                equations = len(system.equations.b)
+                supported = int(most_terms(np.array(equations), share))
+                # Genes of no column here are free; the others switch as many as the fewest do.
+                maximum = min(maximum, int((columns == 0).sum())
+                           + supported // columns[columns > 0].min())
+        if maximum < 1:
+            segment_name = segment.name.replace(".", " of ")
+            raise TermselError(f"max_share={share:.2g} allows no {segment_name}: the control gives "
+                               f"{equations} equations",
+                               hint="Raise max_share or give more control.")
+        limited.append(replace(segment, maximum=maximum))
+    return limited

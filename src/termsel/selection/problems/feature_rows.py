@@ -1,0 +1,81 @@
+"""Selections of features as rows of least-squares systems that can be walked."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from termsel.data.features import BoolArray, FloatArray
+from termsel.fitting.adjustment.parts import IndependentPart
+from termsel.selection.best_subsets.features.walk import RowSystem
+from termsel.selection.criteria.base import CheckRmse
+from termsel.selection.problems.constraints import most_terms
+
+if TYPE_CHECKING:
+    from termsel.selection.problems.base import Inputs
+
+
+def row_systems(inputs: Inputs, independent: tuple[IndependentPart, ...], terms: BoolArray,
+                share: float, freedom: int) -> tuple[RowSystem, ...]:
+    """Return the systems of a selection of features, in px; none where no selection can be scored.
+
+    The parts are of the control, with all terms of the model, of which some are in use (k,); share
+    and freedom are those of `most_terms`.
+    """
+    # A walk scores by the check RMSE, of image positions that are linear in the terms.
+    if type(inputs.criterion).score is not CheckRmse.score:
+        return ()
+    linear = _linear(inputs)
+    if linear is None:
+        return ()
+    constant, columns = linear
+    target = inputs.check.image.ravel() - constant
+    systems = []
+    explained = np.zeros(len(target), dtype=bool)
+    # A part is adjusted by itself, and its rows of the check points add to the squared errors.
+    for system in independent:
+        columns_in_use = np.flatnonzero(system.columns & terms)
+        A, b = system.equations.held()
+        # Rows of check points that the part's terms move: of line, of sample, or of both.
+        rows = (columns[:, system.columns] != 0).any(axis=1)
+        explained |= rows
+        feature = np.full(len(b), -1, dtype=np.intp)  # of pseudo-observations
+        feature[:len(system.equations.feature)] = system.equations.feature
+        systems.append(RowSystem(A[:, terms[system.columns]], b, feature,
+                                 inputs.pixels * columns[np.ix_(rows, columns_in_use)],
+                                 inputs.pixels * target[rows],
+                                 _fewest_rows(len(columns_in_use), len(b), share, freedom)))
+    # The walk works in units of the check points' errors: these must determine the terms.
+    determined = explained.all() and all(row_system.determined for row_system in systems)
+    return tuple(systems) if determined else ()
+
+
+def _fewest_rows(terms: int, rows: int, share: float, freedom: int) -> int:
+    """Return how few equations support so many terms."""
+    # The number of supported terms rises with the rows: the first that is enough.
+    supported = most_terms(np.arange(rows + 1), share, freedom)
+    return int(np.searchsorted(supported, terms))
+
+
+def _linear(inputs: Inputs) -> tuple[FloatArray, FloatArray] | None:
+    """Return the check points' image positions for terms of 0, and their change by each term.
+
+    They are raveled, of shape (2 c,) and (2 c, k). None where they are not linear.
+    """
+    model = inputs.model
+    ground = inputs.check.ground
+    k = len(model.terms)
+    if not len(ground) or model.denominators(np.zeros((1, k)), ground) is not None:
+        return None
+    # A function that is linear in a random direction is linear, unless it is made to deceive.
+    trial = np.random.default_rng(0).normal(size=k)
+    image = model.project(np.concatenate([np.zeros((1, k)), np.eye(k), trial[None]]), ground)
+    # Row 0 has the constants, rows 1 to k one term each, the last the random trial.
+    image = image.reshape(k + 2, -1)
+    constant = image[0]
+    columns = (image[1:-1] - image[0]).T
+    size = np.abs(image).max(initial=1.0)
+    linear = np.isfinite(image).all() and np.allclose(image[-1], constant + columns @ trial, rtol=0,
+                                                      atol=1e-9 * size)
+    return (constant, columns) if linear else None

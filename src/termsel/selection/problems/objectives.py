@@ -1,0 +1,159 @@
+"""Further objectives: number, correlation, condition and spread of what is selected."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from termsel.core.isolation.arrays import of_shape
+from termsel.core.isolation.faults import blamed, wrong
+from termsel.data.coordinates.places import centres
+from termsel.data.features import BoolArray, FeatureSet, FloatArray
+from termsel.fitting.adjustment.equations import Equations
+from termsel.fitting.adjustment.parts import IndependentPart
+from termsel.selection.problems.coverage import uncovered_share
+
+
+@dataclass(frozen=True, eq=False)
+class PopulationSelection:
+    """What the individuals of a population select, for objectives.
+
+    Parameters
+    ----------
+    equations : Equations
+        Of all terms and all control features.
+    parts : tuple of IndependentPart
+        The independent systems they fall into, such as line and sample.
+    control : FeatureSet
+    terms : ndarray of bool, shape (p, k)
+    features : ndarray of bool, shape (p, f)
+    """
+
+    equations: Equations
+    parts: tuple[IndependentPart, ...]
+    control: FeatureSet
+    terms: BoolArray
+    features: BoolArray
+
+
+def n_terms(selected: PopulationSelection) -> FloatArray:
+    """Return the number of terms in use."""
+    return np.asarray(selected.terms.sum(axis=1), dtype=np.float64)
+
+
+def n_features(selected: PopulationSelection) -> FloatArray:
+    """Return the number of control features in use."""
+    return np.asarray(selected.features.sum(axis=1), dtype=np.float64)
+
+
+def unit_deviations(design: FloatArray) -> FloatArray:
+    """Return columns less their means, of length 1; 0 where they are constant but for rounding."""
+    # A constant column has no deviations but rounding: it is correlated with nothing.
+    centred = design - design.mean(axis=0)
+    lengths = np.linalg.norm(centred, axis=0)
+    varies = lengths > 1e-12 * np.linalg.norm(design, axis=0)
+    return np.asarray(centred / np.where(varies, lengths, np.inf))
+
+
+def max_correlation(selected: PopulationSelection) -> FloatArray:
+    """Return the largest absolute correlation between two columns in use.
+
+    Correlations are those of Akhoundi Khezrabad et al. 2020, eq. 3, over all control. Where line
+    and sample are independent, each has a matrix of its own: in a common one the two constants
+    would be each other's negative. Columns without variance have no correlation. (As an
+    objective: Gholinejad et al. 2019.)
+    """
+    largest = np.zeros(len(selected.terms))
+    for system in selected.parts:
+        A = unit_deviations(system.equations.A)
+        correlation = np.abs(A.T @ A)
+        np.fill_diagonal(correlation, 0.0)
+        terms = selected.terms[:, system.columns]
+        # Column by column: the largest correlation with any other in use, where it is in use too.
+        for row, mask in zip(correlation, terms.T, strict=True):
+            correlated = np.where(terms, row, 0.0).max(axis=1)
+            largest = np.maximum(largest, np.where(mask, correlated, 0.0))
+    return np.minimum(largest, 1.0)
+
+
+def log_condition(selected: PopulationSelection) -> FloatArray:
+    """Return log10 of the condition number of the used rows and columns, scaled to length 1."""
+    A = selected.equations.A
+    feature = selected.equations.feature
+    result = np.empty(len(selected.terms))
+    for i, (terms, features) in enumerate(zip(selected.terms, selected.features, strict=True)):
+        design = A[np.ix_(features[feature], terms)]
+        lengths = np.linalg.norm(design, axis=0) if design.size else np.zeros(1)
+        if not design.size or (lengths == 0).any() or design.shape[0] < design.shape[1]:
+            result[i] = _SINGULAR
+            continue
+        values = np.linalg.svd(design / lengths, compute_uv=False)
+        # Ratio of the extreme singular values; the least may be rounding, or 0.
+        result[i] = min(_SINGULAR, np.log10(values[0] / max(values[-1], 1e-300)))
+    return result
+
+
+# log10 of a condition from which no digit of double precision is left.
+_SINGULAR = 16.0
+
+
+def uncovered(selected: PopulationSelection) -> FloatArray:
+    """Return the share of the image outside the hull of the selected features."""
+    return uncovered_share(centres(selected.control), selected.features)
+
+
+def unevenness(selected: PopulationSelection) -> FloatArray:
+    """Return the unevenness of the selected features: 0 if all are equally far from the nearest.
+
+    The coefficient of variation of the distances to the nearest selected neighbour in the
+    image; 1 for fewer than three features. termsel's own measure.
+    """
+    positions = centres(selected.control)
+    distance = np.linalg.norm(positions[:, None] - positions[None], axis=2)
+    # No feature is its own neighbour.
+    np.fill_diagonal(distance, np.inf)
+    # Two features are always equally far from each other: three are the fewest.
+    result = np.ones(len(selected.features))
+    for i, mask in enumerate(selected.features):
+        if mask.sum() >= 3:
+            nearest = distance[np.ix_(mask, mask)].min(axis=1)
+            result[i] = nearest.std() / nearest.mean() if nearest.mean() > 0 else 1.0
+    return result
+
+
+@dataclass(frozen=True)
+class Objective:
+    """A named figure of what a selection is made of; it is minimised.
+
+    Parameters
+    ----------
+    name, summary : str
+    score : callable
+        Takes `PopulationSelection`, returns finite figures, shape (p,).
+    """
+
+    name: str
+    summary: str
+    score: Callable[[PopulationSelection], FloatArray]
+
+
+def scored(objective: Objective, selected: PopulationSelection) -> FloatArray:
+    """Return the figures of an objective; refuse, naming the plugin, others than one finite each.
+    """
+    with blamed(objective.score, "score"):
+        figures = objective.score(selected)
+    if fault := of_shape(figures, (len(selected.terms),)):
+        raise wrong(objective.score, "score", fault)
+    return figures
+
+
+OBJECTIVES = tuple(Objective(score.__name__, summary, score) for score, summary in (
+    (n_terms, "Number of terms in use."),
+    (n_features, "Number of control features in use."),
+    (max_correlation, "Largest correlation of two columns in use."),
+    (log_condition, "Logarithm of the condition number."),
+    (uncovered, "Share of the image outside the hull of the features in use."),
+    (unevenness, "Unevenness of the distances between the features in use.")))
+"""Built-in objectives next to the criterion."""

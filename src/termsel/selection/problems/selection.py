@@ -1,0 +1,388 @@
+"""Selection of model terms, of control features, or of both."""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from termsel.core.errors import TermselError, unknown_name
+from termsel.data.coordinates.places import centres
+from termsel.data.features import BoolArray, FloatArray, IntArray, select
+from termsel.fitting.adjustment.parts import independent_parts, solve_parts
+from termsel.fitting.adjustment.rounding import ROUNDING, by_size
+from termsel.fitting.least_squares import first_order
+from termsel.models.base import LINE, SAMPLE, SensorModel
+from termsel.models.poles import guard_points, pole_margin, pole_violation
+from termsel.models.quotient import RationalModel
+from termsel.models.terms import Term
+from termsel.selection.criteria import Criterion, Fits
+from termsel.selection.problems.base import (
+    WORST,
+    EnumerablePart,
+    Evaluation,
+    Inputs,
+    Problem,
+    Selection,
+)
+from termsel.selection.problems.constraints import capped, excess, forced, listed, orphans, parents
+from termsel.selection.problems.coverage import uncovered_share
+from termsel.selection.problems.genome import Genome
+from termsel.selection.problems.objectives import PopulationSelection, scored
+from termsel.selection.problems.segments import AnySegment, Bits, Genes, Subset
+
+if TYPE_CHECKING:
+    from termsel.selection.best_subsets.features.walk import RowSystem
+
+
+class SelectionProblem(Problem):
+    """Select terms, features or both; fit by least squares; score by the criterion.
+
+    Parameters
+    ----------
+    inputs : Inputs
+    terms, features : bool
+        What the chromosome selects. All of what it does not select is in use.
+    mask : {"per-axis", "shared"}
+        Whether line and sample have separate genes for a monomial, or share one.
+    subset : bool
+        Whether features of a fixed number, where min_features and max_features are the same, are a
+        `Subset`: m whole numbers instead of n bits.
+
+    Raises
+    ------
+    TermselError
+        If the model does not allow this selection, or there is too little control.
+    """
+
+    def __init__(self, inputs: Inputs, *, terms: bool, features: bool,
+                 mask: str = "per-axis", subset: bool = False) -> None:
+        model = inputs.model
+        control = inputs.control
+        self.inputs = inputs
+        # The criterion comes first: by it solvers of one objective rank.
+        further = [objective.name for objective in inputs.objectives]
+        self.objectives = (inputs.criterion.name, *further)
+        self.equations = first_order(model, control)
+        if _weighted(inputs) and not inputs.criterion.needs_check:
+            raise TermselError("weighted=true judges selections by check points",
+                               hint="Choose --criterion check-rmse.")
+        # Denominators must be positive at all of these, wherever the image is used.
+        self._guard = guard_points(control, inputs.check)
+        self._margin = pole_margin(control.points)
+        self._parts = independent_parts(self.equations, model.axis)
+        names = model.terms
+        segments: list[Bits | Subset] = []
+        self._gene_of_term: IntArray | None = None
+        share = inputs.options.get("max_share")
+        self._share = 1.0 if share is None else float(share)
+        if terms:
+            term_segments, self._gene_of_term = _term_segments(names, model.axis, mask)
+            segments += (capped(term_segments, self._gene_of_term, self._parts, self._share)
+                         if self._share < 1 else term_segments)
+        # Genes of terms come first, those of features after them.
+        self._n_term_genes = sum(len(s.labels) for s in segments)
+        self._selects_features = features
+        if features:
+            if model.corrects and not inputs.criterion.needs_check:
+                raise TermselError(
+                    f"features of model {model.name!r} cannot be selected without check points: it "
+                    "corrects its predictions by control", hint="Choose --criterion check-rmse.")
+            min_features, max_features = _feature_counts(inputs)
+            if subset and min_features == max_features:
+                segments.append(Subset("features", control.ids, min_features))
+            else:
+                segments.append(Bits("features", control.ids, min_features, max_features))
+        self._terms_in_use = _terms_in_use(inputs)
+        labels: tuple[str, ...] = ()
+        for segment in segments:
+            if segment.name != "features":
+                labels += segment.labels
+        ids = control.ids if features else ()
+        self.genome = Genome(segments, on=forced(inputs.options.get("force_on"), labels, ids),
+                             off=forced(inputs.options.get("force_off"), labels, ids))
+        self._pairs = parents(names) if inputs.options.get("hierarchy") else None
+        self._require_solvable(terms)
+
+    def frozen(self, labels_on: BoolArray, frozen_labels: BoolArray) -> SelectionProblem:
+        """Return the problem with the genes of some labels of the genome no longer free.
+
+        What is frozen is as chosen. A segment that is frozen whole need no longer keep its minimum
+        and maximum. If all terms are frozen and are more than max_share allows, that limit no
+        longer holds.
+        """
+        genome = self.genome
+        segments: list[AnySegment] = []
+        for segment, columns in zip(genome.segments, genome.label_slices().values(), strict=True):
+            # A subset that has its number of members can stay what it is.
+            keeps_count = isinstance(segment, Subset) and labels_on[columns].sum() == segment.m
+            if frozen_labels[columns].all() and not keeps_count:
+                segments.append(Bits(segment.name, segment.labels))
+            else:
+                segments.append(segment)
+        problem = copy(self)
+        on = np.where(frozen_labels, labels_on, genome.on)
+        off = np.where(frozen_labels, ~labels_on, genome.off)
+        problem.genome = Genome(segments, on=select(genome.labels, on),
+                                off=select(genome.labels, off))
+        if frozen_labels[:self._n_term_genes].all() and excess(
+                self._parts, self._masks(labels_on[None])[0], None, self._share).any():
+            problem._share = 1.0
+        return problem
+
+    def judged_by(self, criterion: Criterion) -> SelectionProblem:
+        """Return the problem with another criterion as its only objective."""
+        # All else is shared: equations and parts do not depend on the criterion.
+        problem = copy(self)
+        problem.inputs = replace(self.inputs, criterion=criterion, objectives=())
+        problem.objectives = (criterion.name,)
+        return problem
+
+    def with_model(self, model: SensorModel) -> SelectionProblem:
+        """Return the problem with another model, for the same features; refuse one of other terms.
+        """
+        if model.terms != self.inputs.model.terms:
+            raise TermselError(f"model {model.name!r} with other options has other terms, so they "
+                               "cannot be selected at the same time",
+                               hint="Choose a problem that searches these options alone.")
+        problem = copy(self)
+        problem.inputs = replace(self.inputs, model=model)
+        problem.equations = first_order(model, self.inputs.control)
+        problem._parts = independent_parts(problem.equations, model.axis)
+        return problem
+
+    def _require_solvable(self, selects_terms: bool) -> None:
+        """Refuse control that no selection could solve the model from."""
+        max_features = _feature_counts(self.inputs)[1] if self._selects_features else None
+        # A user may ask for so few features that the model is just determined.
+        self._least_freedom = 1 if max_features is None or selects_terms else 0
+        for system in self._parts:
+            columns = int(self._terms_in_use[system.columns].sum())
+            # The features with the most rows: no selection of so many has more equations.
+            rows_of_feature = np.sort(np.bincount(system.equations.feature))[::-1]
+            rows = rows_of_feature[:max_features].sum()
+            if not selects_terms and rows < columns + self._least_freedom:
+                raise TermselError(
+                    f"model {self.inputs.model.name!r} has {columns} terms to be determined "
+                    f"together; the control gives {rows} equations"
+                    + ("" if max_features is None else f" with at most {max_features} features")
+                    + (", so there is no redundancy" if rows == columns else ""),
+                    hint=("Give more control" if max_features is None else "Raise max_features")
+                    + ", lower the order or degree of the model (--set order=1, "
+                      "--set degree=1), or select terms.")
+
+    def evaluate(self, genes: Genes) -> Evaluation:
+        """Return the criterion and the violation of a population (see `Problem.evaluate`).
+
+        The violation is the sum of:
+
+        - the number of terms that are not determined;
+        - the number of terms in excess of what the equations support (option "max_share", and one
+          degree of freedom);
+        - the number of axes without a term of the numerator;
+        - the number of parents that are missing (option "hierarchy");
+        - how far a denominator is below `termsel.models.poles.pole_margin` somewhere in the scene;
+        - how far the uncovered share of the image is above the option "max_uncovered".
+
+        It is 1 where all of these are 0 and the criterion has no figure.
+        """
+        return self._evaluate(genes)
+
+    def evaluate_near(self, genes: Genes, near: Genes) -> Evaluation:
+        """Return the evaluation of neighbours (see `Problem.evaluate_near`)."""
+        if type(self).evaluate is not SelectionProblem.evaluate:  # a plugin's own
+            return self.evaluate(genes)
+        return self._evaluate(genes, self.masks(near[None])[1])
+
+    def _evaluate(self, genes: Genes, near: BoolArray | None = None) -> Evaluation:
+        """Fit, judge by the criterion, and add up what is violated (see `evaluate`)."""
+        inputs = self.inputs
+        terms, features = self.masks(genes)
+        model = _weighted(inputs)
+        # Neighbours of a selection of features are corrected from its solution, which needs all
+        # terms, and equations that are the same for all.
+        corrects = (near is not None and model is None and self._gene_of_term is None
+                    and self._terms_in_use.all())
+        coefficients, violation = solve_parts(self._parts, terms, features,
+                                              near[0] if near is not None and corrects else None)
+        if model is not None:
+            determined = violation == 0
+            coefficients[determined] = model.least_distances(
+                inputs.control.points, self._parts, terms[determined],
+                None if features is None else features[determined])
+        # Where terms are not selected all individuals have the same: one row stands for all.
+        differing = terms[:1] if self._gene_of_term is None else terms
+        violation += excess(self._parts, differing, features, self._share, self._least_freedom)
+        violation += self._empty_axes(differing)
+        violation += pole_violation(inputs.model, coefficients, self._guard, self._margin)
+        violation += self._lacking_spread(features)
+        if self._pairs is not None:
+            violation += orphans(terms, self._pairs)
+        # A figure of what is not determined, or has a pole in the scene, would mean nothing.
+        feasible = violation == 0
+        score = np.full(len(genes), WORST)
+        if feasible.any():
+            score[feasible] = inputs.criterion.score(Fits(
+                model=inputs.model, control=inputs.control.points, check=inputs.check,
+                pixels=inputs.pixels, terms=terms[feasible], coefficients=coefficients[feasible],
+                lines=inputs.control.lines, parts=self._parts,
+                used=None if features is None else features[feasible],
+                gene_of_term=self._gene_of_term,
+                optional=None if self._gene_of_term is None
+                else self.genome.free[self._gene_of_term]))
+            if inputs.criterion.is_rmse or inputs.criterion.in_px:
+                # What is rounding of the data is ordered by the share of genes that are on.
+                share = self.genome.chosen(genes[feasible]).mean(axis=1)
+                score[feasible] = by_size(score[feasible], ROUNDING * inputs.pixels, np.sqrt(share))
+        # Objectives are finite, always: what has no figure is infeasible, with the worst one.
+        violation[~np.isfinite(score)] = 1.0
+        score = np.minimum(np.nan_to_num(score, nan=WORST, posinf=WORST), WORST)
+        return Evaluation(self._all_objectives(score, terms, features), violation)
+
+    def _lacking_spread(self, features: BoolArray | None) -> FloatArray | float:
+        max_uncovered = self.inputs.options.get("max_uncovered")
+        if features is None or max_uncovered is None:
+            return 0.0
+        share = uncovered_share(centres(self.inputs.control), features)
+        return np.asarray(np.maximum(share - max_uncovered, 0.0))
+
+    def _all_objectives(self, score: FloatArray, terms: BoolArray,
+                features: BoolArray | None) -> FloatArray:
+        """Return the criterion and the further objectives, in their order, shape (p, m)."""
+        if len(self.objectives) == 1:
+            return score[:, None]
+        control = self.inputs.control
+        if features is None:
+            features = np.ones((len(terms), len(control)), dtype=bool)
+        selected = PopulationSelection(self.equations, self._parts, control, terms, features)
+        further = [scored(objective, selected) for objective in self.inputs.objectives]
+        return np.column_stack([score, *further])
+
+    def masks(self, genes: Genes) -> tuple[BoolArray, BoolArray | None]:
+        """Return masks of terms, shape (p, k), and of features, shape (p, f) or None for all."""
+        return self._masks(self.genome.chosen(genes))
+
+    def _masks(self, labels_on: BoolArray) -> tuple[BoolArray, BoolArray | None]:
+        """Return the masks of what is chosen by the labels of the genome."""
+        terms = (np.repeat(self._terms_in_use[None], len(labels_on), axis=0)
+                 if self._gene_of_term is None else labels_on[:, self._gene_of_term])
+        return terms, labels_on[:, self._n_term_genes:] if self._selects_features else None
+
+    def decode(self, genes: Genes) -> Selection:
+        """Return the names of the terms and features in use."""
+        terms, features = self.masks(np.atleast_2d(genes))
+        ids = self.inputs.control.ids
+        return Selection(select(self.inputs.model.terms, terms[0]),
+                         ids if features is None else select(ids, features[0]))
+
+    def parts(self) -> tuple[EnumerablePart, ...]:
+        """Return line and sample as parts that can be enumerated (see `Problem.parts`)."""
+        if self._gene_of_term is None or self._selects_features:
+            return super().parts()
+        from termsel.selection.problems.enumeration import (  # for those who enumerate
+            enumerable_parts,
+        )
+
+        return enumerable_parts(self.inputs, self.equations, self.genome,
+                                gene_of_term=self._gene_of_term, guard=self._guard,
+                                margin=self._margin, pairs=self._pairs)
+
+    def row_systems(self) -> tuple[RowSystem, ...] | None:
+        """Return the parts of a selection of features alone (see `Problem.row_systems`)."""
+        if self._gene_of_term is not None or not self._selects_features:
+            return None
+        # A plugin's own objective, or equations of each selection's own.
+        if type(self).evaluate is not SelectionProblem.evaluate or _weighted(self.inputs):
+            return ()
+        from termsel.selection.problems.feature_rows import row_systems
+
+        return row_systems(self.inputs, self._parts, self._terms_in_use, self._share,
+                           self._least_freedom)
+
+    def design(self) -> FloatArray:
+        """Return the columns of the adjustment by gene (see `Problem.design`).
+
+        A gene that switches a line term and a sample term has the columns of both stacked.
+        """
+        gene = self._gene_of_term
+        A = self.equations.A
+        axis = self.inputs.model.axis
+        if gene is None or self._selects_features:
+            return super().design()
+        blocks_of_axes = [(np.ones(len(A), dtype=bool), np.ones(len(axis), dtype=bool))]
+        if len(gene) > self.genome.size:
+            # A shared mask: rows and terms of line, then those of sample, with what is of both.
+            blocks_of_axes = [((A[:, axis == image_axis] != 0).any(axis=1), axis != other_axis)
+                              for image_axis, other_axis in ((LINE, SAMPLE), (SAMPLE, LINE))]
+        blocks = []
+        for rows, terms in blocks_of_axes:
+            block = np.zeros((rows.sum(), self.genome.size))
+            block[:, gene[terms]] = A[np.ix_(rows, terms)]
+            blocks.append(block)
+        return np.concatenate(blocks)
+
+    def _empty_axes(self, terms: BoolArray) -> FloatArray:
+        axis = self.inputs.model.axis
+        if not np.isin([LINE, SAMPLE], axis).all():
+            return np.zeros(len(terms))
+        # 0, 1 or 2: an axis without a term has no model at all.
+        line = terms[:, axis == LINE]
+        sample = terms[:, axis == SAMPLE]
+        return np.asarray(2.0 - line.any(axis=1) - sample.any(axis=1))
+
+
+def _weighted(inputs: Inputs) -> RationalModel | None:
+    """Return a model that is iterated for each selection of points, else None."""
+    model = inputs.model
+    lines = inputs.control.lines
+    return model if isinstance(model, RationalModel) and model.weighted and not len(lines) else None
+
+
+def _terms_in_use(inputs: Inputs) -> BoolArray:
+    """Return which terms are in use where they are not selected, shape (k,)."""
+    names = inputs.model.terms
+    selected = listed(inputs.options.get("terms"))
+    for name in selected:
+        if name not in names:
+            raise unknown_name("term", name, names)
+    return np.array([not selected or name in selected for name in names])
+
+
+def _feature_counts(inputs: Inputs) -> tuple[int, int | None]:
+    """Return the fewest and the most features, from the options of these names."""
+    n = len(inputs.control)
+    counts = {name: inputs.options.get(name) for name in ("min_features", "max_features")}
+    for name, count in counts.items():
+        if count is not None and not 1 <= count <= n:
+            raise TermselError(f"option {name!r} is {count}; there are {n} control features to "
+                               "select from", hint=f"Give a number from 1 to {n}.")
+    min_features, max_features = counts.values()
+    if min_features is not None and max_features is not None and min_features > max_features:
+        raise TermselError(f"option 'min_features' is {min_features}, more than 'max_features', "
+                           f"{max_features}",
+                           hint="Lower min_features or raise max_features.")
+    return min_features or 0, max_features
+
+
+def _term_segments(names: tuple[str, ...], axis: IntArray, mask: str,
+                   ) -> tuple[list[Bits], IntArray]:
+    """Return the segments of term genes and the gene that switches each term."""
+    if mask == "shared":
+        # "line.num:X2Y" and "sample.num:X2Y" share the gene "num:X2Y".
+        shared = [str(Term.parse(name).shared) for name in names]
+        labels = tuple(dict.fromkeys(shared))
+        return ([Bits("terms", labels)],
+                np.array([labels.index(name) for name in shared], dtype=np.intp))
+    segments: list[Bits] = []
+    order: list[int] = []
+    for image_axis, title in ((0, "terms.line"), (1, "terms.sample"), (2, "terms.shared")):
+        numbers = np.flatnonzero(axis == image_axis)
+        if numbers.size:
+            segments.append(Bits(title, tuple(names[i] for i in numbers)))
+            order.extend(int(i) for i in numbers)
+    # Genes are in the order of the segments, terms in that of the model.
+    gene = np.empty(len(names), dtype=np.intp)
+    gene[order] = np.arange(len(names))
+    return segments, gene

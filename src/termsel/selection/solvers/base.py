@@ -1,0 +1,111 @@
+"""Public base of solvers."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+
+from termsel.core.isolation.arrays import of_type
+from termsel.core.isolation.calls import Check
+from termsel.core.options import Configurable
+from termsel.selection.problems.base import Evaluation, Problem, evaluation_fault
+from termsel.selection.problems.segments import AnySegment, Bits, Genes
+
+GIVEN = "given"
+"""In the place of a solver's name: the genes were given to `termsel.assess`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Generation:
+    """A population and its evaluation.
+
+    Parameters
+    ----------
+    index : int
+        From 0, the initial population.
+    genes : ndarray, shape (p, size)
+    evaluation : Evaluation
+    details : mapping
+        Further values for observers. ``empires``, int, shape (k,), the countries of each empire
+        as the ICA counts them, also goes into the history.
+    """
+
+    index: int
+    genes: Genes
+    evaluation: Evaluation
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+
+def _generation_fault(_solver: Solver, value: Any, problem: Problem, *_args: Any) -> str | None:
+    """Return what is wrong with a generation, if anything."""
+    fault = of_type(value, Generation)
+    if fault is not None:
+        return fault.replace("returned", "yielded")
+    if not isinstance(value.index, int) or isinstance(value.index, bool) or value.index < 0:
+        return f"yielded the index {value.index!r:.100}; expected a whole number from 0"
+    if not isinstance(value.details, Mapping):
+        return "yielded details that are no mapping"
+    if (counts := value.details.get("empires")) is not None and not (
+            isinstance(counts, np.ndarray) and counts.ndim == 1 and counts.dtype.kind in "iu"
+            and (counts >= 0).all()):
+        return "yielded empires that are not an array of counts"
+    # Genes first: an evaluation is held against them.
+    if fault := problem.genome.fault(value.genes):
+        return f"yielded {fault}"
+    return evaluation_fault(problem, value.evaluation, value.genes)
+
+
+class Solver(Configurable, ABC):
+    """A search. Subclasses yield generations; budgets and records are kept by the run.
+
+    All solvers run alike: with the same most terms, the same default budget, and a local
+    refinement only where the run declares one.
+    """
+
+    kind = "solver"
+    guards: ClassVar[Mapping[str, Check | None]] = {"generations": _generation_fault}
+
+    min_objectives: ClassVar[int] = 1
+    """Fewest objectives that it takes."""
+
+    max_objectives: ClassVar[int] = 1
+    """Most objectives that it takes."""
+
+    segments: ClassVar[tuple[type[AnySegment], ...]] = (Bits,)
+    """Types of segments it handles; a run refuses genomes with others."""
+
+    ends_by_itself: ClassVar[bool] = False
+    """Whether it needs no budget: without one it runs to its end."""
+
+    uses_all: ClassVar[bool] = False
+    """Whether it uses all terms, so that the problem's limit on them (`max_share`) is none."""
+
+    published: ClassVar[Mapping[str, Any]] = {}
+    """Options as its paper has them, where they differ from the defaults; they hold where a user
+    asks for the solver by name."""
+
+    departures: ClassVar[tuple[str, ...]] = ()
+    """In which points it departs from its paper even then, a sentence each."""
+
+    uses_chance: ClassVar[bool] = True
+    """Whether another seed may give another result. A study runs solvers without chance once."""
+
+    @abstractmethod
+    def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
+        """Yield one generation after another, the initial population first.
+
+        Parameters
+        ----------
+        problem : Problem
+        rng : numpy.random.Generator
+            The only source of chance.
+
+        Yields
+        ------
+        Generation
+            The run stops reading when its budget is spent.
+        """

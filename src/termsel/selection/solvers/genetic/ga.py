@@ -1,0 +1,125 @@
+"""Genetic algorithm on DEAP's toolbox."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+from deap import base
+
+from termsel.core.options import COUNT, Option
+from termsel.data.features import IntArray
+from termsel.selection.problems.base import Evaluation, Problem
+from termsel.selection.problems.genome import Genome
+from termsel.selection.problems.segments import SEGMENTS, AnySegment, Bits, Genes
+from termsel.selection.solvers.base import Generation, Solver
+from termsel.selection.solvers.genetic.operators import crossover, mutation
+
+
+def tournament(order: IntArray, n: int, size: int, rng: np.random.Generator) -> IntArray:
+    """Return n winners of tournaments, for each of which `size` individuals are drawn.
+
+    The order (p,) is of individuals from best to worst.
+    """
+    # Ranks are drawn, with replacement: the least of those of a tournament is the winner.
+    drawn: IntArray = rng.integers(0, len(order), (n, size)).min(axis=1)
+    return order[drawn]
+
+
+def two_best(order: IntArray, n: int) -> IntArray:
+    """Return the two best in turn, as the parents of n children (Valadan Zoej et al. 2002, 3.2).
+
+    The order (p,) is of individuals from best to worst.
+    """
+    return np.resize(order[:2], n)
+
+
+def evenly(genome: Genome, rng: np.random.Generator, n: int) -> Genes:
+    """Return n individuals, shape (n, size), whose bits are on with chance 1/2; others as ever."""
+    genes = genome.random(rng, n)
+    for segment, columns in zip(genome.segments, genome.slices().values(), strict=True):
+        if isinstance(segment, Bits):
+            genes[:, columns] = rng.random((n, len(segment.labels))) < 0.5
+    return genome.repair(genes, rng)
+
+
+class GeneticAlgorithm(Solver):
+    """Generational GA: tournament, uniform crossover, bit flips, elitism.
+
+    Chromosome, selection and crossover are those of Akhoundi Khezrabad et al. 2020, table 2, and
+    by name also the mutation. Genes
+    that are not bits have operators of their own (`termsel.selection.solvers.genetic.operators`).
+    The operators act on the whole population at once and are registered in a DEAP toolbox,
+    where they can be replaced. DEAP's own operators are not used, as they draw one individual
+    at a time from the global random state. Infeasible individuals rank behind all feasible ones.
+    """
+
+    name = "ga"
+    published: ClassVar[Mapping[str, Any]] = {"mutation": 0.001}
+    departures: ClassVar[tuple[str, ...]] = (
+        "The best 2 chromosomes survive unchanged; the paper states no elitism (--set elite=0).",
+        "The paper states neither the size of a tournament nor the chance of a crossover: 3, 0.9.",
+        "It ends with its budget; the papers count generations until convergence (--patience).",
+        "The first chromosomes have random shares of genes on, not half (--set first=half).")
+    segments: ClassVar[tuple[type[AnySegment], ...]] = SEGMENTS
+    declared_options: ClassVar[tuple[Option, ...]] = (
+        Option("population", 200, "Number of chromosomes.", int, 2, 100_000),
+        Option("first", "shares", "First chromosomes: bits on with a chance drawn for each "
+               "chromosome, or with 1/2 for all, as in the standard GA of Akhoundi Khezrabad et "
+               "al. 2020.", choices=("shares", "half")),
+        Option("parents", "tournament", "Who are crossed: winners of tournaments, or always the "
+               "two best, as in Valadan Zoej et al. 2002.", choices=("tournament", "two-best")),
+        Option("tournament", 3, "Chromosomes drawn for each tournament.", int, 1, 1000),
+        Option("crossover", 0.9, "Chance that a pair of parents mates.", float, 0.0, 1.0),
+        Option("mutation", None, "Chance that a gene changes; by default 1 over the number of "
+               "genes; by name 0.001, as in Akhoundi Khezrabad et al. 2020.", float, 0.0, 1.0),
+        Option("elite", 2, "Best chromosomes that survive unchanged.", int, 0, COUNT),
+    )
+
+    def toolbox(self, problem: Problem, rng: np.random.Generator) -> base.Toolbox:
+        """Return the DEAP toolbox: population, evaluate, select, mate and mutate."""
+        o = self.options
+        box = base.Toolbox()
+        # DEAP's toolbox is a register of functions with their arguments, any of which may be
+        # replaced. A GA with a first population of its own has no such option.
+        draw = evenly if o.get("first") == "half" else Genome.random
+        box.register("population", draw, problem.genome, rng, o["population"])
+        box.register("evaluate", problem.evaluate)
+        if o["parents"] == "two-best":
+            box.register("select", two_best)
+        else:
+            box.register("select", tournament, size=o["tournament"], rng=rng)
+        box.register("mate", crossover, genome=problem.genome, probability=o["crossover"], rng=rng)
+        rate = 1.0 / problem.genome.size if o["mutation"] is None else o["mutation"]
+        box.register("mutate", mutation, genome=problem.genome, probability=rate, rng=rng)
+        return box
+
+    def survivors(self, genes: Genes, evaluation: Evaluation) -> IntArray:
+        """Return which chromosomes survive unchanged, at most all but one."""
+        return evaluation.order()[:min(self.options["elite"], len(genes) - 1)]
+
+    def children(self, box: base.Toolbox, genes: Genes, evaluation: Evaluation,
+                 n: int) -> Genes:
+        """Return n new chromosomes of a population and its evaluation, before their repair."""
+        children: Genes = box.mutate(box.mate(genes[box.select(evaluation.order(), n)]))
+        return children
+
+    def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
+        """Yield generations without end (see `Solver.generations`)."""
+        box = self.toolbox(problem, rng)
+        genes = box.population()
+        evaluation = box.evaluate(genes)
+        yield Generation(0, genes, evaluation)
+        for index in itertools.count(1):
+            survivors = self.survivors(genes, evaluation)
+            children = self.children(box, genes, evaluation, len(genes) - len(survivors))
+            # Operators may break forced genes and counts: nothing else is ever evaluated.
+            children = problem.genome.repair(children, rng)
+            offspring = box.evaluate(children)
+            genes = np.concatenate([genes[survivors], children])
+            evaluation = Evaluation(
+                np.concatenate([evaluation.objectives[survivors], offspring.objectives]),
+                np.concatenate([evaluation.violation[survivors], offspring.violation]))
+            yield Generation(index, genes, evaluation)

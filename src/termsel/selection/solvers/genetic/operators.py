@@ -1,0 +1,346 @@
+"""Operators on populations of any genome: crossover, mutation, neighbours, random keys.
+
+Solvers take what varies genes from here, whatever the segments. All operators act on valid genes
+and return valid ones, but for forced genes and the number of bits that are on: these
+`Genome.repair` restores.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from termsel.data.features import BoolArray, FloatArray, IntArray
+from termsel.selection.problems.genome import Genome
+from termsel.selection.problems.segments import (
+    AnySegment,
+    Bits,
+    Categories,
+    CustomSegment,
+    Genes,
+    Integers,
+    Permutation,
+    Reals,
+    Subset,
+)
+
+SPREAD_OF_CHILDREN, SPREAD_OF_MUTANTS = 15.0, 20.0
+"""Distribution indices of simulated binary crossover and polynomial mutation, as usual."""
+
+HALVINGS = 20
+"""Neighbours of a number are a half, a quarter, ... of its range away, this many times."""
+
+
+def crossover(genes: Genes, genome: Genome, probability: float,
+              rng: np.random.Generator) -> Genes:
+    """Return children of neighbours: of genes (p, g) rows 0 and 1 are a pair, 2 and 3, and so on.
+
+    A pair mates with a chance. Bits and categories are swapped with chance 1/2. Numbers are crossed
+    by simulated binary crossover (Deb, Agrawal 1995), whole ones rounded; permutations by order
+    crossover (Davis 1985). Subsets keep what both parents have.
+    """
+    if genome.dtype == np.bool_:
+        return uniform_crossover(genes, probability, rng)
+    # An odd individual at the end stays as it is.
+    pairs = len(genes) // 2
+    # Parents stand in turn, and so do their children.
+    first = slice(0, 2 * pairs, 2)
+    second = slice(1, 2 * pairs, 2)
+    mates = rng.random((pairs, 1)) < probability
+    children = genes.copy()
+    for segment, columns in zip(genome.segments, genome.slices().values(), strict=True):
+        child_1, child_2 = _crossed(segment, genes[first, columns], genes[second, columns], rng)
+        children[first, columns] = np.where(mates, child_1, genes[first, columns])
+        children[second, columns] = np.where(mates, child_2, genes[second, columns])
+    return children
+
+
+def mutation(genes: Genes, genome: Genome, probability: float,
+             rng: np.random.Generator) -> Genes:
+    """Return valid genes (p, g), each changed with the given chance.
+
+    Bits flip. Categories become another one. Numbers change by polynomial mutation (Deb, Goyal
+    1996), whole ones by 1 at least. A part of a permutation is reversed, and one member of a subset
+    replaced, with the chance that one of its genes would change, at most 1.
+    """
+    if genome.dtype == np.bool_:
+        return flip_bits(genes, probability, rng)
+    mutants = genes.copy()
+    for segment, columns in zip(genome.segments, genome.slices().values(), strict=True):
+        mutants[:, columns] = _mutated(segment, genes[:, columns], probability, rng)
+    return mutants
+
+
+def _crossed(segment: AnySegment, parents_1: Genes, parents_2: Genes,
+             rng: np.random.Generator) -> tuple[Genes, Genes]:
+    """Return two children of each pair of parents."""
+    match segment:
+        case Integers() | Reals():
+            return _blended(segment, parents_1, parents_2, rng)
+        case Permutation():
+            return _ordered(parents_1, parents_2, rng)
+        case Subset():
+            # Parents in turn, as `set_crossover` takes them; who mates is decided by its caller.
+            pairs = np.stack([parents_1, parents_2], axis=1)
+            parents = pairs.reshape(2 * len(parents_1), segment.m)
+            children = set_crossover(parents, 1.0, rng)
+            return children[::2], children[1::2]
+        case CustomSegment():
+            return segment.crossed(parents_1, parents_2, rng)
+        case _:
+            swap = rng.random(parents_1.shape) < 0.5
+            return np.where(swap, parents_2, parents_1), np.where(swap, parents_1, parents_2)
+
+
+def _blended(segment: Integers | Reals, parents_1: Genes, parents_2: Genes,
+             rng: np.random.Generator) -> tuple[Genes, Genes]:
+    """Cross numbers by simulated binary crossover (Deb, Agrawal 1995)."""
+    from pymoo.operators.crossover.sbx import cross_sbx
+
+    # Of each pair the spread, the chance that a number is crossed, and that children change places.
+    each_pair = (len(parents_1), 1)
+    children = cross_sbx(
+        np.stack([parents_1, parents_2]).astype(np.float64),
+        np.array(segment.low, dtype=np.float64), np.array(segment.high, dtype=np.float64),
+        np.full(each_pair, SPREAD_OF_CHILDREN), 0.5, np.full(each_pair, 0.5), random_state=rng)
+    return segment.repaired(children[0]), segment.repaired(children[1])
+
+
+def _ordered(parents_1: Genes, parents_2: Genes, rng: np.random.Generator) -> tuple[Genes, Genes]:
+    """Cross permutations by order crossover (Davis 1985)."""
+    from pymoo.operators.crossover.ox import ox, random_sequence
+
+    children = parents_1.copy(), parents_2.copy()
+    if parents_1.shape[1] > 1:
+        for i, (parent_1, parent_2) in enumerate(zip(parents_1, parents_2, strict=True)):
+            ends = random_sequence(len(parent_1), random_state=rng)
+            children[0][i] = ox(parent_1, parent_2, seq=ends)
+            children[1][i] = ox(parent_2, parent_1, seq=ends)
+    return children
+
+
+def _mutated(segment: AnySegment, genes: Genes, probability: float,
+             rng: np.random.Generator) -> Genes:
+    """Return mutated genes of one segment, by its type."""
+    match segment:
+        case Bits():
+            return flip_bits(genes.astype(bool), probability, rng)
+        case Categories():
+            # Any other one: 1 to n - 1 places on, in a circle.
+            categories = (genes + rng.integers(1, max(len(segment.choices), 2), genes.shape)
+                     ) % len(segment.choices)
+            return np.where(rng.random(genes.shape) < probability, categories, genes)
+        case Integers() | Reals():
+            return _polynomial(segment, genes, probability, rng)
+        case Permutation():
+            return _reversed_parts(genes, min(probability * segment.size, 1.0), rng)
+        case Subset():
+            return replace_one(genes.astype(np.intp), len(segment.labels),
+                               min(probability * segment.m, 1.0), rng)
+        case CustomSegment():
+            return segment.mutated(genes, probability, rng)
+
+
+def _polynomial(segment: Integers | Reals, genes: Genes, probability: float,
+                rng: np.random.Generator) -> Genes:
+    """Change numbers by polynomial mutation (Deb, Goyal 1996)."""
+    from pymoo.operators.mutation.pm import mut_pm
+
+    p = len(genes)
+    mutants = mut_pm(genes.astype(np.float64), np.array(segment.low, dtype=np.float64),
+                     np.array(segment.high, dtype=np.float64), np.full(p, SPREAD_OF_MUTANTS),
+                     np.full(p, probability), at_least_once=False, random_state=rng)
+    if isinstance(segment, Integers):
+        # A change that rounding would undo is one step in its direction.
+        step = np.where(mutants > genes, 1, np.where(mutants < genes, -1, 0))
+        rounded = np.rint(mutants)
+        mutants = np.where(rounded == genes, genes + step, rounded)
+    return segment.repaired(mutants)
+
+
+def _reversed_parts(genes: Genes, probability: float, rng: np.random.Generator) -> Genes:
+    """Reverse a random part of some permutations."""
+    # Inversion: neighbours stay neighbours, but for the two ends of the part.
+    mutants = genes.copy()
+    n = genes.shape[1]
+    if n > 1:
+        for row in mutants[rng.random(len(genes)) < probability]:
+            start, end = np.sort(rng.choice(n, 2, replace=False))
+            row[start:end + 1] = row[start:end + 1][::-1].copy()
+    return mutants
+
+
+def uniform_crossover(genes: Genes, probability: float, rng: np.random.Generator) -> Genes:
+    """Return children of neighbours (p, g); each gene of a mating pair is swapped with chance 1/2.
+
+    Rows 0 and 1 are a pair, 2 and 3, and so on, which mates with the given chance.
+    """
+    pairs = len(genes) // 2
+    first = genes[0:2 * pairs:2]
+    second = genes[1:2 * pairs:2]
+    swap = rng.random(first.shape) < 0.5
+    swap &= rng.random((pairs, 1)) < probability
+    children = genes.copy()
+    children[0:2 * pairs:2] = np.where(swap, second, first)
+    children[1:2 * pairs:2] = np.where(swap, first, second)
+    return children
+
+
+def flip_bits(genes: BoolArray, probability: float, rng: np.random.Generator) -> BoolArray:
+    """Return genes, each flipped with the given chance."""
+    return genes ^ (rng.random(genes.shape) < probability)
+
+
+def set_crossover(tuples: IntArray, probability: float, rng: np.random.Generator) -> IntArray:
+    """Return children that keep what both parents have and draw the rest from what one has.
+
+    Parents are tuples (p, m), each row ascending; rows 0 and 1 are a pair, 2 and 3, and so on,
+    which mates with the given chance. So are their children, two per pair, without repetition.
+    """
+    pairs = len(tuples) // 2
+    m = tuples.shape[1]
+    # Sorted, the numbers that both parents have stand twice, next to each other.
+    numbers = np.sort(tuples[:2 * pairs].reshape(pairs, 2 * m), axis=1)
+    twin = np.zeros(numbers.shape, dtype=bool)
+    twin[:, 1:] = numbers[:, 1:] == numbers[:, :-1]
+    mates = rng.random(pairs) < probability
+    children = tuples.copy()
+    for child in (0, 1):
+        # Shared numbers come first, once; then numbers of one parent, shuffled.
+        key = rng.random(numbers.shape)
+        key[twin] = -1.0
+        key[:, :-1][twin[:, 1:]] = 2.0
+        members = np.take_along_axis(numbers, key.argsort(axis=1)[:, :m], axis=1)
+        children[child:2 * pairs:2][mates] = np.sort(members[mates], axis=1)
+    return children
+
+
+def replace_one(tuples: IntArray, n: int, probability: float,
+                rng: np.random.Generator) -> IntArray:
+    """Return chromosomes, some with one number replaced by one they did not have.
+
+    Tuples (p, m) are of numbers below n, each row ascending. A chromosome mutates with the given
+    chance.
+    """
+    p, m = tuples.shape
+    # Who mutates is drawn first, also where nobody can: the stream of chance stays the same.
+    mutants = np.flatnonzero(rng.random(p) < probability)
+    if not m or m == n:
+        return tuples
+    dropped = rng.integers(0, m, len(mutants))
+    # The r-th number that is not in a row: r moves up by one for each member before it.
+    rank = rng.integers(0, n - m, len(mutants))
+    smaller = tuples[mutants] - np.arange(m) <= rank[:, None]
+    changed = tuples.copy()
+    changed[mutants, dropped] = rank + smaller.sum(axis=1)
+    return np.sort(changed, axis=1)
+
+
+def steps(segment: AnySegment, genes: Genes) -> Iterator[Genes]:
+    """Yield the neighbours of one chromosome's genes of a segment that is not bits, (n, size).
+
+    Integers and real numbers are a half, a quarter, ... of their range away, or at a bound;
+    categories are all others; a permutation has two of its things exchanged; a subset has one
+    member replaced. All are valid and differ from the genes.
+    """
+    n = segment.size
+    match segment:
+        case Integers() | Reals():
+            low = np.array(segment.low)
+            high = np.array(segment.high)
+            for i in range(n):
+                reach = (high[i] - low[i]) * 0.5 ** np.arange(1, HALVINGS + 1)
+                if isinstance(segment, Integers):
+                    reach = np.unique(np.maximum(np.rint(reach), 1))[::-1]
+                values = np.clip(genes[i] + np.concatenate([reach, -reach]), low[i], high[i])
+                # Several reaches end at a bound: each value once, in order of its reach.
+                values = values[np.sort(np.unique(values, return_index=True)[1])]
+                yield _with(genes, i, values[values != genes[i]])
+        case Categories():
+            for i in range(n):
+                values = np.arange(len(segment.choices))
+                yield _with(genes, i, values[values != genes[i]])
+        case Permutation():
+            for i in range(n - 1):  # each pair once
+                exchanged = np.repeat(genes[None], n - 1 - i, axis=0)
+                exchanged[:, i] = genes[i + 1:]
+                exchanged[np.arange(n - 1 - i), np.arange(i + 1, n)] = genes[i]
+                yield exchanged
+        case Subset():
+            # Members stay sorted: a set has one chromosome.
+            outsiders = np.setdiff1d(np.arange(len(segment.labels)), genes)
+            for i in range(n):
+                yield np.sort(_with(genes, i, outsiders), axis=1)
+        case CustomSegment():
+            yield from segment.steps(genes)
+        case Bits():  # see `swap.neighbours`
+            raise TypeError("the neighbours of bits depend on their cardinality")
+
+
+def _with(genes: Genes, i: int, values: Genes) -> Genes:
+    """Return copies of genes with other values at one place."""
+    copies = np.repeat(genes[None], len(values), axis=0)
+    copies[:, i] = values
+    return copies
+
+
+def n_keys(genome: Genome) -> int:
+    """Return how many random keys a chromosome of the genome has."""
+    return sum(map(_keys_of, genome.segments))
+
+
+def from_keys(keys: FloatArray, genome: Genome) -> Genes:
+    """Return the genes that random keys stand for (Bean 1994), before their repair.
+
+    Keys, shape (p, n_keys(genome)), from 0 to 1, are what a solver in a continuous space moves. A
+    bit is on above one half; a number is at that share of its range; of categories the greatest key
+    is taken; keys in their order are a permutation; the m greatest are a subset.
+    """
+    # A segment takes as many keys as it needs, which may be more than it has genes.
+    genes = np.empty((len(keys), genome.size), dtype=genome.dtype)
+    start = 0
+    for segment, columns in zip(genome.segments, genome.slices().values(), strict=True):
+        count = _keys_of(segment)
+        genes[:, columns] = _unlocked(segment, keys[:, start:start + count])
+        start += count
+    return genes
+
+
+def _keys_of(segment: AnySegment) -> int:
+    """Return how many random keys stand for the genes of a segment."""
+    match segment:
+        case Categories():
+            return segment.size * len(segment.choices)
+        case Subset():
+            return len(segment.labels)
+        case CustomSegment():
+            return segment.keys
+        case _:
+            return segment.size
+
+
+def _unlocked(segment: AnySegment, keys: FloatArray) -> Genes:
+    """Return the genes of one segment that random keys stand for, by its type."""
+    match segment:
+        case Bits():
+            return keys > 0.5
+        case Reals():
+            low = np.array(segment.low)
+            high = np.array(segment.high)
+            return segment.repaired(low + keys * (high - low))
+        case Integers():
+            low = np.array(segment.low)
+            high = np.array(segment.high)
+            # Each whole number has the same share of the keys.
+            return segment.repaired(np.floor(low + keys * (high - low + 1)))
+        case Categories():
+            keys_of_genes = keys.reshape(len(keys), segment.size, -1)
+            return np.asarray(keys_of_genes.argmax(axis=2))
+        case Permutation():
+            return keys.argsort(axis=1)
+        case Subset():
+            members: IntArray = np.argsort(-keys, axis=1)[:, :segment.m]
+            return np.sort(members, axis=1)
+        case CustomSegment():
+            return segment.unlocked(keys)

@@ -1,0 +1,207 @@
+"""Local search by adding, dropping and swapping genes; also refines the result of others."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+
+from termsel.data.features import BoolArray, IntArray, select
+from termsel.selection.problems.base import Evaluation, Problem
+from termsel.selection.problems.genome import Genome
+from termsel.selection.problems.segments import SEGMENTS, AnySegment, Bits, Genes, Subset
+from termsel.selection.solvers.base import Generation, Solver
+from termsel.selection.solvers.genetic.operators import mutation, steps
+
+BATCH = 2000
+"""Most neighbours evaluated before a step: all of a small genome; all of a large one would not
+fit into memory."""
+
+
+def moves(genes: Genes, problem: Problem) -> Iterator[Genes]:
+    """Yield the moves of a problem of its own, then all `neighbours`."""
+    yield from problem.moves(genes)
+    yield from neighbours(genes, problem.genome)
+
+
+def neighbours(genes: Genes, genome: Genome) -> Iterator[Genes]:
+    """Yield all valid individuals one step away, in batches (n, size) of up to BATCH.
+
+    Of bits, first come the selections with one gene more or less, then those in which a gene that
+    is on is replaced by another of its segment. Forced genes stay and each segment keeps its
+    cardinality. Of other genes see `termsel.selection.solvers.genetic.operators.steps`.
+    """
+    if genome.dtype == np.bool_:
+        yield from _of_bits(genes, genome)
+        return
+    for segment, columns in zip(genome.segments, genome.slices().values(), strict=True):
+        for changed in _of_segment(genes[columns], genome, segment):
+            for start in range(0, len(changed), BATCH):
+                batch = changed[start:start + BATCH]
+                individuals = np.repeat(genes[None], len(batch), axis=0)
+                individuals[:, columns] = batch
+                yield individuals
+
+
+def _of_segment(genes: Genes, genome: Genome, segment: AnySegment) -> Iterator[Genes]:
+    """Yield the genes of a segment one step away, forced ones as they are."""
+    labels = genome.label_slices()[segment.name]
+    if isinstance(segment, Bits):
+        segment_genome = Genome([segment], on=select(segment.labels, genome.on[labels]),
+                                off=select(segment.labels, genome.off[labels]))
+        yield from _of_bits(genes.astype(bool), segment_genome)
+    else:
+        for stepped in steps(segment, genes):
+            if isinstance(segment, Subset):
+                # One member gives way to another: neither may be forced.
+                moved = segment.mask(stepped) ^ segment.mask(genes[None])
+                stepped = stepped[~(moved & ~genome.free[labels]).any(axis=1)]
+            yield stepped
+
+
+def _of_bits(genes: BoolArray, genome: Genome) -> Iterator[BoolArray]:
+    """Yield the neighbours in a genome of bits alone."""
+    flips: list[IntArray] = []  # genes that may be switched without leaving the cardinality
+    # Pairs of one gene of the first and one of the second, of which there may be very many: they
+    # are numbered, and made when their batch is. A flip is a pair of the gene with itself.
+    pairs: list[tuple[IntArray, IntArray]] = []
+    for segment, columns in zip(genome.segments, genome.slices().values(), strict=True):
+        assert isinstance(segment, Bits)
+        count = int(genes[columns].sum())
+        free = np.flatnonzero(genome.free[columns]) + columns.start
+        on = free[genes[free]]
+        off = free[~genes[free]]
+        flips += [off] if count < segment.most else []
+        flips += [on] if count > segment.minimum else []
+        pairs.append((on, off))
+    # Numbers 0 to ends[0] are flips, then come the pairs of each segment.
+    single = np.concatenate([*flips, np.empty(0, dtype=np.intp)])
+    ends = np.cumsum([len(single), *(len(on) * len(off) for on, off in pairs)])
+    for start in range(0, int(ends[-1]), BATCH):
+        number = np.arange(start, min(start + BATCH, int(ends[-1])))
+        first = np.empty(len(number), dtype=np.intp)
+        second = np.empty_like(first)
+        first[number < ends[0]] = second[number < ends[0]] = single[number[number < ends[0]]]
+        for (on, off), begin, end in zip(pairs, ends[:-1], ends[1:], strict=True):
+            in_segment = (number >= begin) & (number < end)
+            # Pair i of a segment has its gene i // |off| that is on, and i % |off| that is off.
+            first[in_segment] = on[(number[in_segment] - begin) // max(len(off), 1)]
+            second[in_segment] = off[(number[in_segment] - begin) % max(len(off), 1)]
+        individuals = np.repeat(genes[None], len(first), axis=0)
+        # In a flip both are one gene, which the second write leaves inverted.
+        individuals[np.arange(len(first)), first] ^= True
+        individuals[np.arange(len(first)), second] = ~genes[second]
+        yield individuals
+
+
+def descend(problem: Problem, genes: Genes, evaluation: Evaluation, index: int = 0,
+            ) -> Iterator[Generation]:
+    """Step to better neighbours until there is none; yield each selection reached, the start first.
+
+    A step goes to the best of the first batch of `neighbours` that has a better one; when the
+    descent ends, no neighbour is better. If several segments of the genome have a better
+    neighbour, the step combines the best of each, if that is better still: line and sample are
+    often independent. The start, genes (1, size), comes with its evaluation and the number of the
+    first generation.
+    """
+    # No selection is met twice: each step improves, so that the descent ends.
+    better = True
+    while better:
+        yield Generation(index, genes, evaluation)
+        index += 1
+        better = False
+        for around in moves(genes[0], problem):
+            neighbour_evaluation = problem.evaluate_near(around, genes[0])
+            # The first batch with a better one is enough: further ones may be very many.
+            best_neighbour = neighbour_evaluation.take(neighbour_evaluation.order()[:1])
+            if _rank(best_neighbour) < _rank(evaluation):
+                genes, evaluation = _combined(problem, genes, evaluation, around,
+                                              neighbour_evaluation)
+                better = True
+                break
+
+
+def climb(problem: Problem, genes: Genes, evaluation: Evaluation,
+          rng: np.random.Generator) -> Iterator[list[Generation]]:
+    """Descend from a selection (1, size), then repeatedly from others, without end.
+
+    Yielded are the steps of one start at a time; the last is the best so far.
+
+    Every second descent starts from a random selection, the others from the best with a random
+    share of its genes changed, at most half. If segments of its end improve the best, they are
+    copied to it, and a descent from there follows. termsel's own formulation: the first kind
+    finds the optimum of small problems, the second improves large ones.
+    """
+    genome = problem.genome
+    climbed = list(descend(problem, genes, evaluation))
+    for start in itertools.count():
+        best = climbed[-1]
+        yield climbed
+        # In turn from the neighbourhood of the best and from anywhere.
+        if start % 2:
+            elsewhere = genome.repair(_shaken(best.genes, genome, rng), rng)
+        else:
+            elsewhere = genome.random(rng, 1)
+        climbed = list(descend(problem, elsewhere, problem.evaluate(elsewhere), best.index + 1))
+        reached = climbed[-1]
+        # A segment of its end may improve the best even if all of it does not.
+        candidates = np.repeat(best.genes, len(genome.segments) + 1, axis=0)
+        # Row i is the best with segment i of the end; the last row is the end itself.
+        for i, columns in enumerate(genome.slices().values()):
+            candidates[i, columns] = reached.genes[0, columns]
+        candidates[-1] = reached.genes[0]
+        combined, combined_evaluation = _combined(problem, best.genes, best.evaluation, candidates,
+                                                  problem.evaluate(candidates))
+        climbed += descend(problem, combined, combined_evaluation, reached.index + 1)
+
+
+def _shaken(genes: Genes, genome: Genome, rng: np.random.Generator) -> Genes:
+    """Return genes, a random share of which is changed, at most half."""
+    if genome.dtype == np.bool_:
+        return genes ^ (rng.uniform(size=(1, genome.size)) < rng.uniform(0.0, 0.5))
+    return mutation(genes, genome, rng.uniform(0.0, 0.5), rng)
+
+
+def _combined(problem: Problem, genes: Genes, evaluation: Evaluation, around: Genes,
+              neighbour_evaluation: Evaluation) -> tuple[Genes, Evaluation]:
+    """Return the best of a selection, its neighbours, and the best change of each segment."""
+    order = neighbour_evaluation.order()
+    best = _better(genes, evaluation, around[order[:1]], neighbour_evaluation.take(order[:1]))
+    # Changes of single segments are improvements alone; together they are so where these add up.
+    joined = genes.copy()
+    changes = 0
+    for columns in problem.genome.slices().values():
+        changed = order[(around[order, columns] != genes[0, columns]).any(axis=1)][:1]
+        if len(changed) and _rank(neighbour_evaluation.take(changed)) < _rank(evaluation):
+            joined[0, columns] = around[changed[0], columns]
+            changes += 1
+    return _better(*best, joined, problem.evaluate(joined)) if changes > 1 else best
+
+
+def _better(genes: Genes, evaluation: Evaluation, other_genes: Genes,
+            other_evaluation: Evaluation) -> tuple[Genes, Evaluation]:
+    if _rank(other_evaluation) < _rank(evaluation):
+        return other_genes, other_evaluation
+    return genes, evaluation
+
+
+def _rank(evaluation: Evaluation) -> tuple[float, float]:
+    """Return what a single individual is compared by: its violation, then its objective."""
+    return float(evaluation.violation[0]), float(evaluation.objectives[0, 0])
+
+
+class Swap(Solver):
+    """Add, drop and swap genes as long as that helps, from many starts.
+
+    termsel's own formulation; see `climb`. The same local refinement follows heuristics.
+    """
+
+    name = "swap"
+    segments = SEGMENTS
+
+    def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
+        """Yield one generation per step of each descent, without end (see `Solver.generations`)."""
+        genes = problem.genome.random(rng, 1)
+        for climbed in climb(problem, genes, problem.evaluate(genes), rng):
+            yield from climbed

@@ -1,0 +1,191 @@
+"""The ledger of a search: counts evaluations, looks up known ones, remembers the best."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from termsel.core.errors import TermselError
+from termsel.core.isolation.faults import wrong
+from termsel.core.isolation.inside import own_code
+from termsel.data.record.chances import median
+from termsel.data.record.search import HistoryRow
+from termsel.selection.problems.base import Evaluation, Problem, ProblemAround, evaluation_fault
+from termsel.selection.problems.genome import Genome
+from termsel.selection.problems.segments import Genes
+from termsel.selection.solvers.base import Generation, Solver
+
+_KNOWN = 1_000_000  # individuals remembered at most, unless a front is made of them: some 300 MB
+
+
+@dataclass(frozen=True, eq=False)
+class Progress:
+    """State of a search, as observers get it after each generation and in the local refinement."""
+
+    generation: Generation
+    evaluations: int  # individuals evaluated so far
+    share: float | None  # of the budget that is spent, 0 to 1; None without a budget
+    best: float  # best first objective so far
+    violation: float  # its violation; 0 is feasible
+    genes: Genes  # (size,): the best individual so far
+    # What is being done, where it is no generation of the solver: the local refinement, or a step
+    # of the strategy "auto". There each candidate of each fold counts as an evaluation and as a
+    # generation, none of which has genes.
+    what: str = ""
+
+
+class BudgetSpent(Exception):
+    """Ends a search from within an evaluation."""
+
+
+class Ledger(ProblemAround):
+    """A problem that counts evaluations, looks up known ones, and remembers the best.
+
+    At most so many individuals are evaluated, and none after a deadline by `time.perf_counter`. The
+    solver is who asks for the evaluations.
+    """
+
+    def __init__(self, problem: Problem, *, evaluations: int | None = None,
+                 deadline: float | None = None, solver: Solver | None = None) -> None:
+        super().__init__(problem)
+        self.solver = solver
+        self.limit = evaluations
+        self.deadline = deadline
+        self.after_evaluation: Callable[[], None] = lambda: None
+        self.count = 0
+        self.lookups = 0
+        self.best: tuple[float, float] = (np.inf, np.inf)
+        self.best_genes: Genes | None = None
+        self.best_objectives = np.full(len(problem.objectives), np.inf)
+        self.least = np.full(len(problem.objectives), np.inf)
+        self._row_of: dict[bytes, int] = {}
+        # Objectives and violation by row, and space for more.
+        self._values = np.empty((1024, len(problem.objectives) + 1))
+
+    def __getstate__(self) -> None:
+        """Refuse to go to another process, where nobody would count what is evaluated."""
+        raise TermselError(
+            "the problem that a solver gets counts evaluations in its own process, so no other one "
+            "can have it", hint="Evaluate whole populations in this process. To spread a script of "
+            "your own over processes, use the problem of termsel.prepare.")
+
+    def evaluate(self, genes: Genes) -> Evaluation:
+        """Return the evaluation, computing only what is not known."""
+        with own_code():
+            return self._evaluate(genes)
+
+    def evaluate_near(self, genes: Genes, near: Genes) -> Evaluation:
+        """Return the evaluation of neighbours likewise (see `Problem.evaluate_near`)."""
+        with own_code():
+            return self._evaluate(genes, near)
+
+    def _evaluate(self, genes: Genes, near: Genes | None = None) -> Evaluation:
+        """Evaluate as far as the budget goes; then end the search."""
+        if self.deadline is not None and self.count and time.perf_counter() > self.deadline:
+            raise BudgetSpent
+        if fault := self.genome.fault(genes):
+            raise wrong(self.solver or type(self), "generations",
+                        f"asks for an evaluation of {fault}")
+        # A population that exceeds the budget is evaluated as far as it goes, then the search ends.
+        allowed = len(genes) if self.limit is None else self.limit - self.count
+        evaluation = self._look_up(genes[:allowed], near)
+        self.after_evaluation()
+        if allowed < len(genes):
+            raise BudgetSpent
+        return evaluation
+
+    def progress(self, generation: Generation, share: float | None, what: str = "") -> Progress:
+        """Return the state for observers."""
+        genes = generation.genes[0] if self.best_genes is None else self.best_genes
+        return Progress(generation=generation, evaluations=self.count, share=share,
+                        best=self.best[1], violation=self.best[0], genes=genes, what=what)
+
+    def tally(self, generation: Generation) -> HistoryRow:
+        """Return the generation's entry in the history."""
+        feasible = generation.evaluation.violation == 0
+        scores = generation.evaluation.objectives[feasible, 0]
+        return HistoryRow(self.count, None if self.best[0] else self.best[1],
+                          float(median(scores)) if len(scores) else None, float(feasible.mean()),
+                          tuple(map(int, generation.details.get("empires", ()))))
+
+    def front(self) -> list[Genes]:
+        """Return the feasible non-dominated individuals, by first objective."""
+        values = self._values[:len(self._row_of)]
+        objectives = values[:, :-1]
+        rows = np.flatnonzero(values[:, -1] == 0)
+        rows = rows[np.lexsort(objectives[rows].T[::-1])]
+        front_rows: list[int] = []
+        for row in rows:
+            # Sorted by the first objective: only an earlier one can dominate or equal.
+            if not (objectives[front_rows] <= objectives[row]).all(axis=1).any():
+                front_rows.append(int(row))
+        keys = list(self._row_of)
+        return [_genes(keys[row], self.genome) for row in front_rows]
+
+    def _look_up(self, genes: Genes, near: Genes | None) -> Evaluation:
+        """Evaluate individuals that are not known yet, and return the evaluation of all."""
+        # A front is made of all individuals; of one objective the best is remembered apart.
+        if len(self.objectives) == 1 and len(self._row_of) > _KNOWN:
+            self._row_of = {}
+        keys = _keys(genes)
+        start = len(self._row_of)
+        # Twins within the population are evaluated once.
+        unknown_keys = dict.fromkeys(key for key in keys if key not in self._row_of)
+        end = start + len(unknown_keys)
+        if unknown_keys:
+            # The first of equal individuals stands for all of them.
+            unknown_genes = genes
+            if len(unknown_keys) < len(genes):
+                first = dict(zip(reversed(keys), range(len(keys) - 1, -1, -1), strict=True))
+                unknown_genes = genes[[first[key] for key in unknown_keys]]
+            evaluation = (self.inner.evaluate(unknown_genes) if near is None
+                          else self.inner.evaluate_near(unknown_genes, near))
+            if fault := evaluation_fault(self.inner, evaluation, unknown_genes):
+                raise wrong(self.inner, "evaluate", fault)
+            # At least doubled: in the whole search each row is copied about once.
+            if end > len(self._values):
+                space = np.empty((max(len(self._values), len(unknown_keys)), self._values.shape[1]))
+                self._values = np.concatenate([self._values, space])
+            self._values[start:end, :-1] = evaluation.objectives
+            self._values[start:end, -1] = evaluation.violation
+            self._row_of.update(zip(unknown_keys, range(start, end), strict=True))
+            self._remember(unknown_genes, evaluation)
+        self.count += len(genes)  # looked up or not, so that budgets mean the same for all solvers
+        self.lookups += len(genes) - len(unknown_keys)
+        rows = np.fromiter(map(self._row_of.__getitem__, keys), np.intp, len(keys))
+        return Evaluation(self._values[rows, :-1], self._values[rows, -1])
+
+    def _remember(self, genes: Genes, evaluation: Evaluation) -> None:
+        """Keep the best individual, and the least feasible value of each objective."""
+        # Of each objective the least that is feasible, of whichever individual: for `Patience`.
+        feasible = evaluation.objectives[evaluation.violation == 0]
+        self.least = np.minimum(self.least, feasible.min(axis=0, initial=np.inf))
+        first = int(evaluation.order()[0])
+        # The violation comes first: any feasible individual is better than an infeasible one.
+        rank = (float(evaluation.violation[first]), float(evaluation.objectives[first, 0]))
+        if rank < self.best:
+            self.best = rank
+            self.best_genes = genes[first].copy()
+            self.best_objectives = evaluation.objectives[first].copy()
+
+
+def _keys(genes: Genes) -> list[bytes]:
+    """Return a key for each individual; only equal ones have the same."""
+    # Eight bits a byte; numbers byte by byte, of which 0 and -0 are the same number.
+    rows = np.ascontiguousarray(np.packbits(genes, axis=1) if genes.dtype == np.bool_
+                                else genes + genes.dtype.type(0))  # no negative zero
+    if not rows.size:
+        return [b""] * len(rows)
+    keys: list[bytes] = rows.view(f"V{rows.shape[1] * rows.itemsize}")[:, 0].tolist()
+    return keys
+
+
+def _genes(key: bytes, genome: Genome) -> Genes:
+    """Return the individual that has a key."""
+    if genome.dtype == np.bool_:
+        packed = np.frombuffer(key, dtype=np.uint8)
+        return np.unpackbits(packed, count=genome.size).astype(bool)
+    return np.frombuffer(key, dtype=genome.dtype).copy()

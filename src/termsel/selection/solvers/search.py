@@ -1,0 +1,317 @@
+"""One search: budget, observers, record of evaluations, interrupt."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from contextlib import closing
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from msgspec import structs
+
+from termsel.core.errors import TermselError
+from termsel.core.interrupts import answered
+from termsel.core.threads import one_blas_thread
+from termsel.data.features import FloatArray
+from termsel.data.record.search import HistoryRow, Polish
+from termsel.selection.problems.base import Evaluation, Problem
+from termsel.selection.problems.genome import Genome
+from termsel.selection.problems.segments import Genes
+from termsel.selection.solvers.base import Generation, Solver
+from termsel.selection.solvers.bridges.silence import heard
+from termsel.selection.solvers.budget import (
+    EVALUATIONS,
+    IDLE,
+    TOLERANCE,
+    Budget,
+    Patience,
+    require_limits,
+)
+from termsel.selection.solvers.ledger import BudgetSpent, Ledger, Progress
+from termsel.selection.solvers.refinement import POLISH_SHARE, refine
+
+if TYPE_CHECKING:
+    from termsel.selection.solvers.proofs.proof import FeatureProof, Proof
+
+NONE = Evaluation(np.full((1, 1), np.inf), np.zeros(1))
+"""Of an individual, before a solver has evaluated any."""
+
+Observer = Callable[[Progress], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """A finished or interrupted search.
+
+    Parameters
+    ----------
+    genes : ndarray, shape (size,)
+        The best individual found.
+    objectives : ndarray, shape (m,)
+        Its objectives.
+    violation : float
+        Its violation; 0 is feasible.
+    seed : int
+    evaluations : int
+        Individuals evaluated, those of the local refinement included.
+    generations : int
+        Of the solver, after the first population.
+    lookups : int
+        How many of these evaluations were looked up, as the same individual was already
+        evaluated.
+    seconds : float
+    interrupted : bool
+        True if the user stopped it.
+    polish : Polish, optional
+        None if no local refinement was asked for.
+    certificate : mapping, optional
+        What the solver proved, if anything.
+    certificate_content : mapping, optional
+        Of the file certificate.json, where the solver made one.
+    proof : Proof or FeatureProof, optional
+        From `exact`: what it proved of the selections of each size.
+    coefficients : ndarray, shape (k,), optional
+        From a solver that finds coefficients, as ridge does; others find only genes.
+    front : tuple of ndarray
+        With several objectives all feasible, non-dominated individuals evaluated, each point of
+        the front once, by the first objective; with one objective, the front that the solver
+        yields, if any.
+    notes : tuple of str
+        What a reader of the result must know about the search.
+    history : tuple of HistoryRow
+        One for each generation.
+    """
+
+    genes: Genes
+    objectives: np.ndarray[tuple[int], np.dtype[np.float64]]
+    violation: float
+    seed: int
+    evaluations: int
+    generations: int
+    lookups: int
+    seconds: float
+    interrupted: bool
+    polish: Polish | None = None
+    certificate: Mapping[str, Any] | None = None
+    front: tuple[Genes, ...] = ()
+    coefficients: FloatArray | None = None
+    notes: tuple[str, ...] = ()
+    history: tuple[HistoryRow, ...] = ()
+    proof: Proof | FeatureProof | None = None
+    certificate_content: Mapping[str, Any] | None = None
+
+    def after(self, earlier: Search, *notes: str) -> Search:
+        """Return the search with evaluations and history of an earlier one, and notes on both."""
+        later = tuple(structs.replace(row, evaluations=row.evaluations + earlier.evaluations)
+                      for row in self.history)
+        return replace(self, evaluations=earlier.evaluations + self.evaluations,
+                       generations=earlier.generations + self.generations,
+                       lookups=earlier.lookups + self.lookups,
+                       seconds=earlier.seconds + self.seconds,
+                       history=earlier.history + later, notes=(*self.notes, *notes))
+
+
+@one_blas_thread
+def search(
+    problem: Problem,
+    solver: Solver,
+    *,
+    seed: int = 1,
+    generations: int | None = None,
+    evaluations: int | None = None,
+    seconds: float | None = None,
+    patience: int | None = None,
+    tolerance: float = TOLERANCE,
+    polish: bool = False,
+    observers: Iterable[Observer] = (),
+) -> Search:
+    """Search a problem with a solver.
+
+    Every solver has the same budget by default. A local refinement (`polish`), which may follow
+    any of them, is part of the budget and has three quarters of it.
+
+    Parameters
+    ----------
+    problem : Problem
+    solver : Solver
+    seed : int
+        Seed of the one random generator of the search.
+    generations, evaluations : int, optional
+        Budgets; the search ends when the first is spent. Without any, a solver that does not end
+        by itself has 16,040 evaluations. A local refinement takes part of `evaluations`, or up to
+        three times as many as the search before it.
+    seconds : float, optional
+        Budget of time; the current evaluation is finished.
+    patience : int, optional
+        The search ends after so many generations without a gain.
+    tolerance : float
+        Gains of an objective that are smaller do not count; relative to it.
+    polish : bool
+        Whether a local refinement follows: genes are added, dropped and swapped as long as that
+        helps, from many starts.
+    observers : iterable of callable
+        Called with `Progress` after each generation, and in the local refinement; in another thread
+        while a solver of a plugin yields nothing for 10 s.
+
+    Returns
+    -------
+    Search
+        Also when interrupted with Ctrl-C, if anything was evaluated.
+
+    Raises
+    ------
+    TermselError
+        For a budget that is no positive, or no whole, number; or a solver that cannot handle the
+        objectives.
+    """
+    require_limits(generations=generations, evaluations=evaluations, seconds=seconds,
+                   patience=patience)
+    evaluations = None if evaluations is None else int(evaluations)
+    _require_declared(problem)
+    require_able(problem, solver)
+    shares = 1 + POLISH_SHARE if polish else 1
+    # A refinement has three quarters; the solver gets the rest.
+    solver_evaluations = None if evaluations is None else max(evaluations // shares, 1)
+    if not solver.ends_by_itself and not any((generations, evaluations, seconds, patience)):
+        solver_evaluations = EVALUATIONS
+    start = time.perf_counter()
+    budget = Budget(generations, solver_evaluations, None if seconds is None else seconds / shares,
+                    start)
+    # What the solver gets is the ledger: it counts, looks up what is known, and ends the search.
+    ledger = Ledger(problem, evaluations=solver_evaluations, deadline=budget.deadline,
+                    solver=solver)
+    convergence = Patience(patience, tolerance)
+    generation: Generation | None = None
+    refined = None
+    interrupted = False
+    idle = 0
+    notes: tuple[str, ...] = ()
+    history: list[HistoryRow] = []
+    rng = np.random.default_rng(seed)
+
+    def tell(activity: str) -> None:
+        reached = generation or Generation(0, np.zeros((1, problem.genome.size), dtype=bool), NONE)
+        for observe in observers:
+            observe(ledger.progress(reached, budget.share(reached, ledger), activity))
+
+    running = heard(solver.generations(ledger, rng), solver, ledger, tell)
+    try:
+        # Closing lets a solver that is not run to its end free what it holds.
+        with closing(_until_spent(running)) as yielded:
+            for generation in yielded:
+                # Without evaluations a budget of these would never be spent.
+                idle = 0 if not history or ledger.count > history[-1].evaluations else idle + 1
+                progress = ledger.progress(generation, budget.share(generation, ledger))
+                history.append(ledger.tally(generation))
+                for observe in observers:
+                    observe(progress)
+                if budget.spent(generation, ledger) or convergence.lost(ledger):
+                    break
+                if idle >= IDLE and not solver.ends_by_itself:
+                    notes = (f"The search ended after {IDLE:,} generations in which solver "
+                             f"{solver.name!r} evaluated nothing.",)
+                    break
+        # The refinement has what is left of the whole budget of time.
+        if polish and ledger.best_genes is not None:
+            ledger.deadline = None if seconds is None else start + seconds
+            refined = refine(ledger, rng, generation, evaluations, observers)
+    except KeyboardInterrupt:  # what is known by now is the result
+        if ledger.best_genes is None:
+            raise
+        answered()
+        interrupted = True
+    if ledger.best_genes is None:
+        raise _unevaluated(solver, generation)
+    details = generation.details if generation else {}
+    # With several objectives the front is made of all that was evaluated, whatever the solver says.
+    front = ledger.front() if len(problem.objectives) > 1 else details.get("front", ())
+    return Search(genes=ledger.best_genes, objectives=ledger.best_objectives,
+                  violation=ledger.best[0], seed=seed, evaluations=ledger.count,
+                  generations=generation.index if generation else 0, lookups=ledger.lookups,
+                  seconds=time.perf_counter() - start, interrupted=interrupted, polish=refined,
+                  certificate=details.get("certificate"), front=tuple(front),
+                  coefficients=details.get("coefficients"), notes=notes, history=tuple(history),
+                  proof=details.get("proof"),
+                  certificate_content=details.get("certificate_content"))
+
+
+def _unevaluated(solver: Solver, generation: Generation | None) -> TermselError:
+    """Return the error for a search without an evaluation."""
+    if generation is None:
+        return TermselError(f"solver {solver.name!r} evaluated nothing",
+                            hint="Increase the budget.")
+    return TermselError(
+        f"solver {solver.name!r} yields generations, but evaluated nothing with the problem that "
+        "it got", hint="Call evaluate() of that problem: it counts, and remembers the best.")
+
+
+def begin(problem: Problem, solver: Solver) -> None:
+    """Begin a search and end it before anything is evaluated, so that a solver may refuse it."""
+    # With no evaluation left the ledger ends the search at the first one.
+    unevaluated = Ledger(problem, evaluations=0, solver=solver)
+    with closing(_until_spent(solver.generations(unevaluated, np.random.default_rng(0)))) as begun:
+        next(begun, None)
+
+
+def require_able(problem: Problem, solver: Solver,
+                 other_solvers: Callable[[], Iterable[type[Solver]]] = tuple) -> None:
+    """Refuse a solver that cannot handle the objectives or the genes of the problem.
+
+    Of the other solvers the error names those that can.
+    """
+    _require_declared(problem)
+    n_objectives = len(problem.objectives)
+    # Both must fit: how many objectives there are, and every type of gene.
+    types = {type(segment) for segment in problem.genome.segments}
+    objectives_fit = solver.min_objectives <= n_objectives <= solver.max_objectives
+    if objectives_fit and _handles(solver, types):
+        return
+    able = [alternative.name for alternative in other_solvers()
+            if alternative.min_objectives <= n_objectives <= alternative.max_objectives
+            and _handles(alternative, types)]
+    # A solver may take other objectives by its options: then it is not advised against itself.
+    itself = solver.name in able  # with other options
+    able = [name for name in able if name != solver.name]
+    hints = [f"Choose one of: {', '.join(able)}."] if able else []
+    if itself:
+        hints.append(f"Or set its options otherwise (termsel describe {solver.name}).")
+    others_hint = " ".join(hints) or None
+    if not objectives_fit:
+        raise TermselError(
+            f"solver {solver.name!r} cannot handle {n_objectives} "
+            f"objective{'s' if n_objectives > 1 else ''}: {', '.join(problem.objectives)}",
+            hint=others_hint)
+    segment = next(s for s in problem.genome.segments if not isinstance(s, tuple(solver.segments)))
+    handled = ", ".join(segment_type.__name__ for segment_type in solver.segments)
+    raise TermselError(
+        f"solver {solver.name!r} handles genes of the type {handled}; those of {segment.name!r} "
+        f"are {type(segment).__name__}", hint=others_hint)
+
+
+def _handles(solver: Solver | type[Solver], types: Iterable[type]) -> bool:
+    return all(issubclass(segment_type, tuple(solver.segments)) for segment_type in types)
+
+
+def _require_declared(problem: Problem) -> None:
+    """Refuse a genome that is none, and objectives that are not named one by one: the letters of a
+    str would be taken."""
+    genome = getattr(problem, "genome", None)
+    names = getattr(problem, "objectives", None)
+    fault = ""
+    if not isinstance(genome, Genome):
+        fault = f"genome of problem {type(problem).__name__!r} is {genome!r:.200}, not a Genome"
+    elif not isinstance(names, tuple | list) or not names \
+            or not all(isinstance(name, str) for name in names):
+        fault = (f"objectives of problem {type(problem).__name__!r} are {names!r:.200}, "
+                 "not a tuple of names")
+    if fault:
+        raise TermselError(f"the {fault}", hint="This is a bug in the problem: tell its author.")
+
+
+def _until_spent(running: Iterator[Generation]) -> Generator[Generation]:
+    try:
+        yield from running
+    except BudgetSpent:
+        return
