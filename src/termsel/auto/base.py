@@ -226,6 +226,14 @@ class Candidate(ABC):
         """
         return True
 
+    def settles(self, control: Control) -> str | None:
+        """Return in a sentence why features call for this candidate alone; None if they do not.
+
+        Such as points that were computed by the very geometry that it knows. No other candidate is
+        then judged.
+        """
+        return None
+
     def suspects(self, control: Control) -> Suspects | None:
         """Return which features contradict what the candidate knows of the image.
 

@@ -169,8 +169,8 @@ class Portfolio:
 
 
 _RETURNED = {"declines": str, "describe": str, "fit_control": Fit, "judge": Judged,
-             "model": SensorModel, "nearly": bool, "refit": Fit, "size": numbers.Real,
-             "suspects": Suspects}
+             "model": SensorModel, "nearly": bool, "refit": Fit, "settles": str,
+             "size": numbers.Real, "suspects": Suspects}
 """Types of what methods return, if it is not None."""
 
 Watch = Callable[[Judged | None], None]
@@ -196,6 +196,8 @@ def choose(control: Control, portfolio: Portfolio | None = None, watch: Watch | 
     """
     portfolio = portfolio or Portfolio()
     offered = portfolio.offered(control)
+    if (settled := _settled(offered, control, portfolio)) is not None:
+        return settled
     judged: dict[str, Judged] = {}
     # What contains others comes first where these need not be judged then.
     for candidate in offered if whole else sorted(offered, key=lambda one: -len(one.contains)):
@@ -210,6 +212,17 @@ def choose(control: Control, portfolio: Portfolio | None = None, watch: Watch | 
     if not any(one.candidate.has_prior for one in found):
         found = [*_few(control, portfolio), *found]
     return best_of(found, portfolio)
+
+
+def _settled(offered: Iterable[Candidate], control: Control,
+             portfolio: Portfolio) -> Choice | None:
+    """Return the choice of the candidate that the features call for alone, if one says so."""
+    for candidate in offered:
+        reason = portfolio.ask(candidate, "settles", control)
+        judged = portfolio.judged(candidate, control) if reason else None
+        if judged is not None:
+            return Choice(judged, (judged,), str(reason))
+    return None
 
 
 def _few(control: Control, portfolio: Portfolio) -> list[Judged]:

@@ -17,6 +17,7 @@ import numpy as np
 
 from termsel.data.coordinates.metres import height_unit, plan_of
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray
+from termsel.data.lattices import Lattice, lattice_of
 from termsel.data.scaling import Scaling, in_fit_crs, scaling_of
 from termsel.data.view import View, view_of
 
@@ -70,6 +71,11 @@ class Control:
 
     def __len__(self) -> int:
         return len(self.features)
+
+    @property
+    def lattice(self) -> Lattice | None:
+        """The lattice that the features are, as a processor computes them, if they are one."""
+        return None if len(self.features.lines) else lattice_of(self.features.points)
 
     @property
     def scaled(self) -> FeatureSet:

@@ -23,6 +23,7 @@ from termsel.data.features import (
     no_lines,
     no_points,
 )
+from termsel.data.lattices import Lattice, lattice_of
 from termsel.data.splits import ASSIGNABLE as ASSIGNABLE
 from termsel.data.splits import STRATIFIED, Split
 from termsel.data.tables.tabular import unchecked
@@ -76,6 +77,17 @@ class Observations:
         features = merged(self.together)
         return (replace(self.joint, heights=self.heights) if features is self.together
                 else Control.of(features, self.heights))
+
+    @cached_property
+    def lattice(self) -> Lattice | None:
+        """The lattice that all points are, with the numbers of those in the pool; if they are one.
+        """
+        points = self.features.points
+        whole = None if len(self.features.lines) else lattice_of(points)
+        if whole is None:
+            return None
+        place = {name: index for index, name in enumerate(points.ids)}
+        return whole.take(np.array([place[name] for name in self.pool.features.ids], dtype=np.intp))
 
     @cached_property
     def joint(self) -> Control:
@@ -164,10 +176,10 @@ def observe(
 
     `control`, "points", "lines" or "both", says which features are control; with lines control
     points stay out. Without a split the roles of the file stay, and blank ones are stratified; a
-    split disregards the file's roles, except "off". Twins that are assigned share a role. Fractions
-    are those of control, check and independent among the points that are assigned; with control
-    from lines alone, all become check and independent points. Raises TermselError if the control
-    that is required is not there.
+    split disregards the file's roles, except "off". Twins that are assigned share a role, and so do
+    the points on a line of a lattice, which tell each other. Fractions are those of control, check
+    and independent among the points that are assigned; with control from lines alone, all become
+    check and independent points. Raises TermselError if the control that is required is not there.
     """
     features, labels = _ordered(features)
     points = features.points
@@ -201,9 +213,13 @@ def observe(
 
 @lru_cache(maxsize=2)
 def _ordered(features: FeatureSet) -> tuple[FeatureSet, IntArray]:
-    """Return features in order, without jumps, and their twins; cells of a study share theirs."""
+    """Return features in order, without jumps, and labels of those that share a role.
+
+    Cells of a study share theirs.
+    """
     features = without_jump(in_order(features))
-    return features, twins(features.points.ground)
+    lattice = None if len(features.lines) else lattice_of(features.points)
+    return features, twins(features.points.ground) if lattice is None else lattice.line
 
 
 def in_order(features: FeatureSet) -> FeatureSet:

@@ -17,7 +17,7 @@ import numpy as np
 from termsel.core.errors import counted
 from termsel.data.control import Control, off_plane, with_usual_heights
 from termsel.data.coordinates.metres import in_metres
-from termsel.data.features import FeatureSet, FloatArray, Points
+from termsel.data.features import FeatureSet, FloatArray, IntArray, Points
 from termsel.data.record.chances import quantile, t_quantile
 from termsel.data.record.figures import (
     CONFIDENCE,
@@ -26,12 +26,17 @@ from termsel.data.record.figures import (
     OnGround,
     Predicted,
     StandardFigure,
+    rmse_interval,
 )
 from termsel.fitting.fit import Fit
 from termsel.fitting.next_places import share_left
 from termsel.fitting.normality import chances_if_normal
 from termsel.fitting.residuals import freedom_of
 from termsel.fitting.uncertainty import shared_variance
+
+NEARER = 1 / 3
+"""Least part that an error between lines of a lattice is of that between lines twice as far apart;
+of the square, where lines walk at random."""
 
 NSSDA_POINTS, ASPRS_POINTS = 20, 30
 """Fewest check points of the standards."""
@@ -96,6 +101,30 @@ def predicted_by(fitted: Fit, errors: FloatArray, points: int,
     rmse, low, high = np.hypot([found.rmse, found.low, found.high],
                                [more**0.5, low, high]).tolist()
     return Predicted(rmse, low, high, points=points or None)
+
+
+def predicted_between(errors: FloatArray, lines: IntArray) -> Predicted:
+    """Return the RMSE between the lines of a lattice that errors without whole lines predict.
+
+    Parameters
+    ----------
+    errors : ndarray, shape (m, 2)
+        Of points under choices made without their lines [px].
+    lines : ndarray of int, shape (m,)
+        The line of each. Errors of one line are one observation.
+
+    Notes
+    -----
+    Without a line its neighbours are twice as far apart. Where lines differ by chance, the true
+    error is as large as that without the line. Where they walk at random, its square is a third:
+    that of a Brownian bridge of length h is h/6 on the average, and that in the middle of 2h is
+    h/2. Where they are smooth, it is less, some third. The interval goes from that third to all of
+    it, by the chi-squared distribution of so many lines; its middle is the random walk.
+    """
+    count = len(np.unique(lines))
+    without = float(np.sqrt((errors**2).sum(axis=1).mean()))
+    low, high = rmse_interval(without, count)
+    return Predicted(without * float(np.sqrt(NEARER)), NEARER * low, high)
 
 
 def predicted_of_all(fitted: Fit, expected: Predicted, ground: FloatArray) -> Predicted:

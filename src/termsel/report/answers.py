@@ -29,10 +29,13 @@ from termsel.report.charts import bars, maps
 from termsel.report.compared import fits_of, label_of
 from termsel.report.opening import (
     are_all_named,
+    are_computed,
     expected_of,
+    lattice_of,
     opening,
     predicted_first,
     rounded,
+    said_of_computed,
 )
 from termsel.report.plots import figure, missing
 from termsel.report.selected import selected
@@ -85,7 +88,7 @@ def _fitted_in(record: Record) -> Iterator[Block]:
 
 def _accuracy(record: Record) -> Iterator[Block]:
     yield Statement(statement(record))
-    accuracy = record.accuracy
+    accuracy = None if are_computed(record) else record.accuracy
     predicted = record.predicted
     if accuracy:
         yield from _figures(accuracy, f", which took no part in any choice{_seen_before(accuracy)}")
@@ -122,10 +125,17 @@ def statement(record: Record) -> str:
     accuracy = record.accuracy
     expected = expected_of(record)
     sentences = []
+    if are_computed(record):
+        said = said_of_computed(record)
+        return f"{said[:1].upper()}{said[1:]}"
     if expected and predicted_first(record):
-        sentences.append(_prediction(expected, exported=_of_all(record)))
+        sentences.append(_prediction(expected, exported=_of_all(record),
+                                     lattice=lattice_of(record) is not None))
     if accuracy:
         sentences += _measured(record, accuracy)
+    elif lattice_of(record) is not None:
+        sentences.append("The points of the lattice were computed, so that nothing tells the "
+                         "accuracy of the product.")
     elif expected:
         sentences.append("There are no independent points.")
     else:
@@ -197,9 +207,10 @@ def _shape(of: InImage | OnGround, unit: str, rmse: dict[str, float]) -> Iterato
             if min(of.normal) < _UNLIKELY and not ground else Detail(said)
 
 
-def _prediction(predicted: Predicted, *, exported: bool = False) -> str:
+def _prediction(predicted: Predicted, *, exported: bool = False, lattice: bool = False) -> str:
     of = f"of {counted(predicted.points, 'independent point')}" if predicted.points \
         else "of further points like the control's"
+    of = "between the points of the lattice" if lattice else of
     of += ", by the fit to all points that is exported" * exported
     return (f"Predicted RMSE {of}: {rounded(predicted.rmse)} px "
             f"({100 * predicted.level:.0f} % interval {rounded(predicted.low)} to "

@@ -25,6 +25,8 @@ _NO_FIT, _BLUNT = 0.01, 0.005
 an error that must be exceeded to be found."""
 _ROUNDING = 1e-9
 """Predicted RMSE [px] below which points without errors leave only rounding."""
+_MEASURED = 0.01
+"""RMSE [px] below which points were computed: nobody measures so well."""
 _CONTRADICTED = 2.0
 """Times the upper end of the predicted RMSE beyond which independent points contradict it."""
 _MOST, _WIDTH = 8, 85
@@ -59,6 +61,8 @@ def _data(record: Record, brief: bool) -> Iterator[Note]:
     read = data.read or _as_in_earlier_records(record)
     kinds = ", ".join(counted(n, word) for n, word in (
         (read.points, "point"), (read.lines, "line")) if n)
+    if read.lattice is not None:
+        kinds += f", a lattice of {read.lattice[0]} lines and {read.lattice[1]} columns"
     heights = "" if not read.without_height else (
         " without heights" if read.without_height == read.points + read.lines else
         f" ({read.without_height} without a height)")
@@ -127,6 +131,10 @@ def accuracy_of(record: Record) -> str:
     """Return the accuracy in one sentence: the surer figure first."""
     accuracy = record.accuracy
     expected = expected_of(record)
+    if lattice_of(record) is not None and accuracy is None:
+        return _between_points(record, expected)
+    if are_computed(record):
+        return said_of_computed(record)
     confirmed = "" if accuracy is None else _confirmed(record, accuracy)
     if expected is None:
         return f"{confirmed}." if accuracy else "not known, as there are no independent points."
@@ -136,6 +144,43 @@ def accuracy_of(record: Record) -> str:
         return f"the points fit exactly; {confirmed or 'no independent point confirms it'}."
     return (f"{rounded(expected.rmse)} px predicted ({rounded(expected.low)} to "
             f"{rounded(expected.high)} px); {confirmed or 'no independent point confirms it'}.")
+
+
+def _between_points(record: Record, expected: Predicted | None) -> str:
+    """Return how well a model interpolates between the points of a lattice, or meets them."""
+    control = record.rmse.control
+    if expected is not None:
+        return (f"{rounded(expected.rmse)} px predicted between the points of the lattice "
+                f"({rounded(expected.low)} to {rounded(expected.high)} px); they were computed, so "
+                "nothing tells that of the product.")
+    meets = "" if control is None or control.total is None else \
+        f"the model meets the points of the lattice to {rounded(control.total)} px; "
+    return f"{meets}they were computed, so nothing tells the accuracy of the product."
+
+
+def lattice_of(record: Record) -> tuple[int, int] | None:
+    """Return the lines and columns of the lattice that the points are, if they are one."""
+    return record.data.read.lattice if record.data.read else None
+
+
+def are_computed(record: Record) -> bool:
+    """Return whether the model meets points that took no part closer than anyone measures."""
+    # Of simulated data the noise is known, and may be none.
+    if record.data.noise is not None or lattice_of(record) is not None:
+        return False
+    expected = expected_of(record)
+    if record.accuracy is not None:
+        return max(record.accuracy.image.total, expected.high if expected else 0.0) < _MEASURED
+    return expected is not None and _ROUNDING <= expected.high < _MEASURED
+
+
+def said_of_computed(record: Record) -> str:
+    """Return that a model meets points that were computed, and that this is no accuracy."""
+    expected = expected_of(record)
+    size = record.accuracy.image.total if record.accuracy else expected.rmse if expected else 0.0
+    agreement = f"to {rounded(size)} px" if size >= _ROUNDING else "to rounding"
+    return (f"the model meets points that took no part {agreement}, closer than anyone measures. "
+            "They were computed, or one column is a copy of another: nothing tells the accuracy.")
 
 
 def expected_of(record: Record) -> Predicted | None:
@@ -182,6 +227,8 @@ def blunders_of(record: Record, brief: bool) -> str:
     """Return the worst blunders, with the option that leaves out those in use."""
     out, used, independent = groups = _grouped(record)
     off = off_option(record)
+    if lattice_of(record) is not None:
+        return "none, as the points of a lattice were computed."
     if not any(groups):
         return "looked for before, not here." if record.options.data.get("tested") \
             else _none_found(record)
@@ -271,7 +318,7 @@ def _next(record: Record) -> str:
         return "measure more control, or choose a smaller model."
     if any(not outlier.excluded for outlier in record.outliers):
         return "look at the blunders in use: correct them, or leave them out and run again."
-    if not record.data.counts.independent:
+    if not record.data.counts.independent and lattice_of(record) is None:
         return "measure further points, some of the role independent; termsel plan names places."
     if "Let auto choose" in record.judgement:
         return "name no problem and no method: then auto chooses, and predicts better."

@@ -17,6 +17,7 @@ from termsel.auto.portfolio import Portfolio
 from termsel.core.errors import TermselError
 from termsel.core.files.names import CERTIFICATE
 from termsel.core.threads import one_blas_thread
+from termsel.data.control import Control
 from termsel.data.datasets import DatasetSpec
 from termsel.data.features import FeatureSet
 from termsel.data.record.search import SearchLimits
@@ -34,6 +35,7 @@ from termsel.runs.auto.strategy import LEAST, choose_for, wanted
 from termsel.runs.notebook import notebook_observer
 from termsel.runs.task.blank_heights import to_leave_out
 from termsel.runs.task.fit_crs import with_polar
+from termsel.runs.task.given import all_candidates
 from termsel.runs.task.request import Request, loaded
 from termsel.runs.task.rpc_given import part_of_rpc, with_part
 from termsel.runs.task.task import Task, observe, prepared, with_shares
@@ -213,7 +215,7 @@ def _chosen(request: Request, seed: int, observers: Iterable[Observer], out: Pat
         # The model of the search is not asked for, so that it asks for no heights.
         setup = replace(setup, model=registry().get("models", "poly2d")())
     setup = with_shares(setup, auto=True)
-    least = LEAST if setup.features.rpc is None else 1
+    least = _fewest(setup.features)
     observations = observe(setup, least)
     part = part_of_rpc(observations.together)
     if part is not None:
@@ -224,6 +226,17 @@ def _chosen(request: Request, seed: int, observers: Iterable[Observer], out: Pat
     compiles = held_out.needs_compilation(len(observations.together.points))
     return _written(lambda: choose_for(setup, observations, seed, observers), out, overwrite,
                     AUTO_COMPILES if compiles else 0)
+
+
+def _fewest(features: FeatureSet) -> int:
+    """Return the fewest features to choose by: one where something is known of the image."""
+    if features.rpc is not None:
+        return 1
+    in_use = np.array([role not in ("independent", "off") for role in features.points.roles]
+                      + [True] * len(features.lines.features), dtype=bool)
+    if not 0 < in_use.sum() < LEAST:
+        return LEAST
+    return min(LEAST, all_candidates().least(Control.of(features.take(in_use))))
 
 
 def _written(work: Callable[[], Result], out: Path | str | None, overwrite: bool, longer: int

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from termsel import Candidate, Control, Estimator, Fit, SensorModel, Undetermined
-from termsel_scanner.annotation import is_annotation
-from termsel_scanner.physical import RobustFit
+from termsel_scanner.annotation import is_annotation, lattice_of
+from termsel_scanner.physical import AsStated, RobustFit
 from termsel_scanner.radar import Radar
 from termsel_scanner.scanner import Scanner
 from termsel_scanner.tracked import SUFFIXES, TrackedScanner
@@ -100,13 +100,31 @@ class NamedRadar(Candidate):
         Radar(metadata=named)
         return None
 
+    def settles(self, control: Control) -> str | None:
+        """Return that the points were computed from the annotation, whose geometry is exact."""
+        if not self._is_of_lattice(control):
+            return None
+        return ("The points are the lattice that was computed from this annotation. Its orbit and "
+                "timing hold between them, too, so that nothing is fitted to them.")
+
     def fit_control(self, control: Control) -> Fit:
-        """Fit the shifts of the radar whose annotation is named."""
+        """Fit the shifts of the radar whose annotation is named; none to its own lattice."""
         named = sensor_of(control)
         if not names_annotation(named):
             raise Undetermined("no annotation is named",
                                hint=f"Name its file in a column {COLUMN!r}.")
-        return _with_all_terms(self.estimator, Radar(metadata=named), control)
+        radar = Radar(metadata=named)
+        if self._is_of_lattice(control):
+            return _with_all_terms(AS_STATED, radar, control)
+        return _with_all_terms(self.estimator, radar, control)
+
+    def _is_of_lattice(self, control: Control) -> bool:
+        """Return whether the points are the lattice of the annotation that they name."""
+        named = sensor_of(control)
+        if control.lattice is None or not names_annotation(named):
+            return False
+        lattice = lattice_of(Path(named))
+        return len(lattice) >= len(control)
 
     def model(self, heights: bool) -> SensorModel | None:
         """Return None: the model depends on the annotation."""
@@ -119,6 +137,8 @@ class NamedRadar(Candidate):
     def describe(self, fitted: Fit) -> str:
         """Return whose annotation was used."""
         assert isinstance(fitted.model, Radar)
+        if isinstance(fitted.estimator, AsStated):
+            return ""
         return (f"The points name the annotation {fitted.model.source}, with orbit, timing and "
                 "ranges.")
 
@@ -146,6 +166,8 @@ def sensor_of(control: Control) -> str:
     names = set(control.features.points.attributes.get(COLUMN, ()))
     return str(names.pop()).strip() if len(names) == 1 else ""
 
+
+AS_STATED = AsStated()
 
 SCANNER = NamedScanner("named-scanner", "the physical scanner that the points name",
                        short="physical scanner", estimator=RobustFit(), has_prior=True,

@@ -257,6 +257,35 @@ class RobustFit(Estimator):
         return Spread((factors**2).sum(axis=2), np.full(2, noise**2), factors)
 
 
+@dataclass(frozen=True)
+class AsStated(Estimator):
+    """A camera as its metadata state it, to which nothing is fitted: all terms are 0."""
+
+    name = "stated"
+
+    def fit(self, model: Any, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+            used: BoolArray) -> Fit:
+        """Hold a camera against control (see `Estimator.fit`)."""
+        ready = model.prepared(scaling, control.crs)
+        mine = control.take(used)
+        values = np.zeros(len(ready.terms))
+        seen = scaling.features(mine).points
+        errors = seen.image - ready.image_of(values[None], seen.ground)[0]
+        if not np.isfinite(errors).all():
+            raise Undetermined(f"model {model.name!r} does not see all of the control",
+                               hint="Check whether the metadata are those of the image.")
+        return Fit(ready, scaling, control, np.ones(len(values), dtype=bool), used,
+                   Adjustment(values, np.full(len(values), np.nan), 0, errors.size, 0, np.nan,
+                              float(np.sqrt((errors**2).mean())), converged=True),
+                   self, 0.0, HeldOut.of(errors * scaling.image_scale, mine))
+
+    def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
+        """Return how far the metadata are from the control (see `Estimator.spread`)."""
+        nothing = np.zeros((len(ground), 2))
+        return Spread(nothing, np.full(2, fitted.adjustment.sigma0**2),
+                      np.zeros((len(ground), 2, len(fitted.model.terms))))
+
+
 @lru_cache(maxsize=8)
 def _solved(asked: bytes) -> Solution:
     """Return the best fit of a model to scaled points, both as bytes."""

@@ -25,6 +25,7 @@ from termsel.data.coordinates.crs import (
 from termsel.data.coordinates.longitudes import continuous
 from termsel.data.coordinates.metres import in_metres
 from termsel.data.features import FeatureSet, FloatArray
+from termsel.data.lattices import lattice_of
 from termsel.data.record.chances import median
 
 log = logging.getLogger(__name__)
@@ -35,6 +36,7 @@ _UPWARDS = "line numbers grow to the north"
 _UNLIKE = 0.2  # share of the image coordinates' variance that relief and distortion may leave
 _FLAT = 0.05  # ratio of the axes of what a matrix makes of a circle, below which nothing tells
 _WIDE = 20.0  # degrees that a scene may be wide
+_SENSOR = "sensor"  # column that names what took the image
 _BEYOND = 5.0  # degrees outside the area of a CRS at which features may still be
 
 
@@ -70,7 +72,9 @@ def note_on_turned(features: FeatureSet) -> str:
         where = f" As they stand, x and y are near {place}." if place else ""
         return (f"{doubt}.{where} Name the columns the other way round, as in --columns {which}; "
                 f"or else --columns {other}.")
-    if counted := _counted(features):
+    # Computed points, and what names its sensor, say how the image was seen.
+    told = lattice_of(features.points) is not None or _SENSOR in features.points.attributes
+    if not told and (counted := _counted(features)):
         upwards = (" If lines count from the lower edge of the image, say --set "
                    "image_origin=bottom-left and --image FILE." if counted == _UPWARDS else "")
         return (f"{counted} here, as on maps whose y points up and in some radar images.{upwards} "

@@ -123,6 +123,8 @@ class WhatWasRead(RecordPart, frozen=True):
     image_origin: str = ""
     """Where the file counted lines and samples from, where that was stated or told by its values;
     the result counts from the centre of the upper-left pixel."""
+    lattice: tuple[Count, Count] | None = None
+    """Lines and columns of the lattice that the points are: computed, not measured."""
 
 
 class RpcNumbers(RecordPart, frozen=True):

@@ -17,7 +17,7 @@ from termsel.auto.portfolio import (
     exact,
     exact_view,
 )
-from termsel.auto.repetition import folds_of, repeated
+from termsel.auto.repetition import between_lines, folds_of, repeated
 from termsel.core.errors import TermselError, counted
 from termsel.core.interrupts import answered
 from termsel.data.control import Control
@@ -25,7 +25,12 @@ from termsel.data.features import FloatArray, Points, no_points, select
 from termsel.data.record.search import CandidateRow, Strategy
 from termsel.data.roles import ASSIGNABLE, Observations, leave_out, with_lines
 from termsel.data.twins import merged
-from termsel.fitting.accuracy import accuracy_of, predicted_by, predicted_of_all
+from termsel.fitting.accuracy import (
+    accuracy_of,
+    predicted_between,
+    predicted_by,
+    predicted_of_all,
+)
 from termsel.fitting.diagnosis import diagnose
 from termsel.fitting.extrapolation import warnings_of
 from termsel.fitting.figures import Baseline, figures, finite_or_none, in_role, residuals_of
@@ -133,7 +138,8 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
     out = verdict.blunders | verdict.high
     clean = leave_out(observations, out) if out else observations
     control, both = clean.pool, clean.pool.features
-    choice, errors, interrupted = None, None, False
+    lattice = clean.lattice
+    choice, errors, expected, interrupted = None, None, None, False
     enough = len(both) >= portfolio.least(control)
     try:
         if len(both) < LEAST and not enough:
@@ -149,7 +155,12 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
 
             watch.tell("OWDIS")
             choice, errors = with_selected_lines(control, choice, portfolio, seed)
-        if choice and errors is None and enough and len(both) > 1:
+        if choice and lattice is not None and not choice.chosen.candidate.from_one:
+            without = between_lines(control, lattice, portfolio, watch.candidate, choice)
+            if without is not None:
+                errors = without[0]
+                expected = predicted_between(*without)
+        elif choice and errors is None and enough and len(both) > 1 and lattice is None:
             errors = repeated(control, portfolio, watch.candidate, choice)
     except KeyboardInterrupt:
         choice, errors, interrupted = choice or best_of(watch.judged, portfolio), None, True
@@ -166,9 +177,11 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
                                   blank=setup.blank))
     if errors is not None and not len(chosen.fit.control.lines):
         errors = errors[:len(both.points)]  # what lines were predicted to be says nothing
-    expected = None if errors is None else predicted_by(
-        chosen.fit, errors, len(observations.independent), observations.independent.ground)
-    held_out = None if errors is None else float(np.sqrt((errors**2).sum(axis=1).mean()))
+    if errors is not None and lattice is None:
+        expected = predicted_by(chosen.fit, errors, len(observations.independent),
+                                observations.independent.ground)
+    held_out = None if errors is None else float(np.sqrt((errors**2).sum(axis=1).mean())) \
+        if lattice is None or expected is None else expected.rmse
     observations = with_lines(clean, observations.control.lines)
     fitted = in_role(chosen.fit, observations)
     model = fitted.model
@@ -201,6 +214,7 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
         notes=(*notes_on_dem(setup.features, fitted), *filter(None, (rpc, correction)), *of_data,
                *_notes(setup.model, clean, errors, said, plane=not model.uses_height,
                        determined=not enough, known=chosen.candidate.from_one),
+               *([] if lattice is None else [lattice.sentence(known=chosen.candidate.from_one)]),
                *_high(verdict), *verdict.notes, *_lines(fitted), *contradicting.notes,
                *portfolio.notes),
         outliers=outliers, blunder_test=verdict.test, predicted=expected,
@@ -290,6 +304,8 @@ def _notes(model: SensorModel, observations: Observations, errors: FloatArray | 
     notes = [] if known else [*warnings_of(both, np.ones(len(both), dtype=bool), no_points())]
     if interrupted:
         notes.append(interrupted)
+    elif observations.lattice is not None:
+        pass  # another note says what its points tell
     elif determined:
         notes.append(f"{len(both)} {both.word} determine the model exactly, so nothing tells its "
                      "accuracy." + " They do not tell either whether the image is mirrored."

@@ -59,11 +59,13 @@ def _read(setup: Setup, observations: Observations) -> WhatWasRead:
                name for name in points.ids if name in idle and not len(control.points)],
            "lines, as points are the control": () if len(control.lines) else
            setup.features.lines.features}
+    lattice = observations.lattice
     return WhatWasRead(
         len(read.points), len(read.lines.features), len(read.without_height()), place_of(read),
         swapped(read), {reason: tuple(ids) for reason, ids in why.items() if ids}, read.z_unit,
         difference.sentence() if difference is not None and difference.contradicts else "",
-        "" if groups is None else groups.sentence(), read.image_origin)
+        "" if groups is None else groups.sentence(), read.image_origin,
+        None if lattice is None else (lattice.lines, lattice.columns))
 
 
 def versions() -> dict[str, str]:

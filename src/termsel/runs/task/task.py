@@ -14,6 +14,7 @@ from termsel.core.isolation.faults import blamed
 from termsel.data.control import Control, carriers
 from termsel.data.datasets import DatasetSpec
 from termsel.data.features import FeatureSet
+from termsel.data.lattices import lattice_of
 from termsel.data.roles import Observations, check_as_control, parsed_shares
 from termsel.data.roles import observe as assign_roles
 from termsel.data.scaling import Scaling, scaling_of
@@ -163,6 +164,8 @@ def _usual_shares(setup: Setup, *, auto: bool) -> str:
     if setup.criterion.needs_check or not points_are_control \
             or setup.options["data"]["roles"] != FILE:
         return ALIKE
+    if auto and lattice_of(setup.features.points) is not None:
+        return ALL_CONTROL  # its lines and columns are held out
     if auto:
         return SPARED if len(roles) >= MANY and "independent" not in roles else ALL_CONTROL
     return ALL_CONTROL if len(roles) < FEW and not {"control", "check"} & set(roles) \

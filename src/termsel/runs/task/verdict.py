@@ -26,6 +26,9 @@ from termsel.data.roles import Observations, leave_out
 from termsel.data.twins import with_twins
 from termsel.fitting.figures import finite_or_none
 
+UNSEEN = 0.1
+"""Error in the image that nobody can see, so that it makes no feature a blunder [px]."""
+
 FEW = 17
 """Number of features below which a note says what errors cannot be found."""
 
@@ -52,8 +55,11 @@ class Verdict:
 
 def judge_features(observations: Observations, portfolio: Portfolio,
                    tested: bool | None = None) -> Verdict:
-    """Return the verdict on control and check features; an empty one if they were tested before."""
-    if tested:
+    """Return the verdict on control and check features.
+
+    It is an empty one if they were tested before, and of a lattice, whose points were computed.
+    """
+    if tested or observations.lattice is not None:
         return Verdict()
     roles: dict[str, Role] = dict.fromkeys(observations.together.ids, "control")
     roles.update(dict.fromkeys(observations.check.ids, "check"))
@@ -66,7 +72,7 @@ def judge_features(observations: Observations, portfolio: Portfolio,
         observations = leave_out(observations, high)
     verdict = Verdict(held, high=high if held else frozenset())
     both, pool = observations.pool.features, observations.pool
-    found = portfolio.suspects(pool) or find_blunders(pool, portfolio)
+    found = _that_can_be_seen(portfolio.suspects(pool) or find_blunders(pool, portfolio))
     limit = None if found is None else finite_or_none(float(median(found.limits)))
     verdict = replace(verdict, test=BlunderTest(
         len(both), limit, float(np.ptp(both.image_vertices(), axis=0).max())))
@@ -81,6 +87,15 @@ def judge_features(observations: Observations, portfolio: Portfolio,
     return replace(verdict, outliers=(*held, *_outliers(both, roles, found)),
                    blunders=with_twins(points, wrong).union(wrong),
                    notes=tuple(_limits(both, found)))
+
+
+def _that_can_be_seen(found: Suspects | None) -> Suspects | None:
+    """Return suspects without those whose errors are too small to be measured."""
+    if found is None:
+        return None
+    seen = found.errors > UNSEEN
+    return replace(found, blunders=found.blunders & seen, probable=found.probable & seen,
+                   undecided=found.undecided & seen)
 
 
 def _unlike_any_view(pool: Control, exchange: Exchange,
@@ -125,7 +140,10 @@ def judge_independent(observations: Observations, choice: Choice | None,
     control and check without blunders, from a portfolio: where the chosen model knows the image
     beforehand, as a vendor's RPC does, it knows of a single point whether it is wrong.
     """
-    points, found = observations.independent, None
+    points = observations.independent
+    found = None
+    if observations.lattice is not None:
+        return Verdict(), observations
     known = None if choice is None or portfolio is None else \
         _by_what_is_known(choice.chosen, points, observations.heights, portfolio)
     if known is not None:
@@ -136,6 +154,7 @@ def judge_independent(observations: Observations, choice: Choice | None,
             control = Control.of(choice.chosen.fit.control, observations.heights)
             points = points.take(off_plane(control, points.ground)[1] <= MEASURED)
         found = judge_others(choice.chosen, observations.heights, points)
+    found = _that_can_be_seen(found)
     if found is None or not found.blunders.any():
         return Verdict(), observations
     if found.blunders.mean() > MOST and known is None:
