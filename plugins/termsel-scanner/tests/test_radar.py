@@ -57,7 +57,8 @@ def ground_range(slant: FloatArray | float) -> FloatArray:
     return 1.9 * aside - 1.2e-6 * aside**2
 
 
-def written(path: Path, *, ground: bool, bursts: int = 0) -> Path:
+def written(path: Path, *, ground: bool, bursts: int = 0,
+            lattice: list[tuple[float, ...]] | None = None) -> Path:
     """Write an annotation with the elements of the product specification that geometry needs."""
     def stamp(seconds: float) -> str:
         return (START + timedelta(seconds=seconds)).isoformat(timespec="microseconds")
@@ -77,11 +78,14 @@ def written(path: Path, *, ground: bool, bursts: int = 0) -> Path:
         for moment in (-1.0, 20.0)) if ground else ""
     listed = "".join(f"<burst><azimuthTime>{stamp(number * 2.0)}</azimuthTime></burst>"
                      for number in range(bursts))
-    # Two points of a lattice that has many more in a product.
-    lattice = "".join(
-        f"<geolocationGridPoint><line>{line}</line><pixel>{10 * line}</pixel>"
-        f"<latitude>46.{line // 100}</latitude><longitude>10.{line // 100}</longitude>"
-        f"<height>{line}</height></geolocationGridPoint>" for line in range(0, 800, 100))
+    # Some points of a lattice that has many more in a product, unless others are given.
+    points = [(line, 10 * line, 10 + line / 1000, 46 + line / 1000, line)
+              for line in range(0, 800, 100)] if lattice is None else lattice
+    listed_points = "".join(
+        f"<geolocationGridPoint><line>{line}</line><pixel>{pixel}</pixel>"
+        f"<latitude>{lat!r}</latitude><longitude>{lon!r}</longitude>"
+        f"<height>{height!r}</height></geolocationGridPoint>"
+        for line, pixel, lon, lat, height in points)
     projection = "Ground Range" if ground else "Slant Range"
     path.write_text(
         "<?xml version='1.0' encoding='UTF-8'?><product><adsHeader><missionId>S1A</missionId>"
@@ -95,7 +99,7 @@ def written(path: Path, *, ground: bool, bursts: int = 0) -> Path:
         f"</azimuthTimeInterval><numberOfSamples>{SAMPLES}</numberOfSamples><numberOfLines>{LINES}"
         "</numberOfLines></imageInformation></imageAnnotation><swathTiming><linesPerBurst>1500"
         f"</linesPerBurst><burstList>{listed}</burstList></swathTiming><geolocationGrid>"
-        f"<geolocationGridPointList>{lattice}</geolocationGridPointList></geolocationGrid>"
+        f"<geolocationGridPointList>{listed_points}</geolocationGridPointList></geolocationGrid>"
         f"<coordinateConversion><coordinateConversionList>{polynomials}"
         "</coordinateConversionList></coordinateConversion></product>", encoding="utf-8")
     return path

@@ -231,6 +231,11 @@ class Candidate(ABC):
 
         Such as points that were computed by the very geometry that it knows. No other candidate is
         then judged.
+
+        Raises
+        ------
+        TermselError
+            If they call for it alone, and it lacks something that the user must say: the run ends.
         """
         return None
 

@@ -124,6 +124,21 @@ class Portfolio:
         return next((found for one in self.offered(control) if (
             found := self.ask(one, "suspects", control)) is not None), None)
 
+    def settles(self, candidate: Candidate, control: Control) -> str | None:
+        """Return why the features call for a candidate alone, if they do.
+
+        Raises TermselError where the candidate says what the user must say first.
+        """
+        try:
+            with blamed(candidate, "settles"):
+                reason = candidate.settles(control)
+            if reason is not None and (fault := of_type(reason, str)):
+                raise wrong(candidate, "settles", fault)
+        except PluginFault as fault:
+            self.faults[candidate.name] = fault
+            return None
+        return reason
+
     def least(self, control: Control) -> int:
         """Return the fewest features to choose by."""
         return 1 if any(one.from_one for one in self.offered(control)) else EXACT + 1
@@ -169,7 +184,7 @@ class Portfolio:
 
 
 _RETURNED = {"declines": str, "describe": str, "fit_control": Fit, "judge": Judged,
-             "model": SensorModel, "nearly": bool, "refit": Fit, "settles": str,
+             "model": SensorModel, "nearly": bool, "refit": Fit,
              "size": numbers.Real, "suspects": Suspects}
 """Types of what methods return, if it is not None."""
 
@@ -218,7 +233,7 @@ def _settled(offered: Iterable[Candidate], control: Control,
              portfolio: Portfolio) -> Choice | None:
     """Return the choice of the candidate that the features call for alone, if one says so."""
     for candidate in offered:
-        reason = portfolio.ask(candidate, "settles", control)
+        reason = portfolio.settles(candidate, control)
         judged = portfolio.judged(candidate, control) if reason else None
         if judged is not None:
             return Choice(judged, (judged,), str(reason))

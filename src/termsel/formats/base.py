@@ -64,6 +64,11 @@ class Reader(Configurable, ABC):
     states_origin : bool
         Whether the format says which place of the image has the coordinates (0, 0). If not, it is
         the centre of the upper-left pixel, or what the option `image_origin` says.
+    folders : bool
+        Whether it also reads folders, such as a product of several files; `sniff` is then asked
+        with an empty head.
+    general : bool
+        Whether it reads files of many kinds, so that a reader of their own kind comes before it.
     """
 
     kind = "reader"
@@ -75,6 +80,8 @@ class Reader(Configurable, ABC):
     summary: ClassVar[str]
     areas: ClassVar[bool] = False
     states_origin: ClassVar[bool] = True
+    folders: ClassVar[bool] = False
+    general: ClassVar[bool] = False
 
     @abstractmethod
     def sniff(self, path: Path, head: bytes) -> bool:

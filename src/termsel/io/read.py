@@ -239,6 +239,11 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
     chosen = [reader for reader in known if reader.name == format]
     if format is not None and not chosen:
         raise unknown_name("file format", format, [reader.name for reader in known])
+    if is_there(path) and path.is_dir():
+        asked = [reader for reader in chosen or known if reader.folders]
+        of_folder = _recognising(path, b"", asked)
+        if of_folder is not None:
+            return of_folder
     head = read_head(path, _EXPECTED)
     if chosen:
         return chosen[0]
@@ -276,6 +281,7 @@ def _recognising(path: Path, head: bytes, readers: Sequence[Reader]) -> Reader |
                 claims.append(reader)
         except PluginFault as fault:
             log.warning("Warning: %s", fault)
+    claims = [reader for reader in claims if not reader.general] or claims
     if own is not None or len(claims) < 2:
         for reader in claims if own is not None else ():
             log.warning("Note: %s recognises %s too; --format %s reads it so.", name_of(reader),

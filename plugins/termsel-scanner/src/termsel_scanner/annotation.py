@@ -12,7 +12,7 @@ Sentinel-1 Product Specification, S1-RS-MDA-52-7441, issue 3 (2020), section 6.3
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import lru_cache
 from pathlib import Path
@@ -24,7 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from termsel import TermselError
-from termsel.toolkit import read_data
+from termsel_scanner.product import HINT as _HINT
+from termsel_scanner.product import archive_of, changed, chosen, content_of, images_of
 
 FloatArray = NDArray[np.float64]
 
@@ -35,8 +36,6 @@ ORBIT_MARGIN = 60.0
 
 HEAD = 4096
 """Bytes in which an annotation shows what it is."""
-
-_HINT = "Give an annotation of a Sentinel-1 product: annotation/s1...xml in its .SAFE folder."
 
 
 @dataclass(frozen=True)
@@ -92,8 +91,15 @@ class Annotation:
         return msgspec.json.encode(self).decode()
 
 
-def annotation_of(given: str) -> Annotation:
-    """Return the annotation of a file, or of a text by `Annotation.text`.
+def annotation_of(given: str, swath: str = "") -> Annotation:
+    """Return the annotation of a file or product, or of a text by `Annotation.text`.
+
+    Parameters
+    ----------
+    given : str
+        The name of an annotation, of the image or product that it is of, or a text.
+    swath : str
+        Which swath of a product, where it has several.
 
     Raises
     ------
@@ -106,16 +112,41 @@ def annotation_of(given: str) -> Annotation:
         except (msgspec.MsgspecError, RecursionError) as error:
             raise TermselError(f"the annotation in the result cannot be read: {error}",
                                hint="Run the fit again.") from error
-    path = Path(given)
+    path = annotation_file(Path(given), swath)
     try:
-        if not path.is_file():
-            raise TermselError(f"{path} is no file", hint=_HINT)
-        return _read(path, path.stat().st_mtime_ns)
+        return _read(path, changed(path))
     except OSError as error:
         raise TermselError(f"{path} cannot be read: {error.strerror}", hint=_HINT) from error
 
 
-@lru_cache(maxsize=4)
+def annotation_file(path: Path, swath: str = "", polarisation: str = "") -> Path:
+    """Return the annotation of an image or product, or the path of one itself.
+
+    Raises
+    ------
+    TermselError
+        If there is none, or several fit whose geometries differ.
+    """
+    images = images_of(path)
+    if not images:
+        if not path.is_file() and archive_of(path) is None:
+            raise TermselError(f"{path} is no file, and no product with annotations", hint=_HINT)
+        return path
+    fitting = chosen(images, path, swath, polarisation)
+    if len({_geometry(image.annotation) for image in fitting}) > 1:
+        names = ", ".join(image.name for image in fitting)
+        raise TermselError(f"the geometry of the images {names} differs", file=path,
+                           hint="Choose one with --set polarisation="
+                                f"{fitting[0].polarisation}.")
+    return fitting[0].annotation
+
+
+def _geometry(path: Path) -> str:
+    """Return what tells the geometry of an annotation, whatever its polarisation."""
+    return replace(_read(path, changed(path)), source="", product="").text()
+
+
+@lru_cache(maxsize=8)
 def _read(path: Path, _changed: int) -> Annotation:
     """Return the annotation of a file that was changed at that time."""
     root = _root(path)
@@ -127,7 +158,7 @@ def _read(path: Path, _changed: int) -> Annotation:
 
 def _root(path: Path) -> ElementTree.Element:
     try:
-        return ElementTree.fromstring(read_data(path))
+        return ElementTree.fromstring(content_of(path))
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise TermselError(f"{path} cannot be read as XML: {error}", hint=_HINT) from error
 
@@ -136,11 +167,8 @@ def is_annotation(path: Path, head: bytes | None = None) -> bool:
     """Return whether a file is an annotation of Sentinel-1, by its first elements."""
     try:
         if head is None:
-            if not path.is_file():
-                return False
-            with path.open("rb") as file:
-                head = file.read(HEAD)
-    except OSError:
+            head = content_of(path)[:HEAD]
+    except (OSError, TermselError):
         return False
     return all(mark in head for mark in (b"<product>", b"<adsHeader>", b"<missionId>S1"))
 

@@ -4,18 +4,27 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from termsel import Candidate, Control, Estimator, Fit, SensorModel, Undetermined
-from termsel_scanner.annotation import is_annotation, lattice_of
-from termsel_scanner.physical import AsStated, RobustFit
+from termsel_scanner.annotation import annotation_of, is_annotation
+from termsel_scanner.physical import AsStated, RobustFit, ShiftFit
+from termsel_scanner.product import images_of
 from termsel_scanner.radar import Radar
 from termsel_scanner.scanner import Scanner
 from termsel_scanner.tracked import SUFFIXES, TrackedScanner
 
 COLUMN = "sensor"
 """Column of a table of points that names the sensor."""
+
+BURST = "burst"
+"""Column that names the burst of a radar image that is made of several."""
+
+OF_LATTICE = 1.0
+"""Distance of points from where the annotation sees them, up to which they are its lattice [px]:
+lattices of products differ by up to half a pixel."""
 
 CAMERAS = ("frame", "panoramic")
 """What the column says of photos, which are no scanners' images."""
@@ -97,12 +106,21 @@ class NamedRadar(Candidate):
             return "it is for control points, without lines"
         if features.without_height() or features.crs in ("", "local"):
             return "it needs heights and a CRS"
-        Radar(metadata=named)
+        annotation_of(named)
         return None
 
     def settles(self, control: Control) -> str | None:
-        """Return that the points were computed from the annotation, whose geometry is exact."""
-        if not self._is_of_lattice(control):
+        """Return that the points were computed from the annotation, whose geometry is exact.
+
+        Raises TermselError where they are a lattice over bursts that overlap.
+        """
+        if control.lattice is None or not names_annotation(sensor_of(control)):
+            return None
+        radar = _radar(control)
+        errors = radar.unshifted(radar.prepared(
+            control.scaling, control.features.crs).geographic(control.scaled.points.ground)
+        ) - control.features.points.image
+        if not np.sqrt((errors**2).sum(axis=1).mean()) < OF_LATTICE:
             return None
         return ("The points are the lattice that was computed from this annotation. Its orbit and "
                 "timing hold between them, too, so that nothing is fitted to them.")
@@ -113,18 +131,11 @@ class NamedRadar(Candidate):
         if not names_annotation(named):
             raise Undetermined("no annotation is named",
                                hint=f"Name its file in a column {COLUMN!r}.")
-        radar = Radar(metadata=named)
-        if self._is_of_lattice(control):
+        radar = _radar(control)
+        if self.settles(control) is not None:
             return _with_all_terms(AS_STATED, radar, control)
         return _with_all_terms(self.estimator, radar, control)
 
-    def _is_of_lattice(self, control: Control) -> bool:
-        """Return whether the points are the lattice of the annotation that they name."""
-        named = sensor_of(control)
-        if control.lattice is None or not names_annotation(named):
-            return False
-        lattice = lattice_of(Path(named))
-        return len(lattice) >= len(control)
 
     def model(self, heights: bool) -> SensorModel | None:
         """Return None: the model depends on the annotation."""
@@ -144,8 +155,19 @@ class NamedRadar(Candidate):
 
 
 def names_annotation(named: str) -> bool:
-    """Return whether the name of a sensor is a file, and that an annotation of Sentinel-1."""
-    return named.lower().endswith(".xml") and is_annotation(Path(named))
+    """Return whether the name of a sensor is an annotation of Sentinel-1, or leads to one."""
+    path = Path(named)
+    return bool(named) and (bool(images_of(path)) or (
+        named.lower().endswith(".xml") and is_annotation(path)))
+
+
+def _radar(control: Control) -> Radar:
+    """Return the radar that the points name, with the burst if they name one."""
+    bursts = set(control.features.points.attributes.get(BURST, ()))
+    options: dict[str, Any] = {}
+    if len(bursts) == 1 and (burst := str(bursts.pop()).strip()):
+        options["burst"] = burst
+    return Radar(metadata=sensor_of(control), **options)
 
 
 def _with_all_terms(estimator: Estimator, model: SensorModel, control: Control) -> Fit:
@@ -174,4 +196,4 @@ SCANNER = NamedScanner("named-scanner", "the physical scanner that the points na
                        from_one=True, most=MOST)
 
 RADAR = NamedRadar("named-radar", "the radar whose annotation the points name", short="radar",
-                   estimator=RobustFit(), has_prior=True, from_one=True)
+                   estimator=ShiftFit(), has_prior=True, from_one=True)

@@ -33,6 +33,10 @@ BoolArray = NDArray[np.bool_]
 NOISE = 0.7
 """Standard deviation of a measurement, by which priors are weighed, where none is stated [px]."""
 
+USUAL, EXPERIENCE = 0.5, 2.0
+"""Usual standard deviation of a measurement [px], and the degrees of freedom that it counts as
+where residuals are few."""
+
 STEP = 1e-4
 """Change of a term by which image positions are differentiated."""
 
@@ -247,7 +251,7 @@ class RobustFit(Estimator):
         assert isinstance(model, Physical)
         equations = model.linearised(fitted.scaled_control.take(fitted.used), values)
         unit = NOISE / fitted.scaling.image_scale
-        noise = max(fitted.adjustment.sigma0, 0.3 * unit)
+        noise = self.noise(fitted)
         assert equations.prior is not None
         # Priors keep their weight, whatever the noise turned out to be.
         normal = equations.A.T @ equations.A / noise**2 + np.diag((equations.prior / unit) ** 2)
@@ -255,6 +259,34 @@ class RobustFit(Estimator):
                                   + 1e-14 * np.eye(len(values)))
         factors = model.slopes(values, ground) @ root
         return Spread((factors**2).sum(axis=2), np.full(2, noise**2), factors)
+
+
+    def noise(self, fitted: Fit) -> float:
+        """Return the scaled standard deviation of a measurement, as the residuals tell it."""
+        return max(fitted.adjustment.sigma0, 0.3 * NOISE / fitted.scaling.image_scale)
+
+
+@dataclass(frozen=True)
+class ShiftFit(RobustFit):
+    """The robust fit of few shifts with priors, of one point already.
+
+    What residuals tell of the noise is joined with what is known of it: with one point they are
+    nearly nothing, whatever its error.
+    """
+
+    name = "shifts"
+
+    def noise(self, fitted: Fit) -> float:
+        """Return the scaled standard deviation of a measurement, from residuals and experience.
+
+        The mean of both squares, weighed by degrees of freedom.
+        """
+        points = fitted.control.take(fitted.used).points
+        usual = USUAL if points.sigma is None else float(np.median(points.sigma))
+        usual /= fitted.scaling.image_scale
+        freedom = max(2 * len(points) - fitted.effective, 0.0)
+        squares = EXPERIENCE * usual**2 + freedom * fitted.adjustment.sigma0**2
+        return float(np.sqrt(squares / (EXPERIENCE + freedom)))
 
 
 @dataclass(frozen=True)

@@ -16,14 +16,17 @@ LIGHT = 299792458.0
 
 TERMS = ("azimuth", "range", "azimuth-rate", "range-rate")
 
-SHIFT, RATE = 10.0, 2.0
+SHIFT, RATE = 30.0, 2.0
 """Standard deviations of a shift in azimuth and in range [m], and of what a shift changes by from
-the middle of the image to its edge [m]. Products for near real time have orbits that are metres
-off, and the troposphere delays echoes by 2 to 4 m; a processor may leave out the delay by which
-pulses arrive after they are sent."""
+the middle of the image to its edge [m]. Orbits of products for near real time are metres off, the
+troposphere delays echoes by 2 to 4 m, and a processor may leave out the delay by which pulses
+arrive after they are sent. The shift is given more, so that a single point corrects it."""
 
 ROUNDS, CLOSE = 20, 1e-10
 """Most Newton steps to the time of zero Doppler, and the step at which they end [s]."""
+
+DEGREES = 1e-5
+"""Step of longitude and latitude by which image positions are differentiated."""
 
 BEYOND = 0.25
 """Part of the swath beyond which polynomials of ground range say nothing."""
@@ -63,8 +66,9 @@ class Radar(Physical):
 
     name = "radar"
     declared_options = (
-        Option("metadata", "", "Required: the annotation of a Sentinel-1 image (XML). A result "
-                               "contains what was read."),
+        Option("metadata", "", "Required: the annotation of a Sentinel-1 image (XML), the image "
+                               "or the product. A result contains what was read."),
+        Option("swath", "", "Swath of a product that has several, such as IW2."),
         Option("burst", 0, "Number of the burst, from 1, of an SLC image of the modes IW and EW; "
                            "its lines are those of the whole image.",
                type=int, minimum=0, maximum=1000))
@@ -73,7 +77,7 @@ class Radar(Physical):
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
         given = self.options["metadata"]
-        self._annotation = annotation_of(given) if given else None
+        self._annotation = annotation_of(given, self.options["swath"]) if given else None
         if self._annotation is not None:
             self._first_line = _first_line(self._annotation, self.options["burst"])
             self.options["metadata"] = self._annotation.text()  # readable without the file
@@ -137,6 +141,31 @@ class Radar(Physical):
             seen &= ~beyond
         image[~seen] = np.nan
         return image
+
+
+    def on_ground(self, image: FloatArray, places: FloatArray) -> FloatArray:
+        """Return places (n, 3) that are seen at image positions (n, 2); NaN where none is found.
+
+        Their heights are those between given places (m, 3), WGS84 longitude, latitude [deg] and
+        ellipsoidal height [m]; the annotation alone counts, without shifts.
+        """
+        from scipy.interpolate import griddata  # other models need not import it
+
+        known = self.unshifted(places)
+        visible = np.isfinite(known).all(axis=1)
+        known = known[visible]
+        ground = griddata(known, places[visible], image, rescale=True)
+        nearest = griddata(known, places[visible], image, method="nearest", rescale=True)
+        ground = np.where(np.isnan(ground), nearest, ground)
+        for _ in range(ROUNDS):
+            missing = image - self.unshifted(ground)
+            if not np.abs(missing).max(initial=0.0) > 1e-9:
+                break
+            slopes = np.stack([(self.unshifted(ground + step) - self.unshifted(ground - step))
+                               / (2.0 * DEGREES) for step in DEGREES * np.eye(3)[:2]], axis=-1)
+            ground[:, :2] += np.linalg.solve(slopes, missing[..., None])[..., 0]
+        ground[~(np.abs(image - self.unshifted(ground)).max(axis=1) < 1e-6)] = np.nan
+        return np.asarray(ground)
 
 
 def _first_line(annotation: Annotation, burst: int) -> tuple[float, float]:

@@ -24,6 +24,7 @@ class GdalGcps(Reader):
 
     name = "gdal-gcps"
     summary = "a raster or VRT with ground control points as GDAL reads them (requires rasterio)"
+    general = True
     declared_options = (
         Option("gcp_origin", "corner", "Place in the first pixel that has the coordinates 0, 0.",
                choices=("corner", "centre")),

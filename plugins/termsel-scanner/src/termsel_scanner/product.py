@@ -1,0 +1,193 @@
+"""The files of a Sentinel-1 product: a folder, its zip, an annotation, or an image.
+
+A product is a folder named ``....SAFE`` with one annotation for each swath and polarisation, in
+``annotation``, and one image for each, in ``measurement``. It is distributed as a zip of that
+folder. Nothing is unpacked: an annotation in a zip is named as if the zip were a folder.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import zipfile
+import zlib
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from termsel import TermselError
+from termsel.toolkit import read_data
+
+LARGEST = 64 << 20
+"""Bytes of an annotation; those of the products have up to 4 MiB."""
+
+MOST = 10_000
+"""Files of a zip; products have some fifty."""
+
+NAMES = re.compile(r"(?P<mission>s1[a-z])-(?P<swath>[a-z0-9]+)-(?P<kind>slc|grd[a-z]?)-"
+                   r"(?P<polarisation>[hv]{2})-\d{8}t\d{6}-", re.IGNORECASE)
+"""Names of annotations and images (Sentinel-1 Product Specification, section 3.2)."""
+
+HINT = ("Give a product of Sentinel-1: the folder ....SAFE, its zip, an annotation "
+        "(annotation/s1...xml), or an image (measurement/s1...tiff).")
+
+_ZIP = (b"PK\x03\x04", b"PK\x05\x06")
+_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_BROKEN = (OSError, EOFError, KeyError, ValueError, zlib.error, NotImplementedError, RuntimeError,
+           zipfile.BadZipFile)
+
+
+@dataclass(frozen=True)
+class Image:
+    """One image of a product, by the name of its annotation."""
+
+    annotation: Path
+    swath: str  # such as "IW" or "IW2"; "" where the name does not say it
+    polarisation: str
+
+    @property
+    def name(self) -> str:
+        """Swath and polarisation."""
+        return f"{self.swath} {self.polarisation}".strip() or self.annotation.name
+
+
+def images_of(path: Path) -> tuple[Image, ...]:
+    """Return the images of a product, each by its annotation; none where it is no product.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        A folder, zip, annotation or image.
+    """
+    try:
+        if path.is_dir():
+            return _sorted(_in_folder(path))
+        if not path.is_file():
+            return ()
+        with path.open("rb") as file:
+            head = file.read(4)
+    except OSError:
+        return ()
+    if head in _ZIP:
+        return _sorted(_in_zip(path))
+    if path.name.lower() == "manifest.safe":
+        return _sorted(_in_folder(path.parent))
+    if head in _TIFF:
+        return tuple(_image(place) for place in _beside(path))
+    return ()
+
+
+def is_image(path: Path, head: bytes) -> bool:
+    """Return whether a file is an image of Sentinel-1: a TIFF of its name, or that says so."""
+    return head.startswith(_TIFF) and (NAMES.match(path.name) is not None
+                                       or b"Sentinel-1 IPF" in head)
+
+
+def chosen(images: tuple[Image, ...], path: Path, swath: str | None, polarisation: str | None,
+           ) -> tuple[Image, ...]:
+    """Return the images of a swath and a polarisation.
+
+    Raises
+    ------
+    TermselError
+        If there is none, or they are of several swaths.
+    """
+    wanted = [image for image in images
+              if swath in (None, "") or image.swath.casefold() == str(swath).casefold()]
+    wanted = [image for image in wanted if polarisation in (None, "")
+              or image.polarisation.casefold() == str(polarisation).casefold()]
+    listed = ", ".join(image.name for image in images)
+    if not wanted:
+        asked = " ".join(filter(None, (swath, polarisation)))
+        raise TermselError(f"the product has no image {asked!r}: it has {listed}", file=path,
+                           hint="Choose one with --set swath=... and --set polarisation=....")
+    swaths = sorted({image.swath for image in wanted})
+    if len(swaths) > 1:
+        raise TermselError(f"the product has images of the swaths {', '.join(swaths)}: {listed}",
+                           file=path, hint=f"Choose one with --set swath={swaths[0]}.")
+    return tuple(wanted)
+
+
+def content_of(path: Path) -> bytes:
+    """Return the bytes of an annotation, which may be in a zip that is named like a folder.
+
+    Raises
+    ------
+    TermselError
+        If it is not there, or cannot be read.
+    """
+    if path.is_file():
+        return read_data(path)
+    archive = archive_of(path)
+    if archive is None:
+        raise TermselError(f"{path} is no file", hint=HINT)
+    member = path.relative_to(archive).as_posix()
+    try:
+        with zipfile.ZipFile(archive) as packed, packed.open(member) as file:
+            data = file.read(LARGEST + 1)
+    except _BROKEN as error:
+        raise TermselError(f"{member} cannot be read in this zip: {error}", file=archive,
+                           hint="Load the product down again.") from error
+    if len(data) > LARGEST:
+        raise TermselError(f"{member} has more than {LARGEST >> 20} MiB", file=archive, hint=HINT)
+    return data
+
+
+def archive_of(path: Path) -> Path | None:
+    """Return the zip that a path leads into, if it does."""
+    return next((parent for parent in path.parents if parent.is_file()), None)
+
+
+def changed(path: Path) -> int:
+    """Return when an annotation, or the zip that it is in, was changed [ns]."""
+    return (path if path.is_file() else archive_of(path) or path).stat().st_mtime_ns
+
+
+def _in_folder(folder: Path) -> list[Path]:
+    """Return the annotations of a product's folder, or of the one in a folder around it."""
+    inner = folder / "annotation"
+    if not inner.is_dir():
+        products = [entry for entry in folder.iterdir()
+                    if entry.name.upper().endswith(".SAFE") and entry.is_dir()]
+        if len(products) != 1:
+            return []
+        inner = products[0] / "annotation"
+    if not inner.is_dir():
+        return []
+    return [entry for entry in inner.iterdir() if _is_annotation(entry.name) and entry.is_file()]
+
+
+def _in_zip(path: Path) -> list[Path]:
+    """Return the annotations in the zip of a product."""
+    try:
+        with zipfile.ZipFile(path) as packed:
+            names = packed.namelist()
+    except _BROKEN:
+        return []
+    if len(names) > MOST:
+        return []
+    inside = [PurePosixPath(name) for name in names]
+    return [path / name for name in inside if name.parent.name == "annotation"
+            and ".." not in name.parts and not name.is_absolute() and _is_annotation(name.name)]
+
+
+def _beside(image: Path) -> list[Path]:
+    """Return the annotation of an image: in the folder next to its own, or next to it."""
+    stem = re.sub("-cog$", "", image.stem, flags=re.IGNORECASE)
+    folders = (image.parent.parent / "annotation", image.parent)
+    places = [folder / f"{name}.xml" for folder in folders
+              for name in dict.fromkeys((image.stem, stem))]
+    return [place for place in places if place.is_file()][:1]
+
+
+def _is_annotation(name: str) -> bool:
+    return NAMES.match(name) is not None and name.lower().endswith(".xml")
+
+
+def _image(annotation: Path) -> Image:
+    found = NAMES.match(annotation.name)
+    return Image(annotation, found["swath"].upper() if found else "",
+                 found["polarisation"].upper() if found else "")
+
+
+def _sorted(annotations: list[Path]) -> tuple[Image, ...]:
+    return tuple(_image(place) for place in sorted(annotations, key=os.fspath))
