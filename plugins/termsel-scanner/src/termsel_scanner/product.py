@@ -72,7 +72,7 @@ def images_of(path: Path) -> tuple[Image, ...]:
     if path.name.lower() == "manifest.safe":
         return _sorted(_in_folder(path.parent))
     if head in _TIFF:
-        return tuple(_image(place) for place in _beside(path))
+        return tuple(_image(place) for place in _next_to(path))
     return ()
 
 
@@ -170,7 +170,7 @@ def _in_zip(path: Path) -> list[Path]:
             and ".." not in name.parts and not name.is_absolute() and _is_annotation(name.name)]
 
 
-def _beside(image: Path) -> list[Path]:
+def _next_to(image: Path) -> list[Path]:
     """Return the annotation of an image: in the folder next to its own, or next to it."""
     stem = re.sub("-cog$", "", image.stem, flags=re.IGNORECASE)
     folders = (image.parent.parent / "annotation", image.parent)
