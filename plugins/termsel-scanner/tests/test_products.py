@@ -90,12 +90,14 @@ def test_every_form_of_a_product_gives_its_radar(form: str, tmp_path: Path) -> N
             "zip": lambda: zipped(safe), "manifest": lambda: safe / "manifest.safe",
             "annotation": lambda: safe / "annotation" / f"{name}.xml",
             "image": lambda: image_in(safe, name)}[form]()
-    result = termsel.run(features=path)
+    result = termsel.run(features=path, out=tmp_path / "out")
     assert result.strategy is not None
     assert result.strategy.chosen == "named-radar"
     places = places_seen(30, seed=3)
     stated = Radar(metadata=str(path)).unshifted(places)
     np.testing.assert_allclose(result.fit.project(places), stated, atol=1e-6)
+    again = termsel.read_result(tmp_path / "out")
+    np.testing.assert_allclose(again.fit.project(places), stated, atol=1e-6)
     assert result.outliers == ()
     assert result.accuracy is None
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from termsel import Candidate, Control, Estimator, Fit, SensorModel, Undetermined
 from termsel_scanner.annotation import annotation_of, is_annotation
-from termsel_scanner.physical import AsStated, RobustFit, ShiftFit
+from termsel_scanner.physical import RobustFit, ShiftFit, as_stated
 from termsel_scanner.product import images_of
 from termsel_scanner.radar import Radar
 from termsel_scanner.scanner import Scanner
@@ -21,10 +21,6 @@ COLUMN = "sensor"
 
 BURST = "burst"
 """Column that names the burst of a radar image that is made of several."""
-
-OF_LATTICE = 1.0
-"""Distance of points from where the annotation sees them, up to which they are its lattice [px]:
-lattices of products differ by up to half a pixel."""
 
 CAMERAS = ("frame", "panoramic")
 """What the column says of photos, which are no scanners' images."""
@@ -117,10 +113,7 @@ class NamedRadar(Candidate):
         if control.lattice is None or not names_annotation(sensor_of(control)):
             return None
         radar = _radar(control)
-        errors = radar.unshifted(radar.prepared(
-            control.scaling, control.features.crs).geographic(control.scaled.points.ground)
-        ) - control.features.points.image
-        if not np.sqrt((errors**2).sum(axis=1).mean()) < OF_LATTICE:
+        if as_stated(radar.prepared(control.scaling, control.features.crs), control) is None:
             return None
         return ("The points are the lattice that was computed from this annotation. Its orbit and "
                 "timing hold between them, too, so that nothing is fitted to them.")
@@ -131,10 +124,7 @@ class NamedRadar(Candidate):
         if not names_annotation(named):
             raise Undetermined("no annotation is named",
                                hint=f"Name its file in a column {COLUMN!r}.")
-        radar = _radar(control)
-        if self.settles(control) is not None:
-            return _with_all_terms(AS_STATED, radar, control)
-        return _with_all_terms(self.estimator, radar, control)
+        return _with_all_terms(self.estimator, _radar(control), control)
 
 
     def model(self, heights: bool) -> SensorModel | None:
@@ -148,8 +138,8 @@ class NamedRadar(Candidate):
     def describe(self, fitted: Fit) -> str:
         """Return whose annotation was used."""
         assert isinstance(fitted.model, Radar)
-        if isinstance(fitted.estimator, AsStated):
-            return ""
+        if not fitted.effective:
+            return ""  # as `settles` says it
         return (f"The points name the annotation {fitted.model.source}, with orbit, timing and "
                 "ranges.")
 
@@ -188,8 +178,6 @@ def sensor_of(control: Control) -> str:
     names = set(control.features.points.attributes.get(COLUMN, ()))
     return str(names.pop()).strip() if len(names) == 1 else ""
 
-
-AS_STATED = AsStated()
 
 SCANNER = NamedScanner("named-scanner", "the physical scanner that the points name",
                        short="physical scanner", estimator=RobustFit(), has_prior=True,

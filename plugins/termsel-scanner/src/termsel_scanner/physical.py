@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from termsel import (
     Adjustment,
+    Control,
     Equations,
     Estimator,
     FeatureSet,
@@ -36,6 +37,10 @@ NOISE = 0.7
 USUAL, EXPERIENCE = 0.5, 2.0
 """Usual standard deviation of a measurement [px], and the degrees of freedom that it counts as
 where residuals are few."""
+
+OF_LATTICE = 1.0
+"""Distance of points from where metadata see them, up to which they are a lattice that was computed
+from these [px]: lattices of radar images differ by up to half a pixel."""
 
 STEP = 1e-4
 """Change of a term by which image positions are differentiated."""
@@ -271,10 +276,34 @@ class ShiftFit(RobustFit):
     """The robust fit of few shifts with priors, of one point already.
 
     What residuals tell of the noise is joined with what is known of it: with one point they are
-    nearly nothing, whatever its error.
+    nearly nothing, whatever its error. To points that were computed from the camera's own metadata
+    nothing is fitted.
     """
 
     name = "shifts"
+
+    def fit(self, model: Any, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+            used: BoolArray) -> Fit:
+        """Fit a camera (see `Estimator.fit`), or hold it against its own lattice."""
+        ready = model.prepared(scaling, control.crs)
+        mine = control.take(used)
+        errors = as_stated(ready, Control(mine, scaling, heights=True))
+        if errors is None:
+            return super().fit(model, control, scaling, terms, used)
+        values = np.zeros(len(ready.terms))
+        scaled = errors / scaling.image_scale
+        return Fit(ready, scaling, control, np.ones(len(values), dtype=bool), used,
+                   Adjustment(values, np.full(len(values), np.nan), 0, errors.size, 0, np.nan,
+                              float(np.sqrt((scaled**2).mean())), converged=True),
+                   self, 0.0, HeldOut.of(errors, mine))
+
+    def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
+        """Return the mean square errors at scaled places (see `Estimator.spread`)."""
+        if fitted.effective > 0.0:
+            return super().spread(fitted, ground)
+        shape = len(ground), 2
+        return Spread(np.zeros(shape), np.full(2, fitted.adjustment.sigma0**2),
+                      np.zeros((*shape, len(fitted.model.terms))))
 
     def noise(self, fitted: Fit) -> float:
         """Return the scaled standard deviation of a measurement, from residuals and experience.
@@ -289,33 +318,18 @@ class ShiftFit(RobustFit):
         return float(np.sqrt(squares / (EXPERIENCE + freedom)))
 
 
-@dataclass(frozen=True)
-class AsStated(Estimator):
-    """A camera as its metadata state it, to which nothing is fitted: all terms are 0."""
+def as_stated(ready: Physical, control: Control) -> FloatArray | None:
+    """Return how far points are from where a camera without corrections sees them, (n, 2) [px].
 
-    name = "stated"
-
-    def fit(self, model: Any, control: FeatureSet, scaling: Scaling, terms: BoolArray,
-            used: BoolArray) -> Fit:
-        """Hold a camera against control (see `Estimator.fit`)."""
-        ready = model.prepared(scaling, control.crs)
-        mine = control.take(used)
-        values = np.zeros(len(ready.terms))
-        seen = scaling.features(mine).points
-        errors = seen.image - ready.image_of(values[None], seen.ground)[0]
-        if not np.isfinite(errors).all():
-            raise Undetermined(f"model {model.name!r} does not see all of the control",
-                               hint="Check whether the metadata are those of the image.")
-        return Fit(ready, scaling, control, np.ones(len(values), dtype=bool), used,
-                   Adjustment(values, np.full(len(values), np.nan), 0, errors.size, 0, np.nan,
-                              float(np.sqrt((errors**2).mean())), converged=True),
-                   self, 0.0, HeldOut.of(errors * scaling.image_scale, mine))
-
-    def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
-        """Return how far the metadata are from the control (see `Estimator.spread`)."""
-        nothing = np.zeros((len(ground), 2))
-        return Spread(nothing, np.full(2, fitted.adjustment.sigma0**2),
-                      np.zeros((len(ground), 2, len(fitted.model.terms))))
+    None where they are no lattice that was computed from its metadata.
+    """
+    if control.lattice is None:
+        return None
+    points = control.scaled.points
+    seen = ready.image_of(np.zeros((1, len(ready.terms))), points.ground)[0]
+    errors = (points.image - seen) * control.scaling.image_scale
+    close = np.sqrt((errors**2).sum(axis=1).mean()) < OF_LATTICE
+    return np.asarray(errors) if close else None
 
 
 @lru_cache(maxsize=8)
