@@ -122,7 +122,7 @@ def test_terms_that_were_not_selected_are_zero_and_denominators_begin_with_one()
 
 @pytest.mark.parametrize(("model", "options", "how"), [
     ("affine", {}, "exact"), ("poly3d", {"degree": 3}, "exact"), ("dlt3d", {}, "exact"),
-    ("poly2d", {"degree": 3}, "exact"), ("poly2d", {"degree": 4}, "all 40 polynomial"),
+    ("poly2d", {"degree": 3}, "exact"), ("poly2d", {"degree": 4}, "all 78 (small denominators)"),
     ("rfm", {"order": 1, "denominators": "shared"}, "exact")])
 def test_which_models_are_rpcs(model: str, options: dict[str, object], how: str,
                                caplog: pytest.LogCaptureFixture) -> None:

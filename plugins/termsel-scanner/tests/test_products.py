@@ -219,3 +219,49 @@ def test_what_few_points_promise_holds(count: int, tmp_path: Path) -> None:
         error = np.abs(fitted.project(places[count:]) - truth[count:])
         within.append((error < 1.645 * fitted.sigma(places[count:])).mean())
     assert 0.84 <= np.mean(within) <= 0.96
+
+
+def test_the_rpc_of_a_radar_holds_over_the_heights_that_are_asked_for(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    result = termsel.run(features=product(tmp_path, [("s3", "vv")], kind="slc"))
+    with caplog.at_level("INFO"):
+        termsel.export(result, "rpb", tmp_path / "scene.RPB", heights="-200,4000")
+    assert "heights from -200 to 4000" in caplog.text
+    rpc = termsel.read_rpc(tmp_path / "scene.RPB")
+    places = places_seen(300, seed=5)
+    places[:, 2] = np.random.default_rng(0).uniform(-200.0, 4000.0, len(places))
+    seen = result.fit.project(places)
+    low, high = result.fit.image_box()
+    inside = ((seen >= low) & (seen <= high)).all(axis=1)
+    assert inside.sum() > 30
+    away = np.linalg.norm(rpc.project(places[inside]) - seen[inside], axis=1)
+    assert np.sqrt((away**2).mean()) < 0.05
+
+
+def test_the_rpc_of_a_jumping_ground_range_has_no_pole(tmp_path: Path) -> None:
+    """No cubic follows ground range that changes every second; denominators would try."""
+    safe = product(tmp_path, [("iw", "vv")])
+    file = next((safe / "annotation").glob("*.xml"))
+    text = file.read_text()
+    start = text.index("<coordinateConversionList>")
+    end = text.index("</coordinateConversionList>")
+    rng = np.random.default_rng(2)
+    stamps = [f"2021-04-01T05:26:{23 + second:02d}.794457" for second in range(14)]
+    records = "".join(
+        f"<coordinateConversion><azimuthTime>{stamp}</azimuthTime><sr0>800000.0</sr0>"
+        f"<srgrCoefficients>{rng.normal(0.0, 30.0)} {1.9 + rng.normal(0.0, 1e-4)} -1.2e-6"
+        "</srgrCoefficients></coordinateConversion>" for stamp in stamps)
+    file.write_text(f"{text[:start]}<coordinateConversionList>{records}{text[end:]}")
+    radar = Radar(metadata=str(file))
+    lattice = termsel.read(file).points
+    features = termsel.FeatureSet(
+        termsel.Points(lattice.ids, radar.unshifted(lattice.ground), lattice.ground,
+                       attributes=lattice.attributes), crs="EPSG:4979",
+        image_size=(LINES, SAMPLES))
+    fitted = termsel.fit(features, "named-radar")
+    found = termsel.rpc_of(fitted)
+    assert found.rms < 6.0
+    # At the edges, and some way beyond them, it stays near the model.
+    places = places_seen(400, seed=6)
+    away = np.linalg.norm(found.rpc.project(places) - fitted.project(places), axis=1)
+    assert np.nanmax(away) < 40.0

@@ -35,11 +35,14 @@ _SPLINED = 5000  # GCPs; a spline through more fills the memory, that of GDAL, t
 _ACROSS = 15  # places along either side of the image at which files are compared
 
 
-def places_of(fitted: Fit) -> FloatArray:
-    """Return ground places (n, 3) over the image, at three heights, where the model holds."""
+def places_of(fitted: Fit, heights: tuple[float, float] | None = None) -> FloatArray:
+    """Return ground places (n, 3) over the image, at three heights, where the model holds.
+
+    By default at the lowest, middle and highest control.
+    """
     middle, half = fitted.ground_box()
-    # At the lowest, middle and highest control.
-    levels: set[float] = {float(middle[2] + share * half[2]) for share in (-1.0, 0.0, 1.0)} \
+    low, high = heights or (middle[2] - half[2], middle[2] + half[2])
+    levels: set[float] = {float(low + share * (high - low)) for share in (0.0, 0.5, 1.0)} \
         if fitted.model.uses_height else {middle_height(fitted)}
     image = image_places(fitted, _ACROSS)
     ground = np.concatenate([ground_where_held(fitted, image, level) for level in sorted(levels)])

@@ -117,6 +117,12 @@ class Rpc:
             (self.sample_numerator, self.sample_denominator))]
         return np.asarray(np.stack(quotients, axis=1) * self.image_scale + self.image_offset)
 
+    def denominators(self, ground: FloatArray) -> FloatArray:
+        """Return the denominators of line and sample at ground points, (n, 2)."""
+        away = (ground - self.ground_offset) / self.ground_scale
+        below = np.array([self.line_denominator, self.sample_denominator])
+        return np.asarray(monomials(away, RPC00B) @ below.T)
+
     def locate(self, image: ArrayLike, height: ArrayLike | Surface) -> FloatArray:
         """Return where the rays of image points reach heights or a surface.
 

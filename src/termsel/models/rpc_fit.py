@@ -31,6 +31,9 @@ GOOD = 0.05
 """Largest loss [px] at which the selected terms are kept rather than all."""
 
 _GRID, _LEVELS = 21, 7  # places along either side of the image, and heights
+_RIDGES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # weights that hold denominators, of equations in scale
+_WIDER, _TRIED = 1.1, 5000  # box in which denominators are looked at, and places there
+_LEAST_DENOMINATOR = 0.05  # of a denominator, which is 1 in the middle
 
 
 @dataclass(frozen=True)
@@ -38,10 +41,10 @@ class RpcFit:
     """An RPC and its distance from the model it replaces.
 
     `how` is "exact" if it was taken over as it is, "its own" if the model knows it; else the terms
-    it was refitted with: "the selected", "all 78" or "all 40 polynomial". Greatest
-    and root mean square distance from the fitted model [px] are over the image and the heights of
-    the control, between the places the RPC was fitted to. `part` says which part of an oblique
-    image the RPC does not follow.
+    it was refitted with: "the selected", "all 78", "all 78 (small denominators)" or "all 40
+    polynomial". Greatest and root mean square distance from the fitted model [px] are over the
+    image and the heights, between the places the RPC was fitted to. `part` says which part of an
+    oblique image the RPC does not follow.
     """
 
     rpc: Rpc
@@ -51,13 +54,15 @@ class RpcFit:
     part: str = ""
 
 
-def rpc_of(fitted: Fit) -> RpcFit:
+def rpc_of(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcFit:
     """Return the RPC of a fitted model, and what it loses.
 
     Parameters
     ----------
     fitted : Fit
         A fit of any model, in any CRS that can be converted to WGS84.
+    heights : tuple of float, optional
+        Least and largest height that the RPC is for, by default those of the control.
 
     Raises
     ------
@@ -72,7 +77,8 @@ def rpc_of(fitted: Fit) -> RpcFit:
     is fitted to a grid of image places and heights, as RPCs are made from rigorous models
     (terrain-independent; Tao and Hu, "A comprehensive study of the rational function model for
     photogrammetric processing", PE&RS 67 (2001) 1347-1357): with the selected terms, and with
-    all of them where that loses more than 0.05 px.
+    all of them where that loses more than 0.05 px. Where no cubic follows the image, as in ground
+    range, denominators follow its noise up to a pole; there their coefficients are held near zero.
     """
     convert = to_wgs84(fitted.control.crs)
     refuse_sky(fitted, "an RPC")
@@ -83,19 +89,22 @@ def rpc_of(fitted: Fit) -> RpcFit:
     if rpc is None and normalise(fitted.control.fit_crs or fitted.control.crs) in WGS84:
         rpc = taken_over(fitted)
     if rpc is not None:
-        places, seen = _seen(fitted)
+        places, seen = _seen(fitted, heights)
         if own is not None and not len(places):
             places = fitted.control.ground_vertices()
             seen = fitted.project(places)
         worst, rms = _loss(rpc, convert(places), seen)
         if worst <= (EXACT if own is None else GOOD):
             return RpcFit(rpc, "exact" if worst <= EXACT else "its own", worst, rms, part)
-    image, ground = _grid(fitted, convert, _GRID, _LEVELS)
-    between, ground_between = _grid(fitted, convert, _GRID - 1, _LEVELS - 1)
+    low, high = heights or _heights(fitted)
+    image, ground = _grid(fitted, convert, _GRID, np.linspace(low, high, _LEVELS))
+    between, ground_between = _grid(fitted, convert, _GRID - 1,
+                                    np.linspace(low, high, _LEVELS - 1))
     candidates = []
-    for how, terms in _term_sets(fitted):
-        rpc = _refitted(image, ground, terms)
-        candidates.append(RpcFit(rpc, how, *_loss(rpc, ground_between, between), part))
+    for how, terms, ridge in _term_sets(fitted):
+        rpc = _refitted(image, ground, terms, ridge)
+        loss = (np.inf, np.inf) if _has_pole(rpc, ground) else _loss(rpc, ground_between, between)
+        candidates.append(RpcFit(rpc, how, *loss, part))
         if candidates[-1].worst <= GOOD:
             break
     best = min(candidates, key=lambda candidate: candidate.worst)
@@ -104,8 +113,8 @@ def rpc_of(fitted: Fit) -> RpcFit:
                            hint="Export it as geolocation-vrt or gcp-grid-vrt.")
     log.log(logging.INFO if best.worst <= GOOD else logging.WARNING,
             "RPC: refitted to the model in longitude, latitude and height with %s terms. It "
-            "differs from the model by at most %.2g px (rms %.2g px).", best.how, best.worst,
-            best.rms)
+            "differs from the model by at most %.2g px (rms %.2g px), over the image and heights "
+            "from %.0f to %.0f.", best.how, best.worst, best.rms, low, high)
     if part:
         log.warning("Warning: %s. The RPC follows the model in the rest alone.", part)
     return best
@@ -144,23 +153,36 @@ def _column(term: Term) -> int | None:
     return RPC00B.index(term.exponents) if term.exponents in RPC00B else None
 
 
-def _term_sets(fitted: Fit) -> Iterator[tuple[str, BoolArray]]:
-    """Yield what to refit with: names and masks of terms of the full model."""
+def _term_sets(fitted: Fit) -> Iterator[tuple[str, BoolArray, float]]:
+    """Yield what to refit with: names and masks of terms of the full model, and a ridge."""
     terms = [Term.parse(name) for name in RationalFunctions().terms]
     chosen = [Term.parse(name) for name in select(fitted.model.terms, fitted.terms)]
     if all(_column(term) is not None for term in chosen):
         # A shared denominator becomes one each, as it is in an RPC.
         yield "the selected", np.array([term in chosen or term.shared in chosen
-                                        for term in terms])
-    yield "all 78", np.ones(len(terms), dtype=bool)
+                                        for term in terms]), 0.0
+    every = np.ones(len(terms), dtype=bool)
+    yield "all 78", every, 0.0
+    for ridge in _RIDGES:
+        yield "all 78 (small denominators)", every, ridge
     # Without denominators there are no poles.
-    yield "all 40 polynomial", np.array([not term.is_denominator for term in terms])
+    yield "all 40 polynomial", np.array([not term.is_denominator for term in terms]), 0.0
 
 
-def _seen(fitted: Fit) -> tuple[FloatArray, FloatArray]:
+def _heights(fitted: Fit) -> tuple[float, float]:
+    """Return the least and the largest height of the control."""
+    heights = fitted.control.ground_vertices()[:, 2]
+    heights = heights[np.isfinite(heights)]
+    return (float(heights.min()), float(heights.max())) if heights.size else (0.0, 0.0)
+
+
+def _seen(fitted: Fit, heights: tuple[float, float] | None) -> tuple[FloatArray, FloatArray]:
     """Return places all over the ground of the control that lie in the image, and where."""
     share = np.random.default_rng(0).uniform(-1.0, 1.0, (1000, 3))
     middle, half = fitted.ground_box()
+    if heights is not None:
+        middle[2] = (heights[0] + heights[1]) / 2.0
+        half[2] = (heights[1] - heights[0]) / 2.0
     ground = middle + share * half
     image = fitted.project(ground)
     low, high = fitted.image_box()
@@ -168,13 +190,10 @@ def _seen(fitted: Fit) -> tuple[FloatArray, FloatArray]:
     return ground[inside], image[inside]
 
 
-def _grid(fitted: Fit, convert: Callable[[FloatArray], FloatArray], across: int, levels: int,
-          ) -> tuple[FloatArray, FloatArray]:
+def _grid(fitted: Fit, convert: Callable[[FloatArray], FloatArray], across: int,
+          levels: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return image places and where they see the ground at several heights, in WGS84."""
-    heights = fitted.control.ground_vertices()[:, 2]
-    heights = heights[np.isfinite(heights)]
-    low, high = (heights.min(), heights.max()) if heights.size else (0.0, 0.0)
-    steps = np.linspace(low, high, levels) if high > low else [low]
+    steps = np.unique(levels)
     (top, left), (bottom, right) = fitted.image_box()
     image = np.stack([axis.ravel() for axis in np.meshgrid(
         np.linspace(top, bottom, across), np.linspace(left, right, across), steps)], axis=1)
@@ -188,8 +207,8 @@ def _grid(fitted: Fit, convert: Callable[[FloatArray], FloatArray], across: int,
     return image[seen, :2], convert(ground[seen])
 
 
-def _refitted(image: FloatArray, ground: FloatArray, terms: BoolArray) -> Rpc:
-    model = RationalFunctions()
+def _refitted(image: FloatArray, ground: FloatArray, terms: BoolArray, ridge: float = 0.0) -> Rpc:
+    model = RationalFunctions(ridge=ridge)
     if np.ptp(ground[:, 2]) < 1e-6:
         terms = terms & np.array(["Z" not in Term.parse(name).column for name in model.terms])
     points = Points(tuple(map(str, range(len(image)))), image, ground)
@@ -197,6 +216,15 @@ def _refitted(image: FloatArray, ground: FloatArray, terms: BoolArray) -> Rpc:
     rpc = taken_over(fit(model, control, scaling_of(control), terms))
     assert rpc is not None  # the terms are those of an RPC
     return rpc
+
+
+def _has_pole(rpc: Rpc, ground: FloatArray) -> bool:
+    """Return whether a denominator comes near zero in a box wider than that of some ground."""
+    share = np.random.default_rng(0).uniform(-_WIDER, _WIDER, (_TRIED, 3))
+    low = ground.min(axis=0)
+    high = ground.max(axis=0)
+    below = rpc.denominators((low + high) / 2.0 + share * (high - low) / 2.0)
+    return bool((below < _LEAST_DENOMINATOR).any())
 
 
 def _loss(rpc: Rpc, ground: FloatArray, image: FloatArray) -> tuple[float, float]:

@@ -325,12 +325,17 @@ class Result(Glance):
         """
         return self.exported.locate(image, height)
 
-    def to_rpc(self) -> Rpc:
+    def to_rpc(self, heights: tuple[float, float] | None = None) -> Rpc:
         """Return the exported fit as RPC.
 
         Rational functions and polynomials to the third degree of WGS84 longitude, latitude and
         ellipsoidal height are RPCs as they are. Any other fit is replaced by the RPC next to
         it, and what that costs is logged; `termsel.models.rpc_fit.rpc_of` returns it.
+
+        Parameters
+        ----------
+        heights : tuple of float, optional
+            Least and largest height that the RPC is for, by default those of the control.
 
         Raises
         ------
@@ -340,7 +345,7 @@ class Result(Glance):
         """
         from termsel.models.rpc_fit import rpc_of
 
-        return rpc_of(self.exported).rpc
+        return rpc_of(self.exported, heights).rpc
 
     def to_json(self) -> str:
         """Return result.json as text: `to_dict` and its checksums."""

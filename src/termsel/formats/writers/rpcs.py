@@ -35,6 +35,10 @@ _SIDECAR = Option("image", None, "The image for which the file is written; terms
                                  "GDAL uses this RPC for it.")
 
 
+_HEIGHTS = Option("heights", None, "Least and largest height of the ground that the RPC is for, "
+                                   "such as 0,4000; by default those of the control.")
+
+
 class RpcWriter(Writer):
     """Base of the writers of RPC files."""
 
@@ -50,17 +54,38 @@ class RpcWriter(Writer):
         image = self.options["image"]
         if image is not None:
             result = result.of_image(picture_for(result, image).size)
-        rpc = result.to_rpc()
+        heights = self._heights()
+        rpc = result.to_rpc(heights)
         text = self.text(rpc, result, path)
         with atomic_path(path) as temporary:
             temporary.write_bytes(encoded(text))
             require_read_back(rpc, text, self.suffix)
         self.written(rpc, path)
-        places = places_of(result.fit)
+        places = places_of(result.fit, heights)
         with np.errstate(all="ignore"):
             image = rpc.project(to_wgs84(result.fit.control.crs)(places))
         say_deviation(self.name, result.fit, places, image,
-                      ", over the image and the heights of the control")
+                      ", over the image and "
+                      + ("the heights of the control" if heights is None else
+                         f"heights from {heights[0]:g} to {heights[1]:g}"))
+
+    def _heights(self) -> tuple[float, float] | None:
+        """Return the least and the largest height that are asked for.
+
+        Raises TermselError if these are no two numbers in this order.
+        """
+        text = self.options["heights"]
+        if text is None:
+            return None
+        try:
+            low, high = map(float, str(text).split(","))
+        except ValueError:
+            low, high = np.nan, np.nan
+        if not (np.isfinite([low, high]).all() and low <= high):
+            raise TermselError(f"option 'heights' cannot be {text!r}",
+                               hint="Give the least and the largest height, such as "
+                                    "heights=0,4000.", name="heights")
+        return low, high
 
     @abstractmethod
     def text(self, rpc: Rpc, result: Result, path: Path) -> str:
@@ -92,7 +117,7 @@ class Rpb(RpcWriter):
     name = "rpb"
     summary = "RPC as IMAGE.RPB, which GDAL and QGIS use for IMAGE.tif next to it"
     suffix = ".RPB"
-    declared_options: ClassVar[tuple[Option, ...]] = (_SIDECAR,)
+    declared_options: ClassVar[tuple[Option, ...]] = (_SIDECAR, _HEIGHTS)
 
     def text(self, rpc: Rpc, result: Result, path: Path) -> str:
         """Return the text of an RPB file."""
@@ -105,7 +130,7 @@ class RpcTxt(RpcWriter):
     name = "rpc-txt"
     summary = "RPC as IMAGE_RPC.TXT, which GDAL, QGIS and OTB use for IMAGE.tif next to it"
     suffix = "_RPC.TXT"
-    declared_options: ClassVar[tuple[Option, ...]] = (_SIDECAR,)
+    declared_options: ClassVar[tuple[Option, ...]] = (_SIDECAR, _HEIGHTS)
 
     def text(self, rpc: Rpc, result: Result, path: Path) -> str:
         """Return the text of a _RPC.TXT file."""
@@ -119,7 +144,7 @@ class RpcVrt(RpcWriter):
     summary = "RPC in a VRT of the image, whatever vendor files are next to it"
     needs = RpcWriter.needs + "; --image for a VRT that has pixels"
     suffix = "_rpc.vrt"
-    declared_options: ClassVar[tuple[Option, ...]] = (IMAGE,)
+    declared_options: ClassVar[tuple[Option, ...]] = (IMAGE, _HEIGHTS)
 
     def text(self, rpc: Rpc, result: Result, path: Path) -> str:
         """Return the text of a VRT."""
