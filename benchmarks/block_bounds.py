@@ -16,10 +16,10 @@ import numpy as np
 
 from termsel import Points, open_dem
 from termsel_block.estimation.common import of_heights
-from termsel_block.estimation.equations import Seen, pairs, solve
+from termsel_block.estimation.equations import TieRows, pairs, solve
 from termsel_block.geometry.cameras import RpcCamera, groups_of
 from termsel_block.geometry.frame import FloatArray
-from termsel_block.geometry.heights import Known
+from termsel_block.geometry.heights import ControlHeights
 from termsel_block.joint import BlockResult, heights_of
 from termsel_block.simulated import Simulated
 
@@ -48,7 +48,7 @@ def bounds(simulated: Simulated, result: BlockResult, bias: float, drift: float,
         tie = ties.tie[ties.image == i]
         zero = np.zeros((2, 2))
         at, columns = camera.first_order(places[tie])
-        seen.append(Seen(tie, camera.rows(zero, places[tie], columns),
+        seen.append(TieRows(tie, camera.rows(zero, places[tie], columns),
                          camera.slopes(zero, places[tie], at), np.zeros((len(tie), 2)),
                          np.full(len(tie), noise**-2)))
         known = result.control[i]
@@ -59,8 +59,8 @@ def bounds(simulated: Simulated, result: BlockResult, bias: float, drift: float,
     with open_dem(block.dem, block.crs) if block.dem else nullcontext() as dem:
         ground = heights_of(block, frame, dem)
         # Ties and control lie at random, so that each height counts, as the adjustment dares not.
-        known, rough = len(ground.known.over), result.adjusted.roughness
-        ground = replace(ground, sigma=rough, crowd=1.0, known=Known())
+        known, rough = len(ground.control_heights.over), result.adjusted.roughness
+        ground = replace(ground, sigma=rough, crowd=1.0, control_heights=ControlHeights())
         heights, of_offset, aim, of_ties, aim_of_ties = of_heights(ground, places)
         of_offset[0, 0] += known / rough**2
     solved = solve([*seen, heights], [*normal, of_offset], [*right, aim],
@@ -71,7 +71,7 @@ def bounds(simulated: Simulated, result: BlockResult, bias: float, drift: float,
         columns = cameras[i].first_order(frame.local(judging[i].ground))[1]
         few = cameras[i].first_order(frame.local(points.ground))[1]
         alone = np.linalg.inv(np.diag(spread**-2) + few.T @ few / noise**2)
-        found[i] = Bound(_rmse(columns, solved.own[i], noise),
+        found[i] = Bound(_rmse(columns, solved.image_covariances[i], noise),
                          _rmse(columns, np.kron(np.eye(2), alone), noise))
     return found
 

@@ -45,7 +45,7 @@ def compared(kind: Kind, seed: int) -> tuple[float, float, float]:
             assert features is not None
             fits.append(fitted(block, i, features.points.take(
                 [role == "control" for role in features.points.roles])))
-        seen = [dict(zip(ties.tie[ties.image == i].tolist(), ties.place[ties.image == i],
+        seen = [dict(zip(ties.tie[ties.image == i].tolist(), ties.position[ties.image == i],
                          strict=True)) for i in range(3)]
         rng = np.random.default_rng([seed, 5])
         common = rng.permutation(sorted(set(seen[0]) & set(seen[1]) & set(seen[2])))[:_TIES]

@@ -141,13 +141,13 @@ def _injection(image: FloatArray, simulated: Simulated) -> FloatArray:
 def moved(simulated: Simulated) -> Block:
     """Return the block with all measurements in the second image moved by a shift and a drift."""
     block, second = simulated.block, simulated.block.ties.image == 1
-    place = block.ties.place.copy()
+    place = block.ties.position.copy()
     place[second] += _injection(place[second], simulated)
     image = block.images[1]
     assert image.features is not None
     points = image.features.points
     points = replace(points, image=points.image + _injection(points.image, simulated))
-    return replace(block, ties=replace(block.ties, place=place), images=(
+    return replace(block, ties=replace(block.ties, position=place), images=(
         block.images[0], replace(image, features=replace(image.features, points=points))))
 
 
@@ -266,7 +266,7 @@ def by_scipy() -> str:
         for i in range(n):
             camera, own = state.cameras[i], unknown[begin[i]:begin[i + 1]].reshape(-1, 2)
             at = ties.image == i
-            out.append(((ties.place[at] - camera.project(own, places[ties.tie[at]]))
+            out.append(((ties.position[at] - camera.project(own, places[ties.tie[at]]))
                         / state.sigma_ties).ravel())
             if len(known[i]):
                 computed = camera.project(own, known[i].local)

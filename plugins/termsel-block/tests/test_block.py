@@ -20,7 +20,7 @@ from termsel import FeatureSet, Points, Rpc, TermselError, read_result, read_rpc
 from termsel.testing import invoke
 from termsel_block.accuracy import Spread, in_space, independent_points, predicted, rmse
 from termsel_block.block import Block, BlockImage, Ties
-from termsel_block.estimation.equations import Seen, pairs, solve
+from termsel_block.estimation.equations import TieRows, pairs, solve
 from termsel_block.evidence.factors import log_bayes_factor
 from termsel_block.files.block_file import read_block
 from termsel_block.geometry.frame import FloatArray, IntArray
@@ -81,7 +81,7 @@ def test_wrong_ties_are_named_and_cost_little(vendors: Simulated, adjusted: Bloc
     clean = adjust(simulate_block(3, rpcs=True, control=(4, 4), seed=1, independent=40).block)
     assert not record_of(clean).wrong_ties
     record = record_of(adjusted)
-    far = [np.hypot(*(vendors.block.ties.place - sensor_places(vendors))[k])
+    far = [np.hypot(*(vendors.block.ties.position - sensor_places(vendors))[k])
            for k in range(len(vendors.block.ties.tie))]
     wrong = {(vendors.block.ties.names[vendors.block.ties.tie[k]],
               vendors.block.images[vendors.block.ties.image[k]].name)
@@ -137,7 +137,7 @@ def test_the_step_is_that_of_lapack() -> None:
     seen, rows, aim = [], [], []
     for i in range(images):
         tie = np.sort(rng.choice(ties, 5, replace=False))
-        part = Seen(tie, rng.normal(size=(5, 2, 2 * m)), rng.normal(size=(5, 2, 3)),
+        part = TieRows(tie, rng.normal(size=(5, 2, 2 * m)), rng.normal(size=(5, 2, 3)),
                     rng.normal(size=(5, 2)), rng.uniform(0.5, 2, 5))
         seen.append(part)
         for n in range(5):
@@ -159,7 +159,7 @@ def test_the_step_is_that_of_lapack() -> None:
     np.testing.assert_allclose(np.concatenate(got.steps), expected[:images * 2 * m], rtol=1e-9)
     np.testing.assert_allclose(got.ties.ravel(), expected[images * 2 * m:], rtol=1e-9)
     covariance = np.linalg.inv(normal)
-    for i, own in enumerate(got.reduced.own()):
+    for i, own in enumerate(got.reduced.image_covariances()):
         at = slice(i * 2 * m, (i + 1) * 2 * m)
         np.testing.assert_allclose(own, covariance[at, at], rtol=1e-8, atol=1e-12)
     for k, block in enumerate(got.covariance_of_ties()):
@@ -261,7 +261,7 @@ def test_one_wrong_tie_does_not_doubt_two_rpcs() -> None:
     ties, wrong = block.ties, len(block.ties.names)
     found = record_of(adjust(replace(block, ties=Ties(
         (*ties.names, "wrong"), np.append(ties.tie, [wrong, wrong]),
-        np.append(ties.image, [0, 20]), np.vstack([ties.place, [[6000.0, 6000.0]] * 2])))))
+        np.append(ties.image, [0, 20]), np.vstack([ties.position, [[6000.0, 6000.0]] * 2])))))
     assert {(tie.id, tie.image) for tie in found.wrong_ties if tie.id == "wrong"} == {
         ("wrong", "I1"), ("wrong", "I21")}
 
@@ -278,9 +278,9 @@ def test_independent_points_alone_hold_nothing(
 
 def test_ties_that_contradict_are_refused() -> None:
     block = simulate_block(2, n_ties=40, rpcs=True, control=(4,), seed=0, independent=5).block
-    place = np.random.default_rng(0).permutation(block.ties.place)
+    place = np.random.default_rng(0).permutation(block.ties.position)
     with pytest.raises(TermselError, match="contradict one another"):
-        adjust(replace(block, ties=replace(block.ties, place=place)))
+        adjust(replace(block, ties=replace(block.ties, position=place)))
 
 
 def test_parts_are_what_ties_join() -> None:

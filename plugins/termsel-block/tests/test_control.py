@@ -48,7 +48,7 @@ def solved_without(run: Steps, i: int, at: BoolArray) -> float:
     run.state.control_in_use[i] = used
     rows, away = run._rows(i, run.state.cameras[i], known)
     away = (away - rows @ solved.steps[i])[at]
-    spread = rows[at] @ solved.own[i] @ rows[at].T + np.diag(
+    spread = rows[at] @ solved.image_covariances[i] @ rows[at].T + np.diag(
         (run.state.sigma_control * known.sigma[at])**2)
     good = np.exp(-away @ np.linalg.inv(spread) @ away / 2) / (
         2 * np.pi * np.sqrt(np.linalg.det(spread)))

@@ -17,7 +17,7 @@ from termsel_block.block import Block
 from termsel_block.example import write_example
 from termsel_block.files.block_file import read_block
 from termsel_block.geometry.frame import FloatArray, Frame
-from termsel_block.geometry.heights import Heights, Known
+from termsel_block.geometry.heights import Heights, ControlHeights
 from termsel_block.joint import BlockResult, adjust, heights_of
 from termsel_block.shown.record import record_of
 from termsel_block.simulated import LAT, LON, Hills, Simulated, height, simulate_block
@@ -110,7 +110,7 @@ def test_a_wrong_height_of_control_does_not_doubt_a_dem(tmp_path: Path) -> None:
 def test_a_height_counts_while_most_of_its_rows_are_in_use() -> None:
     frame = Frame("local", np.zeros(3), np.eye(3))
     rows = tuple(np.array(of, np.intp) for of in ([0, 0, 1, 1], [0, 0, -1, -1], [0, 0]))
-    heights = Heights(frame, 0.0, 100.0, known=Known(np.array([3.0, 5.0]), rows))
+    heights = Heights(frame, 0.0, 100.0, control_heights=ControlHeights(np.array([3.0, 5.0]), rows))
     heights.keep([np.array([True, True, False, False]), np.zeros(4, bool), np.ones(2, bool)])
     assert heights.control.tolist() == [3.0]
     heights.keep([np.array([False, False, True, True]), np.zeros(4, bool), np.ones(2, bool)])
@@ -161,7 +161,7 @@ def test_what_the_prior_alone_holds_is_as_uncertain_as_the_prior() -> None:
     ties, keep = block.ties, block.ties.image != 2
     keep &= (np.bincount(ties.tie[keep], minlength=len(ties.names)) > 1)[ties.tie]
     spread = predicted(adjust(replace(block, ties=replace(
-        ties, tie=ties.tie[keep], image=ties.image[keep], place=ties.place[keep]))), 2)
+        ties, tie=ties.tie[keep], image=ties.image[keep], position=ties.position[keep]))), 2)
     # Of a shift in line and in sample, were its variance known: 0.23 and 1.73.
     assert spread.low < 0.21 * spread.rmse
     assert spread.high > 1.85 * spread.rmse

@@ -288,7 +288,7 @@ def test_a_scanner_without_ties_is_held_by_its_control() -> None:
     ties = block.ties
     use = ties.image > 0
     alone = replace(block, images=images, ties=replace(
-        ties, tie=ties.tie[use], image=ties.image[use], place=ties.place[use]))
+        ties, tie=ties.tie[use], image=ties.image[use], position=ties.position[use]))
     result = adjust(alone)
     assert errors(result)[0] < 20.0  # six points of a scanner of which nothing is known
     assert record_of(result).images[0].options == {"track": "descending"}

@@ -125,7 +125,7 @@ def test_an_image_without_ties_stays_as_its_vendor_has_it() -> None:
     seen = np.bincount(ties.tie[keep], minlength=len(ties.names)) > 1
     keep &= seen[ties.tie]
     record = record_of(adjust(replace(block, ties=replace(
-        ties, tie=ties.tie[keep], image=ties.image[keep], place=ties.place[keep]))))
+        ties, tie=ties.tie[keep], image=ties.image[keep], position=ties.position[keep]))))
     assert record.images[2].ties == 0
     assert ["I3"] in record.parts
 

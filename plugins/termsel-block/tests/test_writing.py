@@ -156,7 +156,7 @@ def test_match_files_of_asp_are_ties(tmp_path: Path, binary: bool) -> None:
     assert sorted(np.bincount(ties.tie).tolist()) == [2, 3]
     three = ties.tie == int(np.argmax(np.bincount(ties.tie)))
     assert {(int(i), *map(float, p)) for i, p in zip(
-        ties.image[three], ties.place[three], strict=True)} == {
+        ties.image[three], ties.position[three], strict=True)} == {
         (0, 10.0, 20.0), (1, 11.0, 21.0), (2, 12.0, 22.0)}
     with pytest.raises(TermselError, match="states no two images"):
         read_ties(files, ["A", "C"])

@@ -60,29 +60,36 @@ def predicted(result: BlockResult, i: int, seed: int = 0, *, anywhere: bool = Fa
     """
     state = result.adjusted.state
     points = None if anywhere else independent_points(result, i)
-    mine = result.block.ties.image == i
-    places = state.ties[result.block.ties.tie[mine]]
+    in_image = result.block.ties.image == i
+    # Ties have places of their own; independent points and control have them from the ground.
+    local = state.ties[result.block.ties.tie[in_image]]
     features = result.block.images[i].features
     if points is not None:
-        places = result.frame.local(points.ground)
-    elif not len(places):
-        assert features is not None  # an image without ties has control
-        places = result.frame.local(features.points.ground)
-    rows = result.rows(i, places)
+        local = result.frame.local(points.ground)
+    elif not len(local):
+        # An image without ties has control.
+        assert features is not None
+        local = result.frame.local(features.points.ground)
+    rows = result.rows(i, local)
+    # A generator of its own for each image: the figures do not depend on which others are asked
+    # for.
     rng = np.random.default_rng([seed, i])
     draws = _drawn(result, i, rng)
+    # The posterior of a computed position: derivatives by parameters times draws of these, squared.
     squares = ((rows @ draws) ** 2).sum(axis=1).mean(axis=0)
     # The variance of control is known from few measurements; the state has its median.
-    known = state.freedom_control
-    noise = state.sigma_control**2 * (known - MEDIAN) / rng.chisquare(known, draws.shape[1])
-    if points is not None:  # few of them have more noise than that, or less
+    freedom = state.freedom_control
+    noise = state.sigma_control**2 * (freedom - MEDIAN) / rng.chisquare(freedom, draws.shape[1])
+    # Few of them have more noise than that, or less.
+    if points is not None:
         noise = noise * rng.chisquare(2 * len(points), draws.shape[1]) / (2 * len(points))
+    # Errors of the model (line and sample) and of the measurement in both axes: two variances.
     errors = np.sqrt(squares + 2 * noise)
     low, high = np.quantile(errors, [(1 - _LEVEL) / 2, (1 + _LEVEL) / 2])
     return Spread(float(np.sqrt((errors**2).mean())), float(low), float(high))
 
 
-def shared_sigma(result: BlockResult, i: int, features: FeatureSet, own: FloatArray,
+def shared_sigma(result: BlockResult, i: int, features: FeatureSet, own_sigma: FloatArray,
                  seed: int = 0) -> tuple[float, float]:
     """Return what the block knows an image's model to be off by, beyond what its own fit tells.
 
@@ -92,10 +99,16 @@ def shared_sigma(result: BlockResult, i: int, features: FeatureSet, own: FloatAr
     """
     rows = result.rows(i, result.frame.local(features.points.ground))
     draws = _drawn(result, i, np.random.default_rng([seed, i]))
+    # E[(J d)^2] over draws d of the parameters, for line and for sample of each place.
     squares = ((rows @ draws) ** 2).mean(axis=2)
-    known = np.isfinite(own).all(axis=1)
-    beyond = (squares - own**2)[known].mean(axis=0) if known.any() else squares.mean(axis=0)
-    line, sample = np.sqrt(np.maximum(beyond, 0.0)).tolist()
+    is_finite = np.isfinite(own_sigma).all(axis=1)
+    if is_finite.any():
+        excess = (squares - own_sigma**2)[is_finite].mean(axis=0)
+    else:
+        excess = squares.mean(axis=0)
+    # A negative excess says that the image's own fit is the less certain one: nothing is shared
+    # then.
+    line, sample = np.sqrt(np.maximum(excess, 0.0)).tolist()
     return line, sample
 
 
@@ -108,6 +121,7 @@ def _drawn(result: BlockResult, i: int, rng: np.random.Generator) -> FloatArray:
 def _normal(result: BlockResult, i: int, rng: np.random.Generator) -> FloatArray:
     """Return draws (2m, draws) of an image's errors by its covariance alone."""
     covariance = result.covariances[i]
+    # The small number on the diagonal keeps parameters without any variance factorisable.
     root = np.linalg.cholesky(covariance + 1e-12 * np.eye(len(covariance)))
     return np.asarray(root @ rng.standard_normal((len(root), _DRAWS))
                       * np.sqrt(_unsure(result, i, rng)))
@@ -123,31 +137,34 @@ def _unsure(result: BlockResult, i: int, rng: np.random.Generator) -> FloatArray
     state = result.adjusted.state
     groups = np.array(camera.groups)
     by_prior = np.diag(result.covariances[i]).reshape(2, -1) / state.variances[i]
+    # A scaled inverse chi-square of TAIL degrees of freedom, whose mean is 1.
     factor = np.ones((len(groups), _DRAWS))
     for name in dict.fromkeys(camera.groups):
         if name in camera.wide:
             continue
         factor[groups == name] = (TAIL - 2) / rng.chisquare(TAIL, _DRAWS)
+    # Of each parameter the share by_prior of its variance scales with the prior's.
     return np.asarray(1 + np.clip(by_prior, 0, 1)[:, :, None] * (factor - 1)).reshape(-1, _DRAWS)
 
 
 def in_space(result: BlockResult) -> InSpace | None:
     """Return the errors of independent points that two images or more see, by intersection."""
-    known: dict[str, FloatArray] = {}
-    seen: dict[str, list[tuple[int, FloatArray]]] = {}
+    truth_of: dict[str, FloatArray] = {}
+    rays_of: dict[str, list[tuple[int, FloatArray]]] = {}
     for i in range(len(result.block.images)):
         points = independent_points(result, i)
         if points is None:
             continue
         for name, ground, image in zip(points.ids, points.ground, points.image, strict=True):
-            known[name] = ground
-            seen.setdefault(name, []).append((i, image))
-    names = [name for name, rays in seen.items() if len(rays) > 1]
+            truth_of[name] = ground
+            rays_of.setdefault(name, []).append((i, image))
+    # One ray alone meets nothing: at least two images must see a point.
+    names = [name for name, rays in rays_of.items() if len(rays) > 1]
     if not names:
         return None
-    truth = result.frame.local(np.array([known[name] for name in names]))
-    found = _intersected(result, [seen[name] for name in names], truth)
-    east, north, up = np.sqrt(((found - truth) ** 2).mean(axis=0))
+    actual = result.frame.local(np.array([truth_of[name] for name in names]))
+    intersected = _intersected(result, [rays_of[name] for name in names], actual)
+    east, north, up = np.sqrt(((intersected - actual) ** 2).mean(axis=0))
     return InSpace(float(east), float(north), float(up), len(names))
 
 
@@ -155,11 +172,15 @@ def _intersected(result: BlockResult, rays: Sequence[Sequence[tuple[int, FloatAr
                  near: FloatArray) -> FloatArray:
     """Return where rays meet; the search begins at the middle of the places, not at each."""
     state = result.adjusted.state
+    # `intersect` takes all rays of one image at once: index of each point, and where it is seen.
     by_image: dict[int, list[tuple[int, FloatArray]]] = {}
-    for k, some in enumerate(rays):
-        for i, image in some:
+    for k, image_rays in enumerate(rays):
+        for i, image in image_rays:
             by_image.setdefault(i, []).append((k, image))
     start = np.broadcast_to(near.mean(axis=0), near.shape).copy()
-    return intersect(
-        start, [(state.cameras[i], state.parameters[i], np.array([k for k, _ in some]),
-                 np.array([image for _, image in some])) for i, some in by_image.items()])
+    all_rays = []
+    for i, image_rays in by_image.items():
+        points = np.array([k for k, _ in image_rays])
+        positions = np.array([image for _, image in image_rays])
+        all_rays.append((state.cameras[i], state.parameters[i], points, positions))
+    return intersect(start, all_rays)

@@ -31,7 +31,7 @@ class Ties:
     names: tuple[str, ...]
     tie: IntArray
     image: IntArray
-    place: FloatArray
+    position: FloatArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,6 +41,7 @@ def block(file: Path, folder: Path, overwrite: bool, as_json: bool, verbose: boo
       termsel block place/block.toml --out place/adjusted
       termsel export place/adjusted/C --to rpb --output C.RPB
     """
+    # Imported here, so that `termsel --help` does not wait for them.
     import msgspec
 
     from termsel.toolkit import share_bar, show_messages
@@ -51,6 +52,7 @@ def block(file: Path, folder: Path, overwrite: bool, as_json: bool, verbose: boo
 
     show_messages()
     read = read_block(file)
+    # Minutes of adjustment are not begun for a folder that cannot be written.
     claim(folder, [image.name for image in read.images], overwrite=overwrite, reads=[
         file, *read.files])
     with share_bar("adjusting", quiet) as progress:
@@ -114,7 +116,7 @@ def block_points(folder: Path, output: Path, overwrite: bool) -> None:
               help="Table to write: kind,image,id of the control and the ties that are selected.")
 @click.option("--solver", metavar="NAME", default="ga", show_default=True,
               help="Any solver of one objective: ga, ica, swap, or exact for few candidates.")
-@click.option("--most", metavar="N", type=click.IntRange(1),
+@click.option("--most", "most_features", metavar="N", type=click.IntRange(1),
               help="Most control features and ties together.")
 @click.option("--candidates", metavar="N", type=click.IntRange(2), default=100, show_default=True,
               help="Candidates of ties: of more, as many that are well distributed.")
@@ -123,7 +125,7 @@ def block_points(folder: Path, output: Path, overwrite: bool) -> None:
 @click.option("--overwrite", is_flag=True, help="Replace a file that is there.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON alone on stdout.")
 @remote_option
-def block_select(file: Path, output: Path, solver: str, most: int | None, candidates: int,
+def block_select(file: Path, output: Path, solver: str, most_features: int | None, candidates: int,
                  evaluations: int | None, seed: int, overwrite: bool, as_json: bool) -> None:
     """Select which control and which ties of a block are enough (the problem owdis-block).
 
@@ -143,10 +145,11 @@ def block_select(file: Path, output: Path, solver: str, most: int | None, candid
     from termsel_block.selecting import rows_of, select, text_of
 
     block = read_block(file)
+    # Refused before the search, not after it.
     require_replaceable([output], reads=[file, *block.files], overwrite=overwrite)
-    found = select(block, solver=solver, seed=seed, evaluations=evaluations, most=most,
+    selected = select(block, solver=solver, seed=seed, evaluations=evaluations, most=most_features,
                    tie_candidates=candidates)
-    write_text(output, "\n".join(rows_of(found)) + "\n")
-    click.echo(msgspec.json.encode(found.record(solver, seed)) if as_json else text_of(found),
+    write_text(output, "\n".join(rows_of(selected)) + "\n")
+    click.echo(msgspec.json.encode(selected.record(solver, seed)) if as_json else text_of(selected),
                nl=as_json)
     click.echo(f"Written: {output}", err=True)

@@ -43,22 +43,25 @@ def without_wrong_sensor(block: Block, adjusted: Adjusted,
     some the ties bend others, too. With it the number of the image that contradicts most. Sensors
     that are right stay.
     """
-    every = contradicted(adjusted)
-    sensors = {i: sensor_of(block, i) for i in every}
-    found = {i: one for i, one in every.items() if sensors[i] and sensors[i] not in right}
-    worst = max(found, key=lambda i: found[i].severity, default=None)
+    contradictions = contradicted(adjusted)
+    sensors = {i: sensor_of(block, i) for i in contradictions}
+    suspects = {i: contradiction for i, contradiction in contradictions.items() if sensors[i]
+                and sensors[i] not in right}
+    # The worst image decides which sensor goes; all images that state it go with it.
+    worst = max(suspects, key=lambda i: suspects[i].severity, default=None)
     if worst is None:
         return None
     sensor = sensors[worst]
     name = _shown(block, sensors[worst])
-    said = [f"{block.images[i].name}{_off(one)}" for i, one in found.items()
+    named_images = [f"{block.images[i].name}{_off(contradiction)}" for i,
+                    contradiction in suspects.items()
             if sensors[i] == sensor]
-    many = sum(sensor_of(block, i) == sensor for i in range(len(block.images)))
-    note = (f"Points and ties of {', '.join(said)} contradict the sensor {name!r}. "
-            + ("The image is adjusted as one of an unknown sensor." if many == 1 else
-               f"The {many} images that state it are adjusted as those of an unknown sensor."))
-    other = without_sensor(block, sensor)
-    return replace(other, notes=(*other.notes, note)), worst
+    n_images = sum(sensor_of(block, i) == sensor for i in range(len(block.images)))
+    note = (f"Points and ties of {', '.join(named_images)} contradict the sensor {name!r}. "
+            + ("The image is adjusted as one of an unknown sensor." if n_images == 1 else
+               f"The {n_images} images that state it are adjusted as those of an unknown sensor."))
+    without = without_sensor(block, sensor)
+    return replace(without, notes=(*without.notes, note)), worst
 
 
 def stated_sensors(block: Block) -> list[str]:
@@ -89,9 +92,12 @@ def note_without(block: Block, sensor: str, before: Adjusted, after: Adjusted) -
     """
     if not before.converged or not after.converged:
         return ""
+    # Only images that state this sensor are named.
     images = [image.name for i, image in enumerate(block.images) if sensor_of(block, i) == sensor]
     named = f"With the sensor {_shown(block, sensor)!r} of {', '.join(images)}"
     if (before.roughness >= _OVER_FREE * after.roughness
+            # A rough ground weighs nothing against control that is far more probable with the
+            # sensor.
             and gain_of_control(before, after) > -_FAR_BETTER):
         return (f"{named} the ground is {before.roughness:.0f} m rough, with an unknown one "
                 f"{after.roughness:.0f} m. The unknown one is taken.")
@@ -138,30 +144,38 @@ def agrees_better(before: Adjusted, after: Adjusted, i: int) -> bool:
 
     If it does not, its sensor is right, and it turns faster than the model takes scanners to.
     """
-    one, other = (_of(adjusted, i) for adjusted in (before, after))
-    return (gain_of_control(before, after) > _FAR_BETTER or one is None or other is None
-            or other.severity < one.severity / 2)
+    contradiction_before = _of(before, i)
+    contradiction_after = _of(after, i)
+    # Half the mean square is far less: by chance alone it changes by a few per cent.
+    return (gain_of_control(before, after) > _FAR_BETTER or contradiction_before is None
+            or contradiction_after is None
+            or contradiction_after.severity < contradiction_before.severity / 2)
 
 
 def contradicted(adjusted: Adjusted) -> dict[int, Contradiction]:
     """Return the images whose model the block contradicts, by number."""
-    found = ((i, _of(adjusted, i)) for i in range(len(adjusted.state.cameras)))
-    return {i: one for i, one in found if one is not None and one.chance < CHANCE}
+    contradictions = ((i, _of(adjusted, i)) for i in range(len(adjusted.state.cameras)))
+    return {i: contradiction for i, contradiction in contradictions if contradiction is not None
+            and contradiction.chance < CHANCE}
 
 
 def _of(adjusted: Adjusted, i: int) -> Contradiction | None:
     """Return how far an image is from what its model knows; None if that is nothing."""
     camera = adjusted.state.cameras[i]
+    # Corrections of RPCs and polynomials have first guesses for priors, which nothing contradicts.
     if not isinstance(camera, PhysicalCamera):
         return None
+    # By the priors as stated, before `loosen` lets them scatter as they do.
     return camera.contradicted(*adjusted.by_priors[i])
 
 
 def doubts_of_models(block: Block, adjusted: Adjusted) -> list[str]:
     """Return which models are contradicted and yet in use, as sentences."""
     return [f"Points and ties of {block.images[i].name} contradict what the model "
-            f"{block.images[i].model!r} knows of cameras{_off(one)}. Its errors may be larger than "
-            "is predicted: compare with auto." for i, one in contradicted(adjusted).items()]
+            f"{block.images[i].model!r} knows of cameras{_off(contradiction)}. Its errors may be "
+            "larger than "
+            "is predicted: compare with auto." for i,
+            contradiction in contradicted(adjusted).items()]
 
 
 def against_dem(ground: FloatArray, adjusted: Adjusted, dem: Surface) -> tuple[float, str]:
@@ -176,25 +190,28 @@ def against_dem(ground: FloatArray, adjusted: Adjusted, dem: Surface) -> tuple[f
     adjusted : Adjusted
         The block without the DEM.
     """
+    # How much higher the ties are than the DEM at the same place.
     over = ground[:, 2] - dem(ground[:, :2])
     variance = adjusted.solved.covariance_of_ties()[:, 2, 2]
-    known = np.isfinite(over) & (variance < _UNSEEN**2)
-    if not known.any():
+    # Ties off the raster have no height, and those of parallel rays none that says anything.
+    is_known = np.isfinite(over) & (variance < _UNSEEN**2)
+    if not is_known.any():
         return 0.0, ""
     # What the ties of a block are off by they have in common.
-    middle = float(np.median(over[known]))
-    sigma = float(np.sqrt(np.median(variance[known])))
+    middle = float(np.median(over[is_known]))
+    sigma = float(np.sqrt(np.median(variance[is_known])))
+    # The DEM may be off by OFF as a matter of course, and the ties by sigma: sqrt(sigma^2 + OFF^2).
     if abs(middle) < _FAR * np.hypot(sigma, OFF):
         return middle, ""
-    side = "above" if middle > 0 else "below"
-    said = (f"Without the DEM the ground is {abs(middle):.0f} m {side} it by the RPCs, with a "
+    direction = "above" if middle > 0 else "below"
+    note = (f"Without the DEM the ground is {abs(middle):.0f} m {direction} it by the RPCs, with a "
             f"standard deviation of {sigma:.0f} m, and the DEM is taken to be as far off: check "
             "what its heights refer to, or give control.")
-    return middle, said
+    return middle, note
 
 
-def _off(found: Contradiction) -> str:
+def _off(contradiction: Contradiction) -> str:
     """Return how far which terms are off, as a part of a sentence."""
-    if not found.terms:
+    if not contradiction.terms:
         return ""
-    return f" ({', '.join(found.terms)} standard deviations)"
+    return f" ({', '.join(contradiction.terms)} standard deviations)"

@@ -25,6 +25,7 @@ def write_example(folder: Path, n_images: int = 3, seed: int = 1,
     simulated = simulate_block(n_images, rpcs=True, control=(6, 6), wrong=0.05, seed=seed,
                                independent=30, check=check)
     block = simulated.block
+    # A, B, ... Z, A1, B1, ...: short names for as many images as are asked for.
     names = [_LETTERS[i % 26] + str(i // 26 or "") for i in range(n_images)]
     try:
         folder.mkdir(parents=True)
@@ -39,9 +40,10 @@ def write_example(folder: Path, n_images: int = 3, seed: int = 1,
         write_points_csv(image.features.points, folder / f"{name}_points.csv", block.crs)
         text += ["[[image]]", f'name = "{name}"', f'rpc = "{name}.RPB"',
                  f'points = "{name}_points.csv"', ""]
+    # Ties are measured to a thousandth of a pixel, as others write them.
     rows = [["id", "image", "line", "sample"]]
     ties = block.ties
-    for tie, image_index, (line, sample) in zip(ties.tie, ties.image, ties.place.tolist(),
+    for tie, image_index, (line, sample) in zip(ties.tie, ties.image, ties.position.tolist(),
                                                 strict=True):
         rows.append([ties.names[tie], names[image_index], f"{line:.3f}", f"{sample:.3f}"])
     write_text(folder / "ties.csv", csv_table(rows))

@@ -23,12 +23,12 @@ from termsel_block.contradictions import (
     without_wrong_sensor,
 )
 from termsel_block.estimation.adjustment import adjust_block
-from termsel_block.estimation.starts import Given, start
+from termsel_block.estimation.starts import ImageInput, start
 from termsel_block.estimation.unknowns import Adjusted, Measured
 from termsel_block.geometry.cameras import Camera, groups_of
 from termsel_block.geometry.control import OwnControl, in_use, own_control
 from termsel_block.geometry.frame import BoolArray, FloatArray, Frame, IntArray
-from termsel_block.geometry.heights import Heights, Known, Surface
+from termsel_block.geometry.heights import Heights, ControlHeights, Surface
 from termsel_block.geometry.physical import ABSURD, PhysicalModel
 
 _TOLD = 8
@@ -56,7 +56,7 @@ class BlockResult:
     @cached_property
     def covariances(self) -> list[FloatArray]:
         """Covariance of each image's parameters [px2], by image axis, then column."""
-        return self.adjusted.solved.own[:len(self.block.images)]
+        return self.adjusted.solved.image_covariances[:len(self.block.images)]
 
     @cached_property
     def ties(self) -> FloatArray:
@@ -115,24 +115,27 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
     frame = Frame.at(_places(block), block.crs)
     result = _adjusted(block, frame, progress)
     right: set[str] = set()
-    tried: dict[str, BlockResult] = {}
-    while (without := without_wrong_sensor(result.block, result.adjusted, right)) is not None:
-        other, worst = without
+    freed_blocks: dict[str, BlockResult] = {}
+    # Each round either frees the sensor that is contradicted most, or finds that it is right.
+    while (contradicted := without_wrong_sensor(result.block, result.adjusted, right)) is not None:
+        without_sensor_, worst = contradicted
         try:
-            freed = _adjusted(other, frame, progress)
-        except TermselError:  # without what is known of the sensor, too little holds the image
+            freed = _adjusted(without_sensor_, frame, progress)
+        except TermselError:
+            # Without what is known of the sensor, too little holds the image.
             freed = result
         if agrees_better(result.adjusted, freed.adjusted, worst):
             result = freed
-            tried = {}
+            # Other blocks were adjusted with the sensor that is gone now.
+            freed_blocks = {}
         else:
             sensor = sensor_of(result.block, worst)
             right.add(sensor)
-            tried[sensor] = freed
-    return _with_note_on_dem(_without_worse(result, tried, progress))
+            freed_blocks[sensor] = freed
+    return _with_note_on_dem(_without_worse(result, freed_blocks, progress))
 
 
-def _without_worse(result: BlockResult, tried: dict[str, BlockResult],
+def _without_worse(result: BlockResult, freed_blocks: dict[str, BlockResult],
                    progress: Callable[[float], None] | None) -> BlockResult:
     """Return the result, or that without sensors which bend the ground or contradict control.
 
@@ -142,22 +145,24 @@ def _without_worse(result: BlockResult, tried: dict[str, BlockResult],
     """
     while True:
         best: BlockResult | None = None
-        most = -np.inf
+        best_gain = -np.inf
         for sensor in stated_sensors(result.block):
-            other = without_sensor(result.block, sensor)
+            without = without_sensor(result.block, sensor)
             try:
-                freed = tried.get(sensor) or _adjusted(other, result.frame, progress)
-            except TermselError:  # without what is known of the sensor, too little holds the image
+                freed = freed_blocks.get(sensor) or _adjusted(without, result.frame, progress)
+            except TermselError:
+                # Without what is known of the sensor, too little holds the image.
                 continue
             note = note_without(result.block, sensor, result.adjusted, freed.adjusted)
             gain = gain_of_control(result.adjusted, freed.adjusted)
-            if note and gain > most:
-                best = replace(freed, block=replace(other, notes=(*other.notes, note)))
-                most = gain
+            # Of all sensors whose absence is better, the one by which control is predicted best.
+            if note and gain > best_gain:
+                best = replace(freed, block=replace(without, notes=(*without.notes, note)))
+                best_gain = gain
         if best is None:
             return result
         result = best
-        tried = {}
+        freed_blocks = {}
 
 
 def _with_note_on_dem(result: BlockResult) -> BlockResult:
@@ -166,13 +171,16 @@ def _with_note_on_dem(result: BlockResult) -> BlockResult:
     Without control RPCs follow the DEM, so that only a block without it can tell. The block is then
     adjusted with as much uncertainty of the DEM's heights as there is between both.
     """
-    block, path = result.block, result.block.dem
+    block = result.block
+    path = block.dem
     if path is None or any(map(len, result.control)):
         return result
     result = replace(result, block=replace(block, notes=(*block.notes, _of_heights(result))))
     try:
+        # The same block by its RPCs alone, which then say how high the ground is.
         free = _adjusted(replace(block, dem=None), result.frame, None)
-    except TermselError:  # nothing but the DEM holds the heights, so that they say nothing of it
+    except TermselError:
+        # Nothing but the DEM holds the heights, so that they say nothing of it.
         return result
     with open_dem(path, block.crs) as dem:
         off, note = against_dem(free.ties, free.adjusted, dem)
@@ -182,11 +190,11 @@ def _with_note_on_dem(result: BlockResult) -> BlockResult:
 
 def _of_heights(result: BlockResult) -> str:
     """Return what images are off by where the DEM is, which no interval can know."""
-    seen = result.adjusted.solved.seen[:len(result.block.images)]
-    each = [100 * float(np.median(np.hypot(*part.slopes[:, :, 2].T))) for part in seen
-            if len(part.tie)]
+    tie_rows = result.adjusted.solved.tie_rows[:len(result.block.images)]
+    px_of_100_m = [100 * float(np.median(np.hypot(*rows.slopes[:, :, 2].T))) for rows in tie_rows
+            if len(rows.tie)]
     return ("Without control the heights are the DEM's. For each 100 m that it is off, images are "
-            f"up to {max(each):.2g} px off, which intervals do not include.")
+            f"up to {max(px_of_100_m):.2g} px off, which intervals do not include.")
 
 
 def _adjusted(block: Block, frame: Frame, progress: Callable[[float], None] | None,
@@ -198,20 +206,20 @@ def _adjusted(block: Block, frame: Frame, progress: Callable[[float], None] | No
     with ExitStack() as files:
         dem = files.enter_context(open_dem(block.dem, block.crs)) if block.dem else None
 
-        given = []
+        inputs = []
         for i, image in enumerate(block.images):
-            mine = block.ties.image == i
-            given.append(Given(
-                image.name, Measured(block.ties.tie[mine], block.ties.place[mine]),
+            in_image = block.ties.image == i
+            inputs.append(ImageInput(
+                image.name, Measured(block.ties.tie[in_image], block.ties.position[in_image]),
                 own_control(image.features, frame), image.rpc,
                 *_model(image)))
         heights = replace(heights_of(block, frame, dem), doubt=doubt)
-        state = start(given, len(block.ties.names), frame, heights)
+        state = start(inputs, len(block.ties.names), frame, heights)
         adjusted = adjust_block(
-            state, [image.measured for image in given], [image.control for image in given],
+            state, [image.measured for image in inputs], [image.control for image in inputs],
             heights, progress=progress, fixed=[image.model != "auto" for image in block.images])
-    _refuse_contradiction(adjusted, given)
-    return BlockResult(block, frame, adjusted, tuple(image.control for image in given))
+    _refuse_contradiction(adjusted, inputs)
+    return BlockResult(block, frame, adjusted, tuple(image.control for image in inputs))
 
 
 def _model(image: BlockImage) -> tuple[tuple[str, ...], PhysicalModel | None]:
@@ -222,10 +230,11 @@ def _model(image: BlockImage) -> tuple[tuple[str, ...], PhysicalModel | None]:
         (), PhysicalModel(image.model, image.options))
 
 
-def _refuse_contradiction(adjusted: Adjusted, given: list[Given]) -> None:
+def _refuse_contradiction(adjusted: Adjusted, inputs: list[ImageInput]) -> None:
     """Refuse ties that agree no better than places at random."""
-    extents = [np.ptp(image.measured.place, axis=0).max() for image in given
+    extents = [np.ptp(image.measured.position, axis=0).max() for image in inputs
                if len(image.measured.tie) >= _TOLD]
+    # Positions at random differ by about a third of the image; real ties by a pixel or so.
     sigma = adjusted.state.sigma_ties
     if extents and sigma > ABSURD * np.median(extents):
         raise TermselError(f"the ties contradict one another: they differ by {sigma:.3g} px",
@@ -237,42 +246,47 @@ def _places(block: Block) -> FloatArray:
     """Return places in the CRS of the block: of control, else of the RPCs."""
     from termsel.toolkit import transformation
 
-    own = [image.features.points.ground for image in block.images if image.features is not None]
-    own += [image.features.lines.ground.reshape(-1, 3) for image in block.images
+    grounds = [image.features.points.ground for image in block.images if image.features is not None]
+    grounds += [image.features.lines.ground.reshape(-1, 3) for image in block.images
             if image.features is not None]
-    places = np.concatenate([np.empty((0, 3)), *own])
-    held = any(image.features is not None and (
+    ground = np.concatenate([np.empty((0, 3)), *grounds])
+    # Independent points alone hold nothing, though their positions are known.
+    has_control = any(image.features is not None and (
         len(in_use(image.features)) or len(image.features.lines)) for image in block.images)
     rpcs = [image.rpc.ground_offset for image in block.images if image.rpc is not None]
     if rpcs:
-        places = np.concatenate([places, transformation("EPSG:4979", block.crs)(np.array(rpcs))])
-    if not held and not rpcs:
+        ground = np.concatenate([ground, transformation("EPSG:4979", block.crs)(np.array(rpcs))])
+    if not has_control and not rpcs:
         raise TermselError("no image of the block has control or an RPC",
                            hint="Give at least one image points, lines or an RPC.")
-    return places
+    return ground
 
 
 def heights_of(block: Block, frame: Frame, dem: Surface | None) -> Heights:
     """Return what is known of heights before."""
-    known, stated, of_rows = _known(block)
+    # Heights are taken where control is, as every image may see the same points.
+    control, stated, of_rows = _known(block)
     rpcs = [image.rpc for image in block.images if image.rpc is not None]
     if rpcs:
         mean = float(np.mean([rpc.ground_offset[2] for rpc in rpcs]))
         spread = float(np.max([abs(rpc.ground_scale[2]) for rpc in rpcs]))
     else:
-        mean = float(known[:, 2].mean())
-        spread = max(3 * float(known[:, 2].std()), 100.0)
-    over = known[:, 2] - (mean if dem is None else dem(known[:, :2]))
+        mean = float(control[:, 2].mean())
+        spread = max(3 * float(control[:, 2].std()), 100.0)
+    over = control[:, 2] - (mean if dem is None else dem(control[:, :2]))
+    # A DEM has no height off its raster, and points of the DEM tell nothing of it.
     tells = np.isfinite(over) & stated
-    renamed = np.append(np.where(tells, np.cumsum(tells) - 1, -1), -1)  # -1 stays
+    # Rows of images point to control; what tells no height is -1.
+    # -1 stays.
+    renamed = np.append(np.where(tells, np.cumsum(tells) - 1, -1), -1)
     crowd = np.median(np.bincount(block.ties.image, minlength=len(block.images)))
-    return Heights(frame, mean, spread, dem, Known(
+    return Heights(frame, mean, spread, dem, ControlHeights(
         over[tells], tuple(renamed[rows] for rows in of_rows)), float(crowd))
 
 
 def _known(block: Block) -> tuple[FloatArray, BoolArray, list[IntArray]]:
     """Return the places (k, 3) of control, which state their height, and those of images' rows."""
-    every = [np.empty((0, 4))]
+    tables = [np.empty((0, 4))]
     rows = []
     count = 0
     for image in block.images:
@@ -283,10 +297,11 @@ def _known(block: Block) -> tuple[FloatArray, BoolArray, list[IntArray]]:
         lines = image.features.lines
         ground = np.concatenate([points.ground, lines.ground.reshape(-1, 3)])
         ids = [*points.ids, *np.repeat(lines.ids, 2).tolist()]
-        every.append(np.column_stack([ground, [name not in image.of_dem for name in ids]]))
+        tables.append(np.column_stack([ground, [name not in image.of_dem for name in ids]]))
         at = count + np.arange(len(ground))
+        # As in `own_control`: two rows of a point, one of each vertex of a line.
         rows.append(np.concatenate([np.repeat(at[:len(points)], 2), at[len(points):]]))
         count += len(ground)
     # Images see the same control.
-    known, index = np.unique(np.concatenate(every), axis=0, return_inverse=True)
-    return known[:, :3], known[:, 3] > 0, [index.ravel()[row] for row in rows]
+    unique_control, index = np.unique(np.concatenate(tables), axis=0, return_inverse=True)
+    return unique_control[:, :3], unique_control[:, 3] > 0, [index.ravel()[row] for row in rows]

@@ -36,8 +36,10 @@ from termsel_block.joint import BlockResult, adjust
 
 NAME = "owdis-block"
 
-_BATCH = 4_000_000  # numbers of normal matrices held at once
-_MOST_ROWS = 30_000_000  # numbers of the rows of all candidates
+# Numbers of normal matrices held at once.
+_BATCH = 4_000_000
+# Numbers of the rows of all candidates.
+_MOST_ROWS = 30_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,32 +110,40 @@ class OwdisBlock(Problem):
         if not 1 <= least <= (len(labels) if most is None else most):
             raise TermselError(f"{least} to {most} of {len(labels)} candidates cannot be selected",
                                hint="Give a smaller least number, or a larger most.")
+        # Each candidate is one bit: all rows of a point, a line or a tie together.
         self.genome = Genome([Bits("features", labels, least,
                                    None if most is None else min(most, len(labels)))])
         design, target = _prior_rows(self.whole)
+        designs = [rows_ for _, rows_, _ in rows]
+        targets = [aim for _, _, aim in rows]
+        # Equations of the candidate that each row belongs to; -1 for priors, which always count.
+        owners = [np.full(len(target), -1)]
+        owners += [np.full(len(aim), i) for i, aim in enumerate(targets)]
         self._system = RowSystem(
-            np.concatenate([design, *(part for _, part, _ in rows)]),
-            np.concatenate([target, *(part for _, _, part in rows)]),
-            np.concatenate([np.full(len(target), -1), *(
-                np.full(len(part), i) for i, (_, _, part) in enumerate(rows))]).astype(np.intp),
-            self._check_design, self._check_target, min_equations=1)
-        self._normal = np.stack([part.T @ part for _, part, _ in rows])
-        self._right = np.stack([part.T @ aim for _, part, aim in rows])
+            np.concatenate([design, *designs]), np.concatenate([target, *targets]),
+            np.concatenate(owners).astype(np.intp), self._check_design, self._check_target,
+            min_equations=1)
+        # Normal equations of a selection are the sums of those of its candidates.
+        self._normal = np.stack([rows_.T @ rows_ for rows_ in designs])
+        self._right = np.stack([rows_.T @ aim for rows_, aim in zip(designs, targets, strict=True)])
         self._prior = design.T @ design, design.T @ target
 
     def evaluate(self, genes: BoolArray) -> Evaluation:
         """Return the RMSE of the check points [px]."""
         genes = np.asarray(genes, bool)
         k = len(self._prior[1])
-        found = []
+        rmse_ = []
+        # As many selections at once as their normal matrices fit into memory.
         for first in range(0, len(genes), max(_BATCH // k**2, 1)):
-            some = genes[first:first + max(_BATCH // k**2, 1)].astype(float)
-            normal = self._prior[0] + np.tensordot(some, self._normal, 1)
-            right = self._prior[1] + some @ self._right
+            chosen_genes = genes[first:first + max(_BATCH // k**2, 1)].astype(float)
+            # (sum of A^T A + P) x = sum of A^T b + P x0, for all selections of the batch.
+            normal = self._prior[0] + np.tensordot(chosen_genes, self._normal, 1)
+            right = self._prior[1] + chosen_genes @ self._right
             steps = np.linalg.solve(normal, right[..., None])[..., 0]
             errors = self._check_target - steps @ self._check_design.T
-            found.append(np.sqrt(2 * (errors**2).mean(axis=1)))
-        return Evaluation(np.concatenate(found)[:, None], np.zeros(len(genes)))
+            # Two rows a point: the RMSE of distances is that of rows times the root of 2.
+            rmse_.append(np.sqrt(2 * (errors**2).mean(axis=1)))
+        return Evaluation(np.concatenate(rmse_)[:, None], np.zeros(len(genes)))
 
     def decode(self, genes: BoolArray) -> Selection:
         """Return the names of what is selected: image:id of control, tie:id of ties."""
@@ -168,24 +178,27 @@ def select(block: Block, *, solver: str | Solver = "ga", seed: int = 1,
         If there are no check points, or the solver cannot search the problem.
     """
     problem = OwdisBlock(block, tie_candidates=tie_candidates, least=least, most=most)
-    chosen = get("solvers", solver)() if isinstance(solver, str) else solver
-    found = search(problem, chosen, seed=seed, evaluations=evaluations,
-                   polish=refined and not chosen.ends_by_itself)
-    names = problem.decode(found.genes).features
+    searcher = get("solvers", solver)() if isinstance(solver, str) else solver
+    outcome = search(problem, searcher, seed=seed, evaluations=evaluations,
+                   polish=refined and not searcher.ends_by_itself)
+    names = problem.decode(outcome.genes).features
     control = tuple((image, name) for kind, image, name in map(_parts, names) if kind == "control")
     ties = tuple(name for kind, _, name in map(_parts, names) if kind == "tie")
+    # Adjusted again with the selection alone: the linearised figures are only for the search.
     result = adjust(_only(_without_check(block), set(control), set(ties)))
     everything = np.ones((1, problem.genome.size), bool)
-    return Selected(control, ties, found, float(found.objectives[0]),
-                    float(problem.evaluate(everything).objectives[0, 0]), result,
-                    _independent(result), _independent(problem.whole))
+    check_of_all = float(problem.evaluate(everything).objectives[0, 0])
+    return Selected(
+        control=control, ties=ties, search=outcome, check=float(outcome.objectives[0]),
+        check_of_all=check_of_all, result=result, independent=_independent(result),
+        independent_of_all=_independent(problem.whole))
 
 
 def _parts(label: str) -> tuple[str, str, str]:
     """Return kind, image and id of a candidate by its label."""
-    kind, _, rest = label.partition(":")
-    image, _, name = rest.partition(":")
-    return (kind, image, name) if kind == "control" else (kind, "", rest)
+    kind, _, name_of_tie = label.partition(":")
+    image, _, name = name_of_tie.partition(":")
+    return (kind, image, name) if kind == "control" else (kind, "", name_of_tie)
 
 
 def _without_check(block: Block) -> Block:
@@ -211,17 +224,19 @@ def _only(block: Block, control: set[tuple[str, str]], ties: set[str]) -> Block:
     """Return a block with the selected control and ties alone."""
     images = []
     for image in block.images:
-        kept = _with_off(image, partial(_is_out, image.name, control))
-        if kept.features is not None:
-            kept = replace(kept, features=replace(kept.features, lines=kept.features.lines.take(
-                [(image.name, name) in control for name in kept.features.lines.ids])))
-        images.append(kept)
+        selected_image = _with_off(image, partial(_is_out, image.name, control))
+        if selected_image.features is not None:
+            selected_image = replace(selected_image,
+                features=replace(selected_image.features, lines=selected_image.features.lines.take(
+                [(image.name, name) in control for name in selected_image.features.lines.ids])))
+        images.append(selected_image)
+    # Ties are numbered again; measurements of the others are dropped.
     keep = np.array([name in ties for name in block.ties.names])
     of = keep[block.ties.tie]
     number = np.cumsum(keep) - 1
     measured = replace(block.ties, names=tuple(n for n in block.ties.names if n in ties),
                        tie=number[block.ties.tie[of]], image=block.ties.image[of],
-                       place=block.ties.place[of])
+                       position=block.ties.position[of])
     return replace(block, images=tuple(images), ties=measured)
 
 
@@ -240,9 +255,9 @@ def _independent(result: BlockResult) -> float | None:
 def _placed(result: BlockResult, i: int, rows: FloatArray) -> FloatArray:
     """Return rows of one image's parameters (n, 2m) among those of all images."""
     slices = result.adjusted.solved.reduced.slices
-    whole = np.zeros((len(rows), _columns(result)))
-    whole[:, slices[i]] = rows
-    return whole
+    all_columns = np.zeros((len(rows), _columns(result)))
+    all_columns[:, slices[i]] = rows
+    return all_columns
 
 
 def _columns(result: BlockResult) -> int:
@@ -280,22 +295,23 @@ def _prior_rows(result: BlockResult) -> tuple[FloatArray, FloatArray]:
 
 def _control_rows(result: BlockResult) -> list[tuple[str, FloatArray, FloatArray]]:
     """Return label, rows and targets of each point and line in use, in standard deviations."""
-    found = []
+    rows_of_features = []
     state = result.adjusted.state
     for i, image in enumerate(result.block.images):
-        known = own_control(image.features, result.frame)
-        if not len(known):
+        control = own_control(image.features, result.frame)
+        if not len(control):
             continue
+        # Derivatives in the direction that is measured, over the standard deviation.
         rows = _placed(result, i, np.einsum(
-            "na,nap->np", known.normal, result.rows(i, known.local)))
-        sigma = state.sigma_control * known.sigma
-        names = np.array(known.feature)
-        for name in dict.fromkeys(known.feature):
+            "na,nap->np", control.normal, result.rows(i, control.local)))
+        sigma = state.sigma_control * control.sigma
+        names = np.array(control.feature)
+        for name in dict.fromkeys(control.feature):
             at = np.flatnonzero((names == name) & state.control_in_use[i])
             if len(at):
-                found.append((f"control:{image.name}:{name}", rows[at] / sigma[at, None],
+                rows_of_features.append((f"control:{image.name}:{name}", rows[at] / sigma[at, None],
                               result.adjusted.of_control[i][at] / sigma[at]))
-    return found
+    return rows_of_features
 
 
 def _tie_rows(result: BlockResult, ties: IntArray,
@@ -304,49 +320,54 @@ def _tie_rows(result: BlockResult, ties: IntArray,
     solved = result.adjusted.solved
     state = result.adjusted.state
     total = _columns(result)
+    # A row of each tie and image has as many numbers as all images have parameters.
     if len(ties) * total**2 > _MOST_ROWS:
         raise TermselError(f"{len(ties)} ties of {len(state.cameras)} images are too many to "
                            "select from",
                            hint="Give fewer candidates of ties, or part of the block.")
+    # Of each candidate the images that see it, and its row in each.
     of: dict[int, list[tuple[int, int]]] = {int(tie): [] for tie in ties}
-    for i, (part, used) in enumerate(zip(solved.seen[:-1], state.in_use, strict=True)):
+    for i, (tie_rows, used) in enumerate(zip(solved.tie_rows[:-1], state.in_use, strict=True)):
         for n in np.flatnonzero(used):
-            if int(part.tie[n]) in of:
-                of[int(part.tie[n])].append((i, int(n)))
-    found = []
-    for one, measured in of.items():
+            if int(tie_rows.tie[n]) in of:
+                of[int(tie_rows.tie[n])].append((i, int(n)))
+    rows_of_ties = []
+    for tie, measured in of.items():
         rows = []
         slopes = []
         aim = []
         for image, row in measured:
-            part = solved.seen[image]
-            rows.append(_placed(result, image, part.rows[row]))
-            slopes.append(part.slopes[row])
+            tie_rows = solved.tie_rows[image]
+            rows.append(_placed(result, image, tie_rows.rows[row]))
+            slopes.append(tie_rows.slopes[row])
             aim.append(result.adjusted.residuals[image][row])
         # Directions in which no movement of the place shows: what the tie says of the images.
-        left = np.linalg.svd(np.concatenate(slopes))[0][:, 3:].T / state.sigma_ties
-        found.append((f"tie:{result.block.ties.names[one]}", left @ np.concatenate(rows),
-                      left @ np.concatenate(aim)))
-    return found
+        null_space = np.linalg.svd(np.concatenate(slopes))[0][:, 3:].T / state.sigma_ties
+        rows_of_ties.append((f"tie:{result.block.ties.names[tie]}",
+                             null_space @ np.concatenate(rows),
+                      null_space @ np.concatenate(aim)))
+    return rows_of_ties
 
 
 def _spread_ties(result: BlockResult, count: int) -> IntArray:
     """Return ties in use in two images or more: all, or as many that are well distributed."""
-    state, seen = result.adjusted.state, np.zeros(len(result.adjusted.state.ties))
-    for part, used in zip(result.adjusted.solved.seen[:-1], state.in_use, strict=True):
-        np.add.at(seen, part.tie, used)
-    usable = np.flatnonzero(seen > 1)
+    state = result.adjusted.state
+    n_images = np.zeros(len(state.ties))
+    for tie_rows, used in zip(result.adjusted.solved.tie_rows[:-1], state.in_use, strict=True):
+        np.add.at(n_images, tie_rows.tie, used)
+    usable = np.flatnonzero(n_images > 1)
     if len(usable) <= count:
         return usable
-    place = state.ties[usable, :2]
+    ground = state.ties[usable, :2]
     # The farthest from those that are chosen, one after the other; a tie in more images is worth
     # more.
-    chosen = [int(np.lexsort((np.hypot(*(place - place.mean(axis=0)).T), -seen[usable]))[0])]
-    away = np.hypot(*(place - place[chosen[0]]).T)
-    while len(chosen) < count:
-        chosen.append(int(np.argmax(away * seen[usable])))
-        away = np.minimum(away, np.hypot(*(place - place[chosen[-1]]).T))
-    return np.sort(usable[chosen])
+    picked = [int(np.lexsort((np.hypot(*(ground - ground.mean(axis=0)).T), -n_images[usable]))[0])]
+    away = np.hypot(*(ground - ground[picked[0]]).T)
+    while len(picked) < count:
+        # The distance to the nearest that is picked, times the number of images.
+        picked.append(int(np.argmax(away * n_images[usable])))
+        away = np.minimum(away, np.hypot(*(ground - ground[picked[-1]]).T))
+    return np.sort(usable[picked])
 
 
 def rows_of(selected: Selected) -> list[str]:

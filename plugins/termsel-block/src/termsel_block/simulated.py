@@ -14,15 +14,18 @@ from termsel_block.geometry.frame import BoolArray, FloatArray, IntArray
 
 LON, LAT = 48.5, 34.8
 _METRES = 111_320.0
-_ROWS = 20  # stacks one below the other, before the next strip begins
-_STEP = 0.6  # from one stack to the next, in widths of an image
+# Stacks one below the other, before the next strip begins.
+_ROWS = 20
+# From one stack to the next, in widths of an image.
+_STEP = 0.6
 
 
 VIEWS = (18.0, 20.0), (4.0, 95.0), (22.0, 170.0)
+VIEWS = (18.0, 20.0), (4.0, 95.0), (22.0, 170.0)
 """Angle off nadir and azimuth [degrees] of the three images of a stack."""
 
-_MEAN = 1700.0  # m
-
+# In m.
+_MEAN = 1700.0
 
 @dataclass(frozen=True)
 class Hills:
@@ -33,6 +36,15 @@ class Hills:
 
 
 HILLS = Hills()
+
+
+@dataclass(frozen=True)
+class _Extent:
+    """The ground [m] and the image [lines and samples] of an image, and the hills of the block."""
+
+    width: float
+    size: int
+    hills: Hills
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,43 +117,48 @@ def simulate_block(
     seed : int
     """
     rng = np.random.default_rng(seed)
-    known = [_sensor(i, size, gsd, views, bend, rng) for i in range(n_images)]
+    true_sensors = [_sensor(i, size, gsd, views, bend, rng) for i in range(n_images)]
+    # Jitter is drawn from generators of its own, so that the rest stays the same without it.
     sensors = [_shaken(sensor, jitter[i], size, np.random.default_rng([seed, 2, i]))
-               if i < len(jitter) else sensor for i, sensor in enumerate(known)]
+               if i < len(jitter) else sensor for i, sensor in enumerate(true_sensors)]
     width = size * gsd
-    places, image, index = _seen_ties(sensors, n_images, n_ties, width, size, hills, rng)
-    place = image + rng.normal(0, noise, image.shape)
-    count = len(places)
+    extent = _Extent(width, size, hills)
+    ground, image, index = _seen_ties(sensors, n_images, n_ties, extent, rng)
+    measured_at = image + rng.normal(0, noise, image.shape)
+    count = len(ground)
     # Of their own generator: the rest of the block is the same without them.
     of_wrong = np.random.default_rng([seed, 1])
     for tie in np.flatnonzero(of_wrong.random(count) < wrong):
         row = of_wrong.choice(np.flatnonzero(index[:, 0] == tie))
         turn = of_wrong.uniform(0, 2 * np.pi)
-        place[row] += of_wrong.uniform(5, 60) * np.array([np.sin(turn), np.cos(turn)])
-    ties = Ties(tuple(f"T{i}" for i in range(count)), index[:, 0], index[:, 1], place)
+        measured_at[row] += of_wrong.uniform(5, 60) * np.array([np.sin(turn), np.cos(turn)])
+    ties = Ties(tuple(f"T{i}" for i in range(count)), index[:, 0], index[:, 1], measured_at)
     images = []
+    # Control of a stack serves its three images: the most that any of them asks for.
     of_stacks = [max(control[k:k + 3], default=0) for k in range(0, n_images, 3)]
-    given, stack = _known_places(sensors, of_stacks, independent + check, width, hills,
+    known_ground, stack = _known_places(sensors, of_stacks, independent + check, width, hills,
                                   rng)
     for i, sensor in enumerate(sensors):
         n = control[i] if i < len(control) else 0
         is_control = stack >= 0
+        # An image has the first n control points of its stack, and all independent points.
         use = ~is_control | ((stack == i // 3) & (_rank(stack) < n))
-        points = _points(sensor, given, use, is_control, noise, size, rng)
+        points = _points(sensor, (known_ground, use, is_control), noise, size, rng)
+        # The first of the independent points judge a selection instead.
         judging = np.flatnonzero([role == "independent" for role in points.roles])
         roles = np.array(points.roles, object)
         roles[judging[:check]] = "check"
         points = replace(points, roles=tuple(roles.tolist()))
-        rpc = _vendor(known[i], bias, drift, size, vendor_height, rng) if rpcs else None
+        rpc = _vendor(true_sensors[i], bias, drift, size, vendor_height, rng) if rpcs else None
         images.append(BlockImage(f"I{i + 1}", FeatureSet(
             points, crs="EPSG:4979", image_size=(size, size)), rpc, size=(size, size)))
-    return Simulated(Block("EPSG:4979", tuple(images), ties), tuple(sensors), places)
+    return Simulated(Block("EPSG:4979", tuple(images), ties), tuple(sensors), ground)
 
 
-def height(place: FloatArray, hills: Hills = HILLS) -> FloatArray:
+def height(lonlat: FloatArray, hills: Hills = HILLS) -> FloatArray:
     """Return the heights of the simulated ground [m] at longitudes and latitudes (n, 2)."""
-    east = (place[:, 0] - LON) * _METRES * np.cos(np.radians(LAT)) / 1000
-    north = (place[:, 1] - LAT) * _METRES / 1000
+    east = (lonlat[:, 0] - LON) * _METRES * np.cos(np.radians(LAT)) / 1000
+    north = (lonlat[:, 1] - LAT) * _METRES / 1000
     a, b, c, d = hills.phases
     return np.asarray(_MEAN + hills.relief * (
         180 * np.sin(east / 3.1 + a) * np.cos(north / 4.3 + b)
@@ -165,12 +182,13 @@ def _sensor(i: int, size: int, gsd: float, views: Sequence[tuple[float, float]],
         middle[0] + rng.normal(0, 0.03) * size * gsd / _METRES, middle[1], height=_MEAN,
         off_nadir=angle, look_azimuth=azimuth, gsd=gsd, image_size=(size, size),
         altitude=680e3, inclination=98.1)
+    # An unknown attitude that turns slowly: rates and accelerations that no vendor states.
     ifov = sensor.ifov
     end = size * sensor.line_period / 2
-    def slow(known: Angle) -> Angle:
-        constant = known.drift[0] if known.drift else 0.0
-        rest = known.drift[1] if len(known.drift) > 1 else 0.0
-        return Angle((constant, rest + rng.normal(0, 4) * ifov / end,
+    def slow(angle: Angle) -> Angle:
+        constant = angle.drift[0] if angle.drift else 0.0
+        rate = angle.drift[1] if len(angle.drift) > 1 else 0.0
+        return Angle((constant, rate + rng.normal(0, 4) * ifov / end,
                       rng.normal(0, bend) * ifov / end**2))
     return replace(sensor, roll=slow(sensor.roll), pitch=slow(sensor.pitch))
 
@@ -179,47 +197,55 @@ def _shaken(sensor: Pushbroom, amplitude: float, size: int, rng: np.random.Gener
     """Return a scanner whose attitude jitters, by so many px of line and of sample."""
     time = size * sensor.line_period
 
-    def moved(known: Angle) -> Angle:
-        return replace(known, jitter=(*known.jitter, (
+    def moved(angle: Angle) -> Angle:
+        return replace(angle, jitter=(*angle.jitter, (
             amplitude * sensor.ifov, rng.uniform(2, 5) / time, rng.uniform(0, 2 * np.pi))))
 
     return replace(sensor, roll=moved(sensor.roll), pitch=moved(sensor.pitch))
 
 
-def _seen_ties(sensors: list[Pushbroom], n: int, n_ties: int, width: float, size: int,
-               hills: Hills, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, IntArray]:
+def _seen_ties(sensors: list[Pushbroom], n: int, n_ties: int, extent: _Extent,
+               rng: np.random.Generator) -> tuple[FloatArray, FloatArray, IntArray]:
     """Return places of ties, and line and sample with (tie, image) of each measurement."""
-    places: list[FloatArray] = []
+    grounds: list[FloatArray] = []
     images = []
     indices = []
     count = 0
+    width = extent.width
+    size = extent.size
+    hills = extent.hills
     middles = np.array([_middle(i // 3, width) for i in range(n)])
     reach = 1.2 * width / _METRES
     for stack in range((n + 2) // 3):
         lon, lat = middles[3 * stack]
-        some = max(n_ties // 4, 1) if n > 3 else n_ties
-        east = rng.uniform(-0.55, 0.55, some) * width / _METRES / np.cos(np.radians(LAT))
-        xy = np.column_stack([lon + east, lat + rng.uniform(-0.55, 0.55, some) * width / _METRES])
+        n_candidates = max(n_ties // 4, 1) if n > 3 else n_ties
+        east = rng.uniform(-0.55, 0.55, n_candidates) * width / _METRES / np.cos(np.radians(LAT))
+        xy = np.column_stack([lon + east,
+                              lat + rng.uniform(-0.55, 0.55, n_candidates) * width / _METRES])
         ground = np.column_stack([xy, height(xy, hills)])
         rows = []
+        # Images of other stacks see the ground, too, as each overlaps the next.
         near = (np.abs(middles[:, 1] - lat) < reach) & (
             np.abs(middles[:, 0] - lon) * np.cos(np.radians(LAT)) < reach)
         for i in np.flatnonzero(near):
             at = sensors[i].project(ground)
+            # Nine of ten that are inside are measured, as clouds and trees hide some.
             inside = np.flatnonzero(((at >= 0) & (at <= size - 1)).all(axis=1)
-                                    & (rng.random(some) < 0.9))
+                                    & (rng.random(n_candidates) < 0.9))
             rows += [(t, i, *at[t]) for t in inside]
-        found = np.array(rows).reshape(-1, 4)
-        seen = np.bincount(found[:, 0].astype(int), minlength=some)
-        keep = np.flatnonzero(seen > 1)
-        renamed = np.full(some, -1)
+        measurements = np.array(rows).reshape(-1, 4)
+        n_images = np.bincount(measurements[:, 0].astype(int), minlength=n_candidates)
+        keep = np.flatnonzero(n_images > 1)
+        # Ties that two images see are numbered on, and the others dropped.
+        renamed = np.full(n_candidates, -1)
         renamed[keep] = count + np.arange(len(keep))
-        found = found[renamed[found[:, 0].astype(int)] >= 0]
-        places.append(ground[keep])
-        images.append(found[:, 2:])
-        indices.append(np.column_stack([renamed[found[:, 0].astype(int)], found[:, 1]]))
+        measurements = measurements[renamed[measurements[:, 0].astype(int)] >= 0]
+        grounds.append(ground[keep])
+        images.append(measurements[:, 2:])
+        indices.append(np.column_stack([renamed[measurements[:, 0].astype(int)],
+                                        measurements[:, 1]]))
         count += len(keep)
-    return (np.concatenate(places), np.concatenate(images),
+    return (np.concatenate(grounds), np.concatenate(images),
             np.concatenate(indices).astype(np.intp))
 
 
@@ -231,9 +257,10 @@ def _known_places(sensors: list[Pushbroom], control: list[int], independent: int
     """
     stacks = (len(sensors) + 2) // 3
     half = 0.46 * width / _METRES
+    # Control lies in one stack; independent points are spread over all.
     of_control = np.repeat(np.arange(len(control)), control)
-    where = np.concatenate([of_control, rng.choice(stacks, independent * stacks)])
-    middle = np.array([_middle(int(stack), width) for stack in where]).reshape(-1, 2)
+    stack_of = np.concatenate([of_control, rng.choice(stacks, independent * stacks)])
+    middle = np.array([_middle(int(stack), width) for stack in stack_of]).reshape(-1, 2)
     away = rng.uniform(-half, half, middle.shape) / [np.cos(np.radians(LAT)), 1.0]
     return (np.column_stack([middle + away, height(middle + away, hills)]),
             np.concatenate([of_control, np.full(independent * stacks, -1)]).astype(np.intp))
@@ -241,12 +268,16 @@ def _known_places(sensors: list[Pushbroom], control: list[int], independent: int
 
 def _rank(stack: IntArray) -> IntArray:
     """Return the number of each place within its stack."""
-    return np.array([int((stack[:k] == one).sum()) for k, one in enumerate(stack)], np.intp)
+    return np.array([int((stack[:k] == number).sum()) for k, number in enumerate(stack)], np.intp)
 
 
-def _points(sensor: Pushbroom, ground: FloatArray, use: BoolArray, is_control: BoolArray,
-            noise: float, size: int, rng: np.random.Generator) -> Points:
-    """Return the control and the independent points, of those in use, that an image sees."""
+def _points(sensor: Pushbroom, known: tuple[FloatArray, BoolArray, BoolArray], noise: float,
+            size: int, rng: np.random.Generator) -> Points:
+    """Return the control and the independent points, of those in use, that an image sees.
+
+    What is known is the ground (n, 3), which of it is in use, and which of it is control.
+    """
+    ground, use, is_control = known
     image = sensor.project(ground)
     inside = use & ((image >= 0) & (image <= size - 1)).all(axis=1)
     image = image + rng.normal(0, noise, image.shape)
@@ -261,15 +292,16 @@ def _vendor(sensor: Pushbroom, bias: float, drift: float, size: int, off: float,
     """Return the RPC of a scanner with errors of attitude, as its vendor makes it."""
     end = size * sensor.line_period / 2
 
-    def wrong(known: Angle) -> Angle:
-        values = (*known.drift, 0.0, 0.0, 0.0)[:3]
+    def wrong(angle: Angle) -> Angle:
+        values = (*angle.drift, 0.0, 0.0, 0.0)[:3]
         return Angle((values[0] + rng.normal(0, bias) * sensor.ifov,
                       values[1] + rng.normal(0, drift) * sensor.ifov / end, values[2]))
 
-    known = replace(sensor, roll=wrong(sensor.roll), pitch=wrong(sensor.pitch))
+    wrong_sensor = replace(sensor, roll=wrong(sensor.roll), pitch=wrong(sensor.pitch))
+    # A vendor fits its RPC to a grid in the image at several heights.
     steps = np.linspace(0, size - 1, 13)
     heights = _MEAN + off + np.linspace(-400, 400, 5)
     grid = np.stack(np.meshgrid(steps, steps, heights), axis=-1).reshape(-1, 3)
-    ground = np.column_stack([known.locate(grid[:, :2], grid[:, 2]), grid[:, 2]])
+    ground = np.column_stack([wrong_sensor.locate(grid[:, :2], grid[:, 2]), grid[:, 2]])
     points = Points(tuple(map(str, range(len(grid)))), grid[:, :2], ground)
     return rpc_of(fit(FeatureSet(points, crs="EPSG:4979", image_size=(size, size)), "rfm")).rpc

@@ -36,15 +36,24 @@ _PRIOR_COUNT = 4.0
 MEDIAN = 2 / 3
 """What a distribution chi-square of n degrees of freedom has its median below n, about."""
 
-_SETTLED = 0.02  # relative change of a standard deviation
-_STEPS = 15  # of one stage at most
-_BENT = 3  # first steps of a stage, in which derivatives are renewed, as after shorter ones
-_WIDE = (8.0, 4.0, 2.0)  # what weights are wider by in the first steps, while much is bent
-_TRUST = len(_WIDE)  # first steps, in which control keeps its weight
-_LOOSENED = 20  # times at most, of which two or three are usual
-_LOOSER = 0.1  # relative change of a stated standard deviation, below which it stays
-_SLOW = 2500  # parameters of images from which variances are estimated once in a stage
-_LEAST_SIGMA = 0.01  # px; without it data without noise would have infinite weights
+# Relative change of a standard deviation.
+_SETTLED = 0.02
+# Of one stage at most.
+_STEPS = 15
+# First steps of a stage, in which derivatives are renewed, as after shorter ones.
+_BENT = 3
+# What weights are wider by in the first steps, while much is bent.
+_WIDE = (8.0, 4.0, 2.0)
+# First steps, in which control keeps its weight.
+_TRUST = len(_WIDE)
+# Times at most, of which two or three are usual.
+_LOOSENED = 20
+# Relative change of a stated standard deviation, below which it stays.
+_LOOSER = 0.1
+# Parameters of images from which variances are estimated once in a stage.
+_SLOW = 2500
+# In px; without it data without noise would have infinite weights.
+_LEAST_SIGMA = 0.01
 
 
 def adjust_block(state: State, measured: Sequence[Measured], control: Sequence[OwnControl],
@@ -72,38 +81,52 @@ def adjust_block(state: State, measured: Sequence[Measured], control: Sequence[O
     factor, by the ratio of Savage and Dickey over the whole block's posterior, is below one is
     dropped. Columns for jitter are tried where residuals call for them (`evidence.growing`).
     """
-    shared = pairs([*(part.tie for part in measured), np.arange(len(state.ties))], len(state.ties))
+    # Images share ties with one another, and all ties with the heights, which count as one more
+    # image.
+    shared = pairs([*(of_image.tie for of_image in measured), np.arange(len(state.ties))],
+                   len(state.ties))
     run = _Run(state, measured, control, heights, shared)
     report = progress or _nothing
-    state.in_use = state.in_use or [np.ones(len(part.tie), bool) for part in measured]
-    state.control_in_use = state.control_in_use or [np.ones(len(part), bool) for part in control]
+    state.in_use = state.in_use or [np.ones(len(of_image.tie), bool) for of_image in measured]
+    state.control_in_use = state.control_in_use or [np.ones(len(of_image), bool)
+                                                    for of_image in control]
+    # Robust weights first: blunders cannot be told before the images are about where they belong.
     steps = run.iterate(robust=True, limit=_STEPS, report=lambda s: report(0.4 * s))
+    # Jitter is tried before evidence drops anything, as its columns explain what others would
+    # follow.
     if run.grow(fixed):
         steps += run.iterate(robust=True, limit=_STEPS, report=_nothing)
+    # Dropping a group changes the evidence of the others, so that a second look may drop more.
     evidence: list[dict[str, float]] = [{} for _ in state.cameras]
     for _ in range(2):
         if not run.drop(evidence, fixed):
             break
         steps += run.iterate(robust=True, limit=_STEPS, report=lambda s: report(0.4 + 0.2 * s))
+    # Then blunders are left out for good, and what agrees with the adjustment comes back.
     for _ in range(3):
         if not run.leave_out():
             break
         steps += run.iterate(robust=False, limit=_STEPS,
                              report=lambda s: report(0.6 + 0.4 * s))
     steps += run.iterate(robust=False, limit=_STEPS, report=report)
-    by_priors = [(one.copy(), own) for one, own in zip(
-        state.parameters, run.solved.own[:-1], strict=True)]
+    # By priors as models state them, before these are loosened: contradictions are judged by them.
+    by_priors = [(parameters.copy(), covariance) for parameters, covariance in zip(
+        state.parameters, run.solved.image_covariances[:-1], strict=True)]
     score = run.score_of_control() if any(camera.stated for camera in state.cameras) else {}
+    # What terms scatter by depends on their parameters, which move when priors are loosened.
     for _ in range(_LOOSENED):
         if not run.loosen():
             break
         steps += run.iterate(robust=False, limit=_STEPS, report=_nothing)
+    # Before `integrate`, which moves images to the mean over all variances by purpose.
     moved = run.moved()
     draws = run.integrate()
     residuals, of_control = run.residuals()
-    return Adjusted(state, run.solved, residuals, of_control, evidence, steps, run.converged,
-                    heights.offset, heights.sigma, run.freedom, moved, by_priors,
-                    score, draws)
+    return Adjusted(
+        state=state, solved=run.solved, residuals=residuals, of_control=of_control,
+        evidence=evidence, steps=steps, converged=run.converged, offset=heights.offset,
+        roughness=heights.sigma, freedom=run.freedom, moved=moved, by_priors=by_priors,
+        score=score, draws=draws)
 
 
 class _Run(Steps):
@@ -139,14 +162,22 @@ class _Run(Steps):
     def loosen(self) -> bool:
         """Let the priors that models state scatter as they do; return whether any changed much."""
         state = self.state
-        found = looser(state.cameras, state.parameters, self.solved.own[:-1])
-        change = max((abs(found[name] / camera.looser[at] - 1) for camera in state.cameras
-                      for name, at in camera.stated.items()), default=0.0)
+        factors = looser(state.cameras, state.parameters, self.solved.image_covariances[:-1])
+        change = 0.0
+        for camera in state.cameras:
+            for name, at in camera.stated.items():
+                change = max(change, abs(factors[name] / camera.looser[at] - 1))
         if change < _LOOSER:
             return False
-        pairs_ = [camera.loosened(found, old) for camera, old in zip(
-            state.cameras, state.parameters, strict=True)]
-        state.cameras, state.parameters = [list(one) for one in zip(*pairs_, strict=True)]
+        cameras = []
+        parameters = []
+        # Parameters are in standard deviations of their priors, so that both change together.
+        for camera, old in zip(state.cameras, state.parameters, strict=True):
+            loosened, converted = camera.loosened(factors, old)
+            cameras.append(loosened)
+            parameters.append(converted)
+        state.cameras = cameras
+        state.parameters = parameters
         return True
 
     def integrate(self) -> list[FloatArray]:
@@ -157,74 +188,84 @@ class _Run(Steps):
         state = self.state
         if not 0 < unknown(state.cameras) <= MOST:
             return []
+        # Priors as first guessed: `integrate` takes them off again, and draws the variances itself.
         loose = self.linearised([np.square(camera.spread) for camera in state.cameras])
-        found = integrate(loose.reduced.whole(), np.concatenate(loose.steps), state.cameras,
+        integrated = integrate(loose.reduced.whole(), np.concatenate(loose.steps), state.cameras,
                           state.parameters, loose.reduced.slices, self.heights.guessed())
-        self.solved = loose.at(found.mean, found.covariance)
+        # The step to the posterior mean, with the covariance over all variances.
+        self.solved = loose.at(integrated.mean, integrated.covariance)
         start = [self._computed(i)[0] for i in range(len(state.cameras))]
         moves = self._moves()
         state.ties = state.ties + self.solved.ties
         state.parameters = [
-            camera.followed(old, step, at + moved, state.ties[part.tie])
-            for camera, old, step, at, moved, part in zip(
+            camera.followed(old, step, at + moved, state.ties[tie_rows.tie])
+            for camera, old, step, at, moved, tie_rows in zip(
                 state.cameras, state.parameters, self.solved.steps[:-1], start, moves,
-                self.solved.seen[:-1], strict=True)]
+                self.solved.tie_rows[:-1], strict=True)]
         self.heights.offset += float(self.solved.steps[-1][0])
-        for i, part in enumerate(loose.reduced.slices[:-1]):
-            precision = found.precision[part].reshape(2, -1).mean(axis=0)
-            known = np.isnan(precision)
-            state.variances[i] = np.where(known, state.variances[i], 1 / precision)
-        return [found.draws[:, part] for part in loose.reduced.slices[:-1]]
+        for i, columns in enumerate(loose.reduced.slices[:-1]):
+            # Line and sample of a column share one variance, so that both precisions are averaged.
+            precision = integrated.precision[columns].reshape(2, -1).mean(axis=0)
+            is_known = np.isnan(precision)
+            state.variances[i] = np.where(is_known, state.variances[i], 1 / precision)
+        return [integrated.draws[:, columns] for columns in loose.reduced.slices[:-1]]
 
     def estimate(self, robust: bool) -> bool:
         """Estimate the standard deviations and variances; return whether they settled."""
         state = self.state
-        covariances = self.solved.own[:-1]
+        covariances = self.solved.image_covariances[:-1]
         before = np.array([state.sigma_ties, state.sigma_control, self.heights.sigma])
         of_ties, of_control = self.residuals()
-        determined = spent = rows = 0.0
+        # Parameters that data determine: trace(I - C V^-1), of which control takes the trace of its
+        # hat.
+        determined = by_control = rows = 0.0
         squares = 0.0
-        for i, (known, covariance) in enumerate(zip(self.control, covariances, strict=True)):
+        for i, (control, covariance) in enumerate(zip(self.control, covariances, strict=True)):
             variances = np.tile(state.variances[i], 2)
             determined += float((1 - np.diag(covariance) / variances).sum())
-            if len(known):
+            if len(control):
                 used = state.control_in_use[i]
-                sigma = state.sigma_control * known.sigma
-                weight = soft(of_control[i] / sigma) if robust else np.ones(len(known))
+                sigma = state.sigma_control * control.sigma
+                weight = soft(of_control[i] / sigma) if robust else np.ones(len(control))
                 weight = weight * used
+                # h_n = a_n C a_n^T / s^2 of each row a_n, by the covariance C of the image's
+                # parameters.
                 # Of the equations that the covariance is of: rows elsewhere do not cancel in it.
                 design = self.design[i]
                 hat = np.einsum("ni,ij,nj->n", design, covariance, design) / sigma**2
-                spent += float((weight * hat).sum())
+                by_control += float((weight * hat).sum())
                 rows += float(weight.sum())
-                squares += float((weight * (of_control[i] / known.sigma) ** 2).sum())
+                squares += float((weight * (of_control[i] / control.sigma) ** 2).sum())
         total = 0.0
         weights = 0.0
-        each = np.zeros(len(state.ties))
-        for mine, residual, used in zip(self.measured, of_ties, state.in_use, strict=True):
+        rays_of_tie = np.zeros(len(state.ties))
+        for measured, residual, used in zip(self.measured, of_ties, state.in_use, strict=True):
             weight = used * (soft(np.hypot(*residual.T) / state.sigma_ties) if robust
                              else np.ones(len(used)))
             total += float((weight * (residual**2).sum(axis=1)).sum())
             weights += 2 * float(weight.sum())
-            np.add.at(each, mine.tie, weight)
+            np.add.at(rays_of_tie, measured.tie, weight)
         # The place of a tie takes three measurements, or as many as it has.
         freedom = float(
-            weights - np.minimum(2 * each, 3).sum() - max(determined - spent, 0.0))
-        self.freedom = freedom + rows - spent
-        if robust:  # weights fall for good measurements, too
+            weights - np.minimum(2 * rays_of_tie, 3).sum() - max(determined - by_control, 0.0))
+        # Redundancy: equations of ties and control less the unknowns that they determine.
+        self.freedom = freedom + rows - by_control
+        # Weights fall for good measurements, too.
+        if robust:
             total /= shrunk(max(freedom, 0.0) / max(weights, 1.0), 2)
-            squares /= shrunk(max(rows - spent, 0.0) / max(rows, 1.0), 1)
+            squares /= shrunk(max(rows - by_control, 0.0) / max(rows, 1.0), 1)
+        # One measurement more than there are unknowns says next to nothing: the variance stays.
         if freedom > 1:
             state.sigma_ties = max(float(np.sqrt(total / freedom)), _LEAST_SIGMA)
         # Few points say little of their own precision: the ties' counts as four of them. This is
         # about the median of the posterior, whose mean is far above it where points are few.
-        expected = max(rows - spent, 0.0)
+        expected = max(rows - by_control, 0.0)
         state.sigma_control = float(np.sqrt((squares + _PRIOR_COUNT * state.sigma_ties**2)
                                             / (expected + _PRIOR_COUNT - MEDIAN)))
         state.freedom_control = expected + _PRIOR_COUNT
         state.variances = estimated(
             state.cameras, state.parameters, covariances, state.variances)
-        self.heights.estimate(state.ties, self.solved.of_ties, each > 1.0)
+        self.heights.estimate(state.ties, self.solved.of_ties, rays_of_tie > 1.0)
         after = np.array([state.sigma_ties, state.sigma_control, self.heights.sigma])
         return bool(np.abs(after / before - 1).max() < _SETTLED)
 
@@ -232,21 +273,23 @@ class _Run(Steps):
         """Add columns to the images whose residuals call for them; return whether any do."""
         state = self.state
         grown = False
-        for i, (camera, mine, residual) in enumerate(zip(
+        for i, (camera, measured, residual) in enumerate(zip(
                 state.cameras, self.measured, self.residuals()[0], strict=True)):
-            more = None if len(fixed) and fixed[i] else camera.grown()
-            if more is None or not len(mine.tie):
+            # A correction that the user asks for is not added to.
+            larger = None if len(fixed) and fixed[i] else camera.grown()
+            if larger is None or not len(measured.tie):
                 continue
             had = len(camera.groups)
             weight = soft(np.hypot(*residual.T) / state.sigma_ties) / state.sigma_ties**2
-            columns = more.first_order(state.ties[mine.tie])[1][:, had:]
+            columns = larger.first_order(state.ties[measured.tie])[1][:, had:]
             if chance_of(columns, residual, weight) < CHANCE:
                 grown = True
-                state.cameras[i] = more
+                state.cameras[i] = larger
+                # New columns begin with zeros and with the variance that is a first guess.
                 state.parameters[i] = np.concatenate(
-                    [state.parameters[i], np.zeros((len(more.groups) - had, 2))])
+                    [state.parameters[i], np.zeros((len(larger.groups) - had, 2))])
                 state.variances[i] = np.concatenate(
-                    [state.variances[i], np.square(more.spread[had:])])
+                    [state.variances[i], np.square(larger.spread[had:])])
         return grown
 
     def drop(self, evidence: list[dict[str, float]], fixed: Sequence[bool]) -> bool:
@@ -254,24 +297,27 @@ class _Run(Steps):
         state = self.state
         dropped = False
         for i, (camera, covariance) in enumerate(
-                zip(state.cameras, self.solved.own[:-1], strict=True)):
+                zip(state.cameras, self.solved.image_covariances[:-1], strict=True)):
             if len(fixed) and fixed[i]:
                 continue
             names = np.tile(camera.groups, 2)
-            groups = [name for name in dict.fromkeys(camera.groups) if name not in camera.kept]
-            out: set[str] = set()
+            groups = [name for name in dict.fromkeys(camera.groups) if name not in camera.permanent]
+            dropped_groups: set[str] = set()
+            # The last columns first: of nested groups one is of use only with those before it.
             for name in reversed(groups):
                 at = np.flatnonzero(names == name)
+                # By the joint posterior of line and sample: a group goes in both or in none.
                 evidence[i][name] = log_bayes_factor(
                     state.parameters[i].T.ravel()[at], covariance[np.ix_(at, at)],
                     np.tile(state.variances[i], 2)[at])
                 if evidence[i][name] < AGAINST:
-                    out.add(name)
-                elif camera.nested:  # one can go only after all that follow it
+                    dropped_groups.add(name)
+                elif camera.nested:
+                    # One can go only after all that follow it.
                     break
-            if out:
+            if dropped_groups:
                 dropped = True
-                keep = np.array([name not in out for name in camera.groups])
+                keep = np.array([name not in dropped_groups for name in camera.groups])
                 state.cameras[i] = camera.only(keep)
                 state.parameters[i] = state.parameters[i][keep]
                 state.variances[i] = state.variances[i][keep]
@@ -282,32 +328,38 @@ class _Run(Steps):
         state = self.state
         of_ties, of_control = self.residuals()
         changed = False
+        # Of each tie over all images: sum of its largest residuals, and number of its rays.
         away = np.zeros(len(state.ties))
         rays = np.zeros(len(state.ties))
-        for mine, residual in zip(self.measured, of_ties, strict=True):
-            np.add.at(away, mine.tie, np.abs(residual).max(axis=1, initial=0.0))
-            np.add.at(rays, mine.tie, 1)
-        for i, (mine, residual) in enumerate(zip(self.measured, of_ties, strict=True)):
-            good = np.abs(residual).max(axis=1, initial=0.0) <= WRONG * state.sigma_ties
+        # A tie is judged by line and sample alike: the larger of both counts.
+        for measured, residual in zip(self.measured, of_ties, strict=True):
+            np.add.at(away, measured.tie, np.abs(residual).max(axis=1, initial=0.0))
+            np.add.at(rays, measured.tie, 1)
+        for i, (measured, residual) in enumerate(zip(self.measured, of_ties, strict=True)):
+            agrees = np.abs(residual).max(axis=1, initial=0.0) <= WRONG * state.sigma_ties
             # Weights that fall give what two rays differ by to one of them, whichever that is.
-            good |= (rays[mine.tie] == 2) & (
-                away[mine.tie] <= WRONG * np.sqrt(2) * state.sigma_ties)
-            changed |= bool((good != state.in_use[i]).any())
-            state.in_use[i] = good
+            agrees |= (rays[measured.tie] == 2) & (
+                away[measured.tie] <= WRONG * np.sqrt(2) * state.sigma_ties)
+            changed |= bool((agrees != state.in_use[i]).any())
+            state.in_use[i] = agrees
         count = np.zeros(len(state.ties))
-        for mine, used in zip(self.measured, state.in_use, strict=True):
-            np.add.at(count, mine.tie, used)
-        for i, mine in enumerate(self.measured):  # one ray alone says nothing
-            state.in_use[i] = state.in_use[i] & (count[mine.tie] > 1)
+        for measured, used in zip(self.measured, state.in_use, strict=True):
+            np.add.at(count, measured.tie, used)
+        # One ray alone says nothing.
+        for i, measured in enumerate(self.measured):
+            state.in_use[i] = state.in_use[i] & (count[measured.tie] > 1)
         # By a standard deviation that few measurements tell, four of them are no rare distance.
         rows = sum(map(len, of_control))
         limit = max(WRONG, -float(stdtrit(state.freedom_control, _ANY / (2 * max(rows, 1)))))
-        for i, (residual, known) in enumerate(zip(of_control, self.control, strict=True)):
+        for i, (residual, control) in enumerate(zip(of_control, self.control, strict=True)):
             wrong = np.abs(residual) > limit * self.expected(i)
-            names = {name for name, bad in zip(known.feature, wrong, strict=True) if bad}
-            good = np.array([name not in names for name in known.feature], bool)
-            changed |= bool((good != state.control_in_use[i]).any())
-            state.control_in_use[i] = good
+            # Both rows of a point, or of a line, go together.
+            names = {name for name, is_wrong in zip(control.feature, wrong, strict=True)
+                     if is_wrong}
+            agrees = np.array([name not in names for name in control.feature], bool)
+            changed |= bool((agrees != state.control_in_use[i]).any())
+            state.control_in_use[i] = agrees
+        # Heights of control left out no longer tell the offset of all heights.
         self.heights.keep(state.control_in_use)
         return changed
 

@@ -4,28 +4,32 @@ from __future__ import annotations
 
 import numpy as np
 
-from termsel_block.estimation.equations import Seen
+from termsel_block.estimation.equations import TieRows
 from termsel_block.geometry.frame import FloatArray
 from termsel_block.geometry.heights import Heights
 
 
 def of_heights(heights: Heights, ties: FloatArray,
-               ) -> tuple[Seen, FloatArray, FloatArray, FloatArray, FloatArray]:
+               ) -> tuple[TieRows, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return what heights add: their rows, to the offset's equations, and to each tie's.
 
-    Of the two image axes of `Seen` the first is the height. The second has rows of zeros, whose
+    Of the two image axes of `TieRows` the first is the height. The second has rows of zeros, whose
     parameter stays zero.
     """
-    seen = heights.observed(ties)
+    # Of each height: surface + offset - height = 0, weighed by the roughness.
+    observed = heights.observed(ties)
     count = len(ties)
-    weight = np.where(seen.joint, seen.weight, 0.0)
+    weight = np.where(observed.joint, observed.weight, 0.0)
     slopes = np.zeros((count, 2, 3))
     residual = np.zeros((count, 2))
-    slopes[:, 0] = seen.row
-    residual[:, 0] = seen.away
+    # The derivative of the height by the tie's position, in the row of the first axis.
+    slopes[:, 0] = observed.row
+    residual[:, 0] = observed.away
     normal, right = heights.of_offset()
-    alone = seen.weight - weight
-    return (Seen(np.arange(count), np.tile(-np.eye(2), (count, 1, 1)), slopes, residual, weight),
+    # Ties without the offset (off the DEM) add to their own equations alone.
+    own_weight = observed.weight - weight
+    # Rows by the offset are -1: what is observed grows with it, and the residual gets smaller.
+    return (TieRows(np.arange(count), np.tile(-np.eye(2), (count, 1, 1)), slopes, residual, weight),
             np.diag([normal, 1.0]), np.array([right, 0.0]),
-            np.einsum("t,ti,tj->tij", alone, seen.row, seen.row),
-            (alone * seen.away)[:, None] * seen.row)
+            np.einsum("t,ti,tj->tij", own_weight, observed.row, observed.row),
+            (own_weight * observed.away)[:, None] * observed.row)

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 from scipy import linalg, sparse
@@ -29,11 +30,12 @@ Shared = tuple[int, int, IntArray, IntArray]
 
 Solve = Callable[[FloatArray], FloatArray]
 
-_CHUNK = 512  # right-hand sides solved at once
+# Right-hand sides solved at once.
+_CHUNK = 512
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class TieRows:
     """The tie points that one image sees, linearised: n of them, p parameters.
 
     Parameters
@@ -66,22 +68,23 @@ class Solved:
     reduced: Reduced
     coupling: tuple[FloatArray, ...]
     of_ties: FloatArray
-    seen: tuple[Seen, ...]
+    tie_rows: tuple[TieRows, ...]
 
     @cached_property
-    def own(self) -> list[FloatArray]:
+    def image_covariances(self) -> list[FloatArray]:
         """Covariance of each image's parameters."""
-        return self.reduced.own()
+        return self.reduced.image_covariances()
 
     def at(self, step: FloatArray, covariance: FloatArray) -> Solved:
         """Return this with another step and covariance of all parameters, and the ties' by them."""
-        steps = tuple(step[part] for part in self.reduced.slices)
-        left = np.zeros_like(self.ties)
-        for part, coupling, new, old in zip(self.seen, self.coupling, steps, self.steps,
+        steps = tuple(step[columns] for columns in self.reduced.slices)
+        # Ties follow the images: x = H^-1 (b - B^T p), so that they change by H^-1 B^T (old - new).
+        change = np.zeros_like(self.ties)
+        for rows, coupling, new, old in zip(self.tie_rows, self.coupling, steps, self.steps,
                                             strict=True):
-            np.add.at(left, part.tie, np.einsum("tki,k->ti", coupling, old - new))
+            np.add.at(change, rows.tie, np.einsum("tki,k->ti", coupling, old - new))
         return replace(self, steps=steps, reduced=self.reduced.with_inverse(covariance),
-                       ties=self.ties + np.einsum("tij,tj->ti", self.of_ties, left))
+                       ties=self.ties + np.einsum("tij,tj->ti", self.of_ties, change))
 
     def covariance_of_ties(self) -> FloatArray:
         """Return the covariance of each tie's place (t, 3, 3) [m2], parameters' included.
@@ -89,19 +92,23 @@ class Solved:
         Beyond `WHOLE` parameters the covariance between images is not held: the ties' are then
         those with each image's own.
         """
+        # H^-1 + H^-1 B^T C B H^-1, with H of each tie alone, C of all images and B what couples
+        # them.
         total = self.of_ties.copy()
         blocks = self.reduced.inverse
         slices = self.reduced.slices
-        gains = [np.einsum("tij,tkj->tik", self.of_ties[part.tie], coupling)
-                 for part, coupling in zip(self.seen, self.coupling, strict=True)]
+        gains = [np.einsum("tij,tkj->tik", self.of_ties[rows.tie], coupling)
+                 for rows, coupling in zip(self.tie_rows, self.coupling, strict=True)]
         if blocks is None:
-            for part, gain, own in zip(self.seen, gains, self.own, strict=True):
-                np.add.at(total, part.tie, gain @ own @ gain.transpose(0, 2, 1))
+            for rows, gain, covariance in zip(self.tie_rows, gains, self.image_covariances,
+                                              strict=True):
+                np.add.at(total, rows.tie, gain @ covariance @ gain.transpose(0, 2, 1))
             return total
-        for i, j, at_i, at_j in pairs([part.tie for part in self.seen], len(total)):
+        for i, j, at_i, at_j in pairs([rows.tie for rows in self.tie_rows], len(total)):
             between = gains[i][at_i] @ blocks[slices[i], slices[j]] @ gains[j][at_j].transpose(
                 0, 2, 1)
-            ties = self.seen[i].tie[at_i]
+            ties = self.tie_rows[i].tie[at_i]
+            # Pairs come once, with i before j: the other half is the transpose.
             np.add.at(total, ties, between if i == j else between + between.transpose(0, 2, 1))
         return total
 
@@ -116,6 +123,7 @@ class Reduced:
         self._matrix = matrix
         self._size = int(ends[-1])
         if isinstance(matrix, np.ndarray):
+            # Small systems are dense: Cholesky's factors, as the matrix is positive definite.
             factor = linalg.cho_factor(matrix)
             self.solve: Solve = lambda right: linalg.cho_solve(factor, right)
         else:
@@ -129,9 +137,9 @@ class Reduced:
 
     def with_inverse(self, covariance: FloatArray) -> Reduced:
         """Return this with a covariance that knows more than the matrix."""
-        other = copy(self)
-        other.inverse = covariance
-        return other
+        copied = copy(self)
+        copied.inverse = covariance
+        return copied
 
     @cached_property
     def inverse(self) -> FloatArray | None:
@@ -147,26 +155,28 @@ class Reduced:
         half, _ = linalg.lapack.dpotri(factor, overwrite_c=True)
         return np.asarray(np.triu(half) + np.triu(half, 1).T)
 
-    def own(self) -> list[FloatArray]:
+    def image_covariances(self) -> list[FloatArray]:
         """Return the covariance of each image's parameters."""
         if self.inverse is not None:
-            return [self.inverse[part, part] for part in self.slices]
-        found = []
+            return [self.inverse[columns, columns] for columns in self.slices]
+        blocks = []
         for first in range(0, self._size, _CHUNK):
-            found.append(self._diagonal(first, min(first + _CHUNK, self._size)))
-        return [block for chunk in found for block in chunk]
+            blocks.append(self._diagonal(first, min(first + _CHUNK, self._size)))
+        return list(chain.from_iterable(blocks))
 
     def _diagonal(self, first: int, end: int) -> list[FloatArray]:
         """Return the blocks of the inverse of images that begin in a range of columns."""
-        mine = [part for part in self.slices if first <= part.start < end]
-        if not mine:
+        in_range = [columns for columns in self.slices if first <= columns.start < end]
+        if not in_range:
             return []
-        start = mine[0].start
-        stop = mine[-1].stop
+        start = in_range[0].start
+        stop = in_range[-1].stop
+        # Unit vectors of these columns, whose solutions are columns of the inverse.
         right = np.zeros((self._size, stop - start))
         right[np.arange(start, stop), np.arange(stop - start)] = 1.0
         inverse = self.solve(right)
-        return [inverse[part, part.start - start:part.stop - start] for part in mine]
+        return [inverse[columns, columns.start - start:columns.stop - start]
+                for columns in in_range]
 
 
 def pairs(ties: Sequence[IntArray], count: int) -> list[Shared]:
@@ -174,6 +184,7 @@ def pairs(ties: Sequence[IntArray], count: int) -> list[Shared]:
 
     Rows are sorted alike: the k-th of each is the same tie.
     """
+    # All measurements in one list, sorted by tie, then by image.
     image = np.repeat(np.arange(len(ties)), [len(tie) for tie in ties])
     row = np.concatenate([np.arange(len(tie)) for tie in ties])
     tie = np.concatenate(ties)
@@ -183,28 +194,30 @@ def pairs(ties: Sequence[IntArray], count: int) -> list[Shared]:
     tie = tie[order]
     starts = np.searchsorted(tie, np.arange(count + 1))
     degree = np.diff(starts)
-    found: list[IntArray] = []
+    combinations: list[IntArray] = []
+    # Ties that are seen equally often are treated at once: an array of size a tie.
     for size in np.unique(degree[degree > 0]):
         first = starts[:-1][degree == size]
         at = first[:, None] + np.arange(size)
         for a in range(size):
             for b in range(a, size):
-                found.append(np.stack([image[at[:, a]], image[at[:, b]], row[at[:, a]],
+                combinations.append(np.stack([image[at[:, a]], image[at[:, b]], row[at[:, a]],
                                        row[at[:, b]]]))
-    every = np.concatenate(found, axis=1)
-    key = every[0] * len(ties) + every[1]
+    shared = np.concatenate(combinations, axis=1)
+    # One number for each pair of images, by which the measurements are grouped.
+    key = shared[0] * len(ties) + shared[1]
     order = np.argsort(key, kind="stable")
-    every = every[:, order]
+    shared = shared[:, order]
     key = key[order]
     cuts = np.flatnonzero(np.diff(key)) + 1
-    return [(int(part[0, 0]), int(part[1, 0]), part[2], part[3])
-            for part in np.split(every, cuts, axis=1)]
+    return [(int(of_pair[0, 0]), int(of_pair[1, 0]), of_pair[2], of_pair[3])
+            for of_pair in np.split(shared, cuts, axis=1)]
 
 
 def solve(
-    seen: Sequence[Seen],
-    own: Sequence[FloatArray],
-    own_right: Sequence[FloatArray],
+    tie_rows: Sequence[TieRows],
+    of_images: Sequence[FloatArray],
+    right_of_images: Sequence[FloatArray],
     of_ties: FloatArray,
     right_of_ties: FloatArray,
     sharing: Sequence[Shared],
@@ -213,7 +226,7 @@ def solve(
 
     Parameters
     ----------
-    seen : sequence of Seen
+    seen : sequence of TieRows
         Of each image.
     own, own_right : sequence of ndarray, shapes (p, p) and (p,)
         What priors and control add to each image's normal equations.
@@ -232,33 +245,38 @@ def solve(
     coupling = []
     diagonal = []
     right = []
-    for part, mine, aside in zip(seen, own, own_right, strict=True):
-        w = part.weight[:, None]
-        weighted = part.slopes * w[:, :, None]
-        np.add.at(of_ties, part.tie, weighted.transpose(0, 2, 1) @ part.slopes)
-        np.add.at(right_of_ties, part.tie, np.einsum("nai,na->ni", weighted, part.residual))
-        coupling.append(part.rows.transpose(0, 2, 1) @ weighted)
-        rows = part.rows.reshape(part.rows.shape[0] * part.rows.shape[1], part.rows.shape[2])
-        heavy = rows * np.repeat(w, 2, axis=0)
-        diagonal.append(mine + heavy.T @ rows)
-        right.append(aside + heavy.T @ part.residual.ravel())
+    for rows, of_image, right_of_image in zip(tie_rows, of_images, right_of_images, strict=True):
+        # Normal equations [A B; B^T H]: A of an image, H of each tie (3 x 3), B between both.
+        weight = rows.weight[:, None]
+        weighted = rows.slopes * weight[:, :, None]
+        np.add.at(of_ties, rows.tie, weighted.transpose(0, 2, 1) @ rows.slopes)
+        np.add.at(right_of_ties, rows.tie, np.einsum("nai,na->ni", weighted, rows.residual))
+        coupling.append(rows.rows.transpose(0, 2, 1) @ weighted)
+        design = rows.rows.reshape(rows.rows.shape[0] * rows.rows.shape[1], rows.rows.shape[2])
+        weighted_design = design * np.repeat(weight, 2, axis=0)
+        diagonal.append(of_image + weighted_design.T @ design)
+        right.append(right_of_image + weighted_design.T @ rows.residual.ravel())
+    # H^-1 = L^-T L^-1 by Cholesky's factor of each tie, so that the Schur complement is symmetric.
     root = np.linalg.inv(np.linalg.cholesky(of_ties)).transpose(0, 2, 1)
     inverse = root @ root.transpose(0, 2, 1)
-    half = [np.einsum("tki,tij->tkj", c, root[part.tie])
-            for c, part in zip(coupling, seen, strict=True)]
+    half = [np.einsum("tki,tij->tkj", c, root[rows.tie])
+            for c, rows in zip(coupling, tie_rows, strict=True)]
     steered = np.einsum("tji,tj->ti", root, right_of_ties)
     sizes = [len(block) for block in diagonal]
-    for i, part in enumerate(seen):
-        right[i] = right[i] - np.einsum("tkj,tj->k", half[i], steered[part.tie])
+    for i, rows in enumerate(tie_rows):
+        right[i] = right[i] - np.einsum("tkj,tj->k", half[i], steered[rows.tie])
+    # Schur complement: A - B H^-1 B^T, of which half holds B L^-T.
     matrix = _reduced(diagonal, half, sharing, sizes)
     reduced = Reduced(matrix, sizes)
     step = reduced.solve(np.concatenate(right))
-    steps = tuple(step[part] for part in reduced.slices)
-    left = right_of_ties.copy()
-    for part, c, mine in zip(seen, coupling, steps, strict=True):
-        np.add.at(left, part.tie, -np.einsum("tki,k->ti", c, mine))
-    return Solved(steps, np.einsum("tij,tj->ti", inverse, left), reduced, tuple(coupling), inverse,
-                  tuple(seen))
+    steps = tuple(step[columns] for columns in reduced.slices)
+    # And back: the ties by the images' steps, x = H^-1 (b - B^T p).
+    change = right_of_ties.copy()
+    for rows, c, of_image in zip(tie_rows, coupling, steps, strict=True):
+        np.add.at(change, rows.tie, -np.einsum("tki,k->ti", c, of_image))
+    return Solved(steps, np.einsum("tij,tj->ti", inverse, change), reduced, tuple(coupling),
+                  inverse,
+                  tuple(tie_rows))
 
 
 def _reduced(diagonal: Sequence[FloatArray], half: Sequence[FloatArray],
@@ -268,12 +286,13 @@ def _reduced(diagonal: Sequence[FloatArray], half: Sequence[FloatArray],
     total = sum(sizes)
     ends = np.cumsum(sizes)
     begin = ends - sizes
+    # The diagonal blocks are A of each image; those of pairs come from their common ties.
     blocks: dict[tuple[int, int], FloatArray] = {
         (i, i): block.copy() for i, block in enumerate(diagonal)}
     for i, j, at_i, at_j in sharing:
-        left = half[i][at_i].transpose(1, 0, 2).reshape(sizes[i], 3 * len(at_i))
-        other = half[j][at_j].transpose(1, 0, 2).reshape(sizes[j], 3 * len(at_j))
-        product = left @ other.T
+        half_i = half[i][at_i].transpose(1, 0, 2).reshape(sizes[i], 3 * len(at_i))
+        half_j = half[j][at_j].transpose(1, 0, 2).reshape(sizes[j], 3 * len(at_j))
+        product = half_i @ half_j.T
         blocks[i, j] = blocks[i, j] - product if (i, j) in blocks else -product
     if total <= DENSE:
         matrix = np.zeros((total, total))
@@ -282,14 +301,15 @@ def _reduced(diagonal: Sequence[FloatArray], half: Sequence[FloatArray],
             if i != j:
                 matrix[begin[j]:ends[j], begin[i]:ends[i]] = block.T
         return matrix
+    # Large systems are sparse: blocks of images that share no tie are left out.
     rows = []
     columns = []
     values = []
     for (i, j), block in blocks.items():
         at = np.indices(block.shape)
-        for first, second, part in ((at[0] + begin[i], at[1] + begin[j], True),
+        for first, second, is_wanted in ((at[0] + begin[i], at[1] + begin[j], True),
                                     (at[1] + begin[j], at[0] + begin[i], i != j)):
-            if part:
+            if is_wanted:
                 rows.append(first.ravel())
                 columns.append(second.ravel())
                 values.append(block.ravel())

@@ -9,23 +9,29 @@ from scipy.special import chdtri
 
 from termsel import TermselError
 from termsel_block.estimation import common
-from termsel_block.estimation.equations import Seen, Shared, Solved, solve
+from termsel_block.estimation.equations import TieRows, Shared, Solved, solve
 from termsel_block.estimation.unknowns import Measured, State
 from termsel_block.geometry.cameras import Camera
 from termsel_block.geometry.control import OwnControl
 from termsel_block.geometry.frame import FloatArray
 from termsel_block.geometry.heights import Heights
 
-CONVERGED = 1e-3  # px
-_HALVINGS = 6  # of a step at most, less one
-_ROBUST = 2.5  # standard deviations at which a weight is a half
-_BLUNDERS, _AWAY = 0.05, 100.0  # share of blunders, and px over which they are anywhere
-_LEAST_LEFT = 0.1  # share of an error that a residual of control shows, at least
+# In px.
+CONVERGED = 1e-3
+# Of a step at most, less one.
+_HALVINGS = 6
+# Standard deviations at which a weight is a half.
+_ROBUST = 2.5
+# Share of blunders, and px over which they are anywhere.
+_BLUNDERS, _AWAY = 0.05, 100.0
+# Share of an error that a residual of control shows, at least.
+_LEAST_LEFT = 0.1
 _MOST_OWN = 0.99
 """Share of a feature's error that its own image follows, beyond which the others do not judge it.
 """
 _QUANTILES = (np.arange(200) + 0.5) / 200
-_UNSEEN = 1e4  # m, the most that a step moves a tie which no image in use sees
+# In m, the most that a step moves a tie which no image in use sees.
+_UNSEEN = 1e4
 
 
 class Steps:
@@ -43,7 +49,7 @@ class Steps:
         self.heights = heights
         self.shared = shared
         self.slopes: dict[int, FloatArray] = {}
-        self.kept: dict[int, tuple[Camera, FloatArray, FloatArray, FloatArray]] = {}
+        self.known_parts: dict[int, tuple[Camera, FloatArray, FloatArray, FloatArray]] = {}
         self.design: dict[int, FloatArray] = {}
         """Rows of each image's control in the last equations."""
         self.weights: dict[int, FloatArray] = {}
@@ -64,31 +70,36 @@ class Steps:
         """Return the normal equations of a step, by variances of the parameters, and its solution.
         """
         state = self.state
-        seen = []
-        own = []
+        tie_rows = []
+        of_images = []
         right = []
-        for i, (camera, mine, known) in enumerate(
+        for i, (camera, measured, control) in enumerate(
                 zip(state.cameras, self.measured, self.control, strict=True)):
             parameters = state.parameters[i]
-            place = state.ties[mine.tie]
+            local = state.ties[measured.tie]
             computed, columns = self._computed(i)
-            residual = mine.place - computed
+            residual = measured.position - computed
             weight = np.where(state.in_use[i], state.sigma_ties**-2, 0.0)
             if robust:
                 weight = weight * soft(np.hypot(*residual.T) / (wide * state.sigma_ties))
+            # Derivatives by the tie's position change little: they are kept until `slopes` is
+            # emptied.
             if i not in self.slopes:
-                self.slopes[i] = camera.slopes(parameters, place, computed)
-            seen.append(Seen(mine.tie, camera.rows(parameters, place, columns), self.slopes[i],
+                self.slopes[i] = camera.slopes(parameters, local, computed)
+            tie_rows.append(TieRows(measured.tie, camera.rows(parameters, local, columns),
+                                    self.slopes[i],
                              residual, weight))
-            block, rest = self._of_control(i, camera, known, robust and wide == 1.0)
+            block, of_control = self._of_control(i, camera, control, robust and wide == 1.0)
             precision = np.diag(np.tile(1 / variances[i], 2))
-            own.append(block + precision)
-            right.append(rest - precision @ parameters.T.ravel())
+            # Priors of zero mean add V^-1 to the matrix and -V^-1 x to the right side.
+            of_images.append(block + precision)
+            right.append(of_control - precision @ parameters.T.ravel())
         of_heights, normal, aim, of_ties, right_of_ties = common.of_heights(
             self.heights, state.ties)
+        # A tie that no image in use sees would leave its equations singular.
         of_ties = of_ties + np.eye(3) * _UNSEEN**-2
         try:
-            return solve([*seen, of_heights], [*own, normal], [*right, aim], of_ties,
+            return solve([*tie_rows, of_heights], [*of_images, normal], [*right, aim], of_ties,
                          right_of_ties, self.shared)
         except (np.linalg.LinAlgError, RuntimeError) as error:
             raise TermselError("the block is not determined by its control and ties",
@@ -104,21 +115,24 @@ class Steps:
         before = self._cost(robust, wide)
         offset = heights.offset
         start = [self._computed(i)[0] for i in range(len(parameters))]
+        # Halved until the posterior no longer falls: full, half, quarter and so on.
         for halvings in range(_HALVINGS):
             self.share = 0.5**halvings
             state.ties = ties + self.share * solved.ties
             state.parameters = [
                 camera.followed(old, self.share * step, at + self.share * moved,
-                                state.ties[part.tie])
-                for camera, old, step, at, moved, part in zip(
+                                state.ties[rows.tie])
+                for camera, old, step, at, moved, rows in zip(
                     state.cameras, parameters, solved.steps[:-1], start, self._moves(),
-                    solved.seen[:-1], strict=True)]
+                    solved.tie_rows[:-1], strict=True)]
             heights.offset = offset + self.share * float(solved.steps[-1][0])
+            # A step too far may leave no camera at all, whose cost is nan and no improvement.
             with np.errstate(over="ignore", invalid="ignore"):
                 after = self._cost(robust, wide)
             if after <= before * (1 + CONVERGED):
                 return
-        if not np.isfinite(after):  # no camera is there
+        # No camera is there.
+        if not np.isfinite(after):
             state.parameters = parameters
             state.ties = ties
             heights.offset = offset
@@ -128,12 +142,15 @@ class Steps:
         state = self.state
         of_ties, of_control = self.residuals()
         total = self.heights.cost(state.ties)
-        for i, known in enumerate(self.control):
+        # Sum of squares over variances: of priors, of ties, of control, and of heights.
+        for i, control in enumerate(self.control):
             total += float((state.parameters[i]**2 / state.variances[i][:, None]).sum())
+            # Robust: s / (1 + s / c^2), whose weight is that of `soft`, and which no blunder
+            # outgrows.
             square = (of_ties[i]**2).sum(axis=1) / state.sigma_ties**2
             total += float((square / (1 + square / (wide * _ROBUST)**2 * robust))
                            @ state.in_use[i])
-            square = (of_control[i] / (state.sigma_control * known.sigma))**2
+            square = (of_control[i] / (state.sigma_control * control.sigma))**2
             far = square / _ROBUST**2 * (robust and wide == 1.0)
             total += float((square / (1 + far)) @ state.control_in_use[i])
         return total
@@ -144,15 +161,17 @@ class Steps:
         A row that counts draws the image to itself, so that its residual is less than its error.
         One that is left out has the image's error in its residual, too.
         """
-        known = self.control[i]
-        if not len(known):
+        control = self.control[i]
+        if not len(control):
             return np.empty(0)
         rows = self.design[i]
-        covariance = self.solved.own[i]
+        covariance = self.solved.image_covariances[i]
         square = self.noise[i]**2
-        own = np.einsum("np,pq,nq->n", rows, covariance, rows) / square
-        held = np.maximum(1 - self.weights[i] * own, _LEAST_LEFT)
-        return np.asarray(np.sqrt(square * held * (held + own)))
+        # Variance of the position by the image's own parameters, over that of the measurement.
+        by_image = np.einsum("np,pq,nq->n", rows, covariance, rows) / square
+        # A row of weight w draws the image by w a C a^T / s^2: its residual keeps the rest.
+        remaining = np.maximum(1 - self.weights[i] * by_image, _LEAST_LEFT)
+        return np.asarray(np.sqrt(square * remaining * (remaining + by_image)))
 
     def score_of_control(self) -> dict[tuple[int, str], float]:
         """Return the logarithm of the density of each feature of control, by all the others.
@@ -162,29 +181,32 @@ class Steps:
         next to nothing, they say nothing of it, and there is no entry. A feature is a blunder with
         a small probability, so that those which an adjustment has to leave out speak against it.
         """
-        found: dict[tuple[int, str], float] = {}
+        score: dict[tuple[int, str], float] = {}
         of_control = self.residuals()[1]
-        for i, known in enumerate(self.control):
-            names = np.array(known.feature)
-            for name in dict.fromkeys(known.feature):
+        for i, control in enumerate(self.control):
+            names = np.array(control.feature)
+            for name in dict.fromkeys(control.feature):
                 at = np.flatnonzero(names == name)
                 rows = self.design[i][at]
                 sigma = self.noise[i][at]
                 away = of_control[i][at]
                 noise = np.diag(sigma**2)
-                own = rows @ self.solved.own[i] @ rows.T
-                spread = noise + own
+                by_image = rows @ self.solved.image_covariances[i] @ rows.T
+                spread = noise + by_image
+                # Left out, the feature has residuals (I - H)^-1 r, with H = a C a^T / s^2.
                 if self.state.control_in_use[i][at[0]]:
-                    if np.linalg.eigvalsh(own / np.outer(sigma, sigma))[-1] > _MOST_OWN:
+                    if np.linalg.eigvalsh(by_image / np.outer(sigma, sigma))[-1] > _MOST_OWN:
                         continue
-                    gain = noise @ np.linalg.inv(noise - own)
+                    gain = noise @ np.linalg.inv(noise - by_image)
                     spread = gain @ noise
                     away = gain @ away
-                good = np.exp(-away @ np.linalg.solve(spread, away) / 2) / np.sqrt(
+                # A mixture: normal with the probability of good control, and anywhere with that of
+                # a blunder.
+                density = np.exp(-away @ np.linalg.solve(spread, away) / 2) / np.sqrt(
                     np.linalg.det(2 * np.pi * spread))
-                found[i, name] = float(np.log(
-                    (1 - _BLUNDERS) * good + _BLUNDERS / _AWAY**len(at)))
-        return found
+                score[i, name] = float(np.log(
+                    (1 - _BLUNDERS) * density + _BLUNDERS / _AWAY**len(at)))
+        return score
 
     def _computed(self, i: int) -> tuple[FloatArray, FloatArray]:
         """Return places and columns of an image's ties; known parts are computed once for a state.
@@ -192,23 +214,25 @@ class Steps:
         camera = self.state.cameras[i]
         ties = self.state.ties
         parameters = self.state.parameters[i]
-        kept = self.kept.get(i)
-        if kept is None or kept[0] is not camera or kept[1] is not ties:
-            kept = camera, ties, *camera.first_order(ties[self.measured[i].tie])
-            self.kept[i] = kept
-        _, _, image, columns = kept
+        known_part = self.known_parts.get(i)
+        # Camera and ties are replaced, never changed: identity tells whether they are still the same.
+        if known_part is None or known_part[0] is not camera or known_part[1] is not ties:
+            known_part = camera, ties, *camera.first_order(ties[self.measured[i].tie])
+            self.known_parts[i] = known_part
+        _, _, image, columns = known_part
         return (image + columns @ parameters
                 + camera.perspective(parameters, ties[self.measured[i].tie])), columns
 
-    def _of_control(self, i: int, camera: Camera, known: OwnControl, robust: bool,
+    def _of_control(self, i: int, camera: Camera, control: OwnControl, robust: bool,
                     ) -> tuple[FloatArray, FloatArray]:
         """Return what an image's control adds to its normal equations."""
         m = len(camera.groups)
-        if not len(known):
+        if not len(control):
             return np.zeros((2 * m, 2 * m)), np.zeros(2 * m)
-        rows, residual = self._rows(i, camera, known)
+        # Kept for `expected` and for the estimates of variances, which are of the same equations.
+        rows, residual = self._rows(i, camera, control)
         self.design[i] = rows
-        self.noise[i] = sigma = self.state.sigma_control * known.sigma
+        self.noise[i] = sigma = self.state.sigma_control * control.sigma
         share = self.state.control_in_use[i].astype(float)
         if robust:
             share = share * soft(residual / sigma)
@@ -216,34 +240,37 @@ class Steps:
         weight = share / sigma**2
         return (rows * weight[:, None]).T @ rows, (rows * weight[:, None]).T @ residual
 
-    def _rows(self, i: int, camera: Camera, known: OwnControl) -> tuple[FloatArray, FloatArray]:
+    def _rows(self, i: int, camera: Camera, control: OwnControl) -> tuple[FloatArray, FloatArray]:
         """Return the rows (n, 2m) of an image's control, and the residuals [px]."""
         parameters = self.state.parameters[i]
-        rows = np.einsum("na,nap->np", known.normal, camera.rows(
-            parameters, known.local, camera.first_order(known.local)[1]))
-        computed = camera.project(parameters, known.local)
-        return rows, known.value - (known.normal * computed).sum(axis=1)
+        # Derivatives of the distance in the direction that is measured, n . (line, sample).
+        rows = np.einsum("na,nap->np", control.normal, camera.rows(
+            parameters, control.local, camera.first_order(control.local)[1]))
+        computed = camera.project(parameters, control.local)
+        return rows, control.value - (control.normal * computed).sum(axis=1)
 
     def moved(self) -> FloatArray:
         """Return how far the last step moved any tie or control in each image, at most [px]."""
         return np.array([
-            float(np.abs(moved[part.weight > 0] if len(part.tie) else step).max(initial=0.0))
-            for part, step, moved in zip(self.solved.seen[:-1], self.solved.steps[:-1],
+            # Without ties, the step of the parameters says how far an image moved.
+            float(np.abs(moved[rows.weight > 0] if len(rows.tie) else step).max(initial=0.0))
+            for rows, step, moved in zip(self.solved.tie_rows[:-1], self.solved.steps[:-1],
                                          self._moves(), strict=True)])
 
     def _moves(self) -> list[FloatArray]:
         """Return how far the last step moves the ties in each image, to first order [px]."""
-        return [part.rows @ step + np.einsum("nai,ni->na", part.slopes, self.solved.ties[part.tie])
-                for part, step in zip(self.solved.seen[:-1], self.solved.steps[:-1], strict=True)]
+        return [rows.rows @ step + np.einsum("nai,ni->na", rows.slopes, self.solved.ties[rows.tie])
+                for rows, step in zip(self.solved.tie_rows[:-1], self.solved.steps[:-1],
+                                      strict=True)]
 
     def residuals(self) -> tuple[list[FloatArray], list[FloatArray]]:
         """Return the residuals of ties and of control in each image [px]."""
         state = self.state
         of_ties = []
-        for i, mine in enumerate(self.measured):
-            of_ties.append(mine.place - self._computed(i)[0])
-        return of_ties, [self._rows(i, camera, known)[1] if len(known) else np.empty(0)
-                         for i, (camera, known) in enumerate(
+        for i, measured in enumerate(self.measured):
+            of_ties.append(measured.position - self._computed(i)[0])
+        return of_ties, [self._rows(i, camera, control)[1] if len(control) else np.empty(0)
+                         for i, (camera, control) in enumerate(
                              zip(state.cameras, self.control, strict=True))]
 
 

@@ -14,7 +14,7 @@ class Measured:
     """The ties in one image: index of each tie, and its line and sample, shapes (n,) and (n, 2)."""
 
     tie: IntArray
-    place: FloatArray
+    position: FloatArray
 
 
 @dataclass(eq=False)

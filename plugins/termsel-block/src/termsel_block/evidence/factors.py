@@ -21,7 +21,9 @@ def log_bayes_factor(mean: FloatArray, covariance: FloatArray, prior: FloatArray
     -----
     The ratio of Savage and Dickey: density of the prior at zero over that of the posterior.
     """
+    # log p(0) of the prior less log p(0) of the posterior; both have the same (2 pi)^k.
     sign, logarithm = np.linalg.slogdet(covariance)
+    # No evidence either way where the covariance is numerically singular.
     if sign <= 0:
         return 0.0
     quadratic = float(mean @ np.linalg.solve(covariance, mean))

@@ -28,13 +28,16 @@ def chance_of(columns: FloatArray, residuals: FloatArray, weight: FloatArray) ->
     and not for line and for sample. The test only says what is worth trying.
     """
     n = len(columns)
-    spent = 2 * columns.shape[1]
-    if n <= spent or not weight.any():
+    n_parameters = 2 * columns.shape[1]
+    if n <= n_parameters or not weight.any():
         return 1.0
+    # Weighted least squares: the share of the squares that an orthogonal basis takes.
     root = np.sqrt(weight)[:, None]
     basis = np.linalg.qr(columns * root)[0]
     total = float(((root * residuals) ** 2).sum())
     explained = float(((basis.T @ (root * residuals)) ** 2).sum())
     if explained >= total:
         return 1.0
-    return float(fdtrc(spent, n - spent, explained / spent / ((total - explained) / (n - spent))))
+    # F = (explained / p) / (rest / (n - p)) of p parameters.
+    return float(fdtrc(n_parameters, n - n_parameters,
+                       explained / n_parameters / ((total - explained) / (n - n_parameters))))

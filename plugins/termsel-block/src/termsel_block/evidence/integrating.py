@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from scipy import linalg
@@ -67,7 +68,7 @@ class _Group:
 
     images: tuple[IntArray, ...]
     scale: IntArray
-    least: float
+    min_spread: float
 
 
 def unknown(cameras: Sequence[Camera]) -> int:
@@ -107,47 +108,53 @@ def integrate(normal: FloatArray, step: FloatArray, cameras: Sequence[Camera],
     center, J. Comput. Graph. Stat. 20(3), 531-570).
     """
     at, scale, groups = _unknown(cameras, slices)
-    now = np.concatenate([parameter.T.ravel() for parameter in parameters])[at]
+    # Parameters are differences from the point of linearisation, so that zero is the prior's mean.
+    current = np.concatenate([parameter.T.ravel() for parameter in parameters])[at]
     if of_offset is not None:
         groups.append(_Group((np.array([len(at)]),), np.zeros(1, np.intp), np.nan))
         at = np.append(at, slices[-1].start)
         scale = np.append(scale, of_offset**-0.5)
-        now = np.append(now, 0.0)
-    rest = np.setdiff1d(np.arange(len(normal)), at)
+        current = np.append(current, 0.0)
+    # All other parameters are eliminated: they are normal, given those with unknown variances.
+    others = np.setdiff1d(np.arange(len(normal)), at)
     # Without the priors, and about zero: what the measurements say of the unknown parameters.
     of_data = normal.copy()
     aim = normal @ step
     of_data[at, at] -= scale**-2
-    aim[at] += now / scale**2
-    inner = linalg.cho_factor(of_data[np.ix_(rest, rest)])
-    gain = linalg.cho_solve(inner, of_data[np.ix_(rest, at)])
-    matrix = (of_data[np.ix_(at, at)] - of_data[np.ix_(at, rest)] @ gain) * np.outer(scale, scale)
+    aim[at] += current / scale**2
+    inner = linalg.cho_factor(of_data[np.ix_(others, others)])
+    gain = linalg.cho_solve(inner, of_data[np.ix_(others, at)])
+    # Schur complement of the others, in units of the first guesses.
+    matrix = (of_data[np.ix_(at, at)] - of_data[np.ix_(at, others)] @ gain) * np.outer(scale, scale)
     values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
-    matrix = (vectors * np.maximum(values, 0.0)) @ vectors.T  # what ties cannot tell is zero
-    right = (aim[at] - gain.T @ aim[rest]) * scale + matrix @ (now / scale)
+    # What ties cannot tell is zero.
+    matrix = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    # And its right side, so that matrix @ x = right is what data alone say of x.
+    right = (aim[at] - gain.T @ aim[others]) * scale + matrix @ (current / scale)
     means, draws, covariance = _chain(matrix, right, groups)
     middle = means.mean(axis=0)
     # And what the others are by them.
     to_all = np.zeros((len(normal), len(at)))
     to_all[at] = np.diag(scale)
-    to_all[rest] = -gain * scale
-    alone = linalg.cho_solve(inner, np.eye(len(rest)))
-    found = to_all @ covariance @ to_all.T
-    found[np.ix_(rest, rest)] += alone
-    mean = to_all @ (middle - now / scale)
-    mean[rest] += alone @ aim[rest]
+    to_all[others] = -gain * scale
+    inverse_inner = linalg.cho_solve(inner, np.eye(len(others)))
+    full_covariance = to_all @ covariance @ to_all.T
+    full_covariance[np.ix_(others, others)] += inverse_inner
+    mean = to_all @ (middle - current / scale)
+    mean[others] += inverse_inner @ aim[others]
+    # Draws of all parameters: those of the chain, and noise of the others that are eliminated.
     away = (draws - middle) @ to_all.T
-    noise = np.random.default_rng(1).standard_normal((len(draws), len(rest)))
-    away[:, rest] += linalg.solve_triangular(inner[0], noise.T, lower=inner[1]).T
+    noise = np.random.default_rng(1).standard_normal((len(draws), len(others)))
+    away[:, others] += linalg.solve_triangular(inner[0], noise.T, lower=inner[1]).T
     # At the mean what the measurements pull with is what the prior does.
     pulled = right - matrix @ middle
-    every = np.full(len(normal), np.nan)
-    for columns in (image for group in groups for image in group.images):
+    precision = np.full(len(normal), np.nan)
+    for columns in chain.from_iterable(group.images for group in groups):
         square = float(middle[columns] @ middle[columns])
         # Nothing is measured where nothing differs from what is expected: the guess stays.
         ratio = float(middle[columns] @ pulled[columns]) / square if square > 0 else 1.0
-        every[at[columns]] = np.clip(ratio, *_PRECISIONS) / scale[columns] ** 2
-    return Integrated(mean, found, away, every)
+        precision[at[columns]] = np.clip(ratio, *_PRECISIONS) / scale[columns] ** 2
+    return Integrated(mean, full_covariance, away, precision)
 
 
 def _unknown(cameras: Sequence[Camera], slices: Sequence[slice],
@@ -156,22 +163,25 @@ def _unknown(cameras: Sequence[Camera], slices: Sequence[slice],
     at: list[int] = []
     scale: list[float] = []
     members: dict[str, list[IntArray]] = {}
-    least: dict[str, float] = {}
+    min_spread: dict[str, float] = {}
     scales: dict[str, list[str]] = {}
-    for camera, part in zip(cameras, slices, strict=False):
+    for camera, columns in zip(cameras, slices, strict=False):
         names = np.tile(camera.scales, 2)
         spread = np.tile(camera.spread, 2)
+        # Columns of one scale share a standard deviation, and several scales are one group.
         for scale_name, group in dict(zip(camera.scales, camera.groups, strict=True)).items():
             if group in camera.wide:
                 continue
-            mine = np.flatnonzero(names == scale_name)
-            members.setdefault(group, []).append(len(at) + np.arange(len(mine)))
+            of_scale = np.flatnonzero(names == scale_name)
+            members.setdefault(group, []).append(len(at) + np.arange(len(of_scale)))
             scales.setdefault(group, []).append(scale_name)
-            at += (part.start + mine).tolist()
-            scale += spread[mine].tolist()
-            ratio = float((np.tile(camera.least, 2)[mine] / spread[mine]).max())
-            least[group] = max(least.get(group, _GRID[0]), ratio)
-    groups = [_Group(tuple(images), np.unique(scales[name], return_inverse=True)[1], least[name])
+            at += (columns.start + of_scale).tolist()
+            scale += spread[of_scale].tolist()
+            # No variance below what the camera states, whatever the data say.
+            ratio = float((np.tile(camera.min_spread, 2)[of_scale] / spread[of_scale]).max())
+            min_spread[group] = max(min_spread.get(group, _GRID[0]), ratio)
+    groups = [_Group(tuple(images), np.unique(scales[name], return_inverse=True)[1],
+                     min_spread[name])
               for name, images in members.items()]
     return np.array(at, np.intp), np.array(scale), groups
 
@@ -184,17 +194,20 @@ def _chain(matrix: FloatArray, right: FloatArray, groups: Sequence[_Group],
     """
     rng = np.random.default_rng(0)
     k = len(right)
-    shared = [1.0 if np.isnan(group.least) else max(0.3, group.least) for group in groups]
-    own = [np.ones(len(group.images)) for group in groups]
+    shared = [1.0 if np.isnan(group.min_spread) else max(0.3, group.min_spread) for group in groups]
+    of_images = [np.ones(len(group.images)) for group in groups]
     of_scale = [np.ones(group.scale.max() + 1) for group in groups]
     means = np.empty((_KEPT, k))
     draws = np.empty((_KEPT, k))
     total = np.zeros((k, k))
     precision = np.empty(k)
     for round_ in range(-_FIRST, _KEPT):
-        for group, common, mine, each in zip(groups, shared, own, of_scale, strict=True):
-            for columns, ratio in zip(group.images, mine * each[group.scale], strict=True):
+        for group, common, image_ratios, scale_ratios in zip(groups, shared, of_images, of_scale,
+                                                             strict=True):
+            for columns, ratio in zip(group.images, image_ratios * scale_ratios[group.scale],
+                                      strict=True):
                 precision[columns] = (common * ratio) ** -2
+        # Parameters by variances: normal with precision M + D and mean (M + D)^-1 right.
         lower = np.linalg.cholesky(matrix + np.diag(precision))
         mean = linalg.cho_solve((lower, True), right, check_finite=False)
         x = mean + linalg.solve_triangular(lower, rng.standard_normal(k), lower=True, trans=1,
@@ -203,18 +216,25 @@ def _chain(matrix: FloatArray, right: FloatArray, groups: Sequence[_Group],
             means[round_] = mean
             draws[round_] = x
             total += linalg.lapack.dpotri(lower, lower=1)[0]
+        # Variances by parameters, for each group by itself.
         for number, group in enumerate(groups):
-            shared[number], own[number], of_scale[number] = _scales(
-                x, matrix, right, group, own[number], of_scale[number], rng)
+            shared[number], of_images[number], of_scale[number] = _scales(
+                x, (matrix, right), group, of_images[number], of_scale[number], rng)
     total = np.tril(total) / _KEPT
     away = means - means.mean(axis=0)
+    # Law of total variance: the mean of covariances plus the covariance of means.
     return means, draws, total + np.tril(total, -1).T + away.T @ away / _KEPT
 
 
-def _scales(x: FloatArray, matrix: FloatArray, right: FloatArray, group: _Group, own: FloatArray,
-            each: FloatArray, rng: np.random.Generator) -> tuple[float, FloatArray, FloatArray]:
-    """Return draws of a group's standard deviation, of its images' over that of their scale, and of
-    its scales' over that of the group; and scale `x` with the first."""
+def _scales(x: FloatArray, equations: tuple[FloatArray, FloatArray], group: _Group,
+            of_images: FloatArray, of_scale: FloatArray, rng: np.random.Generator,
+            ) -> tuple[float, FloatArray, FloatArray]:
+    """Return draws of a group's standard deviations, and scale `x` with the first.
+
+    Of the group itself, of its images over that of their scale, and of its scales over that of the
+    group. The equations of the data are a matrix and a right side.
+    """
+    matrix, right = equations
     squares = np.array([float(x[columns] @ x[columns]) for columns in group.images])
     count = np.array([len(columns) for columns in group.images])
 
@@ -222,24 +242,29 @@ def _scales(x: FloatArray, matrix: FloatArray, right: FloatArray, group: _Group,
         square = (over + OWN) / rng.chisquare(OWN + number)
         return np.clip(np.sqrt(square), _LEAST, _MOST)
 
-    if np.isnan(group.least):
-        return 1.0, drawn(squares, count), each
-    grid = _GRID[group.least * 0.999 <= _GRID]
+    if np.isnan(group.min_spread):
+        return 1.0, drawn(squares, count), of_scale
+    grid = _GRID[group.min_spread * 0.999 <= _GRID]
+    # Half t with TAIL degrees of freedom, on a grid of logarithms.
     prior = np.log(grid) - (TAIL + 1) / 2 * np.log1p(grid**2 / TAIL)
     common = _drawn(grid, prior - count.sum() * np.log(grid)
-                    - float((squares / (own * each[group.scale])**2).sum()) / 2 / grid**2, rng)
-    if len(each) > 1:
-        each = drawn(np.bincount(group.scale, squares / (common * own)**2).astype(float),
+                    - float((squares / (of_images * of_scale[group.scale])**2).sum()) / 2 / grid**2,
+                    rng)
+    # Scales of a group follow it as images follow their scale.
+    if len(of_scale) > 1:
+        of_scale = drawn(np.bincount(group.scale, squares / (common * of_images)**2).astype(float),
                      np.bincount(group.scale, count).astype(np.intp))
-    own = drawn(squares / (common * each[group.scale])**2, count)
-    every = np.concatenate(group.images)
-    shape = x[every] / common
-    pulled = matrix[:, every] @ shape
-    bend = float(shape @ pulled[every])
-    slope = float(shape @ right[every] - pulled @ x) + common * bend
-    again = _drawn(grid, prior - grid**2 * bend / 2 + grid * slope, rng)
-    x[every] = again * shape
-    return again, own, each
+    of_images = drawn(squares / (common * of_scale[group.scale])**2, count)
+    columns = np.concatenate(group.images)
+    # Interwoven: x / common is held, and common is drawn by the data that x has to fit.
+    shape = x[columns] / common
+    pulled = matrix[:, columns] @ shape
+    # The logarithm of the likelihood is linear and quadratic in the common standard deviation.
+    bend = float(shape @ pulled[columns])
+    slope = float(shape @ right[columns] - pulled @ x) + common * bend
+    rescaled = _drawn(grid, prior - grid**2 * bend / 2 + grid * slope, rng)
+    x[columns] = rescaled * shape
+    return rescaled, of_images, of_scale
 
 
 def _drawn(grid: FloatArray, logarithm: FloatArray, rng: np.random.Generator) -> float:

@@ -43,26 +43,31 @@ def estimated(cameras: Sequence[Camera], parameters: Sequence[FloatArray],
     pooled: dict[str, list[FloatArray]] = {}
     for camera, mean, covariance, variance in zip(
             cameras, parameters, covariances, variances, strict=True):
+        # Mean and variance of the posterior, variance of the prior, and first guess of each
+        # parameter.
         values = np.stack([mean.T.ravel(), np.diag(covariance), np.tile(variance, 2),
                            np.tile(camera.spread, 2)])
         names = np.tile(camera.groups, 2)
         for name in dict.fromkeys(camera.groups):
             if name not in camera.wide:
                 pooled.setdefault(name, []).append(values[:, names == name])
-    common = {name: posterior_mean(*np.concatenate(parts, axis=1))
-              for name, parts in pooled.items()}
-    found = []
+    common = {name: posterior_mean(*np.concatenate(blocks, axis=1))
+              for name, blocks in pooled.items()}
+    result = []
     for camera, mean, covariance, variance in zip(
             cameras, parameters, covariances, variances, strict=True):
         new = variance.copy()
         groups = np.array(camera.groups)
+        # E[x^2] of the posterior, line and sample together: mean^2 + variance.
         moments = (mean**2).sum(axis=1) + np.diag(covariance).reshape(2, -1).sum(axis=0)
         for name in dict.fromkeys(camera.groups):
             if name not in camera.wide:
-                mine = groups == name
-                new[mine] = (moments[mine].sum() + OWN * common[name]) / (2 * mine.sum() + OWN)
-        found.append(np.maximum(new, np.square(camera.least)))
-    return found
+                in_group = groups == name
+                # The posterior mean of a variance with OWN degrees of freedom about the common one.
+                new[in_group] = (moments[in_group].sum() + OWN * common[name]) / (2 * in_group.sum()
+                                                                                  + OWN)
+        result.append(np.maximum(new, np.square(camera.min_spread)))
+    return result
 
 
 def looser(cameras: Sequence[Camera], parameters: Sequence[FloatArray],
@@ -76,9 +81,10 @@ def looser(cameras: Sequence[Camera], parameters: Sequence[FloatArray],
     for camera, mean, covariance in zip(cameras, parameters, covariances, strict=True):
         values = mean.T.ravel() ** 2 + np.diag(covariance)
         for name, at in camera.stated.items():
+            # Back to units of the model's statement, which an earlier round may have loosened.
             squares.setdefault(name, []).append(float(values[at] * camera.looser[at] ** 2))
-    return {name: float(np.sqrt((sum(some) + OWN) / (len(some) + OWN)))
-            for name, some in squares.items()}
+    return {name: float(np.sqrt((sum(image_squares) + OWN) / (len(image_squares) + OWN)))
+            for name, image_squares in squares.items()}
 
 
 def posterior_mean(mean: FloatArray, variance: FloatArray, prior: FloatArray,
@@ -88,6 +94,7 @@ def posterior_mean(mean: FloatArray, variance: FloatArray, prior: FloatArray,
     # What the measurements alone say of each value: its posterior without its prior.
     precision = np.maximum(1 / variance - 1 / prior, 0.0)
     right = mean / variance
+    # Marginal likelihood of normal values under each variance, times the prior of half t.
     spread = 1 + sigma**2 * precision
     logarithm = 0.5 * (right**2 * sigma**2 / spread - np.log(spread)).sum(axis=1)
     # On a logarithmic grid the measure of a standard deviation is itself.

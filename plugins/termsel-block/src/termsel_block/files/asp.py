@@ -9,7 +9,8 @@ from pathlib import Path
 from termsel import TermselError
 from termsel.toolkit import require_regular
 
-_HEAD = 4096  # bytes by which a file is known
+# bytes by which a file is known.
+_HEAD = 4096
 
 Place = tuple[str, float, float]
 """Image, line and sample of a measurement."""
@@ -36,7 +37,8 @@ def is_asp(file: Path) -> bool:
         with file.open("rb") as opened:
             return file.suffix == ".match" or is_matches(opened.read(_HEAD))
     except OSError:
-        return False  # who reads it as a table says what is wrong
+        # Who reads it as a table says what is wrong.
+        return False
 
 
 def asp_rows(files: Sequence[Path], images: Sequence[str]) -> list[tuple[Path, int, str, Place]]:
@@ -47,43 +49,47 @@ def asp_rows(files: Sequence[Path], images: Sequence[str]) -> list[tuple[Path, i
     """
     pairs: list[tuple[Path, int, Place, Place]] = []
     for file in files:
-        left, right = _images(file, images)
+        first_image, second_image = _images(file, images)
         from termsel_match.asp import read_matches
 
         for number, (a, b) in enumerate(zip(*read_matches(file), strict=True), 1):
-            pairs.append((file, number, (left, float(a[0]), float(a[1])),
-                          (right, float(b[0]), float(b[1]))))
+            pairs.append((file, number, (first_image, float(a[0]), float(a[1])),
+                          (second_image, float(b[0]), float(b[1]))))
+    # Union-find over positions: those that a match joins have one root, which is the tie.
     above: dict[Place, Place] = {}
 
-    def root(place: Place) -> Place:
-        while above.setdefault(place, place) != place:
-            above[place] = place = above[above[place]]
-        return place
+    def root(position: Place) -> Place:
+        while above.setdefault(position, position) != position:
+            above[position] = position = above[above[position]]
+        return position
 
     for _, _, a, b in pairs:
         above[root(a)] = root(b)
     members: dict[Place, set[Place]] = {}
-    for place in list(above):
-        members.setdefault(root(place), set()).add(place)
+    for position in list(above):
+        members.setdefault(root(position), set()).add(position)
     rows = []
-    said = set()
+    written = set()
     for k, (file, number, a, b) in enumerate(pairs, 1):
         tie = members[root(a)]
+        # A tie twice in one image is no tie: then its pairs stay by themselves.
         clear = len({image for image, _, _ in tie}) == len(tie)
         name = "-".join(map(str, ("asp", *min(tie)))) if clear else f"asp-pair-{k}"
-        for place in (a, b):
-            if (name, place) not in said:
-                said.add((name, place))
-                rows.append((file, number, name, place))
+        for position in (a, b):
+            if (name, position) not in written:
+                written.add((name, position))
+                rows.append((file, number, name, position))
     return rows
 
 
 def _images(file: Path, images: Sequence[str]) -> tuple[str, str]:
     """Return the two images that the name of a match file states, as ASP names it."""
+    # ASP writes prefix-A__B.match: the first name may have a prefix, the second has none.
     first, _, second = file.name.removesuffix(".txt").removesuffix(".match").rpartition("__")
-    left = [name for name in images if first == name or first.endswith(f"-{name}")]
-    if not left or second not in images or second in left:
+    matching = [name for name in images if first == name or first.endswith(f"-{name}")]
+    if not matching or second not in images or second in matching:
         raise TermselError("the name of this match file states no two images of the block",
                            file=file, hint="Name it as ASP does: run-A__B.match for A and B. "
                                            f"The block has {', '.join(images[:8])}.")
-    return max(left, key=len), second
+    # Of names that end alike the longest is meant.
+    return max(matching, key=len), second

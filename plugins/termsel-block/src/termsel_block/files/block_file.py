@@ -33,18 +33,25 @@ from termsel_block.geometry.physical import MODELS, in_a_block
 
 COLUMNS = {"id": ("id", "tie", "name", "point"), "image": ("image", "img", "scene"),
            "line": ("line", "row", "y_pix"), "sample": ("sample", "col", "column", "x_pix")}
-"""Known names of the columns of a table of ties."""
+"""ControlHeights names of the columns of a table of ties."""
 
 _EXAMPLE = "termsel block-example DIR writes a block to begin with."
 _KINDS = {"str": "text in quotes", "int": "a whole number", "float": "a number",
           "bool": "true or false", "array": "a list", "object": "a table"}
-_NAMED = 5  # in a note
-_LEAST = 3  # ties and control features of an image
-_LONGEST = 100  # bytes of an image's name, in UTF-8
-_LARGEST = 1e7  # lines or samples: no image has as many
-_TOO_FAR = 20.0  # times the reach of the other ties of the image
-_LEAST_REACH = 500.0  # px: of ties that are all near each other
-_SAME = 1e-3  # px; no measurement is repeated to that
+# In a note.
+_NAMED = 5
+# Ties and control features of an image.
+_LEAST = 3
+# bytes of an image's name, in UTF-8.
+_LONGEST = 100
+# lines or samples: no image has as many.
+_LARGEST = 1e7
+# Times the reach of the other ties of the image.
+_TOO_FAR = 20.0
+# In px: of ties that are all near each other.
+_LEAST_REACH = 500.0
+# In px; no measurement is repeated to that.
+_SAME = 1e-3
 
 
 class _Image(msgspec.Struct, forbid_unknown_fields=True):
@@ -98,39 +105,42 @@ def read_block(path: Path | str) -> Block:
     if not stated.ties:
         raise TermselError("the block names no file of ties", file=path, hint=_EXAMPLE)
     images = tuple(_image(image, folder, crs, dem, path) for image in stated.image)
-    files = [stated.ties] if isinstance(stated.ties, str) else stated.ties
+    files = [stated.ties] if isinstance(stated.ties, str) else list(stated.ties)
     ties, notes = read_ties([folder / file for file in files], names)
     _refuse_alone(images, ties, path)
     _refuse_copies(names, ties, path)
-    used = [*files, *([stated.dem] if stated.dem else []), *(
-        file for image in stated.image
-        for file in (image.points, image.lines, image.rpc, image.image) if file)]
-    return Block(crs, images, ties, dem, notes, tuple(folder / file for file in used))
+    files += [stated.dem] if stated.dem else []
+    for image in stated.image:
+        files += [file for file in (image.points, image.lines, image.rpc, image.image) if file]
+    return Block(crs, images, ties, dem, notes, tuple(folder / file for file in files))
 
 
 def _refuse_alone(images: Sequence[BlockImage], ties: Ties, path: Path) -> None:
     """Refuse images with too little to be adjusted, and to have a result of their own."""
     count = np.bincount(ties.image, minlength=len(images))
     for image, n in zip(images, count.tolist(), strict=True):
-        own = 0 if image.features is None else (
+        n_control = 0 if image.features is None else (
             len(in_use(image.features)) + len(image.features.lines))
-        if n + own < _LEAST:
-            raise TermselError(f"image {image.name!r} has {n} ties and {own} control features, so "
+        if n + n_control < _LEAST:
+            raise TermselError(f"image {image.name!r} has {n} ties and {n_control} control "
+                               "features, so "
                                "that nothing joins it to the block", file=path,
                                hint=f"Give it {_LEAST} ties or more, or remove it.")
 
 
 def _refuse_copies(names: Sequence[str], ties: Ties, path: Path) -> None:
     """Refuse an image whose ties are all at one place, and an image that is another once more."""
-    own = [np.flatnonzero(ties.image == i) for i in range(len(names))]
-    for name, at in zip(names, own, strict=True):
-        if len(at) >= _LEAST and np.ptp(ties.place[at], axis=0).max() < _SAME:
+    measurements = [np.flatnonzero(ties.image == i) for i in range(len(names))]
+    for name, at in zip(names, measurements, strict=True):
+        # Copied rows: no two ties of an image are at one place by chance.
+        if len(at) >= _LEAST and np.ptp(ties.position[at], axis=0).max() < _SAME:
             raise TermselError(f"all {len(at)} ties of image {name!r} are at one place in it",
                                file=path, hint="Check the columns line and sample of the ties.")
-    for i, j, first, second in pairs([ties.tie[at] for at in own], len(ties.names)):
+    # Of images that share ties: are all measured alike in both?
+    for i, j, first, second in pairs([ties.tie[at] for at in measurements], len(ties.names)):
         if i == j or len(first) < _LEAST:
             continue
-        away = ties.place[own[i][first]] - ties.place[own[j][second]]
+        away = ties.position[measurements[i][first]] - ties.position[measurements[j][second]]
         if np.abs(away).max() < _SAME:
             raise TermselError(f"images {names[i]!r} and {names[j]!r} have all {len(first)} common "
                                "ties at the same places", file=path,
@@ -139,22 +149,23 @@ def _refuse_copies(names: Sequence[str], ties: Ties, path: Path) -> None:
 
 def _said(error: str) -> str:
     """Return what a decoder says, in the words of the file."""
-    what, _, place = error.partition(" - at `$")
-    image = re.search(r"image\[(\d+)\]", place)
+    # msgspec says "... - at `$.image[3].rpc`": the number counts from one for people.
+    problem, _, location = error.partition(" - at `$")
+    image = re.search(r"image\[(\d+)\]", location)
     of = f" of image number {int(image[1]) + 1}" if image else ""
-    key = re.search(r"\.(\w+)`", place)
-    if missing := re.match(r"Object missing required field `(.+?)`", what):
+    key = re.search(r"\.(\w+)`", location)
+    if missing := re.match(r"Object missing required field `(.+?)`", problem):
         return f"the key {missing[1]!r}{of} is missing"
-    if key and (wrong := re.match(r"Expected `(.+?)`, got `(.+?)`", what)):
-        wanted = " or ".join(_KINDS.get(kind, kind) for kind in wrong[1].split(" | ")
+    if key and (wrong := re.match(r"Expected `(.+?)`, got `(.+?)`", problem)):
+        expected_kinds = " or ".join(_KINDS.get(kind, kind) for kind in wrong[1].split(" | ")
                              if kind != "null")
-        return f"{key[1]}{of} is {_KINDS.get(wrong[2], wrong[2])}, and must be {wanted}"
+        return f"{key[1]}{of} is {_KINDS.get(wrong[2], wrong[2])}, and must be {expected_kinds}"
     return error
 
 
-def _line_of(said: str, text: str) -> int | None:
+def _line_of(message: str, text: str) -> int | None:
     """Return the line of an unknown key, of which a decoder says the name alone."""
-    key = re.search(r"unknown field `(.+?)`", said)
+    key = re.search(r"unknown field `(.+?)`", message)
     if key is None:
         return None
     states = re.compile(rf"\s*(\[\[?\s*)?[\"']?{re.escape(key[1])}[\"']?\s*[=\].]")
@@ -168,16 +179,20 @@ def _check_names(names: Sequence[str], path: Path) -> None:
         if count > 1:
             raise TermselError(f"{count} images are called {name!r}", file=path,
                                hint="Give each image a name of its own.")
+        # A name is a folder's name: no separator, no dot before it, printable, not too long.
         if not name.strip() or name != Path(name).name or name.startswith(".") \
                 or not name.isprintable() or len(name.encode()) > _LONGEST:
-            shown = name if len(name) <= _LONGEST else f"{name[:20]}..."
-            raise TermselError(f"{shown!r} cannot be the name of an image, whose result gets a "
+            short_name = name if len(name) <= _LONGEST else f"{name[:20]}..."
+            raise TermselError(f"{short_name!r} cannot be the name of an image, whose result gets "
+                               "a "
                                "folder of that name", file=path,
                                hint=f"Use letters, digits, - and _, and at most {_LONGEST} bytes.")
+    # Windows and macOS do not tell capitals in names of files.
     for folder, count in Counter(name.casefold() for name in names).items():
         if count > 1:
-            alike = [repr(name) for name in names if name.casefold() == folder]
-            raise TermselError(f"the images {' and '.join(alike)} would share one folder where "
+            same_folder = [repr(name) for name in names if name.casefold() == folder]
+            raise TermselError(f"the images {' and '.join(same_folder)} would share one folder "
+                               "where "
                                "file names have no case", file=path,
                                hint="Give them names that differ in more than capitals.")
     if len(names) < 2:
@@ -196,11 +211,14 @@ def _image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: Path)
     if stated.rpc:
         rpc_file = folder / stated.rpc
         rpc = read_rpc(rpc_file)
+    # Many rasters carry their RPC as tags or next to them.
     elif raster is not None:
-        with suppress(TermselError):  # an image need not have one
+        # An image need not have one.
+        with suppress(TermselError):
             rpc = read_rpc(raster)
             rpc_file = raster
-    if rpc is not None and find_spec("termsel_rpc") is None:  # before minutes of adjustment
+    # Before minutes of adjustment.
+    if rpc is not None and find_spec("termsel_rpc") is None:
         raise TermselError("an image with an RPC requires the package termsel-rpc, which is not "
                            "installed", file=rpc_file,
                            hint="In a clone of termsel: pip install ./plugins/termsel-rpc.")
@@ -217,8 +235,8 @@ def _image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: Path)
     if stated.points or stated.lines:
         features = _features(stated, folder, crs, dem, path)
         of_dem = frozenset() if dem is None else _without_height(stated, folder, crs)
-    return BlockImage(stated.name, features, rpc, rpc_file, raster, size, stated.model, of_dem,
-                      options)
+    return BlockImage(stated.name, features, rpc, rpc_file, raster, size=size, model=stated.model,
+                      of_dem=of_dem, options=options)
 
 
 def _check_model(stated: _Image, options: Mapping[str, Any], has_rpc: bool, path: Path) -> None:
@@ -235,20 +253,23 @@ def _check_model(stated: _Image, options: Mapping[str, Any], has_rpc: bool, path
         return
     if has_rpc:
         raise TermselError(f"image {stated.name!r} has the model {stated.model!r}", file=path,
-                           hint=f"Known with an RPC: {', '.join(CORRECTIONS)}.")
+                           hint=f"ControlHeights with an RPC: {', '.join(CORRECTIONS)}.")
+    # Made only to refuse bad options now, in the words of the file.
     try:
         with options_of_file(path):
             get("models", stated.model)(**options)
     except TermselError as error:
         hint = in_a_block(error.hint)
-        if error.what.startswith("unknown model"):  # most of the known ones have no priors
-            hint = f"{hint.partition('Known:')[0]}{MODELS}"
+        # Most of the known ones have no priors.
+        if error.what.startswith("unknown model"):
+            hint = f"{hint.partition('ControlHeights:')[0]}{MODELS}"
         raise TermselError(f"image {stated.name!r}: {error.what}", file=path,
                            hint=hint) from error
 
 
 def _without_height(stated: _Image, folder: Path, crs: str) -> frozenset[str]:
     """Return the points and lines of an image whose files state no height."""
+    # Read without the DEM, which would fill the heights in.
     features = _read(stated, folder, crs, None)
     points = features.points
     lines = features.lines
@@ -273,6 +294,7 @@ def _features(stated: _Image, folder: Path, crs: str, dem: Path | None, path: Pa
     """Return the control of an image, in the CRS of the block and with heights."""
     points = folder / stated.points if stated.points else None
     features = _read(stated, folder, crs, dem)
+    # Control of another CRS would be transformed by none of what follows.
     if normalise(features.crs) != crs:
         raise TermselError(f"the control of image {stated.name!r} is in {features.crs}, the block "
                            f"in {crs}", file=points or path,
@@ -297,12 +319,13 @@ def read_ties(files: Sequence[Path], images: Sequence[str]) -> tuple[Ties, tuple
         no tie is in two images.
     """
     index = {name: i for i, name in enumerate(images)}
-    seen: dict[tuple[str, int], tuple[Path, int]] = {}
-    places: list[tuple[float, float]] = []
+    first_at: dict[tuple[str, int], tuple[Path, int]] = {}
+    # Of each measurement in the order of `first_at`.
+    positions: list[tuple[float, float]] = []
     matches = [file for file in files if is_asp(file)]
-    for file, number, name, (own, *place) in asp_rows(matches, images):
-        seen[name, index[own]] = file, number
-        places.append((place[0], place[1]))
+    for file, number, name, (image_name, *position) in asp_rows(matches, images):
+        first_at[name, index[image_name]] = file, number
+        positions.append((position[0], position[1]))
     for file in files:
         for line, row in [] if file in matches else _rows(file):
             name = row["id"]
@@ -312,51 +335,58 @@ def read_ties(files: Sequence[Path], images: Sequence[str]) -> tuple[Ties, tuple
                 raise TermselError(f"the block has no image {row['image']!r}", file=file, line=line,
                                    column="image", hint=f"Did you mean {near[0]!r}?" if near else
                                    f"Its images are {', '.join(images[:8])}.")
-            if (name, image) in seen:
-                other, at = seen[name, image]
+            if (name, image) in first_at:
+                other_file, at = first_at[name, image]
                 raise TermselError(
                     f"tie {name!r} is measured twice in image {row['image']!r}, the first time in "
-                    f"line {at}" + (f" of {other}" if other != file else ""), file=file, line=line,
+                    f"line {at}" + (f" of {other_file}" if other_file != file else ""), file=file,
+                    line=line,
                     hint="Keep one of them, or give two ties two names.")
-            seen[name, image] = file, line
-            places.append((_number(row["line"], file, line, "line"),
+            first_at[name, image] = file, line
+            positions.append((_number(row["line"], file, line, "line"),
                            _number(row["sample"], file, line, "sample")))
-    for k, axis in np.argwhere(np.abs(np.array(places).reshape(-1, 2)) > _LARGEST)[:1]:
-        file, line = list(seen.values())[k]
+    # The first position out of any image, by row and by line or sample.
+    for k, axis in np.argwhere(np.abs(np.array(positions).reshape(-1, 2)) > _LARGEST)[:1]:
+        file, line = list(first_at.values())[k]
         column = ("line", "sample")[axis]
-        raise TermselError(f"{places[k][axis]:g} is no {column} of an image", file=file,
+        raise TermselError(f"{positions[k][axis]:g} is no {column} of an image", file=file,
                            line=None if file in matches else line, column=column,
                            hint="Write positions in px, such as 1234.5.")
-    _refuse_far(seen, places, images, matches)
-    count = Counter(name for name, _ in seen)
+    _refuse_far(first_at, positions, images, matches)
+    # Ties in one image alone say nothing: they are left out, and a note says so.
+    count = Counter(name for name, _ in first_at)
     names = tuple(name for name in count if count[name] > 1)
-    alone = [name for name in count if count[name] == 1]
+    single = [name for name in count if count[name] == 1]
     if not names:
         raise TermselError("there are no ties" if not count else
                            f"none of the {len(count)} ties is in two images",
                            file=files[0] if files else None,
                            hint="A tie has the same id in each image that sees it.")
-    of = {name: i for i, name in enumerate(names)}
-    kept = [(of[name], image, *place) for (name, image), place in zip(seen, places, strict=True)
-            if name in of]
-    table = np.array(kept)
-    notes = () if not alone else (
-        f"{len(alone)} {'tie is' if len(alone) == 1 else 'ties are'} in one image alone and left "
-        f"out: {', '.join(alone[:_NAMED])}{', ...' * (len(alone) > _NAMED)}.",)
+    number_of = {name: i for i, name in enumerate(names)}
+    rows = [(number_of[name], image, *position)
+            for (name, image), position in zip(first_at, positions, strict=True)
+            if name in number_of]
+    table = np.array(rows)
+    notes: tuple[str, ...] = ()
+    if single:
+        further = ", ..." if len(single) > _NAMED else ""
+        notes = (f"{len(single)} {'tie is' if len(single) == 1 else 'ties are'} in one image alone "
+                 f"and left out: {', '.join(single[:_NAMED])}{further}.",)
     return Ties(names, table[:, 0].astype(np.intp), table[:, 1].astype(np.intp),
                 table[:, 2:]), notes
 
 
-def _refuse_far(seen: Mapping[tuple[str, int], tuple[Path, int]],
-                places: Sequence[tuple[float, float]], images: Sequence[str],
+def _refuse_far(first_at: Mapping[tuple[str, int], tuple[Path, int]],
+                positions: Sequence[tuple[float, float]], images: Sequence[str],
                 matches: Sequence[Path]) -> None:
     """Refuse a tie that is so far from the others of its image that no image reaches so far."""
-    measured = np.array(places).reshape(-1, 2)
-    image_of = np.array([image for _, image in seen], int)
+    measured = np.array(positions).reshape(-1, 2)
+    image_of = np.array([image for _, image in first_at], int)
     for image, name in enumerate(images):
         of_image = np.flatnonzero(image_of == image)
         if not len(of_image):
             continue
+        # About the median, so that the wrong one does not move the middle.
         middle = np.median(measured[of_image], axis=0)
         away = np.abs(measured[of_image] - middle).max(axis=1)
         # Half of the width or height that nine of ten ties take.
@@ -365,8 +395,8 @@ def _refuse_far(seen: Mapping[tuple[str, int], tuple[Path, int]],
         if away[worst] <= _TOO_FAR * reach:
             continue
         at = int(of_image[worst])
-        file, line = list(seen.values())[at]
-        tie = list(seen)[at][0]
+        file, line = list(first_at.values())[at]
+        tie = list(first_at)[at][0]
         raise TermselError(
             f"tie {tie!r} is at line {measured[at, 0]:,.0f}, sample {measured[at, 1]:,.0f} of "
             f"image {name!r}, and the others are within {reach:,.0f} px of line "
@@ -382,19 +412,21 @@ def _rows(file: Path) -> list[tuple[int, dict[str, str]]]:
         with file.open(newline="", encoding="utf-8-sig") as opened:
             reader = csv.reader(opened)
             header = [cell.strip().lower() for cell in next(reader, [])]
+            # The column of each meaning, of which there must be exactly one.
             at = {}
-            for meaning, known in COLUMNS.items():
-                found = [i for i, cell in enumerate(header) if cell in known]
-                if len(found) != 1:
-                    raise TermselError(f"this table has {'no' if not found else 'more than one'} "
+            for meaning, aliases in COLUMNS.items():
+                columns = [i for i, cell in enumerate(header) if cell in aliases]
+                if len(columns) != 1:
+                    raise TermselError(f"this table has {'no' if not columns else 'more than one'} "
                                        f"column {meaning!r}", file=file, line=1,
                                        hint="A table of ties is headed id,image,line,sample, "
                                             "with commas.")
-                at[meaning] = found[0]
+                at[meaning] = columns[0]
             rows = []
             for cells in reader:
                 if not any(cell.strip() for cell in cells):
                     continue
+                # Cells beyond the header are decimal commas, unless they are empty.
                 if len(cells) <= max(at.values()) or any(
                         cell.strip() for cell in cells[len(header):]):
                     raise TermselError(f"this row has {len(cells)} cells, expected "

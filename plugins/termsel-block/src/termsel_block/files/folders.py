@@ -51,25 +51,28 @@ def claim(folder: Path, names: list[str], *, overwrite: bool, reads: Iterable[Pa
         If there is a block, a file that is not one's or one that is read in it, it cannot be made,
         or an image has the name of a file of the block.
     """
-    own = [name for name in names
+    reserved = [name for name in names
            if name.casefold() in (RECORD, SUMMARY, PAGE, TIES, SCHEMA_FILE)]
-    if own:
-        raise TermselError(f"{own[0]!r} cannot be the name of an image: the block has a file of "
+    if reserved:
+        raise TermselError(f"{reserved[0]!r} cannot be the name of an image: the block has a file "
+                           "of "
                            "that name", hint="Give the image another name.")
     require_replaceable([folder / name for name in (RECORD, SUMMARY, PAGE, TIES, SCHEMA_FILE)],
                         reads=reads, overwrite=True, makes_folder=True)
     if (folder / RECORD).exists() and not overwrite:
         raise TermselError("there is a block in this folder already", file=folder,
                            hint="Choose another --out, or add --overwrite.")
+    # A file of such a name without a block next to it is somebody else's.
     strange = [name for name in (SUMMARY, PAGE, TIES, SCHEMA_FILE)
                if (folder / name).exists() and not (folder / RECORD).exists()]
     if strange:
         raise TermselError("the block would replace this file, which is not part of one",
                            file=folder / strange[0], hint="Choose another --out.")
-    taken = [name for name in names if (folder / name).exists() and not overwrite]
-    if taken:
-        raise TermselError("the result of an image would replace this", file=folder / taken[0],
+    existing = [name for name in names if (folder / name).exists() and not overwrite]
+    if existing:
+        raise TermselError("the result of an image would replace this", file=folder / existing[0],
                            hint="Choose another --out, or add --overwrite.")
+    # The nearest folder above that is there must allow new ones.
     above = next(parent for parent in folder.absolute().parents if parent.exists())
     if (folder.exists() and not folder.is_dir()) or not os.access(above, os.W_OK):
         raise TermselError("cannot make this folder", file=folder, hint="Choose another --out.")
@@ -103,20 +106,22 @@ def write_block(result: BlockResult, folder: Path | str, *, overwrite: bool = Fa
     """
     folder = Path(folder)
     names = [image.name for image in result.block.images]
+    # Refused before the pages of work that follow.
     claim(folder, names, overwrite=overwrite)
     record = record_of(result)
-    with together(folder, RECORD) as made:
+    with together(folder, RECORD) as new_folder:
         for i, name in enumerate(names):
-            (made / name).mkdir()
-            write_result(image_result(result, i, record), made / name)
+            (new_folder / name).mkdir()
+            write_result(image_result(result, i, record), new_folder / name)
             if progress is not None:
+                # The record last: `together` puts it in place when all else is there.
                 progress((i + 1) / len(names))
         for file, text in {
                 TIES: ties_csv(result), SUMMARY: text_of(record),
                 SCHEMA_FILE: json.dumps(schema(), indent=1) + "\n",
                 RECORD: msgspec.json.format(msgspec.json.encode(record), indent=1).decode() + "\n",
                 }.items():
-            write_text(made / file, text)
+            write_text(new_folder / file, text)
     _write_page(result, record, folder / PAGE)
     return record
 
@@ -128,7 +133,8 @@ def _write_page(result: BlockResult, record: BlockRecord, path: Path) -> None:
     except (TermselError, MemoryError) as error:
         why = error.what if isinstance(error, TermselError) else "out of memory"
         log.warning("Warning: %s is missing: %s. All else is there.", path, why.rstrip("."))
-        if not path.is_symlink():  # that of the block before
+        # That of the block before.
+        if not path.is_symlink():
             path.unlink(missing_ok=True)
 
 
@@ -145,70 +151,81 @@ def image_result(result: BlockResult, i: int, record: BlockRecord) -> Result:
     features = _features(result, i, image)
     name = correction_of(result, i)
     if name == "polynomial":
-        found = run(features=features, options=_TESTED)
+        fitted = run(features=features, options=_TESTED)
     elif image.rpc is None:
-        found = run("rfm-terms", features=features, solver="all-terms", criterion="press",
+        fitted = run("rfm-terms", features=features, solver="all-terms", criterion="press",
                     model=name, options={**image.options, **_TESTED})
     else:
         rpc = {"file": (image.rpc_file or Path(f"{image.name}.RPB")).name, **asdict(image.rpc)}
+        # The same correction as the block's: every term of it, estimated again with ties as
+        # control.
         model = f"rpc-{name}"
         options: dict[str, object] = {"rpc": json.dumps(rpc)}
+        # A shift is the least model that a result has; its estimate is about zero then.
         if name == "none":
             model = "rpc-shift"
         elif name == "smooth":
             model = "rpc-jitter"
+            # Splines of as many intervals as the points can hold, next to the affine terms.
             intervals = max(2, min(_INTERVALS, len(features.points) // _PER_INTERVAL))
             options |= {"across": True, "intervals": intervals}
-        found = run("rfm-terms", features=features, solver="all-terms", criterion="press",
+        fitted = run("rfm-terms", features=features, solver="all-terms", criterion="press",
                     model=model, options={**options, **_TESTED})
-    mine = record.images[i]
+    image_record = record.images[i]
     note = (f"The places of {int(state.in_use[i].sum())} ties come from a block of "
             f"{len(record.images)} images. By the block points in this image have an RMSE of "
-            f"{mine.predicted:.2f} px, with an interval of 90 % from {mine.low:.2f} to "
-            f"{mine.high:.2f} px. What the ties have in common is part of that, and of the "
+            f"{image_record.predicted:.2f} px, with an interval of 90 % from "
+            f"{image_record.low:.2f} to "
+            f"{image_record.high:.2f} px. What the ties have in common is part of that, and of the "
             "uncertainty, not of the residuals. Blunders among control and ties are named by the "
             "block.")
-    shared = shared_sigma(result, i, features, found.sigma(features.points.ground))
-    return replace(found, notes=(note, *found.notes), shared_sigma=shared,
-                   predicted=Predicted(mine.predicted, mine.low, mine.high))
+    # What the block's covariance says more than the image's own fit does.
+    shared = shared_sigma(result, i, features, fitted.sigma(features.points.ground))
+    return replace(fitted, notes=(note, *fitted.notes), shared_sigma=shared,
+                   predicted=Predicted(image_record.predicted, image_record.low, image_record.high))
 
 
 def _features(result: BlockResult, i: int, image: BlockImage) -> FeatureSet:
     """Return an image's own features without blunders, and its ties as control."""
     state = result.adjusted.state
     ties = result.block.ties
-    mine = np.flatnonzero(ties.image == i)[state.in_use[i]]
-    most = _MOST_PHYSICAL if isinstance(result.camera(i), PhysicalCamera) else _MOST.get(
+    in_image = np.flatnonzero(ties.image == i)[state.in_use[i]]
+    most_ties = _MOST_PHYSICAL if isinstance(result.camera(i), PhysicalCamera) else _MOST.get(
         correction_of(result, i), _MOST_OTHERS)
-    if len(mine) > most:
-        mine = mine[np.linspace(0, len(mine) - 1, most).astype(int)]
-    names = [f"tie-{ties.names[k]}" for k in ties.tie[mine]]
+    # Evenly over the list, which is in the order of the ties.
+    if len(in_image) > most_ties:
+        in_image = in_image[np.linspace(0, len(in_image) - 1, most_ties).astype(int)]
+    names = [f"tie-{ties.names[k]}" for k in ties.tie[in_image]]
     n = len(names)
-    points = Points(tuple(names), ties.place[mine], result.ties[ties.tie[mine]],
+    tie_points = Points(tuple(names), ties.position[in_image], result.ties[ties.tie[in_image]],
                     np.full((n, 2), state.sigma_ties), ("control",) * n)
     size = image.size
     if image.features is None:
-        return FeatureSet(points, crs=result.block.crs, image_size=size)
+        return FeatureSet(tie_points, crs=result.block.crs, image_size=size)
     wrong = {name for name, used in zip(result.control[i].feature, state.control_in_use[i],
                                         strict=True) if not used}
-    own = image.features.points
+    points = image.features.points
     lines = image.features.lines
     roles = tuple("off" if name in wrong else role or "control"
-                  for name, role in zip(own.ids, own.roles, strict=True))
-    sigma = np.full((len(own), 2), state.sigma_control) if own.sigma is None else own.sigma
-    own = replace(own, sigma=sigma, roles=roles)
-    return FeatureSet(own.join(points), lines.take([name not in wrong for name in lines.ids]),
-                      crs=result.block.crs, image_size=size or image.features.image_size)
+                  for name, role in zip(points.ids, points.roles, strict=True))
+    sigma = np.full((len(points), 2), state.sigma_control)
+    if points.sigma is not None:
+        sigma = points.sigma
+    points = replace(points, sigma=sigma, roles=roles)
+    lines = lines.take([name not in wrong for name in lines.ids])
+    return FeatureSet(points.join(tie_points), lines, crs=result.block.crs,
+                      image_size=size or image.features.image_size)
 
 
 def ties_csv(result: BlockResult) -> str:
     """Return the places of ties with their standard deviations [m] as a table."""
     rows: list[list[object]] = [["id", "x", "y", "z", "sigma_east", "sigma_north", "sigma_up",
                                  "images"]]
-    for name, place, sigma, n in zip(
+    for name, ground, sigma, n in zip(
             result.block.ties.names, result.ties.tolist(), result.sigma_ties.tolist(),
             times_seen(result).tolist(), strict=True):
+        # A tie that one image sees has no position of its own.
         if n > 1:
-            rows.append([name, *(f"{value:.10g}" for value in place),
+            rows.append([name, *(f"{value:.10g}" for value in ground),
                          *(f"{value:.4g}" for value in sigma), n])
     return csv_table(rows)

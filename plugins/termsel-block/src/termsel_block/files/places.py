@@ -55,13 +55,14 @@ def write_places(folder: Path | str, target: Path | str, *, overwrite: bool = Fa
     writers = {".gpkg": _geopackage, ".las": _cloud, ".laz": _cloud}
     if target.suffix.lower() not in writers:
         raise TermselError(f"the suffix {target.suffix!r} tells no format", file=target,
-                           hint=f"Known: {', '.join(writers)}.")
+                           hint=f"ControlHeights: {', '.join(writers)}.")
     require_replaceable([target], reads=[folder / RECORD, folder / TIES], overwrite=overwrite)
     ids, values, crs = _read(folder)
-    with private_folder() as made:
-        whole = made / f"places{target.suffix.lower()}"
-        writers[target.suffix.lower()](whole, target, ids, values, crs)
-        write_bytes(target, whole.read_bytes())
+    # Written in a private folder first: the target is replaced by a whole file or not at all.
+    with private_folder() as private:
+        complete = private / f"places{target.suffix.lower()}"
+        writers[target.suffix.lower()](complete, target, ids, values, crs)
+        write_bytes(target, complete.read_bytes())
     return len(ids)
 
 
@@ -71,6 +72,7 @@ def _read(folder: Path) -> tuple[list[str], FloatArray, str]:
         if not inside(folder, name).is_file():
             raise TermselError(f"there is no block in this folder: it has no {name}", file=folder,
                                hint="Name the folder that termsel block --out wrote.")
+    # Both files come from disk, where anything may have happened to them.
     try:
         record = msgspec.json.decode(read_data(folder / RECORD), type=dict[str, Any])
         text = read_text(folder / TIES)
@@ -86,7 +88,7 @@ def _read(folder: Path) -> tuple[list[str], FloatArray, str]:
     return [unguarded(row[0]) for row in rows], values, str(record.get("crs") or LOCAL)
 
 
-def _geopackage(whole: Path, target: Path, ids: list[str], values: FloatArray, crs: str) -> None:
+def _geopackage(complete: Path, target: Path, ids: list[str], values: FloatArray, crs: str) -> None:
     """Write a layer of points."""
     shapely = _needed("shapely", target, "termsel[gis]")
     write = _needed("pyogrio.raw", target, "termsel[gis]").write
@@ -95,23 +97,25 @@ def _geopackage(whole: Path, target: Path, ids: list[str], values: FloatArray, c
     with warnings.catch_warnings():
         # Plane coordinates have none, as the block says.
         warnings.filterwarnings("ignore", "'crs' was not provided")
-        write(str(whole), shapely.to_wkb(shapely.points(values[:, :3])), fields, names,
+        write(str(complete), shapely.to_wkb(shapely.points(values[:, :3])), fields, names,
               layer="places", driver="GPKG", geometry_type="Point Z", crs=horizontal(crs) or None,
               dataset_options={"VERSION": "1.3"})
 
 
-def _cloud(whole: Path, target: Path, _: list[str], values: FloatArray, crs: str) -> None:
+def _cloud(complete: Path, target: Path, _: list[str], values: FloatArray, crs: str) -> None:
     """Write a point cloud, which has no names."""
     laspy = _needed("laspy", target, "termsel-block[las]")
     header = laspy.LasHeader(point_format=6, version="1.4")
-    known = horizontal(crs)
+    system_name = horizontal(crs)
     degrees = False
-    if known:
-        system = _needed("pyproj", target, "termsel[gis]").CRS(known)
+    if system_name:
+        system = _needed("pyproj", target, "termsel[gis]").CRS(system_name)
         degrees = system.is_geographic
         header.add_crs(system)
+    # LAS holds whole numbers of steps from an offset.
     header.offsets = np.floor(values[:, :3].min(axis=0)) if len(values) else np.zeros(3)
     step = _STEPS[degrees]
+    # Heights are in metres in either case.
     header.scales = np.array([step, step, _STEPS[0]])
     names = ("sigma_east", "sigma_north", "sigma_up")
     header.add_extra_dims([laspy.ExtraBytesParams(name, np.float32) for name in names]
@@ -122,7 +126,7 @@ def _cloud(whole: Path, target: Path, _: list[str], values: FloatArray, crs: str
         cloud[name] = column.astype(np.float32)
     cloud["images"] = values[:, 6].astype(np.uint16)
     try:
-        cloud.write(str(whole))
+        cloud.write(str(complete))
     except laspy.LaspyException as error:
         raise TermselError(f"laspy cannot write this: {str(error).rstrip('.')}", file=target,
                            hint="LAZ needs lazrs: pip install lazrs. Or name a .las.") from error

@@ -29,15 +29,17 @@ def together(folder: Path, last: str) -> Iterator[Path]:
     TermselError
         If another process is at work in the folder, or a file cannot be written.
     """
-    above = [place for place in (folder, *folder.absolute().parents) if not place.exists()]
+    # Folders that this creates, so that it can remove them if nothing comes into them.
+    above = [parent for parent in (folder, *folder.absolute().parents) if not parent.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with locked(folder), private_folder(folder) as made:
-            new = made / "new"
-            old = made / "old"
+        with locked(folder), private_folder(folder) as private:
+            new = private / "new"
+            old = private / "old"
             new.mkdir()
             old.mkdir()
             yield new
+            # The last file tells that all are there: it is moved when the others are.
             files = sorted((file for file in new.rglob("*") if file.is_file()),
                            key=lambda file: file == new / last)
             _put(files, new, old, folder)
@@ -46,31 +48,35 @@ def together(folder: Path, last: str) -> Iterator[Path]:
                            hint="Check that the folder is writable and has free space, or choose "
                                 "another --out.") from error
     finally:
-        for place in above:
-            with suppress(OSError):  # it has something
-                place.rmdir()
+        for parent in above:
+            # It has something.
+            with suppress(OSError):
+                parent.rmdir()
 
 
 def _put(files: list[Path], new: Path, old: Path, folder: Path) -> None:
     """Move files to where they belong, and back if one cannot be moved."""
     moves: list[tuple[Path, Path]] = []
-    made: list[Path] = []
+    new_folders: list[Path] = []
     try:
         for file in files:
             name = file.relative_to(new)
-            for parent in reversed(name.parents[:-1]):
-                if not (folder / parent).exists():
-                    (folder / parent).mkdir()
-                    made.append(folder / parent)
-                (old / parent).mkdir(exist_ok=True)
+            for subfolder in reversed(name.parents[:-1]):
+                if not (folder / subfolder).exists():
+                    (folder / subfolder).mkdir()
+                    new_folders.append(folder / subfolder)
+                (old / subfolder).mkdir(exist_ok=True)
+            # What is there moves to `old`, then the new file takes its place; moves are kept to go
+            # back.
             for start, end in ((folder / name, old / name), (file, folder / name)):
                 if os.path.lexists(start):
                     start.rename(end)
                     moves.append((start, end))
         sync(folder)
+    # On an interruption, too: everything moves back in the opposite order.
     except BaseException:
         for start, end in reversed(moves):
             end.rename(start)
-        for place in reversed(made):
-            place.rmdir()
+        for parent in reversed(new_folders):
+            parent.rmdir()
         raise

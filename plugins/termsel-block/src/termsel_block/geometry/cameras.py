@@ -73,8 +73,8 @@ class Camera(ABC):
 
     groups: tuple[str, ...]
     spread: tuple[float, ...]
-    least: tuple[float, ...]
-    kept: frozenset[str] = frozenset()
+    min_spread: tuple[float, ...]
+    permanent: frozenset[str] = frozenset()
     wide: frozenset[str] = frozenset()
     nested = False
     stated: Mapping[str, int] = MappingProxyType({})
@@ -173,7 +173,7 @@ class RpcCamera(Camera):
         # same error of yaw or roll changes an image along its lines by about a pixel.
         self.spread = tuple({"shift": 20.0, "drift": 2.0, "affine": 1.0, self.SMOOTH: 2.0}[name]
                             for name in groups)
-        self.least = (1e-4,) * len(self.groups)
+        self.min_spread = (1e-4,) * len(self.groups)
 
     def only(self, keep: BoolArray) -> RpcCamera:
         """Return the camera with some of its columns."""
@@ -216,7 +216,8 @@ def groups_of(correction: str) -> tuple[str, ...]:
 
 def _cosines(lines: FloatArray) -> FloatArray:
     """Return functions (`_WAVES`, n) of lines in half images, each without its part in 1 and l."""
-    lines = np.clip(lines, -1.2, 1.2)  # beyond the image nothing wanders on
+    # Beyond the image nothing wanders on.
+    lines = np.clip(lines, -1.2, 1.2)
     number = np.arange(1, _WAVES + 1)[:, None]
     # The integral of cosine and line over that of the line's square.
     linear = 6 * ((-1.0) ** number - 1) / (np.pi * number) ** 2
@@ -243,7 +244,7 @@ class PolynomialCamera(Camera):
     open, the derivatives of the perspective by it tell how far.
     """
 
-    kept = frozenset({_AFFINE, _QUADRATIC})
+    permanent = frozenset({_AFFINE, _QUADRATIC})
     wide = frozenset({_AFFINE})
 
     def __init__(self, centre: FloatArray, half_ground: float, half_image: float,
@@ -260,7 +261,7 @@ class PolynomialCamera(Camera):
         least = {_QUADRATIC: _STRAIGHTEST * half_image, _RELIEF: near / 2 * half_image}
         self.spread = tuple(spread.get(name, half_image * (0.5 if p[2] else 10.0))
                             for name, p in zip(self.groups, powers, strict=True))
-        self.least = tuple(least.get(name, 1e-4) for name in self.groups)
+        self.min_spread = tuple(least.get(name, 1e-4) for name in self.groups)
 
     def only(self, keep: BoolArray) -> PolynomialCamera:
         """Return the camera with some of its columns."""
@@ -299,9 +300,11 @@ class PolynomialCamera(Camera):
         """
         line, sample = slopes.T
         ray = np.cross(line, sample)
-        if abs(ray[2]) <= 1e-3 * np.linalg.norm(ray):  # of no image from above
+        # Of no image from above.
+        if abs(ray[2]) <= 1e-3 * np.linalg.norm(ray):
             return np.zeros((2, 3, 3))
-        ray *= -np.sign(ray[2]) / np.linalg.norm(ray)  # downwards
+        # Downwards.
+        ray *= -np.sign(ray[2]) / np.linalg.norm(ray)
         # Where the ground that one sample sees is a line later.
         way = np.array([sample[1], -sample[0]]) / (line[0] * sample[1] - line[1] * sample[0])
         away = ray - (ray[:2] @ way) * line

@@ -42,6 +42,7 @@ class OwnControl:
 
     def points(self) -> tuple[FloatArray, FloatArray]:
         """Return places (n, 3) [m] and image positions (n, 2) [px] of the points alone."""
+        # The two rows of a point measure in different directions, those of a line in the same one.
         at = np.flatnonzero((self.normal[::2] != self.normal[1::2]).any(axis=1))
         return self.local[2 * at], np.stack([self.value[2 * at], self.value[2 * at + 1]], axis=1)
 
@@ -54,8 +55,10 @@ def own_control(features: FeatureSet | None, frame: Frame) -> OwnControl:
     lines = features.lines
     n = len(points)
     k = len(lines)
+    # Only ratios count: the standard deviation of all control is estimated by the block.
     sigma = np.ones((n, 2)) if points.sigma is None else points.sigma / np.median(points.sigma)
     across = np.ones(k) if lines.sigma is None else lines.sigma / np.median(lines.sigma)
+    # A line n . (line, sample) = rho: both its ground vertices must lie on it.
     normal, rho = line_normals(lines)
     axes = np.tile(np.eye(2), (n, 1))
     return OwnControl(

@@ -42,11 +42,13 @@ class Frame:
         middle = np.median(ground, axis=0)
         if crs == LOCAL:
             return cls(crs, middle, np.eye(3))
-        place = to_wgs84(crs)(middle[None])
-        lon, lat = np.radians(place[0, :2])
+        # The axes of a local tangent plane at the middle: east, north, up, in earth-fixed
+        # coordinates.
+        geodetic = to_wgs84(crs)(middle[None])
+        lon, lat = np.radians(geodetic[0, :2])
         east = [-np.sin(lon), np.cos(lon), 0.0]
         up = [np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)]
-        return cls(crs, to_ecef(place)[0], np.array([east, np.cross(up, east), up]))
+        return cls(crs, to_ecef(geodetic)[0], np.array([east, np.cross(up, east), up]))
 
     def local(self, ground: FloatArray) -> FloatArray:
         """Return metres of ground coordinates, shape (n, 3)."""

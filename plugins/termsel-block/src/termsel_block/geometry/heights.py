@@ -12,21 +12,24 @@ from termsel_block.geometry.frame import BoolArray, FloatArray, Frame, IntArray
 Surface = Callable[[FloatArray], FloatArray]
 """Heights at ground coordinates x and y (n, 2)."""
 
-_SLOPE_OVER = 10.0  # m
+# In m.
+_SLOPE_OVER = 10.0
 _LIKE_GROUND, _LIKE_ERRORS = 6.0, 30.0
 """Independent heights in an image at most: neighbours share hills, and a DEM's errors."""
 OFF = 10.0
 """Standard deviation of how far a DEM is off as a whole [m]: most are by another geoid."""
 _OF_GROUND, _OF_ERRORS = 20.0, 5.0
 """Usual roughness of level ground and of a DEM's errors [m]: it counts as `_AS_MANY` ties do."""
-_LEAST_SIGMA = 0.5  # m
+# In m.
+_LEAST_SIGMA = 0.5
 _AS_MANY = 2.0
-_FAR = 4.0  # robust standard deviations beyond which a height tells nothing more of the roughness
+# Robust standard deviations beyond which a height tells nothing more of the roughness.
+_FAR = 4.0
 _MAD = 1.4826
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class ControlHeights:
     """Heights that control states.
 
     Parameters
@@ -85,7 +88,7 @@ class Heights:
         Height and its uncertainty where there is no DEM [m].
     surface : callable, optional
         Heights of the DEM at ground coordinates x and y (n, 2); not finite where it has none.
-    known : Known
+    known : ControlHeights
         Heights of control.
     crowd : float
         Ties of an image, so that those which share a hill do not count as if each were by itself.
@@ -95,7 +98,7 @@ class Heights:
     mean: float
     spread: float
     surface: Surface | None = None
-    known: Known = field(default_factory=Known)
+    control_heights: ControlHeights = field(default_factory=ControlHeights)
     crowd: float = 1.0
     offset: float = 0.0
     far: float = 0.0
@@ -110,11 +113,11 @@ class Heights:
     def __post_init__(self) -> None:
         if np.isnan(self.sigma):
             self.sigma = self.spread if self.surface is None else _OF_ERRORS
-        self.control = self._alike(self.known.over)
+        self.control = self._alike(self.control_heights.over)
 
     def keep(self, rows: Sequence[BoolArray]) -> None:
         """Take the heights of control whose rows, which each image states, are in use."""
-        self.control = self._alike(self.known.over[self.known.agreed(rows)])
+        self.control = self._alike(self.control_heights.over[self.control_heights.agreed(rows)])
 
     def _alike(self, over: FloatArray) -> FloatArray:
         """Return the heights that are not far from the median of all.
@@ -124,6 +127,8 @@ class Heights:
         """
         with_prior = np.append(over, 0.0)
         middle = np.median(with_prior)
+        # The prior counts as `_AS_MANY` heights of the usual roughness: a few that agree are no
+        # proof.
         scale = _MAD * np.median(np.abs(with_prior - middle))
         variance = (len(with_prior) * scale**2 + _AS_MANY * self._usual**2) / (
             len(with_prior) + _AS_MANY)
@@ -142,31 +147,36 @@ class Heights:
     def observed(self, ties: FloatArray) -> Observed:
         """Return the heights of ties (t, 3) as observations."""
         away, joint = self._away(ties)
+        # Heights of a crowded image weigh less, so that all together count as `_many` at most.
         weight = np.full(len(ties), self.sigma**-2 / max(self.crowd / self._many, 1.0))
         weight[~joint] = self.spread**-2
         row = np.zeros((len(ties), 3))
-        row[:, 2] = 1.0  # up is up, within the milliradians that a block is wide
+        # Up is up, within the milliradians that a block is wide.
+        row[:, 2] = 1.0
         if self.surface is not None:
             height = self.surface(self.frame.ground(ties)[:, :2])
+            # A slope of the ground makes the height over it depend on east and north, too.
             for axis in range(2):
-                there = ties.copy()
-                there[:, axis] += _SLOPE_OVER
-                slope = (self.surface(self.frame.ground(there)[:, :2]) - height) / _SLOPE_OVER
+                shifted = ties.copy()
+                shifted[:, axis] += _SLOPE_OVER
+                slope = (self.surface(self.frame.ground(shifted)[:, :2]) - height) / _SLOPE_OVER
                 row[:, axis] = np.where(np.isfinite(slope), -slope, 0.0)
         return Observed(row, away, weight, joint)
 
     def equations(self, ties: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return what they add to the ties' normal equations, (t, 3, 3) and (t, 3)."""
-        seen = self.observed(ties)
-        return (np.einsum("t,ti,tj->tij", seen.weight, seen.row, seen.row),
-                (seen.weight * seen.away)[:, None] * seen.row)
+        # H = w a a^T and b = w a r of each tie, by its row a and residual r.
+        observed = self.observed(ties)
+        return (np.einsum("t,ti,tj->tij", observed.weight, observed.row, observed.row),
+                (observed.weight * observed.away)[:, None] * observed.row)
 
     def of_offset(self) -> tuple[float, float]:
         """Return what the prior and control add to the offset's normal equation."""
+        # Normal equation (p + n w) o = w sum(h) of the offset o, less its value now.
         prior = self._of_prior()
-        each = self._of_control()
-        return (prior + each * len(self.control),
-                each * float((self.control - self.offset).sum()) - prior * self.offset)
+        weight = self._of_control()
+        return (prior + weight * len(self.control),
+                weight * float((self.control - self.offset).sum()) - prior * self.offset)
 
     def _of_prior(self) -> float:
         """Return the weight of no offset: a DEM that is hundreds of metres off is not of the kind.
@@ -184,12 +194,12 @@ class Heights:
     def cost(self, ties: FloatArray) -> float:
         """Return the sum of squares of what is off, over the variances."""
         away, joint = self._away(ties)
-        each = self.sigma**-2 / max(self.crowd / self._many, 1.0)
-        return float(each * (away[joint] ** 2).sum() + (away[~joint] ** 2).sum() / self.spread**2
+        weight = self.sigma**-2 / max(self.crowd / self._many, 1.0)
+        return float(weight * (away[joint] ** 2).sum() + (away[~joint] ** 2).sum() / self.spread**2
                      + self._of_prior() * self.offset**2
                      + self._of_control() * ((self.control - self.offset) ** 2).sum())
 
-    def estimate(self, ties: FloatArray, covariance: FloatArray, seen: BoolArray) -> None:
+    def estimate(self, ties: FloatArray, covariance: FloatArray, is_seen: BoolArray) -> None:
         """Estimate the roughness by the ties (t, 3) that are seen, and by control.
 
         Parameters
@@ -199,18 +209,21 @@ class Heights:
         """
         self.far = abs(self.offset)
         all_seen = self.observed(ties)
-        at = seen & all_seen.joint
+        at = is_seen & all_seen.joint
         row = all_seen.row[at]
         away = all_seen.away[at]
+        # The variance of each height over the surface, by that of its position.
         variance = np.einsum("ti,tij,tj->t", row, covariance[at], row)
         # As if each tie had the whole of its own prior, and not the part that crowding leaves.
         precision = np.maximum(1 / variance - all_seen.weight[at], 0.0) + self.sigma**-2
+        # Expected squares: residual plus variance, and heights of control as they are.
         square = np.concatenate([away**2 + 1 / precision, (self.control - self.offset) ** 2])
         if not len(square):
             return
-        most = (_FAR * _MAD) ** 2 * float(np.median(square))
+        # Far heights count as those at the limit, so that a tower or a hole does not make hills.
+        largest_square = (_FAR * _MAD) ** 2 * float(np.median(square))
         self.sigma = max(float(np.sqrt(
-            (np.minimum(square, most).sum() + _AS_MANY * self._usual**2)
+            (np.minimum(square, largest_square).sum() + _AS_MANY * self._usual**2)
             / (len(square) + _AS_MANY))), _LEAST_SIGMA)
 
     def _away(self, ties: FloatArray) -> tuple[FloatArray, BoolArray]:
@@ -220,5 +233,6 @@ class Heights:
         if self.surface is None:
             return over + self.offset, np.ones(len(ties), bool)
         height = self.surface(ground[:, :2])
-        known = np.isfinite(height)
-        return np.where(known, height + self.offset - ground[:, 2], over), known
+        # Off the DEM the mean height holds, and the offset has no part in it.
+        is_known = np.isfinite(height)
+        return np.where(is_known, height + self.offset - ground[:, 2], over), is_known

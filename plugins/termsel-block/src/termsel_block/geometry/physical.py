@@ -102,8 +102,8 @@ class PhysicalCamera(Camera):
         self.first = np.pad(values / self.scale, (0, 2 * half - len(prior))).reshape(half, 2)
         self.groups = (self.model.name,) * half
         self.spread = (1.0,) * half
-        self.least = (1e-4,) * half
-        self.kept = self.wide = frozenset({self.model.name})
+        self.min_spread = (1e-4,) * half
+        self.permanent = self.wide = frozenset({self.model.name})
         self.stated = {f"{self.model.name} {term}": k % 2 * half + k // 2
                        for k, term in enumerate(self.model.terms) if self.has_prior[k]}
         self.looser = np.ones(2 * half)
@@ -204,7 +204,8 @@ class PhysicalCamera(Camera):
 
     def _seen(self, values: FloatArray, local: FloatArray) -> FloatArray:
         """Return line and sample (p, n, 2) by values (p, k)."""
-        with np.errstate(all="ignore"):  # a step to no camera at all is made shorter
+        # A step to no camera at all is made shorter.
+        with np.errstate(all="ignore"):
             scaled = self.model.project(values, self.scaling.ground(self.frame.ground(local)))
         return np.asarray(self.scaling.pixels(scaled))
 

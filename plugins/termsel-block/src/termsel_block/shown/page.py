@@ -32,11 +32,16 @@ figure { margin: 1.5rem 0; } figure div { background: #fff; overflow-x: auto; pa
 svg { max-width: 100%; height: auto; }
 """
 
-_MOST = 3000  # ties in a picture
-_IMAGES = 40  # images in the picture of their RMSE
-_TOLD_APART = 20  # images whose outlines have colours of their own
-_SIDE, _NARROW = 560.0, 220.0  # px of a map: its longer side, and the least of the other
-_LISTED = 50  # measurements left out that the page names
+# Ties in a picture.
+_MOST = 3000
+# Images in the picture of their RMSE.
+_IMAGES = 40
+# Images whose outlines have colours of their own.
+_TOLD_APART = 20
+# In px of a map: its longer side, and the least of the other.
+_SIDE, _NARROW = 560.0, 220.0
+# Measurements left out that the page names.
+_LISTED = 50
 
 
 def page_of(result: BlockResult, record: BlockRecord) -> str:
@@ -78,17 +83,17 @@ def _figure(title: str, text: str, draw: Callable[[], str]) -> str:
     """Return a picture with its title and what it shows, or why it could not be drawn."""
     try:
         require_altair()
-        shown = f"<div>{draw()}</div><figcaption>{text}</figcaption>"
+        figure = f"<div>{draw()}</div><figcaption>{text}</figcaption>"
     except TermselError as error:
         log.warning("Warning: the page lacks the picture %r: %s.", title, error.what.rstrip("."))
-        shown = f"<figcaption>This picture is missing: {html.escape(error.what)}.</figcaption>"
-    return f"<section><h2>{title}</h2><figure>{shown}</figure></section>"
+        figure = f"<figcaption>This picture is missing: {html.escape(error.what)}.</figcaption>"
+    return f"<section><h2>{title}</h2><figure>{figure}</figure></section>"
 
 
 def _first(record: BlockRecord) -> str:
     """Return how many images of all are shown, as part of a sentence; empty if all are."""
-    some = len(record.images) > _IMAGES
-    return f"; {_IMAGES} of {len(record.images)} are shown" if some else ""
+    has_more = len(record.images) > _IMAGES
+    return f"; {_IMAGES} of {len(record.images)} are shown" if has_more else ""
 
 
 def _some(result: BlockResult) -> str:
@@ -104,21 +109,23 @@ def _placed(result: BlockResult) -> IntArray:
 
 def _left_out(record: BlockRecord) -> str:
     """Return a table of what was left out: control, then ties, of each the worst first."""
-    every: list[tuple[str, WrongTie | WrongControl]] = [
-        ("control", one) for one in record.wrong_control]
-    every += [("tie", one) for one in record.wrong_ties]
-    if not every:
+    blunders: list[tuple[str, WrongTie | WrongControl]] = [
+        ("control", wrong) for wrong in record.wrong_control]
+    blunders += [("tie", wrong) for wrong in record.wrong_ties]
+    if not blunders:
         return ""
     rows = "".join(
-        f"<tr><th scope=row>{html.escape(one.id)}</th><td>{html.escape(one.image)}</td>"
-        f"<td>{kind}</td><td>{one.error:.1f}</td>"
-        f"<td class=remark>{reason_of(one, record)}</td></tr>"
-        for kind, one in every[:_LISTED])
-    more = f"<p>{len(every) - _LISTED} more are in block.json.</p>" if len(every) > _LISTED else ""
+        f"<tr><th scope=row>{html.escape(wrong.id)}</th><td>{html.escape(wrong.image)}</td>"
+        f"<td>{kind}</td><td>{wrong.error:.1f}</td>"
+        f"<td class=remark>{reason_of(wrong, record)}</td></tr>"
+        for kind, wrong in blunders[:_LISTED])
+    further = ""
+    if len(blunders) > _LISTED:
+        further = f"<p>{len(blunders) - _LISTED} more are in block.json.</p>"
     heads = "".join(f"<th scope=col>{name}</th>" for name in (
         "id", "image", "kind", "distance [px]", "remark"))
     return ("<section><h2>Left out as blunders</h2><div class=wide tabindex=0><table><thead>"
-            f"<tr>{heads}</tr></thead><tbody>{rows}</tbody></table></div>{more}</section>")
+            f"<tr>{heads}</tr></thead><tbody>{rows}</tbody></table></div>{further}</section>")
 
 
 def _svg(chart: Any) -> str:
@@ -135,26 +142,30 @@ def _map(result: BlockResult) -> str:
     ties = result.block.ties
     state = result.adjusted.state
     placed = _placed(result)
-    some = placed[np.linspace(0, len(placed) - 1, min(_MOST, len(placed))).astype(int)]
+    # Evenly over the list, as many as a browser draws in good time.
+    drawn = placed[np.linspace(0, len(placed) - 1, min(_MOST, len(placed))).astype(int)]
     dots = [{"east": float(e), "north": float(n), "sigma": float(s)} for e, n, s in zip(
-        state.ties[some, 0] / 1000, state.ties[some, 1] / 1000, result.sigma_ties[some, 2],
+        state.ties[drawn, 0] / 1000, state.ties[drawn, 1] / 1000, result.sigma_ties[drawn, 2],
         strict=True)]
+    # Images may share control: each position is drawn once.
     control = np.unique(np.concatenate([
-        known.local[used, :2] for known, used in zip(
+        control_of_image.local[used, :2] for control_of_image, used in zip(
             result.control, state.control_in_use, strict=True)]) / 1000, axis=0)
     marks = [{"east": float(e), "north": float(n)} for e, n in control]
     outlines = []
     for i, image in enumerate(result.block.images):
-        own = ties.tie[ties.image == i]
-        places = state.ties[own[np.isin(own, placed)], :2] / 1000
+        of_image = ties.tie[ties.image == i]
+        outline = state.ties[of_image[np.isin(of_image, placed)], :2] / 1000
         try:
-            hull = ConvexHull(places).vertices
-        except (QhullError, ValueError):  # fewer than three, or on a line
+            hull = ConvexHull(outline).vertices
+        except (QhullError, ValueError):
+            # Fewer than three, or on a line.
             continue
-        outlines += [{"east": float(places[k, 0]), "north": float(places[k, 1]), "order": order,
+        # The outline is closed: the first vertex comes again at the end.
+        outlines += [{"east": float(outline[k, 0]), "north": float(outline[k, 1]), "order": order,
                       "image": image.name} for order, k in enumerate([*hull, hull[0]])]
-    seen = [state.ties[placed, :2] / 1000, control]
-    (x_of, width), (y_of, height) = _one_scale(np.concatenate(seen))
+    all_ground = [state.ties[placed, :2] / 1000, control]
+    (x_of, width), (y_of, height) = _one_scale(np.concatenate(all_ground))
     x = alt.X("east:Q", title="east [km]", scale=alt.Scale(domain=x_of, nice=False),
               axis=alt.Axis(tickCount=width / 60))
     y = alt.Y("north:Q", title="north [km]", scale=alt.Scale(domain=y_of, nice=False),
@@ -175,12 +186,14 @@ def _map(result: BlockResult) -> str:
         width=width, height=height))
 
 
-def _one_scale(places: FloatArray) -> list[tuple[list[float], float]]:
+def _one_scale(ground: FloatArray) -> list[tuple[list[float], float]]:
     """Return domain [km] and size [px] of either axis, with as many px a kilometre in both."""
-    low = places.min(axis=0)
-    high = places.max(axis=0)
+    low = ground.min(axis=0)
+    high = ground.max(axis=0)
+    # A margin of 2 % on each side.
     extent = np.maximum(1.04 * (high - low), 1e-3)
     scale = _SIDE / extent.max()
+    # A narrow block still gets a map that can be read: the short side is made longer.
     extent = np.maximum(extent, _NARROW / scale)
     return [([float(middle - half), float(middle + half)], float(2 * half * scale))
             for middle, half in zip((low + high) / 2, extent / 2, strict=True)]
@@ -191,8 +204,10 @@ def _bars(record: BlockRecord) -> str:
     import altair as alt
 
     images = sorted(record.images, key=lambda image: -image.uncertainty)[:_IMAGES]
-    rows = [{"image": image.name, "what": what, "px": value} for image in images
-            for what, value in (("ties", image.rmse_ties), ("predicted", image.uncertainty))]
+    rows = []
+    for image in images:
+        rows.append({"image": image.name, "what": "ties", "px": image.rmse_ties})
+        rows.append({"image": image.name, "what": "predicted", "px": image.uncertainty})
     return _svg(alt.Chart(alt.Data(values=rows)).mark_bar().encode(
         x=alt.X("px:Q", title="RMSE [px]", axis=alt.Axis(tickCount=8)), yOffset="what:N",
         y=alt.Y("image:N", title="image", sort=[image.name for image in images]),
@@ -203,7 +218,8 @@ def _residuals(result: BlockResult) -> str:
     """Return how many measurements are how far from the model."""
     import altair as alt
 
-    far = np.concatenate([np.hypot(*part.T) for part in result.adjusted.residuals])
+    far = np.concatenate([np.hypot(*residuals.T) for residuals in result.adjusted.residuals])
+    # All beyond six standard deviations are one bar, so that the others can be seen.
     limit = 6 * result.adjusted.state.sigma_ties
     count, edges = np.histogram(np.minimum(far, limit), bins=24, range=(0, limit))
     rows = [{"from": float(a), "to": float(b), "count": int(n)}

@@ -127,61 +127,74 @@ def record_of(result: BlockResult) -> BlockRecord:
     adjusted = result.adjusted
     images = [_image(result, i) for i in range(len(block.images))]
     space = in_space(result)
-    parts = joined(block.ties.tie, block.ties.image, len(block.images))
+    joined_images = joined(block.ties.tie, block.ties.image, len(block.images))
     east, north, up = np.median(result.sigma_ties[times_seen(result) > 1], axis=0).tolist()
+    parts = []
+    for indices in joined_images:
+        parts.append([block.images[i].name for i in indices])
     return BlockRecord(
-        SCHEMA, block.crs, images, len(block.ties.names), len(block.ties.tie),
-        adjusted.state.sigma_ties, adjusted.state.sigma_control, adjusted.freedom, adjusted.steps,
-        adjusted.converged, _datum(images),
-        [[block.images[i].name for i in part] for part in parts], (east, north, up),
-        _wrong_ties(result), _wrong_control(result), [*block.notes, *doubts(result)],
-        None if space is None else SpaceRecord(space.east, space.north, space.up, space.n))
+        schema=SCHEMA, crs=block.crs, images=images, ties=len(block.ties.names),
+        measurements=len(block.ties.tie), sigma_ties=adjusted.state.sigma_ties,
+        sigma_control=adjusted.state.sigma_control, redundancy=adjusted.freedom,
+        steps=adjusted.steps, converged=adjusted.converged, datum=_datum(images), parts=parts,
+        sigma_places=(east, north, up), wrong_ties=_wrong_ties(result),
+        wrong_control=_wrong_control(result), notes=[*block.notes, *doubts(result)],
+        independent=None if space is None else SpaceRecord(
+            space.east, space.north, space.up, space.n))
 
 
 def doubts(result: BlockResult) -> list[str]:
     """Return what is unlikely of good data, as sentences."""
     adjusted = result.adjusted
-    said = []
+    notes = []
     if adjusted.state.sigma_ties > _COARSE:
-        said.append(f"Ties agree to {adjusted.state.sigma_ties:.1f} px only, which is coarse for "
+        notes.append(f"Ties agree to {adjusted.state.sigma_ties:.1f} px only, which is coarse for "
                     "measurements: check RPCs and ties, and that line and sample are not "
                     "exchanged.")
     if not adjusted.converged:
         worst = [result.block.images[i].name for i in np.argsort(-adjusted.moved)[:_NAMED]
                  if adjusted.moved[i] > _MOVING]
-        said.append((f"Images that still moved in the last step: {', '.join(worst)}. Give them "
+        notes.append((f"Images that still moved in the last step: {', '.join(worst)}. Give them "
                      if worst else "The precision of ties and control did not settle. Give images "
                      ) + "more control points or ties, or a plainer model.")
-    said += doubts_of_models(result.block, adjusted)
+    notes += doubts_of_models(result.block, adjusted)
     for i, image in enumerate(result.block.images):
         used = adjusted.state.in_use[i]
         if len(used) and used.mean() < _FEW:
-            said.append(f"{(~used).sum()} of {len(used)} ties of {image.name} were left out: check "
+            notes.append(f"{(~used).sum()} of {len(used)} ties of {image.name} were left out: "
+                         "check "
                         "its model, and whether the ties are of this image.")
         control = adjusted.state.control_in_use[i]
         if len(control) and control.mean() < _FEW:
-            said.append(f"{(~control).sum() / len(control):.0%} of the control of {image.name} was "
+            notes.append(f"{(~control).sum() / len(control):.0%} of the control of {image.name} "
+                         "was "
                         "left out: check its places and heights, and those of the DEM if there is "
                         "one.")
+        # Ties and control may be of another image, another unit, or another datum: each shows
+        # elsewhere.
         ties = adjusted.state.ties[result.block.ties.tie[result.block.ties.image == i]]
         camera = result.camera(i)
         if isinstance(camera, RpcCamera) and len(control):
             heights = result.frame.geodetic(result.control[i].local)[:, 2]
+            # Heights of control over the mean height of the RPC, in half ranges of the RPC's
+            # heights.
             over = heights - camera.rpc.ground_offset[2]
             low = float(np.abs(over).min())
             if low > _BEYOND * abs(camera.rpc.ground_scale[2]):
-                said.append(f"The control of {image.name} is {low:.0f} m or more "
+                notes.append(f"The control of {image.name} is {low:.0f} m or more "
                             f"{'above' if over[0] > 0 else 'below'} the mean height of its RPC: "
                             "check the unit of its heights and what they refer to.")
         if isinstance(camera, RpcCamera) and len(ties):
+            # What the correction adds over the image: constant for a shift, and then nothing to
+            # say.
             bent = camera.first_order(ties)[1] @ adjusted.state.parameters[i]
             if np.ptp(bent, axis=0).max() > _BENT:
-                said.append(f"The correction of the RPC of {image.name} differs by "
+                notes.append(f"The correction of the RPC of {image.name} differs by "
                             f"{np.ptp(bent, axis=0).max():.0f} px over the image: is it of another "
                             "image?")
     if result.block.dem is not None and abs(adjusted.offset) > _OFF:
-        said.append(off_as_a_whole(-adjusted.offset, "the ground", "by control and ties"))
-    return said
+        notes.append(off_as_a_whole(-adjusted.offset, "the ground", "by control and ties"))
+    return notes
 
 
 def _image(result: BlockResult, i: int) -> ImageRecord:
@@ -191,14 +204,19 @@ def _image(result: BlockResult, i: int) -> ImageRecord:
     used = state.in_use[i]
     expected = predicted(result, i)
     points = independent_points(result, i)
-    own = result.adjusted.residuals[i][used]
+    residuals = result.adjusted.residuals[i][used]
     control = set(np.array(result.control[i].feature)[state.control_in_use[i]].tolist())
+    independent = None
+    if points is not None:
+        independent = rmse(points.image - result.project(i, points.ground))
     return ImageRecord(
-        image.name, correction_of(result, i), dict(result.adjusted.evidence[i]), len(control),
-        int(used.sum()), rmse(own) if len(own) else 0.0, expected.rmse, expected.low,
-        expected.high, predicted(result, i, anywhere=True).rmse, None if points is None else rmse(
-            points.image - result.project(i, points.ground)), 0 if points is None else len(points),
-        None if image.rpc_file is None else image.rpc_file.name, dict(image.options))
+        name=image.name, model=correction_of(result, i),
+        evidence=dict(result.adjusted.evidence[i]), control=len(control), ties=int(used.sum()),
+        rmse_ties=rmse(residuals) if len(residuals) else 0.0, predicted=expected.rmse,
+        low=expected.low, high=expected.high,
+        uncertainty=predicted(result, i, anywhere=True).rmse, independent=independent,
+        n_independent=0 if points is None else len(points),
+        rpc=None if image.rpc_file is None else image.rpc_file.name, options=dict(image.options))
 
 
 def correction_of(result: BlockResult, i: int) -> str:
@@ -223,34 +241,36 @@ def _datum(images: Sequence[ImageRecord]) -> str:
 
 def _wrong_ties(result: BlockResult) -> list[WrongTie]:
     """Return the measurements of ties that were left out, the worst first."""
-    found = []
+    wrong_ties = []
     ties = result.block.ties
     for i, (residual, used) in enumerate(zip(
             result.adjusted.residuals, result.adjusted.state.in_use, strict=True)):
         names = ties.tie[ties.image == i]
-        found += [WrongTie(ties.names[names[k]], result.block.images[i].name,
+        wrong_ties += [WrongTie(ties.names[names[k]], result.block.images[i].name,
                            float(np.hypot(*residual[k]))) for k in np.flatnonzero(~used)]
-    return sorted(found, key=lambda wrong: -wrong.error)
+    return sorted(wrong_ties, key=lambda wrong: -wrong.error)
 
 
 def _wrong_control(result: BlockResult) -> list[WrongControl]:
     """Return the control that was left out, the worst first."""
-    found = []
-    for i, (known, residual, used) in enumerate(zip(
+    wrong_control = []
+    for i, (control, residual, used) in enumerate(zip(
             result.control, result.adjusted.of_control, result.adjusted.state.control_in_use,
             strict=True)):
         errors: dict[str, float] = {}
         for k in np.flatnonzero(~used):
-            name = known.feature[k]
+            name = control.feature[k]
+            # Both rows of a feature together: the root of the sum of squares.
             errors[name] = float(np.hypot(errors.get(name, 0.0), residual[k]))
-        found += [WrongControl(name, result.block.images[i].name, error)
+        wrong_control += [WrongControl(name, result.block.images[i].name, error)
                   for name, error in errors.items()]
-    return sorted(found, key=lambda wrong: -wrong.error)
+    return sorted(wrong_control, key=lambda wrong: -wrong.error)
 
 
 def times_seen(result: BlockResult) -> IntArray:
     """Return how many images see each tie, blunders left out: below two it has no place."""
-    ties, count = result.block.ties, np.zeros(len(result.block.ties.names), int)
+    ties = result.block.ties
+    count = np.zeros(len(ties.names), int)
     for i, used in enumerate(result.adjusted.state.in_use):
         np.add.at(count, ties.tie[ties.image == i], used)
     return count
@@ -262,7 +282,8 @@ def joined(tie: Any, image: Any, count: int) -> list[list[int]]:
     from scipy.sparse.csgraph import connected_components
 
     ties = int(tie.max()) + 1
+    # A graph of images and ties: an edge is a measurement, and a component what ties join.
     graph = coo_matrix((np.ones(len(tie)), (image, count + tie)), shape=(count + ties,) * 2)
-    _, part = connected_components(graph, directed=False)
-    part = part[:count]
-    return [np.flatnonzero(part == k).tolist() for k in dict.fromkeys(part.tolist())]
+    _, component = connected_components(graph, directed=False)
+    component = component[:count]
+    return [np.flatnonzero(component == k).tolist() for k in dict.fromkeys(component.tolist())]

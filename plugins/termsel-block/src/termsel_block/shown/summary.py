@@ -20,15 +20,17 @@ def opening(record: BlockRecord) -> str:
     measured = (f"{len(record.images)} images, {record.ties} ties measured {record.measurements} "
                 f"times, {points} measurements of control, CRS {record.crs}.")
     worst = max(record.images, key=lambda image: image.uncertainty)
-    judged = [image for image in record.images if image.independent is not None]
+    with_accuracy = [image for image in record.images if image.independent is not None]
     lines = ["Read: " + measured, "Datum: " + record.datum,
              f"Precision: a tie is measured to {record.sigma_ties:.2f} px, control to "
              f"{record.sigma_control:.2f} px."]
-    if judged:
-        squares = sum(image.n_independent * (image.independent or 0.0)**2 for image in judged)
-        n = sum(image.n_independent for image in judged)
+    if with_accuracy:
+        # The mean over all measurements, not over images.
+        squares = sum(image.n_independent * (image.independent or 0.0)**2
+                      for image in with_accuracy)
+        n = sum(image.n_independent for image in with_accuracy)
         lines.append(f"Accuracy: RMSE {(squares / n) ** 0.5:.2f} px on {n} measurements of "
-                     f"independent points in {len(judged)} images.")
+                     f"independent points in {len(with_accuracy)} images.")
     if record.independent is not None:
         space = record.independent
         lines.append(f"In space: east {space.east:.2f} m, north {space.north:.2f} m, up "
@@ -40,10 +42,11 @@ def opening(record: BlockRecord) -> str:
         lines.append("The adjustment did not settle: read the figures with care.")
     lines += [f"Note: {note}" for note in record.notes]
     if len(record.parts) > 1:
-        parts = " | ".join(", ".join(part[:4]) + ", ..." * (len(part) > 4)
-                           for part in record.parts[:_SHOWN])
+        joined_images = []
+        for names in record.parts[:_SHOWN]:
+            joined_images.append(", ".join(names[:4]) + (", ..." if len(names) > 4 else ""))
         lines.append(f"Note: no tie joins {len(record.parts)} parts of this block, so that each "
-                     f"stands by itself: {parts}.")
+                     f"stands by itself: {' | '.join(joined_images)}.")
     return "\n".join(lines)
 
 
@@ -55,26 +58,34 @@ def _blunders(record: BlockRecord) -> str:
         return "none."
     named = ", ".join(f"{wrong.id} in {wrong.image} ({wrong.error:.1f} px)"
                       for wrong in record.wrong_control[:3])
-    return (f"{ties} measurements of ties and {control} of control left out"
-            + (f": {named}{', ...' * (control > 3)}." if control else "."))
+    if not control:
+        return f"{ties} measurements of ties and {control} of control left out."
+    further = ", ..." if control > 3 else ""
+    return f"{ties} measurements of ties and {control} of control left out: {named}{further}."
 
 
 def _table(record: BlockRecord, verbose: bool) -> list[str]:
     """Return a row for each image."""
     rows = [("image", "model", "control", "ties", "ties px", "predicted px", "90 %",
              "independent px")]
-    shown = record.images if verbose else sorted(
+    # The least certain first where not all are listed.
+    listed = record.images if verbose else sorted(
         record.images, key=lambda image: -image.uncertainty)[:_SHOWN]
     rows += [(image.name, image.model, str(image.control), str(image.ties),
               f"{image.rmse_ties:.2f}", f"{image.predicted:.2f}",
               f"{image.low:.2f}-{image.high:.2f}", "" if image.independent is None else
-              f"{image.independent:.2f} ({image.n_independent})") for image in shown]
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    lines = ["  ".join(cell.ljust(width) if k < 2 else cell.rjust(width)
-                       for k, (cell, width) in enumerate(zip(row, widths, strict=True))).rstrip()
-             for row in rows]
-    if len(shown) < len(record.images):
-        lines.append(f"{len(record.images) - len(shown)} more certain images: summary.txt has all.")
+              f"{image.independent:.2f} ({image.n_independent})") for image in listed]
+    widths = [0] * len(rows[0])
+    for row in rows:
+        widths = [max(width, len(cell)) for width, cell in zip(widths, row, strict=True)]
+    lines = []
+    for row in rows:
+        # Names and models to the left, figures to the right.
+        cells = [cell.ljust(width) if k < 2 else cell.rjust(width)
+                 for k, (cell, width) in enumerate(zip(row, widths, strict=True))]
+        lines.append("  ".join(cells).rstrip())
+    if len(listed) < len(record.images):
+        lines.append(f"{len(record.images) - len(listed)} more certain images: summary.txt has all.")
     return lines
 
 
@@ -84,9 +95,9 @@ def _wrong(record: BlockRecord, verbose: bool) -> list[str]:
     if not wrong:
         return []
     lines = ["", "Ties left out:"]
-    for one in wrong:
-        reason = reason_of(one, record)
-        lines.append(f"  {one.id} in {one.image}: {one.error:.1f} px"
+    for tie in wrong:
+        reason = reason_of(tie, record)
+        lines.append(f"  {tie.id} in {tie.image}: {tie.error:.1f} px"
                      + (f" ({reason})" if reason else ""))
     if len(wrong) < len(record.wrong_ties):
         lines.append(f"  {len(record.wrong_ties) - len(wrong)} more: summary.txt has all.")
