@@ -46,11 +46,11 @@ def bounds(simulated: Simulated, result: BlockResult, bias: float, drift: float,
         camera = RpcCamera(image.rpc, frame, groups_of("drift"))
         cameras.append(camera)
         tie = ties.tie[ties.image == i]
-        zero = np.zeros((2, 2))
-        at, columns = camera.first_order(places[tie])
-        seen.append(TieRows(tie, camera.rows(zero, places[tie], columns),
-                         camera.slopes(zero, places[tie], at), np.zeros((len(tie), 2)),
-                         np.full(len(tie), noise**-2)))
+        zero = np.zeros(4)
+        at = camera.project(zero, places[tie])
+        seen.append(TieRows(tie, camera.jacobian(zero, places[tie]),
+                            camera.slopes(zero, places[tie], at), np.zeros((len(tie), 2)),
+                            np.full(len(tie), noise**-2)))
         known = result.control[i]
         columns = camera.first_order(known.local)[1]
         rows = (known.normal[:, :, None] * columns[:, None]).reshape(len(known), 4)

@@ -236,7 +236,7 @@ def by_scipy() -> str:
     state, known, ties = result.adjusted.state, result.control, block.ties
     n, count = len(block.images), len(state.ties)
     rows, columns, first = [], [], 0
-    spread = np.sqrt(np.concatenate([np.repeat(v, 2) for v in state.variances]))
+    spread = np.sqrt(np.concatenate(state.variances))
     sizes = [one.size for one in state.parameters]
     begin = np.cumsum([0, *sizes])
     for i in range(n):
@@ -264,7 +264,7 @@ def by_scipy() -> str:
         places = unknown[begin[-1]:].reshape(-1, 3)
         out = []
         for i in range(n):
-            camera, own = state.cameras[i], unknown[begin[i]:begin[i + 1]].reshape(-1, 2)
+            camera, own = state.cameras[i], unknown[begin[i]:begin[i + 1]]
             at = ties.image == i
             out.append(((ties.position[at] - camera.project(own, places[ties.tie[at]]))
                         / state.sigma_ties).ravel())
@@ -283,7 +283,7 @@ def by_scipy() -> str:
                           max_nfev=200, ftol=1e-13, xtol=1e-13, gtol=1e-13)
     theirs = time.process_time() - start
     gap = max(float(np.abs(state.cameras[i].project(
-        found.x[begin[i]:begin[i + 1]].reshape(-1, 2), known[0].local)
+        found.x[begin[i]:begin[i + 1]], known[0].local)
         - state.cameras[i].project(state.parameters[i], known[0].local)).max()) for i in range(n))
     ended = "it converges" if found.status > 0 else "it has not converged by then"
     return (f"On 12 images with {len(ties.tie)} measurements of ties the whole adjustment takes\n"

@@ -378,7 +378,7 @@ def test_a_map_has_one_scale() -> None:
 def test_a_page_says_how_much_of_a_large_block_it_shows(
         adjusted: BlockResult, monkeypatch: pytest.MonkeyPatch) -> None:
     """Some of the ties, but the outlines of all images."""
-    monkeypatch.setattr(page, "_MOST", 20)
+    monkeypatch.setattr(page, "_DRAWN_TIES", 20)
     monkeypatch.setattr(page, "_IMAGES", 1)
     shown = page.page_of(adjusted, record_of(adjusted))
     count = int((times_seen(adjusted) > 1).sum())

@@ -17,7 +17,7 @@ from termsel_block.block import Block
 from termsel_block.example import write_example
 from termsel_block.files.block_file import read_block
 from termsel_block.geometry.frame import FloatArray, Frame
-from termsel_block.geometry.heights import Heights, ControlHeights
+from termsel_block.geometry.heights import ControlHeights, Heights
 from termsel_block.joint import BlockResult, adjust, heights_of
 from termsel_block.shown.record import record_of
 from termsel_block.simulated import LAT, LON, Hills, Simulated, height, simulate_block

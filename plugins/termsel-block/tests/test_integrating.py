@@ -29,11 +29,11 @@ def observed(truth: FloatArray, noise: FloatArray, rng: np.random.Generator,
     measured = np.append(truth.ravel() + np.repeat(noise, 2) * rng.standard_normal(2 * IMAGES),
                          [0.0, 0.0])
     prior = np.append(np.full(2 * IMAGES, GUESS**-2), [0.0, 0.0])
-    camera = SimpleNamespace(groups=("shift",), scales=("shift",), spread=(GUESS,), least=(1e-4,),
-                             wide=frozenset())
+    camera = SimpleNamespace(groups=("shift",) * 2, scales=("shift",) * 2, prior_sigma=(GUESS,) * 2,
+                             min_sigma=(1e-4,) * 2, fixed_variance=frozenset())
     cameras = [camera] * IMAGES
     return integrate(np.diag(precision + prior), precision * measured / (precision + prior),
-                     cameras, [np.zeros((1, 2))] * IMAGES, SLICES), measured  # type: ignore[arg-type]
+                     cameras, [np.zeros(2)] * IMAGES, SLICES), measured  # type: ignore[arg-type]
 
 
 def test_a_posterior_over_variances_is_true_where_its_prior_is() -> None:
@@ -70,11 +70,12 @@ def test_columns_that_are_unlike_scatter_unlike() -> None:
     right[0:4 * IMAGES:4] = right[2:4 * IMAGES:4] = 0.04 * large
     slices = [slice(4 * i, 4 * i + 4) for i in range(IMAGES)] + [slice(4 * IMAGES, len(normal))]
     for scales in (("degree 2", "degree 2"), ("x2", "y2")):
-        camera = SimpleNamespace(groups=("degree 2",) * 2, scales=scales, spread=(GUESS,) * 2,
-                                 least=(1e-4,) * 2, wide=frozenset())
+        camera = SimpleNamespace(groups=("degree 2",) * 4, scales=scales * 2,
+                                 prior_sigma=(GUESS,) * 4, min_sigma=(1e-4,) * 4,
+                                 fixed_variance=frozenset())
         cameras: list[Any] = [camera] * IMAGES
         found = integrate(normal, right / np.diag(normal), cameras,
-                          [np.zeros((2, 2))] * IMAGES, slices)
+                          [np.zeros(4)] * IMAGES, slices)
         precision.append(found.precision[:4])
         error = large - found.mean[0:4 * IMAGES:4]
         assert (np.abs(error) < (15.0 if scales[0] == scales[1] else 3.0)).all()
@@ -86,7 +87,7 @@ def test_columns_that_are_unlike_scatter_unlike() -> None:
 def test_terms_of_sensors_scatter_as_the_images_say() -> None:
     """What three images have in common counts; what they do not tell stays as it is stated."""
     camera = SimpleNamespace(stated={"rate": 0, "yaw": 1}, looser=np.ones(2))
-    parameters = [np.array([[value, 0.0]]) for value in (4.0, -5.0, 3.0)]
+    parameters = [np.array([value, 0.0]) for value in (4.0, -5.0, 3.0)]
     covariances = [np.diag([0.01, 1.0])] * 3
     found = looser([camera] * 3, parameters, covariances)  # type: ignore[list-item]
     assert found["rate"] == pytest.approx(np.sqrt((50 + OWN) / (3 + OWN)), rel=1e-3)

@@ -76,7 +76,7 @@ def test_a_scanner_has_its_derivatives(scanners: BlockResult) -> None:
     for at in range(parameters.size):
         step = np.zeros(parameters.size)
         step[at] = 1e-3
-        ahead, back = (camera.project(parameters + sign * step.reshape(2, -1).T, local)
+        ahead, back = (camera.project(parameters + sign * step, local)
                        for sign in (1, -1))
         np.testing.assert_allclose(rows[:, :, at], (ahead - back) / 2e-3, rtol=1e-3, atol=0.05)
 

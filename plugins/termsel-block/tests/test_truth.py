@@ -65,14 +65,15 @@ def test_a_wrong_ray_at_the_start_does_not_bend_all_images() -> None:
 def test_the_perspective_has_its_derivatives() -> None:
     rng = np.random.default_rng(0)
     camera = PolynomialCamera(np.array([10.0, -20.0, 5.0]), 12e3, 5e3, np.array([3e3, 2e3]))
-    parameters = rng.normal(0, 20, (len(camera.groups), 2))
-    parameters[1:4] += [[-900.0, 4800.0], [-4700.0, -1000.0], [800.0, 1500.0]]
+    of_axes = rng.normal(0, 20, (len(camera.powers), 2))
+    of_axes[1:4] += [[-900.0, 4800.0], [-4700.0, -1000.0], [800.0, 1500.0]]
+    parameters = of_axes.T.ravel()
     local = rng.uniform(-12e3, 12e3, (7, 3)) * [1, 1, 0.02]
-    rows = camera.rows(parameters, local, camera.first_order(local)[1])
+    rows = camera.jacobian(parameters, local)
     for at in range(parameters.size):
         step = np.zeros(parameters.size)
         step[at] = 0.5
-        ahead, back = (camera.project(parameters + sign * step.reshape(2, -1).T, local)
+        ahead, back = (camera.project(parameters + sign * step, local)
                        for sign in (1, -1))
         np.testing.assert_allclose(rows[:, :, at], ahead - back, atol=1e-6)
     assert np.abs(camera.perspective(parameters, local)).max() > 5.0  # px: more than rounding
@@ -82,7 +83,7 @@ def test_a_correction_is_dropped_only_after_those_that_contain_it() -> None:
     simulated = simulate_block(3, rpcs=True, control=(20, 0, 0), seed=11, independent=30)
     result = adjust(simulated.block)
     for camera in result.adjusted.state.cameras:
-        assert camera.groups == camera.COLUMNS[:len(camera.groups)]  # type: ignore[attr-defined]
+        assert camera.columns == camera.COLUMNS[:len(camera.columns)]  # type: ignore[attr-defined]
     assert errors(result).max() < 5  # 27 px with a drift but no shift
     assert len(record_of(result).wrong_ties) < 3  # 42
 

@@ -113,13 +113,13 @@ def shared_sigma(result: BlockResult, i: int, features: FeatureSet, own_sigma: F
 
 
 def _drawn(result: BlockResult, i: int, rng: np.random.Generator) -> FloatArray:
-    """Return draws (2m, draws) of an image's errors from the posterior of its parameters."""
+    """Return draws (p, draws) of an image's errors from the posterior of its parameters."""
     drawn = result.adjusted.draws
     return drawn[i].T if drawn else _normal(result, i, rng)
 
 
 def _normal(result: BlockResult, i: int, rng: np.random.Generator) -> FloatArray:
-    """Return draws (2m, draws) of an image's errors by its covariance alone."""
+    """Return draws (p, draws) of an image's errors by its covariance alone."""
     covariance = result.covariances[i]
     # The small number on the diagonal keeps parameters without any variance factorisable.
     root = np.linalg.cholesky(covariance + 1e-12 * np.eye(len(covariance)))
@@ -128,23 +128,23 @@ def _normal(result: BlockResult, i: int, rng: np.random.Generator) -> FloatArray
 
 
 def _unsure(result: BlockResult, i: int, rng: np.random.Generator) -> FloatArray:
-    """Return draws (2m, draws) of what variances of parameters are over what is stated.
+    """Return draws (p, draws) of what variances of parameters are over what is stated.
 
-    What the prior alone holds is as uncertain as the variance of the prior, which all columns of a
-    group share. What measurements hold is not, nor a prior that the block does not estimate.
+    What the prior alone holds is as uncertain as the variance of the prior, which all of a group
+    share. What measurements hold is not, nor a prior that the block does not estimate.
     """
     camera = result.camera(i)
     state = result.adjusted.state
     groups = np.array(camera.groups)
-    by_prior = np.diag(result.covariances[i]).reshape(2, -1) / state.variances[i]
+    by_prior = np.diag(result.covariances[i]) / state.variances[i]
     # A scaled inverse chi-square of TAIL degrees of freedom, whose mean is 1.
     factor = np.ones((len(groups), _DRAWS))
     for name in dict.fromkeys(camera.groups):
-        if name in camera.wide:
+        if name in camera.fixed_variance:
             continue
         factor[groups == name] = (TAIL - 2) / rng.chisquare(TAIL, _DRAWS)
     # Of each parameter the share by_prior of its variance scales with the prior's.
-    return np.asarray(1 + np.clip(by_prior, 0, 1)[:, :, None] * (factor - 1)).reshape(-1, _DRAWS)
+    return np.asarray(1 + np.clip(by_prior, 0, 1)[:, None] * (factor - 1))
 
 
 def in_space(result: BlockResult) -> InSpace | None:

@@ -24,7 +24,7 @@ class Ties:
         Of the tie points.
     tie, image : ndarray, shape (n,)
         Index of the tie point and of the image of each measurement.
-    place : ndarray, shape (n, 2)
+    position : ndarray, shape (n, 2)
         Line and sample [px].
     """
 

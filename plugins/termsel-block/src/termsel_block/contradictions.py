@@ -14,10 +14,10 @@ from termsel_block.geometry.frame import FloatArray
 from termsel_block.geometry.heights import OFF, Surface
 from termsel_block.geometry.physical import Contradiction, PhysicalCamera
 
-CHANCE = 1e-4
+CONTRADICTED_BELOW = 1e-4
 """Probability below which what is known of a model's terms is not true of the image."""
 
-_FAR, _UNSEEN = 3.0, 1e3
+_FAR_SIGMAS, _UNSEEN_SIGMA = 3.0, 1e3
 """Standard deviations from which on the ground is not that of the DEM, and that of a tie whose
 height no rays tell [m]."""
 
@@ -156,7 +156,7 @@ def contradicted(adjusted: Adjusted) -> dict[int, Contradiction]:
     """Return the images whose model the block contradicts, by number."""
     contradictions = ((i, _of(adjusted, i)) for i in range(len(adjusted.state.cameras)))
     return {i: contradiction for i, contradiction in contradictions if contradiction is not None
-            and contradiction.chance < CHANCE}
+            and contradiction.chance < CONTRADICTED_BELOW}
 
 
 def _of(adjusted: Adjusted, i: int) -> Contradiction | None:
@@ -194,14 +194,14 @@ def against_dem(ground: FloatArray, adjusted: Adjusted, dem: Surface) -> tuple[f
     over = ground[:, 2] - dem(ground[:, :2])
     variance = adjusted.solved.covariance_of_ties()[:, 2, 2]
     # Ties off the raster have no height, and those of parallel rays none that says anything.
-    is_known = np.isfinite(over) & (variance < _UNSEEN**2)
+    is_known = np.isfinite(over) & (variance < _UNSEEN_SIGMA**2)
     if not is_known.any():
         return 0.0, ""
     # What the ties of a block are off by they have in common.
     middle = float(np.median(over[is_known]))
     sigma = float(np.sqrt(np.median(variance[is_known])))
     # The DEM may be off by OFF as a matter of course, and the ties by sigma: sqrt(sigma^2 + OFF^2).
-    if abs(middle) < _FAR * np.hypot(sigma, OFF):
+    if abs(middle) < _FAR_SIGMAS * np.hypot(sigma, OFF):
         return middle, ""
     direction = "above" if middle > 0 else "below"
     note = (f"Without the DEM the ground is {abs(middle):.0f} m {direction} it by the RPCs, with a "

@@ -28,10 +28,10 @@ from termsel_block.estimation.unknowns import Adjusted, Measured
 from termsel_block.geometry.cameras import Camera, groups_of
 from termsel_block.geometry.control import OwnControl, in_use, own_control
 from termsel_block.geometry.frame import BoolArray, FloatArray, Frame, IntArray
-from termsel_block.geometry.heights import Heights, ControlHeights, Surface
+from termsel_block.geometry.heights import ControlHeights, Heights, Surface
 from termsel_block.geometry.physical import ABSURD, PhysicalModel
 
-_TOLD = 8
+_EXTENT_TIES = 8
 """Ties of an image from which on their extent tells that of the image."""
 
 
@@ -55,7 +55,7 @@ class BlockResult:
 
     @cached_property
     def covariances(self) -> list[FloatArray]:
-        """Covariance of each image's parameters [px2], by image axis, then column."""
+        """Covariance of each image's parameters [px2]."""
         return self.adjusted.solved.image_covariances[:len(self.block.images)]
 
     @cached_property
@@ -83,9 +83,8 @@ class BlockResult:
         return np.asarray(np.sqrt(np.einsum("nap,pq,naq->na", rows, self.covariances[i], rows)))
 
     def rows(self, i: int, local: FloatArray) -> FloatArray:
-        """Return derivatives (n, 2, 2m) by an image's parameters at places of the frame."""
-        camera = self.camera(i)
-        return camera.rows(self.adjusted.state.parameters[i], local, camera.first_order(local)[1])
+        """Return derivatives (n, 2, p) by an image's parameters at places of the frame."""
+        return self.camera(i).jacobian(self.adjusted.state.parameters[i], local)
 
 
 @one_blas_thread
@@ -233,7 +232,7 @@ def _model(image: BlockImage) -> tuple[tuple[str, ...], PhysicalModel | None]:
 def _refuse_contradiction(adjusted: Adjusted, inputs: list[ImageInput]) -> None:
     """Refuse ties that agree no better than places at random."""
     extents = [np.ptp(image.measured.position, axis=0).max() for image in inputs
-               if len(image.measured.tie) >= _TOLD]
+               if len(image.measured.tie) >= _EXTENT_TIES]
     # Positions at random differ by about a third of the image; real ties by a pixel or so.
     sigma = adjusted.state.sigma_ties
     if extents and sigma > ABSURD * np.median(extents):

@@ -253,7 +253,7 @@ def _independent(result: BlockResult) -> float | None:
 
 
 def _placed(result: BlockResult, i: int, rows: FloatArray) -> FloatArray:
-    """Return rows of one image's parameters (n, 2m) among those of all images."""
+    """Return rows of one image's parameters (n, p) among those of all images."""
     slices = result.adjusted.solved.reduced.slices
     all_columns = np.zeros((len(rows), _columns(result)))
     all_columns[:, slices[i]] = rows
@@ -288,8 +288,8 @@ def _check_rows(block: Block, result: BlockResult) -> tuple[FloatArray, FloatArr
 def _prior_rows(result: BlockResult) -> tuple[FloatArray, FloatArray]:
     """Return the rows of the priors of all parameters."""
     state = result.adjusted.state
-    sigma = np.sqrt(np.concatenate([np.tile(variances, 2) for variances in state.variances]))
-    at = np.concatenate([parameters.T.ravel() for parameters in state.parameters])
+    sigma = np.sqrt(np.concatenate(state.variances))
+    at = np.concatenate(state.parameters)
     return np.diag(1 / sigma), -at / sigma
 
 

@@ -17,7 +17,7 @@ _METRES = 111_320.0
 # Stacks one below the other, before the next strip begins.
 _ROWS = 20
 # From one stack to the next, in widths of an image.
-_STEP = 0.6
+_STACK_STEP = 0.6
 
 
 VIEWS = (18.0, 20.0), (4.0, 95.0), (22.0, 170.0)
@@ -168,7 +168,7 @@ def height(lonlat: FloatArray, hills: Hills = HILLS) -> FloatArray:
 def _middle(stack: int, width: float) -> tuple[float, float]:
     """Return longitude and latitude of the ground that a stack of three images sees."""
     column, row = divmod(stack, _ROWS)
-    step = _STEP * width / _METRES
+    step = _STACK_STEP * width / _METRES
     return LON + column * step / np.cos(np.radians(LAT)), LAT - row * step
 
 

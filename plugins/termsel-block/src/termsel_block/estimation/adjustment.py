@@ -11,7 +11,7 @@ from termsel_block.estimation.equations import Shared, pairs
 from termsel_block.estimation.steps import CONVERGED, Steps, shrunk, soft
 from termsel_block.estimation.unknowns import Adjusted, Measured, State
 from termsel_block.evidence.factors import log_bayes_factor
-from termsel_block.evidence.growing import CHANCE, chance_of
+from termsel_block.evidence.growing import TRIED_BELOW, chance_of
 from termsel_block.evidence.integrating import MOST, integrate, unknown
 from termsel_block.evidence.variances import estimated, looser
 from termsel_block.geometry.control import OwnControl
@@ -39,9 +39,9 @@ MEDIAN = 2 / 3
 # Relative change of a standard deviation.
 _SETTLED = 0.02
 # Of one stage at most.
-_STEPS = 15
+_STAGE_STEPS = 15
 # First steps of a stage, in which derivatives are renewed, as after shorter ones.
-_BENT = 3
+_RENEWED_STEPS = 3
 # What weights are wider by in the first steps, while much is bent.
 _WIDE = (8.0, 4.0, 2.0)
 # First steps, in which control keeps its weight.
@@ -53,7 +53,7 @@ _LOOSER = 0.1
 # Parameters of images from which variances are estimated once in a stage.
 _SLOW = 2500
 # In px; without it data without noise would have infinite weights.
-_LEAST_SIGMA = 0.01
+_MIN_SIGMA = 0.01
 
 
 def adjust_block(state: State, measured: Sequence[Measured], control: Sequence[OwnControl],
@@ -91,24 +91,25 @@ def adjust_block(state: State, measured: Sequence[Measured], control: Sequence[O
     state.control_in_use = state.control_in_use or [np.ones(len(of_image), bool)
                                                     for of_image in control]
     # Robust weights first: blunders cannot be told before the images are about where they belong.
-    steps = run.iterate(robust=True, limit=_STEPS, report=lambda s: report(0.4 * s))
+    steps = run.iterate(robust=True, limit=_STAGE_STEPS, report=lambda s: report(0.4 * s))
     # Jitter is tried before evidence drops anything, as its columns explain what others would
     # follow.
     if run.grow(fixed):
-        steps += run.iterate(robust=True, limit=_STEPS, report=_nothing)
+        steps += run.iterate(robust=True, limit=_STAGE_STEPS, report=_nothing)
     # Dropping a group changes the evidence of the others, so that a second look may drop more.
     evidence: list[dict[str, float]] = [{} for _ in state.cameras]
     for _ in range(2):
         if not run.drop(evidence, fixed):
             break
-        steps += run.iterate(robust=True, limit=_STEPS, report=lambda s: report(0.4 + 0.2 * s))
+        steps += run.iterate(robust=True, limit=_STAGE_STEPS,
+                             report=lambda s: report(0.4 + 0.2 * s))
     # Then blunders are left out for good, and what agrees with the adjustment comes back.
     for _ in range(3):
         if not run.leave_out():
             break
-        steps += run.iterate(robust=False, limit=_STEPS,
+        steps += run.iterate(robust=False, limit=_STAGE_STEPS,
                              report=lambda s: report(0.6 + 0.4 * s))
-    steps += run.iterate(robust=False, limit=_STEPS, report=report)
+    steps += run.iterate(robust=False, limit=_STAGE_STEPS, report=report)
     # By priors as models state them, before these are loosened: contradictions are judged by them.
     by_priors = [(parameters.copy(), covariance) for parameters, covariance in zip(
         state.parameters, run.solved.image_covariances[:-1], strict=True)]
@@ -117,7 +118,7 @@ def adjust_block(state: State, measured: Sequence[Measured], control: Sequence[O
     for _ in range(_LOOSENED):
         if not run.loosen():
             break
-        steps += run.iterate(robust=False, limit=_STEPS, report=_nothing)
+        steps += run.iterate(robust=False, limit=_STAGE_STEPS, report=_nothing)
     # Before `integrate`, which moves images to the mean over all variances by purpose.
     moved = run.moved()
     draws = run.integrate()
@@ -138,7 +139,7 @@ class _Run(Steps):
     def __init__(self, state: State, measured: Sequence[Measured], control: Sequence[OwnControl],
                  heights: Heights, shared: Sequence[Shared]) -> None:
         super().__init__(state, measured, control, heights, shared)
-        self.large = sum(2 * len(camera.groups) for camera in state.cameras) > _SLOW
+        self.large = sum(len(camera.groups) for camera in state.cameras) > _SLOW
 
     def iterate(self, *, robust: bool, limit: int, report: Callable[[float], None]) -> int:
         """Make steps until nothing moves; return how many."""
@@ -147,7 +148,7 @@ class _Run(Steps):
             report(step / limit)
             # From weights that fall at once a lone control point would never return. Nor does a
             # step that had to be made shorter come nearer along derivatives of elsewhere.
-            if step < _BENT or self.share < 1.0:
+            if step < _RENEWED_STEPS or self.share < 1.0:
                 self.slopes = {}
             self.step(robust, _WIDE[step] if robust and step < _TRUST else 1.0)
             moved = float(self.moved().max(initial=0.0))
@@ -181,7 +182,7 @@ class _Run(Steps):
         return True
 
     def integrate(self) -> list[FloatArray]:
-        """Go to the mean over all variances; return draws of each image's errors, (d, 2m) each.
+        """Go to the mean over all variances; return draws of each image's errors, (d, p) each.
 
         Empty where the variances are known or many.
         """
@@ -189,12 +190,12 @@ class _Run(Steps):
         if not 0 < unknown(state.cameras) <= MOST:
             return []
         # Priors as first guessed: `integrate` takes them off again, and draws the variances itself.
-        loose = self.linearised([np.square(camera.spread) for camera in state.cameras])
+        loose = self.linearised([np.square(camera.prior_sigma) for camera in state.cameras])
         integrated = integrate(loose.reduced.whole(), np.concatenate(loose.steps), state.cameras,
                           state.parameters, loose.reduced.slices, self.heights.guessed())
         # The step to the posterior mean, with the covariance over all variances.
         self.solved = loose.at(integrated.mean, integrated.covariance)
-        start = [self._computed(i)[0] for i in range(len(state.cameras))]
+        start = [self._computed(i) for i in range(len(state.cameras))]
         moves = self._moves()
         state.ties = state.ties + self.solved.ties
         state.parameters = [
@@ -204,8 +205,7 @@ class _Run(Steps):
                 self.solved.tie_rows[:-1], strict=True)]
         self.heights.offset += float(self.solved.steps[-1][0])
         for i, columns in enumerate(loose.reduced.slices[:-1]):
-            # Line and sample of a column share one variance, so that both precisions are averaged.
-            precision = integrated.precision[columns].reshape(2, -1).mean(axis=0)
+            precision = integrated.precision[columns]
             is_known = np.isnan(precision)
             state.variances[i] = np.where(is_known, state.variances[i], 1 / precision)
         return [integrated.draws[:, columns] for columns in loose.reduced.slices[:-1]]
@@ -221,8 +221,7 @@ class _Run(Steps):
         determined = by_control = rows = 0.0
         squares = 0.0
         for i, (control, covariance) in enumerate(zip(self.control, covariances, strict=True)):
-            variances = np.tile(state.variances[i], 2)
-            determined += float((1 - np.diag(covariance) / variances).sum())
+            determined += float((1 - np.diag(covariance) / state.variances[i]).sum())
             if len(control):
                 used = state.control_in_use[i]
                 sigma = state.sigma_control * control.sigma
@@ -256,7 +255,7 @@ class _Run(Steps):
             squares /= shrunk(max(rows - by_control, 0.0) / max(rows, 1.0), 1)
         # One measurement more than there are unknowns says next to nothing: the variance stays.
         if freedom > 1:
-            state.sigma_ties = max(float(np.sqrt(total / freedom)), _LEAST_SIGMA)
+            state.sigma_ties = max(float(np.sqrt(total / freedom)), _MIN_SIGMA)
         # Few points say little of their own precision: the ties' counts as four of them. This is
         # about the median of the posterior, whose mean is far above it where points are few.
         expected = max(rows - by_control, 0.0)
@@ -276,20 +275,23 @@ class _Run(Steps):
         for i, (camera, measured, residual) in enumerate(zip(
                 state.cameras, self.measured, self.residuals()[0], strict=True)):
             # A correction that the user asks for is not added to.
-            larger = None if len(fixed) and fixed[i] else camera.grown()
-            if larger is None or not len(measured.tie):
+            growth = None if len(fixed) and fixed[i] else camera.grown()
+            if growth is None or not len(measured.tie):
                 continue
-            had = len(camera.groups)
+            larger, is_new = growth
             weight = soft(np.hypot(*residual.T) / state.sigma_ties) / state.sigma_ties**2
-            columns = larger.first_order(state.ties[measured.tie])[1][:, had:]
-            if chance_of(columns, residual, weight) < CHANCE:
+            columns = larger.first_order(state.ties[measured.tie])[1]
+            columns = columns[:, is_new[:columns.shape[1]]]
+            if chance_of(columns, residual, weight) < TRIED_BELOW:
                 grown = True
                 state.cameras[i] = larger
                 # New columns begin with zeros and with the variance that is a first guess.
-                state.parameters[i] = np.concatenate(
-                    [state.parameters[i], np.zeros((len(larger.groups) - had, 2))])
-                state.variances[i] = np.concatenate(
-                    [state.variances[i], np.square(larger.spread[had:])])
+                parameters = np.zeros(len(is_new))
+                parameters[~is_new] = state.parameters[i]
+                variances = np.square(larger.prior_sigma)
+                variances[~is_new] = state.variances[i]
+                state.parameters[i] = parameters
+                state.variances[i] = variances
         return grown
 
     def drop(self, evidence: list[dict[str, float]], fixed: Sequence[bool]) -> bool:
@@ -300,7 +302,7 @@ class _Run(Steps):
                 zip(state.cameras, self.solved.image_covariances[:-1], strict=True)):
             if len(fixed) and fixed[i]:
                 continue
-            names = np.tile(camera.groups, 2)
+            names = np.array(camera.groups)
             groups = [name for name in dict.fromkeys(camera.groups) if name not in camera.permanent]
             dropped_groups: set[str] = set()
             # The last columns first: of nested groups one is of use only with those before it.
@@ -308,8 +310,7 @@ class _Run(Steps):
                 at = np.flatnonzero(names == name)
                 # By the joint posterior of line and sample: a group goes in both or in none.
                 evidence[i][name] = log_bayes_factor(
-                    state.parameters[i].T.ravel()[at], covariance[np.ix_(at, at)],
-                    np.tile(state.variances[i], 2)[at])
+                    state.parameters[i][at], covariance[np.ix_(at, at)], state.variances[i][at])
                 if evidence[i][name] < AGAINST:
                     dropped_groups.add(name)
                 elif camera.nested:

@@ -61,7 +61,7 @@ class TieRows:
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """Steps of parameters (one vector for each image, axis by axis) and ties, and covariances."""
+    """Steps of parameters (one vector for each image) and ties, and covariances."""
 
     steps: tuple[FloatArray, ...]
     ties: FloatArray
@@ -226,9 +226,9 @@ def solve(
 
     Parameters
     ----------
-    seen : sequence of TieRows
+    tie_rows : sequence of TieRows
         Of each image.
-    own, own_right : sequence of ndarray, shapes (p, p) and (p,)
+    of_images, right_of_images : sequence of ndarray, shapes (p, p) and (p,)
         What priors and control add to each image's normal equations.
     of_ties, right_of_ties : ndarray, shapes (t, 3, 3) and (t, 3)
         What priors add to each tie's.

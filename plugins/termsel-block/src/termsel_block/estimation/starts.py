@@ -12,7 +12,7 @@ from termsel import Rpc, TermselError
 from termsel_block.estimation.equations import pairs
 from termsel_block.estimation.steps import soft
 from termsel_block.estimation.unknowns import Measured, State
-from termsel_block.geometry.cameras import Camera, PolynomialCamera, RpcCamera
+from termsel_block.geometry.cameras import Camera, LinearCamera, PolynomialCamera, RpcCamera
 from termsel_block.geometry.control import OwnControl
 from termsel_block.geometry.frame import BoolArray, FloatArray, Frame, IntArray
 from termsel_block.geometry.heights import Heights
@@ -27,12 +27,15 @@ _SEVERAL = 3
 """Ties that two images share from which on these alone tell whether an RPC is of another place."""
 _ROUNDS = 12
 # Fits of a first model, whose perspective is that of the one before.
-_BENT = 3
+_PERSPECTIVE_FITS = 3
 # In m.
 _MET = 0.01
 
 Rays = tuple[Camera, FloatArray, IntArray, FloatArray]
 """A camera, its parameters, and the index and place of each point it sees."""
+
+Started = dict[int, tuple[Camera, FloatArray]]
+"""Camera and parameters of the images that have begun, by number."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +46,7 @@ class ImageInput:
     measured: Measured
     control: OwnControl
     rpc: Rpc | None
-    groups: tuple[str, ...] = RpcCamera.COLUMNS
+    columns: tuple[str, ...] = RpcCamera.COLUMNS
     physical: PhysicalModel | None = None
 
 
@@ -67,31 +70,31 @@ def start(images: Sequence[ImageInput], count: int, frame: Frame, heights: Heigh
     TermselError
         Naming the images that nothing holds.
     """
-    cameras: list[Camera | None] = [_own(image, frame) for image in images]
-    parameters: list[FloatArray | None] = [
-        _begun(camera, image.control.local, image.control.normal, image.control.value)
-        if camera is not None else None
-        for camera, image in zip(cameras, images, strict=True)]
-    _refuse_elsewhere(images, cameras, count)
+    started: Started = {}
+    for i, image in enumerate(images):
+        camera = _own(image, frame)
+        if camera is not None:
+            control = image.control
+            started[i] = camera, _begun(camera, control.local, control.normal, control.value)
+    _refuse_elsewhere(images, started, count)
     ties = np.full((count, 3), np.nan)
     located = np.zeros(count, bool)
     # Each round begins one image: the one that sees most ties whose positions are known.
     while True:
-        begun = [i for i, camera in enumerate(cameras) if camera is not None]
-        ties, located = _located(images, cameras, parameters, begun, ties, located, heights)
-        waiting = [i for i in range(len(images)) if cameras[i] is None]
+        ties, located = _located(images, started, ties, located, heights)
+        waiting = [i for i in range(len(images)) if i not in started]
         if not waiting:
             break
         best = max(waiting, key=lambda i: int(located[images[i].measured.tie].sum()))
         is_located = located[images[best].measured.tie]
         if is_located.sum() < LEAST_TIES:
             _refuse(images, waiting, located)
-        cameras[best], parameters[best] = _by_ties(images[best], is_located, ties, frame)
+        started[best] = _by_ties(images[best], is_located, ties, frame)
     # What no two images see stays in the middle, so that all places are numbers.
     ties[~located] = np.median(ties[located], axis=0) if located.any() else 0.0
-    everything = [camera for camera in cameras if camera is not None]
-    state = State(everything, [p for p in parameters if p is not None], ties,
-                  [np.square(camera.spread) for camera in everything])
+    cameras = [started[i][0] for i in range(len(images))]
+    state = State(cameras, [started[i][1] for i in range(len(images))], ties,
+                  [np.square(camera.prior_sigma) for camera in cameras])
     # Ties and control begin with one standard deviation, that of all residuals.
     state.sigma_ties = state.sigma_control = max(_spread(images, state), 0.1)
     return state
@@ -101,7 +104,7 @@ def _own(image: ImageInput, frame: Frame) -> Camera | None:
     """Return the camera of an image by its RPC or its control; None where it has neither."""
     if image.rpc is not None:
         # An RPC comes before control, which then corrects it.
-        return RpcCamera(image.rpc, frame, image.groups)
+        return RpcCamera(image.rpc, frame, image.columns)
     if image.physical is not None:
         local, position = image.control.points()
         return image.physical.fitted(
@@ -114,8 +117,7 @@ def _own(image: ImageInput, frame: Frame) -> Camera | None:
     return _polynomial(image.control.local, position)
 
 
-def _refuse_elsewhere(images: Sequence[ImageInput], cameras: Sequence[Camera | None], count: int,
-                      ) -> None:
+def _refuse_elsewhere(images: Sequence[ImageInput], started: Started, count: int) -> None:
     """Refuse RPCs of another place than the image's control, or than its ties by other images.
 
     Raises
@@ -124,13 +126,14 @@ def _refuse_elsewhere(images: Sequence[ImageInput], cameras: Sequence[Camera | N
         Naming the images.
     """
     placed: dict[int, FloatArray] = {}
-    for i, (image, camera) in enumerate(zip(images, cameras, strict=True)):
+    for i, (camera, _) in started.items():
         if not isinstance(camera, RpcCamera):
             continue
+        image = images[i]
         control = image.control
         if len(control):
             # Half the control farther than the size of the image from where the RPC puts it.
-            computed = camera.first_order(control.local)[0]
+            computed = camera.project(np.zeros(len(camera.groups)), control.local)
             away = np.abs(control.value - (control.normal * computed).sum(axis=1))
             if np.median(away) > 2 * max(np.abs(camera.rpc.image_scale)):
                 raise TermselError(f"the RPC of image {image.name!r} is of another place than its "
@@ -140,20 +143,16 @@ def _refuse_elsewhere(images: Sequence[ImageInput], cameras: Sequence[Camera | N
         # Where the RPC puts the ties on the ground, at its mean height.
         position = image.measured.position
         placed[i] = np.column_stack([np.ones(len(position)), position]) @ _inverse(
-            camera, np.zeros((len(camera.groups), 2)))
+            camera, np.zeros(len(camera.groups)))
     far_images = Counter[int]()
     near_images = Counter[int]()
     ties_far = Counter[int]()
     ties_near = Counter[int]()
     for i, j, rows, other_rows in pairs([image.measured.tie for image in images], count):
         if i in placed and j in placed and i != j:
-            widths = []
-            for k in (i, j):
-                camera = cameras[k]
-                assert camera is not None
-                widths.append(camera.area()[1].max())
+            width = max(float(started[k][0].area()[1].max()) for k in (i, j))
             # Both images put their common ties on the ground: are they in different areas?
-            far = np.median(np.abs(placed[i][rows] - placed[j][other_rows])) > 2 * max(widths)
+            far = np.median(np.abs(placed[i][rows] - placed[j][other_rows])) > 2 * width
             (ties_far if far else ties_near).update({i: len(rows), j: len(rows)})
             if len(rows) >= _SEVERAL:
                 (far_images if far else near_images).update((i, j))
@@ -182,24 +181,25 @@ def _polynomial(local: FloatArray, image: FloatArray) -> PolynomialCamera:
 def _begun(camera: Camera, local: FloatArray, normal: FloatArray, value: FloatArray) -> FloatArray:
     """Return the parameters that a camera begins with."""
     if isinstance(camera, PhysicalCamera):
-        return camera.first
+        return camera.start
+    assert isinstance(camera, LinearCamera)
     return _fitted(camera, local, normal, value)
 
 
-def _fitted(camera: Camera, local: FloatArray, normal: FloatArray, value: FloatArray,
+def _fitted(camera: LinearCamera, local: FloatArray, normal: FloatArray, value: FloatArray,
             ) -> FloatArray:
     """Return parameters by rows of known places (see `OwnControl`) and priors, robustly."""
-    parameters = np.zeros((len(camera.groups), 2))
+    parameters = np.zeros(len(camera.groups))
     if not len(value):
         return parameters
     image, columns = camera.first_order(local)
     # Rows of line and sample by all parameters, in the direction in which each is measured.
     rows = (normal[:, :, None] * columns[:, None]).reshape(len(value), -1)
     # Perspective depends on the parameters of the fit before, so that a few fits are needed.
-    for _ in range(_BENT):
+    for _ in range(_PERSPECTIVE_FITS):
         fixed = image + camera.perspective(parameters, local)
         aim = value - (normal * fixed).sum(axis=1)
-        parameters = _ridge(rows, aim, np.tile(np.square(camera.spread), 2)).reshape(2, -1).T
+        parameters = _ridge(rows, aim, np.square(camera.prior_sigma))
     return parameters
 
 
@@ -230,41 +230,34 @@ def _ridge(rows: FloatArray, aim: FloatArray, variances: FloatArray) -> FloatArr
     return np.asarray(estimates)
 
 
-def _located(images: Sequence[ImageInput], cameras: Sequence[Camera | None],
-             parameters: Sequence[FloatArray | None], begun: Sequence[int], ties: FloatArray,
+def _located(images: Sequence[ImageInput], started: Started, ties: FloatArray,
              located: BoolArray, heights: Heights) -> tuple[FloatArray, BoolArray]:
     """Return the places of ties seen by two or more images that have models."""
     # First where affine maps of the images put them, on average, at middle heights.
     count = np.zeros(len(ties))
     total = np.zeros((len(ties), 3))
-    for i in begun:
-        camera = cameras[i]
+    for i, (camera, parameters) in sorted(started.items()):
         measured = images[i].measured
-        assert camera is not None
-        inverse = _inverse(camera, parameters[i])
+        inverse = _inverse(camera, parameters)
         at = np.column_stack([np.ones(len(measured.tie)), measured.position]) @ inverse
-        np.add.at(total, measured.tie, np.column_stack([at, np.full(len(at), camera.area()[0][2])]))
+        middle_height = np.full(len(at), camera.area()[0][2])
+        np.add.at(total, measured.tie, np.column_stack([at, middle_height]))
         np.add.at(count, measured.tie, 1)
     is_seen = count > 1
     # Ties that have a position keep it, as a better start than the affine maps.
     fresh = is_seen & ~located
     ties = ties.copy()
     ties[fresh] = total[fresh] / count[fresh, None]
-    rays = []
-    for i in begun:
-        camera = cameras[i]
-        measured = images[i].measured
-        mean = parameters[i]
-        assert camera is not None
-        assert mean is not None
-        use = is_seen[measured.tie]
-        rays.append((camera, mean, measured.tie[use], measured.position[use]))
     # Ties that two images see are numbered by themselves: `intersect` takes no others.
     rows = np.flatnonzero(is_seen)
     renamed = np.full(len(ties), -1)
     renamed[rows] = np.arange(len(rows))
-    ties[rows] = intersect(ties[rows], [(camera, mean, renamed[tie], place)
-                                    for camera, mean, tie, place in rays], heights)
+    rays = []
+    for i, (camera, parameters) in sorted(started.items()):
+        measured = images[i].measured
+        use = is_seen[measured.tie]
+        rays.append((camera, parameters, renamed[measured.tie[use]], measured.position[use]))
+    ties[rows] = intersect(ties[rows], rays, heights)
     return ties, is_seen
 
 
@@ -291,13 +284,12 @@ def intersect(start: FloatArray, rays: Sequence[Rays], heights: Heights | None =
     return ties
 
 
-def _inverse(camera: Camera, parameters: FloatArray | None) -> FloatArray:
+def _inverse(camera: Camera, parameters: FloatArray) -> FloatArray:
     """Return the affine map (3, 2) from line and sample to a place at the middle height."""
     centre, half = camera.area()
     steps = np.linspace(-1, 1, 5)
     grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     local = np.column_stack([centre[:2] + grid * half, np.full(len(grid), centre[2])])
-    assert parameters is not None
     image = camera.project(parameters, local)
     # Least squares over a grid: lines and samples by the ground turned round.
     return np.asarray(np.linalg.lstsq(

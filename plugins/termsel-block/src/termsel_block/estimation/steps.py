@@ -9,9 +9,9 @@ from scipy.special import chdtri
 
 from termsel import TermselError
 from termsel_block.estimation import common
-from termsel_block.estimation.equations import TieRows, Shared, Solved, solve
+from termsel_block.estimation.equations import Shared, Solved, TieRows, solve
 from termsel_block.estimation.unknowns import Measured, State
-from termsel_block.geometry.cameras import Camera
+from termsel_block.geometry.cameras import Camera, Fixed
 from termsel_block.geometry.control import OwnControl
 from termsel_block.geometry.frame import FloatArray
 from termsel_block.geometry.heights import Heights
@@ -31,7 +31,7 @@ _MOST_OWN = 0.99
 """
 _QUANTILES = (np.arange(200) + 0.5) / 200
 # In m, the most that a step moves a tie which no image in use sees.
-_UNSEEN = 1e4
+_UNSEEN_MOVE = 1e4
 
 
 class Steps:
@@ -49,7 +49,8 @@ class Steps:
         self.heights = heights
         self.shared = shared
         self.slopes: dict[int, FloatArray] = {}
-        self.known_parts: dict[int, tuple[Camera, FloatArray, FloatArray, FloatArray]] = {}
+        self.fixed_parts: dict[int, tuple[Camera, FloatArray, Fixed]] = {}
+        """Of each image: camera and ties, and what no parameter changes at these ties."""
         self.design: dict[int, FloatArray] = {}
         """Rows of each image's control in the last equations."""
         self.weights: dict[int, FloatArray] = {}
@@ -77,7 +78,7 @@ class Steps:
                 zip(state.cameras, self.measured, self.control, strict=True)):
             parameters = state.parameters[i]
             local = state.ties[measured.tie]
-            computed, columns = self._computed(i)
+            computed = self._computed(i)
             residual = measured.position - computed
             weight = np.where(state.in_use[i], state.sigma_ties**-2, 0.0)
             if robust:
@@ -86,18 +87,19 @@ class Steps:
             # emptied.
             if i not in self.slopes:
                 self.slopes[i] = camera.slopes(parameters, local, computed)
-            tie_rows.append(TieRows(measured.tie, camera.rows(parameters, local, columns),
+            tie_rows.append(TieRows(measured.tie,
+                                    camera.jacobian(parameters, local, self._fixed(i)),
                                     self.slopes[i],
                              residual, weight))
             block, of_control = self._of_control(i, camera, control, robust and wide == 1.0)
-            precision = np.diag(np.tile(1 / variances[i], 2))
+            precision = np.diag(1 / variances[i])
             # Priors of zero mean add V^-1 to the matrix and -V^-1 x to the right side.
             of_images.append(block + precision)
-            right.append(of_control - precision @ parameters.T.ravel())
+            right.append(of_control - precision @ parameters)
         of_heights, normal, aim, of_ties, right_of_ties = common.of_heights(
             self.heights, state.ties)
         # A tie that no image in use sees would leave its equations singular.
-        of_ties = of_ties + np.eye(3) * _UNSEEN**-2
+        of_ties = of_ties + np.eye(3) * _UNSEEN_MOVE**-2
         try:
             return solve([*tie_rows, of_heights], [*of_images, normal], [*right, aim], of_ties,
                          right_of_ties, self.shared)
@@ -114,7 +116,7 @@ class Steps:
         ties = state.ties
         before = self._cost(robust, wide)
         offset = heights.offset
-        start = [self._computed(i)[0] for i in range(len(parameters))]
+        start = [self._computed(i) for i in range(len(parameters))]
         # Halved until the posterior no longer falls: full, half, quarter and so on.
         for halvings in range(_HALVINGS):
             self.share = 0.5**halvings
@@ -144,7 +146,7 @@ class Steps:
         total = self.heights.cost(state.ties)
         # Sum of squares over variances: of priors, of ties, of control, and of heights.
         for i, control in enumerate(self.control):
-            total += float((state.parameters[i]**2 / state.variances[i][:, None]).sum())
+            total += float((state.parameters[i]**2 / state.variances[i]).sum())
             # Robust: s / (1 + s / c^2), whose weight is that of `soft`, and which no blunder
             # outgrows.
             square = (of_ties[i]**2).sum(axis=1) / state.sigma_ties**2
@@ -208,27 +210,27 @@ class Steps:
                     (1 - _BLUNDERS) * density + _BLUNDERS / _AWAY**len(at)))
         return score
 
-    def _computed(self, i: int) -> tuple[FloatArray, FloatArray]:
-        """Return places and columns of an image's ties; known parts are computed once for a state.
-        """
+    def _fixed(self, i: int) -> Fixed:
+        """Return what no parameter changes at an image's ties, computed once for a state."""
         camera = self.state.cameras[i]
         ties = self.state.ties
-        parameters = self.state.parameters[i]
-        known_part = self.known_parts.get(i)
-        # Camera and ties are replaced, never changed: identity tells whether they are still the same.
-        if known_part is None or known_part[0] is not camera or known_part[1] is not ties:
-            known_part = camera, ties, *camera.first_order(ties[self.measured[i].tie])
-            self.known_parts[i] = known_part
-        _, _, image, columns = known_part
-        return (image + columns @ parameters
-                + camera.perspective(parameters, ties[self.measured[i].tie])), columns
+        # Camera and ties are replaced, never changed: identity tells whether they are the same.
+        if i not in self.fixed_parts or not (
+                self.fixed_parts[i][0] is camera and self.fixed_parts[i][1] is ties):
+            self.fixed_parts[i] = camera, ties, camera.fixed(ties[self.measured[i].tie])
+        return self.fixed_parts[i][2]
+
+    def _computed(self, i: int) -> FloatArray:
+        """Return line and sample (n, 2) [px] of an image's ties by its model."""
+        local = self.state.ties[self.measured[i].tie]
+        return self.state.cameras[i].project(self.state.parameters[i], local, self._fixed(i))
 
     def _of_control(self, i: int, camera: Camera, control: OwnControl, robust: bool,
                     ) -> tuple[FloatArray, FloatArray]:
         """Return what an image's control adds to its normal equations."""
-        m = len(camera.groups)
+        p = len(camera.groups)
         if not len(control):
-            return np.zeros((2 * m, 2 * m)), np.zeros(2 * m)
+            return np.zeros((p, p)), np.zeros(p)
         # Kept for `expected` and for the estimates of variances, which are of the same equations.
         rows, residual = self._rows(i, camera, control)
         self.design[i] = rows
@@ -241,12 +243,13 @@ class Steps:
         return (rows * weight[:, None]).T @ rows, (rows * weight[:, None]).T @ residual
 
     def _rows(self, i: int, camera: Camera, control: OwnControl) -> tuple[FloatArray, FloatArray]:
-        """Return the rows (n, 2m) of an image's control, and the residuals [px]."""
+        """Return the rows (n, p) of an image's control, and the residuals [px]."""
         parameters = self.state.parameters[i]
         # Derivatives of the distance in the direction that is measured, n . (line, sample).
-        rows = np.einsum("na,nap->np", control.normal, camera.rows(
-            parameters, control.local, camera.first_order(control.local)[1]))
-        computed = camera.project(parameters, control.local)
+        fixed = camera.fixed(control.local)
+        rows = np.einsum("na,nap->np", control.normal,
+                         camera.jacobian(parameters, control.local, fixed))
+        computed = camera.project(parameters, control.local, fixed)
         return rows, control.value - (control.normal * computed).sum(axis=1)
 
     def moved(self) -> FloatArray:
@@ -268,7 +271,7 @@ class Steps:
         state = self.state
         of_ties = []
         for i, measured in enumerate(self.measured):
-            of_ties.append(measured.position - self._computed(i)[0])
+            of_ties.append(measured.position - self._computed(i))
         return of_ties, [self._rows(i, camera, control)[1] if len(control) else np.empty(0)
                          for i, (camera, control) in enumerate(
                              zip(state.cameras, self.control, strict=True))]

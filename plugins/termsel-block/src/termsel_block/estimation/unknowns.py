@@ -61,7 +61,7 @@ class Adjusted:
     score : dict
         Logarithm of the density of each feature of control, by number of the image and name, as
         predicted by all others and by priors as stated; empty where no model states any.
-    draws : list of ndarray, shape (d, 2m)
+    draws : list of ndarray, shape (d, p)
         Of the errors of each image's parameters, with variances unknown; empty where these are
         taken as estimated.
     """

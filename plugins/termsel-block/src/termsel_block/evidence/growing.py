@@ -7,7 +7,7 @@ from scipy.special import fdtrc
 
 from termsel_block.geometry.frame import FloatArray
 
-CHANCE = 1e-3
+TRIED_BELOW = 1e-3
 """Probability by chance below which columns are tried; the whole block decides afterwards."""
 
 

@@ -20,10 +20,10 @@ tell them, and the time grows with the cube."""
 _FIRST, _KEPT = 100, 400
 """Draws until the chain has forgotten its start, and those after it."""
 
-_GRID = np.geomspace(1e-3, 30.0, 101)
+_SIGMA_GRID = np.geomspace(1e-3, 30.0, 101)
 """Standard deviations over the first guess."""
 
-_LEAST, _MOST = 0.03, 30.0
+_MIN_IMAGE_RATIO, _MAX_IMAGE_RATIO = 0.03, 30.0
 """Standard deviation of an image's own parameters over that of all images."""
 
 
@@ -68,12 +68,13 @@ class _Group:
 
     images: tuple[IntArray, ...]
     scale: IntArray
-    min_spread: float
+    min_ratio: float
 
 
 def unknown(cameras: Sequence[Camera]) -> int:
     """Return how many parameters of images have unknown variances."""
-    return sum(2 for camera in cameras for name in camera.groups if name not in camera.wide)
+    return sum(name not in camera.fixed_variance
+               for camera in cameras for name in camera.groups)
 
 
 def integrate(normal: FloatArray, step: FloatArray, cameras: Sequence[Camera],
@@ -85,7 +86,7 @@ def integrate(normal: FloatArray, step: FloatArray, cameras: Sequence[Camera],
     ----------
     normal, step : ndarray, shapes (p, p) and (p,)
         The normal equations with the first guesses as priors, and their solution.
-    cameras, parameters : sequence of Camera and of ndarray, shape (m, 2)
+    cameras, parameters : sequence of Camera and of ndarray, shape (p,)
     slices : sequence of slice
         Where the parameters of each image are, then the offset of heights.
     of_offset : float, optional
@@ -109,7 +110,7 @@ def integrate(normal: FloatArray, step: FloatArray, cameras: Sequence[Camera],
     """
     at, scale, groups = _unknown(cameras, slices)
     # Parameters are differences from the point of linearisation, so that zero is the prior's mean.
-    current = np.concatenate([parameter.T.ravel() for parameter in parameters])[at]
+    current = np.concatenate(parameters)[at]
     if of_offset is not None:
         groups.append(_Group((np.array([len(at)]),), np.zeros(1, np.intp), np.nan))
         at = np.append(at, slices[-1].start)
@@ -163,25 +164,26 @@ def _unknown(cameras: Sequence[Camera], slices: Sequence[slice],
     at: list[int] = []
     scale: list[float] = []
     members: dict[str, list[IntArray]] = {}
-    min_spread: dict[str, float] = {}
+    min_ratio: dict[str, float] = {}
     scales: dict[str, list[str]] = {}
     for camera, columns in zip(cameras, slices, strict=False):
-        names = np.tile(camera.scales, 2)
-        spread = np.tile(camera.spread, 2)
+        names = np.array(camera.scales)
+        sigma = np.array(camera.prior_sigma)
+        least_sigma = np.array(camera.min_sigma)
         # Columns of one scale share a standard deviation, and several scales are one group.
         for scale_name, group in dict(zip(camera.scales, camera.groups, strict=True)).items():
-            if group in camera.wide:
+            if group in camera.fixed_variance:
                 continue
             of_scale = np.flatnonzero(names == scale_name)
             members.setdefault(group, []).append(len(at) + np.arange(len(of_scale)))
             scales.setdefault(group, []).append(scale_name)
             at += (columns.start + of_scale).tolist()
-            scale += spread[of_scale].tolist()
+            scale += sigma[of_scale].tolist()
             # No variance below what the camera states, whatever the data say.
-            ratio = float((np.tile(camera.min_spread, 2)[of_scale] / spread[of_scale]).max())
-            min_spread[group] = max(min_spread.get(group, _GRID[0]), ratio)
+            ratio = float((least_sigma[of_scale] / sigma[of_scale]).max())
+            min_ratio[group] = max(min_ratio.get(group, _SIGMA_GRID[0]), ratio)
     groups = [_Group(tuple(images), np.unique(scales[name], return_inverse=True)[1],
-                     min_spread[name])
+                     min_ratio[name])
               for name, images in members.items()]
     return np.array(at, np.intp), np.array(scale), groups
 
@@ -194,7 +196,7 @@ def _chain(matrix: FloatArray, right: FloatArray, groups: Sequence[_Group],
     """
     rng = np.random.default_rng(0)
     k = len(right)
-    shared = [1.0 if np.isnan(group.min_spread) else max(0.3, group.min_spread) for group in groups]
+    shared = [1.0 if np.isnan(group.min_ratio) else max(0.3, group.min_ratio) for group in groups]
     of_images = [np.ones(len(group.images)) for group in groups]
     of_scale = [np.ones(group.scale.max() + 1) for group in groups]
     means = np.empty((_KEPT, k))
@@ -240,11 +242,11 @@ def _scales(x: FloatArray, equations: tuple[FloatArray, FloatArray], group: _Gro
 
     def drawn(over: FloatArray, number: IntArray) -> FloatArray:
         square = (over + OWN) / rng.chisquare(OWN + number)
-        return np.clip(np.sqrt(square), _LEAST, _MOST)
+        return np.clip(np.sqrt(square), _MIN_IMAGE_RATIO, _MAX_IMAGE_RATIO)
 
-    if np.isnan(group.min_spread):
+    if np.isnan(group.min_ratio):
         return 1.0, drawn(squares, count), of_scale
-    grid = _GRID[group.min_spread * 0.999 <= _GRID]
+    grid = _SIGMA_GRID[group.min_ratio * 0.999 <= _SIGMA_GRID]
     # Half t with TAIL degrees of freedom, on a grid of logarithms.
     prior = np.log(grid) - (TAIL + 1) / 2 * np.log1p(grid**2 / TAIL)
     common = _drawn(grid, prior - count.sum() * np.log(grid)

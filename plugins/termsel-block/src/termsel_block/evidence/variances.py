@@ -12,7 +12,7 @@ from termsel_block.geometry.frame import FloatArray
 OWN = 4.0
 """Weight of what all images say of a variance, as so many parameters of the image's own."""
 
-_GRID = np.geomspace(1e-4, 1e2, 121)
+_RATIO_GRID = np.geomspace(1e-4, 1e2, 121)
 """Standard deviations over the first guess that are weighed."""
 
 
@@ -23,14 +23,14 @@ TAIL = 4.0
 def estimated(cameras: Sequence[Camera], parameters: Sequence[FloatArray],
               covariances: Sequence[FloatArray], variances: Sequence[FloatArray],
               ) -> list[FloatArray]:
-    """Return the new variance of each column of each image [px2].
+    """Return the new variance of each parameter of each image [px2].
 
     Parameters
     ----------
     cameras : sequence of Camera
-    parameters, covariances : sequence of ndarray, shapes (m, 2) and (2m, 2m)
+    parameters, covariances : sequence of ndarray, shapes (p,) and (p, p)
         Of each image, of the posterior with the present variances.
-    variances : sequence of ndarray, shape (m,)
+    variances : sequence of ndarray, shape (p,)
 
     Notes
     -----
@@ -45,11 +45,10 @@ def estimated(cameras: Sequence[Camera], parameters: Sequence[FloatArray],
             cameras, parameters, covariances, variances, strict=True):
         # Mean and variance of the posterior, variance of the prior, and first guess of each
         # parameter.
-        values = np.stack([mean.T.ravel(), np.diag(covariance), np.tile(variance, 2),
-                           np.tile(camera.spread, 2)])
-        names = np.tile(camera.groups, 2)
+        values = np.stack([mean, np.diag(covariance), variance, camera.prior_sigma])
+        names = np.array(camera.groups)
         for name in dict.fromkeys(camera.groups):
-            if name not in camera.wide:
+            if name not in camera.fixed_variance:
                 pooled.setdefault(name, []).append(values[:, names == name])
     common = {name: posterior_mean(*np.concatenate(blocks, axis=1))
               for name, blocks in pooled.items()}
@@ -58,15 +57,15 @@ def estimated(cameras: Sequence[Camera], parameters: Sequence[FloatArray],
             cameras, parameters, covariances, variances, strict=True):
         new = variance.copy()
         groups = np.array(camera.groups)
-        # E[x^2] of the posterior, line and sample together: mean^2 + variance.
-        moments = (mean**2).sum(axis=1) + np.diag(covariance).reshape(2, -1).sum(axis=0)
+        # E[x^2] of the posterior: mean^2 + variance.
+        moments = mean**2 + np.diag(covariance)
         for name in dict.fromkeys(camera.groups):
-            if name not in camera.wide:
+            if name not in camera.fixed_variance:
                 in_group = groups == name
                 # The posterior mean of a variance with OWN degrees of freedom about the common one.
-                new[in_group] = (moments[in_group].sum() + OWN * common[name]) / (2 * in_group.sum()
-                                                                                  + OWN)
-        result.append(np.maximum(new, np.square(camera.min_spread)))
+                new[in_group] = ((moments[in_group].sum() + OWN * common[name])
+                                 / (in_group.sum() + OWN))
+        result.append(np.maximum(new, np.square(camera.min_sigma)))
     return result
 
 
@@ -79,7 +78,7 @@ def looser(cameras: Sequence[Camera], parameters: Sequence[FloatArray],
     """
     squares: dict[str, list[float]] = {}
     for camera, mean, covariance in zip(cameras, parameters, covariances, strict=True):
-        values = mean.T.ravel() ** 2 + np.diag(covariance)
+        values = mean**2 + np.diag(covariance)
         for name, at in camera.stated.items():
             # Back to units of the model's statement, which an earlier round may have loosened.
             squares.setdefault(name, []).append(float(values[at] * camera.looser[at] ** 2))
@@ -90,7 +89,7 @@ def looser(cameras: Sequence[Camera], parameters: Sequence[FloatArray],
 def posterior_mean(mean: FloatArray, variance: FloatArray, prior: FloatArray,
                     guess: FloatArray) -> float:
     """Return the mean of the variance of values, each with its posterior and its present prior."""
-    sigma = float(np.exp(np.log(guess).mean())) * _GRID[:, None]
+    sigma = float(np.exp(np.log(guess).mean())) * _RATIO_GRID[:, None]
     # What the measurements alone say of each value: its posterior without its prior.
     precision = np.maximum(1 / variance - 1 / prior, 0.0)
     right = mean / variance
@@ -98,6 +97,6 @@ def posterior_mean(mean: FloatArray, variance: FloatArray, prior: FloatArray,
     spread = 1 + sigma**2 * precision
     logarithm = 0.5 * (right**2 * sigma**2 / spread - np.log(spread)).sum(axis=1)
     # On a logarithmic grid the measure of a standard deviation is itself.
-    weight = np.exp(logarithm - logarithm.max()) * _GRID / (1 + _GRID**2 / TAIL) ** (
+    weight = np.exp(logarithm - logarithm.max()) * _RATIO_GRID / (1 + _RATIO_GRID**2 / TAIL) ** (
         (TAIL + 1) / 2)
     return float((weight * sigma[:, 0] ** 2).sum() / weight.sum())

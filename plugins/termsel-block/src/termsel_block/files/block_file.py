@@ -33,15 +33,15 @@ from termsel_block.geometry.physical import MODELS, in_a_block
 
 COLUMNS = {"id": ("id", "tie", "name", "point"), "image": ("image", "img", "scene"),
            "line": ("line", "row", "y_pix"), "sample": ("sample", "col", "column", "x_pix")}
-"""ControlHeights names of the columns of a table of ties."""
+"""Known names of the columns of a table of ties."""
 
 _EXAMPLE = "termsel block-example DIR writes a block to begin with."
 _KINDS = {"str": "text in quotes", "int": "a whole number", "float": "a number",
           "bool": "true or false", "array": "a list", "object": "a table"}
 # In a note.
-_NAMED = 5
+_NAMED_TIES = 5
 # Ties and control features of an image.
-_LEAST = 3
+_MIN_FEATURES = 3
 # bytes of an image's name, in UTF-8.
 _LONGEST = 100
 # lines or samples: no image has as many.
@@ -121,11 +121,11 @@ def _refuse_alone(images: Sequence[BlockImage], ties: Ties, path: Path) -> None:
     for image, n in zip(images, count.tolist(), strict=True):
         n_control = 0 if image.features is None else (
             len(in_use(image.features)) + len(image.features.lines))
-        if n + n_control < _LEAST:
+        if n + n_control < _MIN_FEATURES:
             raise TermselError(f"image {image.name!r} has {n} ties and {n_control} control "
                                "features, so "
                                "that nothing joins it to the block", file=path,
-                               hint=f"Give it {_LEAST} ties or more, or remove it.")
+                               hint=f"Give it {_MIN_FEATURES} ties or more, or remove it.")
 
 
 def _refuse_copies(names: Sequence[str], ties: Ties, path: Path) -> None:
@@ -133,12 +133,12 @@ def _refuse_copies(names: Sequence[str], ties: Ties, path: Path) -> None:
     measurements = [np.flatnonzero(ties.image == i) for i in range(len(names))]
     for name, at in zip(names, measurements, strict=True):
         # Copied rows: no two ties of an image are at one place by chance.
-        if len(at) >= _LEAST and np.ptp(ties.position[at], axis=0).max() < _SAME:
+        if len(at) >= _MIN_FEATURES and np.ptp(ties.position[at], axis=0).max() < _SAME:
             raise TermselError(f"all {len(at)} ties of image {name!r} are at one place in it",
                                file=path, hint="Check the columns line and sample of the ties.")
     # Of images that share ties: are all measured alike in both?
     for i, j, first, second in pairs([ties.tie[at] for at in measurements], len(ties.names)):
-        if i == j or len(first) < _LEAST:
+        if i == j or len(first) < _MIN_FEATURES:
             continue
         away = ties.position[measurements[i][first]] - ties.position[measurements[j][second]]
         if np.abs(away).max() < _SAME:
@@ -253,7 +253,7 @@ def _check_model(stated: _Image, options: Mapping[str, Any], has_rpc: bool, path
         return
     if has_rpc:
         raise TermselError(f"image {stated.name!r} has the model {stated.model!r}", file=path,
-                           hint=f"ControlHeights with an RPC: {', '.join(CORRECTIONS)}.")
+                           hint=f"Known with an RPC: {', '.join(CORRECTIONS)}.")
     # Made only to refuse bad options now, in the words of the file.
     try:
         with options_of_file(path):
@@ -262,7 +262,7 @@ def _check_model(stated: _Image, options: Mapping[str, Any], has_rpc: bool, path
         hint = in_a_block(error.hint)
         # Most of the known ones have no priors.
         if error.what.startswith("unknown model"):
-            hint = f"{hint.partition('ControlHeights:')[0]}{MODELS}"
+            hint = f"{hint.partition('Known:')[0]}{MODELS}"
         raise TermselError(f"image {stated.name!r}: {error.what}", file=path,
                            hint=hint) from error
 
@@ -369,9 +369,9 @@ def read_ties(files: Sequence[Path], images: Sequence[str]) -> tuple[Ties, tuple
     table = np.array(rows)
     notes: tuple[str, ...] = ()
     if single:
-        further = ", ..." if len(single) > _NAMED else ""
+        further = ", ..." if len(single) > _NAMED_TIES else ""
         notes = (f"{len(single)} {'tie is' if len(single) == 1 else 'ties are'} in one image alone "
-                 f"and left out: {', '.join(single[:_NAMED])}{further}.",)
+                 f"and left out: {', '.join(single[:_NAMED_TIES])}{further}.",)
     return Ties(names, table[:, 0].astype(np.intp), table[:, 1].astype(np.intp),
                 table[:, 2:]), notes
 

@@ -28,8 +28,8 @@ log = logging.getLogger("termsel.block")
 RECORD, SUMMARY, PAGE, TIES, SCHEMA_FILE = (
     "block.json", "summary.txt", "report.html", "ties.csv", "block.schema.json")
 
-_MOST = {"smooth": 400, "polynomial": 200}
-_MOST_PHYSICAL, _MOST_OTHERS = 40, 120
+_MOST_TIES = {"smooth": 400, "polynomial": 200}
+_MOST_TIES_PHYSICAL, _MOST_TIES_OTHERS = 40, 120
 """Ties of an image that its own result keeps as control, by its model: with more it is the block's
 model no better than a tenth of what the block predicts, and takes longer.
 """
@@ -190,8 +190,9 @@ def _features(result: BlockResult, i: int, image: BlockImage) -> FeatureSet:
     state = result.adjusted.state
     ties = result.block.ties
     in_image = np.flatnonzero(ties.image == i)[state.in_use[i]]
-    most_ties = _MOST_PHYSICAL if isinstance(result.camera(i), PhysicalCamera) else _MOST.get(
-        correction_of(result, i), _MOST_OTHERS)
+    most_ties = _MOST_TIES_PHYSICAL if isinstance(result.camera(i),
+                                                  PhysicalCamera) else _MOST_TIES.get(
+        correction_of(result, i), _MOST_TIES_OTHERS)
     # Evenly over the list, which is in the order of the ties.
     if len(in_image) > most_ties:
         in_image = in_image[np.linspace(0, len(in_image) - 1, most_ties).astype(int)]

@@ -26,7 +26,7 @@ from termsel.toolkit import (
 from termsel_block.files.folders import RECORD, TIES
 from termsel_block.geometry.frame import FloatArray
 
-_STEPS = 1e-3, 1e-8
+_LAS_STEPS = 1e-3, 1e-8
 """Steps of coordinates in LAS: of metres, and of degrees, which are a millimetre."""
 
 
@@ -55,7 +55,7 @@ def write_places(folder: Path | str, target: Path | str, *, overwrite: bool = Fa
     writers = {".gpkg": _geopackage, ".las": _cloud, ".laz": _cloud}
     if target.suffix.lower() not in writers:
         raise TermselError(f"the suffix {target.suffix!r} tells no format", file=target,
-                           hint=f"ControlHeights: {', '.join(writers)}.")
+                           hint=f"Known: {', '.join(writers)}.")
     require_replaceable([target], reads=[folder / RECORD, folder / TIES], overwrite=overwrite)
     ids, values, crs = _read(folder)
     # Written in a private folder first: the target is replaced by a whole file or not at all.
@@ -114,9 +114,9 @@ def _cloud(complete: Path, target: Path, _: list[str], values: FloatArray, crs: 
         header.add_crs(system)
     # LAS holds whole numbers of steps from an offset.
     header.offsets = np.floor(values[:, :3].min(axis=0)) if len(values) else np.zeros(3)
-    step = _STEPS[degrees]
+    step = _LAS_STEPS[degrees]
     # Heights are in metres in either case.
-    header.scales = np.array([step, step, _STEPS[0]])
+    header.scales = np.array([step, step, _LAS_STEPS[0]])
     names = ("sigma_east", "sigma_north", "sigma_up")
     header.add_extra_dims([laspy.ExtraBytesParams(name, np.float32) for name in names]
                           + [laspy.ExtraBytesParams("images", np.uint16)])

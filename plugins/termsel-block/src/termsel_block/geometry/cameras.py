@@ -12,7 +12,7 @@ import numpy as np
 from termsel import Rpc
 from termsel_block.geometry.frame import BoolArray, FloatArray, Frame
 
-_STEP = 1.0
+_GROUND_STEP = 1.0
 """Metres on the ground over which derivatives are taken."""
 
 DISTANCE = 700e3
@@ -40,80 +40,86 @@ _AXES = (1, 0, 0), (0, 1, 0), (0, 0, 1)
 _AFFINE, _QUADRATIC, _CUBIC, _RELIEF = "affine", "quadratic", "cubic", "relief"
 
 
+Fixed = tuple[FloatArray, FloatArray] | None
+"""What no parameter changes at some places: known part (n, 2) [px] and columns (n, m), if any."""
+
+
 class Camera(ABC):
-    """An image whose line and sample are a known part plus columns times parameters.
+    """What line and sample of places are in one image, by p parameters with a prior.
 
-    A perspective that the parameters state may be added.
-
-    Both axes have the same columns. Columns belong to groups, such as "shift" or "degree 2", which
-    the evidence keeps or drops together.
+    Parameters belong to groups, such as "shift" or "degree 2", which the evidence keeps or drops
+    together. Their prior is normal about zero.
 
     Attributes
     ----------
     groups : tuple of str
-        Group of each column.
-    spread : tuple of float
-        Prior standard deviation of a parameter of each column [px] to begin with.
-    least : tuple of float
+        Group of each parameter.
+    prior_sigma : tuple of float
+        Prior standard deviation of each parameter to begin with.
+    min_sigma : tuple of float
         The least that evidence may make of it: what all images have in common ties cannot show.
-    kept : frozenset of str
+    permanent : frozenset of str
         Groups that no evidence can drop.
-    wide : frozenset of str
+    fixed_variance : frozenset of str
         Those of them whose variance stays what it was.
     nested : bool
         Whether a group makes sense only with all before it.
     scales : tuple of str
-        Of each column: those of one scale share a standard deviation while variances are unknown.
+        Of each parameter: those of one scale share a standard deviation while variances are
+        unknown.
     stated : mapping
-        Parameters whose prior is what a model says of its terms: name and index, by image axis,
-        then column.
-    looser : ndarray, shape (2m,)
+        Parameters whose prior is what a model says of its terms: name and index.
+    looser : ndarray, shape (p,)
         What their standard deviations are times what the model says.
     """
 
     groups: tuple[str, ...]
-    spread: tuple[float, ...]
-    min_spread: tuple[float, ...]
+    prior_sigma: tuple[float, ...]
+    min_sigma: tuple[float, ...]
     permanent: frozenset[str] = frozenset()
-    wide: frozenset[str] = frozenset()
+    fixed_variance: frozenset[str] = frozenset()
     nested = False
     stated: Mapping[str, int] = MappingProxyType({})
     looser: FloatArray
 
     @property
     def scales(self) -> tuple[str, ...]:
-        """The name of each column's scale."""
+        """The name of each parameter's scale."""
         return self.groups
 
     @abstractmethod
     def only(self, keep: BoolArray) -> Camera:
-        """Return the camera with some of its columns, by a mask (m,)."""
+        """Return the camera with some of its parameters, by a mask (p,)."""
+
+    def fixed(self, local: FloatArray) -> Fixed:
+        """Return what no parameter changes at places, which `project` need not compute again."""
+        return None
 
     @abstractmethod
-    def first_order(self, local: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the known part (n, 2) [px] and the columns (n, m) at places of the frame."""
+    def project(self, parameters: FloatArray, local: FloatArray, fixed: Fixed = None) -> FloatArray:
+        """Return line and sample (n, 2) [px] of places of the frame (n, 3), by parameters (p,)."""
 
-    def perspective(self, parameters: FloatArray, local: FloatArray) -> FloatArray | float:
-        """Return what parameters (m, 2) do next to their columns, (n, 2) [px]."""
-        return 0.0
+    @abstractmethod
+    def jacobian(self, parameters: FloatArray, local: FloatArray, fixed: Fixed = None,
+                 ) -> FloatArray:
+        """Return the derivatives (n, 2, p) of line and sample by the parameters."""
 
-    def rows(self, parameters: FloatArray, local: FloatArray, columns: FloatArray) -> FloatArray:
-        """Return the derivatives of line and sample by all parameters, shape (n, 2, 2m).
-
-        Parameters are ordered by image axis, then column, of which (n, m) are given.
-        """
-        n, m = columns.shape
-        found = np.zeros((n, 2, 2 * m))
-        found[:, 0, :m] = found[:, 1, m:] = columns
-        return found
+    def slopes(self, parameters: FloatArray, local: FloatArray, image: FloatArray) -> FloatArray:
+        """Return the derivatives (n, 2, 3) [px/m] of line and sample by the place."""
+        slopes = np.empty((len(local), 2, 3))
+        for axis in range(3):
+            shifted = local.copy()
+            shifted[:, axis] += _GROUND_STEP
+            slopes[:, :, axis] = (self.project(parameters, shifted) - image) / _GROUND_STEP
+        return slopes
 
     def followed(self, parameters: FloatArray, step: FloatArray, aim: FloatArray,
                  local: FloatArray) -> FloatArray:
-        """Return parameters (m, 2) after a step (2m,), which moves places (n, 3) to an aim (n, 2).
+        """Return parameters (p,) after a step (p,), which moves places (n, 3) to an aim (n, 2).
 
         What is linear is there.
         """
-        return np.asarray(parameters + step.reshape(2, -1).T)
+        return np.asarray(parameters + step)
 
     def loosened(self, of_terms: Mapping[str, float], parameters: FloatArray,
                  ) -> tuple[Camera, FloatArray]:
@@ -121,30 +127,64 @@ class Camera(ABC):
         """
         return self, parameters
 
-    def grown(self) -> Camera | None:
-        """Return the camera with further columns, which residuals may call for; None if none."""
+    def grown(self) -> tuple[LinearCamera, BoolArray] | None:
+        """Return the camera with further columns, which residuals may call for; None if none.
+
+        With it a mask (p,) of the parameters that are new.
+        """
         return None
 
     @abstractmethod
     def area(self) -> tuple[FloatArray, FloatArray]:
         """Return middle (3,) and half widths (2,) of the ground in the image [m]."""
 
-    def project(self, parameters: FloatArray, local: FloatArray) -> FloatArray:
-        """Return line and sample (n, 2) [px] of places with parameters (m, 2)."""
-        image, columns = self.first_order(local)
-        return np.asarray(image + columns @ parameters + self.perspective(parameters, local))
 
-    def slopes(self, parameters: FloatArray, local: FloatArray, image: FloatArray) -> FloatArray:
-        """Return the derivatives (n, 2, 3) [px/m] of line and sample by the place."""
-        slopes = np.empty((len(local), 2, 3))
-        for axis in range(3):
-            there = local.copy()
-            there[:, axis] += _STEP
-            slopes[:, :, axis] = (self.project(parameters, there) - image) / _STEP
-        return slopes
+class LinearCamera(Camera):
+    """An image whose line and sample are a known part plus columns times parameters.
+
+    Both axes have the same m columns: parameters are those of the line, then those of the sample.
+    A perspective that the parameters state may be added.
+    """
+
+    @abstractmethod
+    def first_order(self, local: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the known part (n, 2) [px] and the columns (n, m) at places of the frame."""
+
+    def perspective(self, parameters: FloatArray, local: FloatArray) -> FloatArray | float:
+        """Return what parameters (2m,) do next to their columns, (n, 2) [px]."""
+        return 0.0
+
+    def fixed(self, local: FloatArray) -> Fixed:
+        """Return the known part and the columns, by far the longest to compute."""
+        return self.first_order(local)
+
+    def project(self, parameters: FloatArray, local: FloatArray, fixed: Fixed = None) -> FloatArray:
+        """Return line and sample: known part + columns times parameters + perspective."""
+        image, columns = fixed or self.first_order(local)
+        return np.asarray(image + columns @ by_axis(parameters)
+                          + self.perspective(parameters, local))
+
+    def jacobian(self, parameters: FloatArray, local: FloatArray, fixed: Fixed = None,
+                 ) -> FloatArray:
+        """Return the columns, for the line by its parameters and for the sample by its own."""
+        _, columns = fixed or self.first_order(local)
+        n, m = columns.shape
+        derivatives = np.zeros((n, 2, 2 * m))
+        derivatives[:, 0, :m] = columns
+        derivatives[:, 1, m:] = columns
+        return derivatives
+
+    def correction(self, parameters: FloatArray, local: FloatArray) -> FloatArray:
+        """Return what the columns add to the known part at places, (n, 2) [px]."""
+        return np.asarray(self.first_order(local)[1] @ by_axis(parameters))
 
 
-class RpcCamera(Camera):
+def by_axis(parameters: FloatArray) -> FloatArray:
+    """Return parameters (2m,) as a column for the line and one for the sample, (m, 2)."""
+    return parameters.reshape(2, -1).T
+
+
+class RpcCamera(LinearCamera):
     """A vendor's RPC with a polynomial of line and sample added, as Grodecki and Dial 2003.
 
     Columns are 1; l; s, with l and s the RPC's line and sample in half images. For jitter of the
@@ -165,45 +205,49 @@ class RpcCamera(Camera):
     SMOOTH = "smooth"
     nested = True
 
-    def __init__(self, rpc: Rpc, frame: Frame, groups: Sequence[str] = COLUMNS) -> None:
+    def __init__(self, rpc: Rpc, frame: Frame, columns: Sequence[str] = COLUMNS) -> None:
         self.rpc = rpc
         self.frame = frame
-        self.groups = tuple(groups)
-        # A first guess that data may change a thousandfold: vendors are wrong by tens of px. The
-        # same error of yaw or roll changes an image along its lines by about a pixel.
-        self.spread = tuple({"shift": 20.0, "drift": 2.0, "affine": 1.0, self.SMOOTH: 2.0}[name]
-                            for name in groups)
-        self.min_spread = (1e-4,) * len(self.groups)
+        self.columns = tuple(columns)
+        self.groups = self.columns * 2
+        # A first guess [px] that data may change a thousandfold: vendors are wrong by tens of px.
+        # The same error of yaw or roll changes an image along its lines by about a pixel.
+        guesses = {"shift": 20.0, "drift": 2.0, "affine": 1.0, self.SMOOTH: 2.0}
+        self.prior_sigma = tuple(guesses[name] for name in self.groups)
+        self.min_sigma = (1e-4,) * len(self.groups)
 
     def only(self, keep: BoolArray) -> RpcCamera:
         """Return the camera with some of its columns."""
-        return RpcCamera(self.rpc, self.frame, [name for name, kept in zip(
-            self.groups, keep, strict=True) if kept])
+        return RpcCamera(self.rpc, self.frame, [name for name, is_kept in zip(
+            self.columns, keep[:len(self.columns)], strict=True) if is_kept])
 
-    def grown(self) -> RpcCamera | None:
-        """Return the camera with all groups; None if it has them."""
-        if self.SMOOTH in self.groups:
+    def grown(self) -> tuple[RpcCamera, BoolArray] | None:
+        """Return the camera with all groups, and which parameters are new; None if it has them."""
+        if self.SMOOTH in self.columns:
             return None
-        return RpcCamera(self.rpc, self.frame, groups_of(self.SMOOTH))
+        larger = RpcCamera(self.rpc, self.frame, groups_of(self.SMOOTH))
+        # New columns follow those that the camera has, for the line as for the sample.
+        is_new = np.arange(len(larger.columns)) >= len(self.columns)
+        return larger, np.tile(is_new, 2)
 
     def area(self) -> tuple[FloatArray, FloatArray]:
         """Return middle and half widths of the RPC's area."""
         rpc = self.rpc
-        frame = self.frame
         middle = np.array(rpc.ground_offset)
-        corners = frame.from_geodetic(np.stack([middle - rpc.ground_scale,
-                                                middle + rpc.ground_scale]))
+        corners = self.frame.from_geodetic(np.stack([middle - rpc.ground_scale,
+                                                     middle + rpc.ground_scale]))
         return corners.mean(axis=0), np.abs(np.diff(corners[:, :2], axis=0)[0]) / 2
 
     def first_order(self, local: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the RPC's line and sample, and the columns."""
         image = self.rpc.project(self.frame.geodetic(local))
-        parts = (image - self.rpc.image_offset) / np.abs(self.rpc.image_scale)
-        polynomial = {"shift": np.ones(len(image)), "drift": parts[:, 0], "affine": parts[:, 1]}
-        columns = [polynomial[name] for name in self.groups if name != self.SMOOTH]
-        if self.SMOOTH in self.groups:
-            columns += list(_cosines(parts[:, 0]))
-        return image, np.array(columns).reshape(len(self.groups), len(image)).T
+        half_images = (image - self.rpc.image_offset) / np.abs(self.rpc.image_scale)
+        polynomial = {"shift": np.ones(len(image)), "drift": half_images[:, 0],
+                      "affine": half_images[:, 1]}
+        columns = [polynomial[name] for name in self.columns if name != self.SMOOTH]
+        if self.SMOOTH in self.columns:
+            columns += list(_cosines(half_images[:, 0]))
+        return image, np.array(columns).reshape(len(self.columns), len(image)).T
 
 
 def groups_of(correction: str) -> tuple[str, ...]:
@@ -224,7 +268,7 @@ def _cosines(lines: FloatArray) -> FloatArray:
     return np.asarray((np.cos(np.pi * number * (lines + 1) / 2) - linear * lines) / number)
 
 
-class PolynomialCamera(Camera):
+class PolynomialCamera(LinearCamera):
     """An image without any geometry: a cubic polynomial of ground coordinates with priors.
 
     Coordinates are in half widths of the image's ground, heights too, so that the effect of a
@@ -245,7 +289,7 @@ class PolynomialCamera(Camera):
     """
 
     permanent = frozenset({_AFFINE, _QUADRATIC})
-    wide = frozenset({_AFFINE})
+    fixed_variance = frozenset({_AFFINE})
 
     def __init__(self, centre: FloatArray, half_ground: float, half_image: float,
                  middle: FloatArray, powers: Sequence[tuple[int, ...]] = POWERS) -> None:
@@ -254,41 +298,49 @@ class PolynomialCamera(Camera):
         self.middle = middle
         self.half_image = half_image
         self.powers = tuple(powers)
-        self.groups = tuple(_group(p) for p in powers)
-        near = _UNSURE * half_ground / DISTANCE
-        spread = {_QUADRATIC: 0.003 * half_image, _CUBIC: 0.0005 * half_image,
-                  _RELIEF: max(near, 0.003) * half_image}
-        least = {_QUADRATIC: _STRAIGHTEST * half_image, _RELIEF: near / 2 * half_image}
-        self.spread = tuple(spread.get(name, half_image * (0.5 if p[2] else 10.0))
-                            for name, p in zip(self.groups, powers, strict=True))
-        self.min_spread = tuple(least.get(name, 1e-4) for name in self.groups)
+        self.groups = tuple(_group(p) for p in powers) * 2
+        # Perspective over an image is its ground by the distance, known to a third as that is.
+        perspective = _UNSURE * half_ground / DISTANCE
+        prior_sigma = {_QUADRATIC: 0.003, _CUBIC: 0.0005, _RELIEF: max(perspective, 0.003)}
+        min_sigma = {_QUADRATIC: _STRAIGHTEST, _RELIEF: perspective / 2}
+        # Terms of degree 0 and 1 are free, but for heights: a metre up moves a place in the image
+        # at most some one metre along the ground.
+        self.prior_sigma = tuple(
+            half_image * prior_sigma.get(name, 0.5 if power[2] else 10.0)
+            for name, power in zip(self.groups, self.powers * 2, strict=True))
+        self.min_sigma = tuple(min_sigma[name] * half_image if name in min_sigma else 1e-4
+                               for name in self.groups)
 
     def only(self, keep: BoolArray) -> PolynomialCamera:
         """Return the camera with some of its columns."""
-        return PolynomialCamera(self.centre, self.half, self.half_image, self.middle, [
-            power for power, kept in zip(self.powers, keep, strict=True) if kept])
+        powers = [power for power, is_kept in zip(
+            self.powers, keep[:len(self.powers)], strict=True) if is_kept]
+        return PolynomialCamera(self.centre, self.half, self.half_image, self.middle, powers)
 
     def perspective(self, parameters: FloatArray, local: FloatArray) -> FloatArray | float:
-        """Return what the perspective of the rays that parameters (m, 2) state adds, (n, 2)."""
-        place = (local - self.centre) / self.half
-        forms = self._forms(parameters[self._slopes])
-        return np.asarray(np.einsum("ni,aij,nj->na", place, forms, place))
+        """Return what the perspective of the rays that parameters (2m,) state adds, (n, 2)."""
+        scaled = (local - self.centre) / self.half
+        forms = self._forms(by_axis(parameters)[self._slopes])
+        # The quadratic form p^T F p of each place p, for line and sample.
+        return np.asarray(np.einsum("ni,aij,nj->na", scaled, forms, scaled))
 
-    def rows(self, parameters: FloatArray, local: FloatArray, columns: FloatArray) -> FloatArray:
-        """Return the derivatives by all parameters (see `Camera.rows`), the perspective's, too."""
-        found = super().rows(parameters, local, columns)
-        m = columns.shape[1]
-        place = (local - self.centre) / self.half
+    def jacobian(self, parameters: FloatArray, local: FloatArray, fixed: Fixed = None,
+                 ) -> FloatArray:
+        """Return the derivatives by all parameters, those of the perspective, too."""
+        derivatives = super().jacobian(parameters, local, fixed)
+        m = len(self.powers)
+        scaled = (local - self.centre) / self.half
         step = 1e-4 * self.half_image
-        of_slopes = parameters[self._slopes]
+        of_slopes = by_axis(parameters)[self._slopes]
+        # Only the terms of degree 1 turn the rays: central differences of their quadratic forms.
         for axis, (k, at) in product(range(2), enumerate(self._slopes)):
             ahead = of_slopes.copy()
-            back = of_slopes.copy()
+            behind = of_slopes.copy()
             ahead[k, axis] += step
-            back[k, axis] -= step
-            slope = (self._forms(ahead) - self._forms(back)) / (2 * step)
-            found[:, :, axis * m + at] += np.einsum("ni,aij,nj->na", place, slope, place)
-        return found
+            behind[k, axis] -= step
+            slope = (self._forms(ahead) - self._forms(behind)) / (2 * step)
+            derivatives[:, :, axis * m + at] += np.einsum("ni,aij,nj->na", scaled, slope, scaled)
+        return derivatives
 
     @property
     def _slopes(self) -> list[int]:
@@ -299,6 +351,7 @@ class PolynomialCamera(Camera):
         """Return what line and sample add, quadratic in places (2, 3, 3), by their slopes (3, 2).
         """
         line, sample = slopes.T
+        # Where neither line nor sample changes: across the gradients of both.
         ray = np.cross(line, sample)
         # Of no image from above.
         if abs(ray[2]) <= 1e-3 * np.linalg.norm(ray):
@@ -313,8 +366,8 @@ class PolynomialCamera(Camera):
 
     @property
     def scales(self) -> tuple[str, ...]:
-        """The name of each column's scale: an attitude bends along the lines alone."""
-        return tuple(f"x{a} y{b} z{c}" for a, b, c in self.powers)
+        """The name of each parameter's scale: an attitude bends along the lines alone."""
+        return tuple(f"x{a} y{b} z{c}" for a, b, c in self.powers) * 2
 
     def area(self) -> tuple[FloatArray, FloatArray]:
         """Return middle and half widths of the ground that the coordinates fit."""
@@ -322,8 +375,7 @@ class PolynomialCamera(Camera):
 
     def first_order(self, local: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the image's middle and the monomials."""
-        place = (local - self.centre) / self.half
-        x, y, z = place.T
+        x, y, z = ((local - self.centre) / self.half).T
         columns = np.stack([x**a * y**b * z**c for a, b, c in self.powers], axis=1)
         return np.tile(self.middle, (len(local), 1)), columns
 

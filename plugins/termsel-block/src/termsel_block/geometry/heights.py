@@ -21,10 +21,10 @@ OFF = 10.0
 _OF_GROUND, _OF_ERRORS = 20.0, 5.0
 """Usual roughness of level ground and of a DEM's errors [m]: it counts as `_AS_MANY` ties do."""
 # In m.
-_LEAST_SIGMA = 0.5
+_MIN_ROUGHNESS = 0.5
 _AS_MANY = 2.0
 # Robust standard deviations beyond which a height tells nothing more of the roughness.
-_FAR = 4.0
+_OUTLYING = 4.0
 _MAD = 1.4826
 
 
@@ -88,7 +88,7 @@ class Heights:
         Height and its uncertainty where there is no DEM [m].
     surface : callable, optional
         Heights of the DEM at ground coordinates x and y (n, 2); not finite where it has none.
-    known : ControlHeights
+    control_heights : ControlHeights
         Heights of control.
     crowd : float
         Ties of an image, so that those which share a hill do not count as if each were by itself.
@@ -132,7 +132,7 @@ class Heights:
         scale = _MAD * np.median(np.abs(with_prior - middle))
         variance = (len(with_prior) * scale**2 + _AS_MANY * self._usual**2) / (
             len(with_prior) + _AS_MANY)
-        return np.asarray(over[np.abs(over - middle) <= _FAR * np.sqrt(variance)])
+        return np.asarray(over[np.abs(over - middle) <= _OUTLYING * np.sqrt(variance)])
 
     @property
     def _usual(self) -> float:
@@ -221,10 +221,10 @@ class Heights:
         if not len(square):
             return
         # Far heights count as those at the limit, so that a tower or a hole does not make hills.
-        largest_square = (_FAR * _MAD) ** 2 * float(np.median(square))
+        largest_square = (_OUTLYING * _MAD) ** 2 * float(np.median(square))
         self.sigma = max(float(np.sqrt(
             (np.minimum(square, largest_square).sum() + _AS_MANY * self._usual**2)
-            / (len(square) + _AS_MANY))), _LEAST_SIGMA)
+            / (len(square) + _AS_MANY))), _MIN_ROUGHNESS)
 
     def _away(self, ties: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Return what ties lack in height, and where the offset is part of it."""

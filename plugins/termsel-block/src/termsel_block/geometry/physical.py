@@ -13,7 +13,7 @@ from scipy.special import chdtrc
 
 from termsel import FeatureSet, Points, SensorModel, TermselError, get
 from termsel.toolkit import scaling_of
-from termsel_block.geometry.cameras import Camera
+from termsel_block.geometry.cameras import Camera, Fixed
 from termsel_block.geometry.frame import BoolArray, FloatArray, Frame
 
 LEAST = 3
@@ -26,22 +26,22 @@ no measurements."""
 MODELS = ("An image without an RPC takes auto, or a model whose terms have priors, such as "
           "scanner, frame or panoramic of termsel-scanner.")
 
-_STEP = 1e-4
+_TERM_STEP = 1e-4
 """Change of a term, in its standard deviations, by which places are differentiated."""
 
-_BENT = 2
+_BENDINGS = 2
 """Corrections of a step, which is bent."""
 
-_LOOSE = 0.01
+_STEP_WEIGHT = 0.01
 """Weight of the step as it was, in terms, next to what is seen [px2]."""
 
-_FREE = 10.0
+_FREE_SIGMA = 10.0
 """Standard deviation of a term without a prior: half images, of a place in the image."""
 
-_TOLD = 0.1
+_MEASURED_SHARE = 0.1
 """Share of a prior's variance that measurements take, from which on they tell of the term."""
 
-_NAMED = 3.0
+_NAMED_FROM = 3.0
 """Standard deviations beyond which a term is named."""
 
 
@@ -67,9 +67,9 @@ class Contradiction:
 class PhysicalCamera(Camera):
     """A camera by the equations of a model with priors, linearised at each step.
 
-    Parameters are the model's terms in twos, as if one were of the line and one of the sample; all
-    of them are of both. They are kept, and their priors stay what the model says: the heaviest is
-    taken for a standard deviation of 1, as terms of termsel-scanner have.
+    Parameters are the model's terms in the standard deviations of their priors, which stay what the
+    model says: the heaviest is taken for a standard deviation of 1, as terms of termsel-scanner
+    have. None of them is dropped.
 
     Parameters
     ----------
@@ -82,6 +82,13 @@ class PhysicalCamera(Camera):
     ------
     TermselError
         If the terms of the model have no priors, or no camera sees the points.
+
+    Attributes
+    ----------
+    start : ndarray, shape (p,)
+        Parameters by the points with known places.
+    scale : ndarray, shape (p,)
+        Standard deviation of each term, its unit as a parameter.
     """
 
     def __init__(self, model: SensorModel, control: FeatureSet, frame: Frame) -> None:
@@ -89,24 +96,25 @@ class PhysicalCamera(Camera):
         self.frame = frame
         self.model = model.prepared(self.scaling, control.crs)
         scaled = self.scaling.features(control)
-        values = self.model.start(scaled)
-        about = None if values is None else self.model.linearised(scaled, values)
-        prior = None if about is None else about.prior
-        if values is None or prior is None or not np.any(prior):
+        terms = self.model.start(scaled)
+        linearised = None if terms is None else self.model.linearised(scaled, terms)
+        inverse_sigma = None if linearised is None else linearised.prior
+        if terms is None or inverse_sigma is None or not np.any(inverse_sigma):
             raise TermselError(f"the terms of the model {self.model.name!r} have no priors, which "
                                "few points need", hint=MODELS)
-        # Parameters are terms in their standard deviations.
-        self.has_prior = prior > 0
-        self.scale = np.where(self.has_prior, prior.max() / np.maximum(prior, 1e-300), _FREE)
-        half = -(-len(prior) // 2)
-        self.first = np.pad(values / self.scale, (0, 2 * half - len(prior))).reshape(half, 2)
-        self.groups = (self.model.name,) * half
-        self.spread = (1.0,) * half
-        self.min_spread = (1e-4,) * half
-        self.permanent = self.wide = frozenset({self.model.name})
-        self.stated = {f"{self.model.name} {term}": k % 2 * half + k // 2
+        self.has_prior = inverse_sigma > 0
+        # Relative to the smallest standard deviation; a term without a prior is free to move.
+        relative = inverse_sigma.max() / np.maximum(inverse_sigma, 1e-300)
+        self.scale = np.where(self.has_prior, relative, _FREE_SIGMA)
+        self.start = terms / self.scale
+        self.groups = (self.model.name,) * len(terms)
+        self.prior_sigma = (1.0,) * len(terms)
+        self.min_sigma = (1e-4,) * len(terms)
+        self.permanent = frozenset({self.model.name})
+        self.fixed_variance = self.permanent
+        self.stated = {f"{self.model.name} {term}": k
                        for k, term in enumerate(self.model.terms) if self.has_prior[k]}
-        self.looser = np.ones(2 * half)
+        self.looser = np.ones(len(terms))
         local = frame.local(control.points.ground)
         low = local.min(axis=0)
         high = local.max(axis=0)
@@ -116,24 +124,18 @@ class PhysicalCamera(Camera):
         """Return the camera: none of its terms is dropped."""
         return self
 
-    def first_order(self, local: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return zeros: nothing of it is linear."""
-        return np.zeros((len(local), 2)), np.zeros((len(local), len(self.groups)))
+    def project(self, parameters: FloatArray, local: FloatArray, fixed: Fixed = None) -> FloatArray:
+        """Return line and sample (n, 2) [px] of places (n, 3) by the model's equations."""
+        return np.asarray(self._images((parameters * self.scale)[None], local)[0])
 
-    def perspective(self, parameters: FloatArray, local: FloatArray) -> FloatArray | float:
-        """Return line and sample (n, 2) [px] of places with parameters (m, 2)."""
-        values = self._terms(parameters)
-        return np.asarray(self._seen(values[None], local)[0])
-
-    def rows(self, parameters: FloatArray, local: FloatArray, columns: FloatArray) -> FloatArray:
-        """Return the derivatives by all parameters (see `Camera.rows`)."""
-        values = self._terms(parameters)
-        steps = _STEP * np.diag(self.scale)
-        both = self._seen(np.concatenate([values + steps, values - steps]), local)
-        found = np.zeros((len(local), 2, parameters.size))
-        k = len(values)
-        found[:, :, :k] = np.moveaxis(both[:k] - both[k:], 0, -1) / (2 * _STEP)
-        return found.reshape(len(local), 2, len(self.groups), 2).swapaxes(2, 3).reshape(found.shape)
+    def jacobian(self, parameters: FloatArray, local: FloatArray, fixed: Fixed = None,
+                 ) -> FloatArray:
+        """Return the derivatives (n, 2, p) by central differences, for all terms at once."""
+        terms = parameters * self.scale
+        steps = _TERM_STEP * np.diag(self.scale)
+        images = self._images(np.concatenate([terms + steps, terms - steps]), local)
+        p = len(terms)
+        return np.asarray(np.moveaxis(images[:p] - images[p:], 0, -1) / (2 * _TERM_STEP))
 
     def followed(self, parameters: FloatArray, step: FloatArray, aim: FloatArray,
                  local: FloatArray) -> FloatArray:
@@ -142,71 +144,72 @@ class PhysicalCamera(Camera):
         Altitude, pixel and period together hardly show. A step along them is bent back to where it
         has to be seen, else only small ones would make things better.
         """
-        found = there = super().followed(parameters, step, aim, local)
-        for _ in range(_BENT if len(local) else 0):
-            image, columns = self.first_order(local)
-            rows = self.rows(found, local, columns).reshape(-1, found.size)
-            missed = (aim - image - self.perspective(found, local)).ravel()
-            right = rows.T @ missed + _LOOSE * (there - found).T.ravel()
-            back = np.linalg.solve(rows.T @ rows + _LOOSE * np.eye(found.size), right)
-            found = np.asarray(found + back.reshape(2, -1).T)
-        return found
+        stepped = super().followed(parameters, step, aim, local)
+        bent = stepped
+        for _ in range(_BENDINGS if len(local) else 0):
+            rows = self.jacobian(bent, local).reshape(-1, bent.size)
+            misses = (aim - self.project(bent, local)).ravel()
+            # Least squares of the misses, which stay near the step in what does not show:
+            # (J^T J + w I) d = J^T m + w (stepped - bent).
+            right = rows.T @ misses + _STEP_WEIGHT * (stepped - bent)
+            bent = np.asarray(bent + np.linalg.solve(
+                rows.T @ rows + _STEP_WEIGHT * np.eye(bent.size), right))
+        return bent
 
     def loosened(self, of_terms: Mapping[str, float], parameters: FloatArray,
                  ) -> tuple[PhysicalCamera, FloatArray]:
-        """Return the camera with other standard deviations, and its parameters (m, 2) by them.
+        """Return the camera with other standard deviations, and its parameters (p,) by them.
 
         Parameters
         ----------
         of_terms : mapping
             What the standard deviation of each stated term is times that of the model.
         """
-        other = copy(self)
-        other.looser = np.ones(parameters.size)
+        other_camera = copy(self)
+        other_camera.looser = np.ones(parameters.size)
         for name, at in self.stated.items():
-            other.looser[at] = of_terms[name]
-        ratio = (other.looser / self.looser).reshape(2, -1).T
-        other.scale = self.scale * ratio.ravel()[:len(self.scale)]
-        other.first = self.first / ratio
-        return other, np.asarray(parameters / ratio)
+            other_camera.looser[at] = of_terms[name]
+        # Terms stay what they are: a larger unit makes smaller parameters.
+        ratio = other_camera.looser / self.looser
+        other_camera.scale = self.scale * ratio
+        other_camera.start = self.start / ratio
+        return other_camera, np.asarray(parameters / ratio)
 
     def area(self) -> tuple[FloatArray, FloatArray]:
         """Return middle and half widths of the ground that the start knows."""
         return self._area
 
     def contradicted(self, parameters: FloatArray, covariance: FloatArray) -> Contradiction:
-        """Return how far parameters (m, 2) are from the model's priors.
+        """Return how far parameters (p,) are from the model's priors.
 
         Parameters
         ----------
-        covariance : ndarray, shape (2m, 2m)
-            Of their posterior, by image axis, then column.
+        covariance : ndarray, shape (p, p)
+            Of their posterior.
 
         Notes
         -----
         Where the priors are true, a posterior mean has the variance of the prior less that of the
         posterior. What measurements do not tell has neither, and is left out.
         """
-        at = np.arange(parameters.size).reshape(2, -1).T.ravel()[:len(self.scale)][self.has_prior]
-        mean = parameters.T.ravel()[at]
+        at = np.flatnonzero(self.has_prior)
+        mean = parameters[at]
+        # Directions and variances of I - C, the covariance of a posterior mean by true priors.
         values, vectors = np.linalg.eigh(np.eye(len(at)) - covariance[np.ix_(at, at)])
-        told = values > _TOLD
-        square = float(((vectors[:, told].T @ mean) ** 2 / values[told]).sum())
-        names = np.array(self.model.terms)[self.has_prior]
-        order = np.argsort(-np.abs(mean))[:3]
-        named = [f"{names[k]} by {abs(mean[k]):.1f}" for k in order if abs(mean[k]) > _NAMED]
-        return Contradiction(float(chdtrc(max(told.sum(), 1), square)),
-                             square / max(int(told.sum()), 1), tuple(named))
+        is_measured = values > _MEASURED_SHARE
+        square = float(((vectors[:, is_measured].T @ mean) ** 2 / values[is_measured]).sum())
+        freedom = max(int(is_measured.sum()), 1)
+        names = np.array(self.model.terms)[at]
+        farthest = np.argsort(-np.abs(mean))[:3]
+        named = [f"{names[k]} by {abs(mean[k]):.1f}" for k in farthest
+                 if abs(mean[k]) > _NAMED_FROM]
+        return Contradiction(float(chdtrc(freedom, square)), square / freedom, tuple(named))
 
-    def _terms(self, parameters: FloatArray) -> FloatArray:
-        """Return the model's terms (k,)."""
-        return np.asarray(parameters.ravel()[:len(self.scale)] * self.scale)
-
-    def _seen(self, values: FloatArray, local: FloatArray) -> FloatArray:
-        """Return line and sample (p, n, 2) by values (p, k)."""
-        # A step to no camera at all is made shorter.
+    def _images(self, terms: FloatArray, local: FloatArray) -> FloatArray:
+        """Return line and sample (q, n, 2) [px] of places (n, 3) by each of q sets of terms."""
+        # A step to no camera at all gives nan here, and is then made shorter.
         with np.errstate(all="ignore"):
-            scaled = self.model.project(values, self.scaling.ground(self.frame.ground(local)))
+            scaled = self.model.project(terms, self.scaling.ground(self.frame.ground(local)))
         return np.asarray(self.scaling.pixels(scaled))
 
 
@@ -236,7 +239,7 @@ class PhysicalModel:
         except TermselError as error:
             raise TermselError(f"image {of!r}: {error.what}",
                                hint=in_a_block(error.hint)) from error
-        missed = float(np.median(np.hypot(*(image - camera.project(camera.first, local)).T)))
+        missed = float(np.median(np.hypot(*(image - camera.project(camera.start, local)).T)))
         if not missed <= ABSURD * float(np.ptp(image, axis=0).max()):
             raise TermselError(f"image {of!r}: model {self.name!r} misses half of its points by "
                                f"{missed:.3g} px or more",

@@ -33,7 +33,7 @@ svg { max-width: 100%; height: auto; }
 """
 
 # Ties in a picture.
-_MOST = 3000
+_DRAWN_TIES = 3000
 # Images in the picture of their RMSE.
 _IMAGES = 40
 # Images whose outlines have colours of their own.
@@ -99,7 +99,7 @@ def _first(record: BlockRecord) -> str:
 def _some(result: BlockResult) -> str:
     """Return how many ties of all are shown, as part of a sentence; empty if all are."""
     count = len(_placed(result))
-    return f"; {_MOST:,} of {count:,} are shown" if count > _MOST else ""
+    return f"; {_DRAWN_TIES:,} of {count:,} are shown" if count > _DRAWN_TIES else ""
 
 
 def _placed(result: BlockResult) -> IntArray:
@@ -143,7 +143,7 @@ def _map(result: BlockResult) -> str:
     state = result.adjusted.state
     placed = _placed(result)
     # Evenly over the list, as many as a browser draws in good time.
-    drawn = placed[np.linspace(0, len(placed) - 1, min(_MOST, len(placed))).astype(int)]
+    drawn = placed[np.linspace(0, len(placed) - 1, min(_DRAWN_TIES, len(placed))).astype(int)]
     dots = [{"east": float(e), "north": float(n), "sigma": float(s)} for e, n, s in zip(
         state.ties[drawn, 0] / 1000, state.ties[drawn, 1] / 1000, result.sigma_ties[drawn, 2],
         strict=True)]

@@ -19,9 +19,9 @@ SCHEMA = "termsel-block-1"
 
 _COARSE = 2.0
 """Standard deviation of a tie [px] that is worth a doubt."""
-_BENT = 50.0
+_LARGE_CORRECTION = 50.0
 """Difference of a correction over an image [px]: vendors' RPCs drift by far less."""
-_NAMED, _MOVING = 3, 1e-3
+_NAMED_IMAGES, _MOVING = 3, 1e-3
 """Images that are named, and how far one moves that has not settled [px]."""
 _FEW = 0.5
 """Share of an image's ties or control in use below which they are hardly all blunders."""
@@ -152,7 +152,7 @@ def doubts(result: BlockResult) -> list[str]:
                     "measurements: check RPCs and ties, and that line and sample are not "
                     "exchanged.")
     if not adjusted.converged:
-        worst = [result.block.images[i].name for i in np.argsort(-adjusted.moved)[:_NAMED]
+        worst = [result.block.images[i].name for i in np.argsort(-adjusted.moved)[:_NAMED_IMAGES]
                  if adjusted.moved[i] > _MOVING]
         notes.append((f"Images that still moved in the last step: {', '.join(worst)}. Give them "
                      if worst else "The precision of ties and control did not settle. Give images "
@@ -187,8 +187,8 @@ def doubts(result: BlockResult) -> list[str]:
         if isinstance(camera, RpcCamera) and len(ties):
             # What the correction adds over the image: constant for a shift, and then nothing to
             # say.
-            bent = camera.first_order(ties)[1] @ adjusted.state.parameters[i]
-            if np.ptp(bent, axis=0).max() > _BENT:
+            bent = camera.correction(adjusted.state.parameters[i], ties)
+            if np.ptp(bent, axis=0).max() > _LARGE_CORRECTION:
                 notes.append(f"The correction of the RPC of {image.name} differs by "
                             f"{np.ptp(bent, axis=0).max():.0f} px over the image: is it of another "
                             "image?")

@@ -85,7 +85,8 @@ def _table(record: BlockRecord, verbose: bool) -> list[str]:
                  for k, (cell, width) in enumerate(zip(row, widths, strict=True))]
         lines.append("  ".join(cells).rstrip())
     if len(listed) < len(record.images):
-        lines.append(f"{len(record.images) - len(listed)} more certain images: summary.txt has all.")
+        n_others = len(record.images) - len(listed)
+        lines.append(f"{n_others} more certain images: summary.txt has all.")
     return lines
 
 
