@@ -62,7 +62,7 @@ class _Group:
         Of an image and a scale, each.
     scale : ndarray, shape (n,)
         Number of that scale.
-    least : float
+    min_ratio : float
         Of the standard deviation that all images share; nan where that is 1 and known.
     """
 
