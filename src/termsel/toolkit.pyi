@@ -30,7 +30,9 @@ from .core.files.atomic import private_folder as private_folder
 from .core.files.atomic import sync as sync
 from .core.files.atomic import write_bytes as write_bytes
 from .core.files.atomic import write_text as write_text
+from .core.files.drivers import allowed_drivers as allowed_drivers
 from .core.files.drivers import program_environment as program_environment
+from .core.files.drivers import remote_allowed as remote_allowed
 from .core.files.lock import locked as locked
 from .core.files.names import STABILITY as STABILITY
 from .core.files.names import inside as inside
@@ -132,9 +134,12 @@ from .formats.writers.selections import chosen_points as chosen_points
 from .formats.writers.selections import gcps_of as gcps_of
 from .formats.writers.selections import wkt as wkt
 from .io.accuracy_tags import accuracy_tags as accuracy_tags
+from .io.example import write_example as write_example
 from .io.map_grid import MapGrid as MapGrid
 from .io.map_grid import grid_of_image as grid_of_image
 from .io.map_grid import map_crs as map_crs
+from .io.plan import Plan as Plan
+from .io.plan import plan as plan
 from .io.result_folder import RECORD as RECORD
 from .io.result_folder import claimed as claimed
 from .io.result_folder import write_result as write_result
@@ -148,6 +153,9 @@ from .report.blocks import Figure as Figure
 from .report.blocks import Section as Section
 from .report.blocks import TableBlock as TableBlock
 from .report.charts.search import with_unit as with_unit
+from .report.opening import expected_of as expected_of
+from .report.opening import opening as opening
+from .report.opening import predicted_first as predicted_first
 from .report.page import page as page
 from .report.pictures import picture as picture
 from .report.plots import save as save

@@ -55,13 +55,15 @@ def rank_places(fitted: Fit, candidates: FloatArray, scene: FloatArray, count: i
     that of `Fit.sigma` does. Raises TermselError if the uncertainty of the fit is not known.
     """
     made = fitted.made or fitted
-    both = covariances(made, np.concatenate([candidates, scene]), misfit=misfit)
+    # Where the candidates are the scene, its places count once: work grows with their square.
+    everywhere = scene if candidates is scene else np.concatenate([candidates, scene])
+    both = covariances(made, everywhere, misfit=misfit)
     if both is None or both.factors is None:
         raise TermselError("the uncertainty of this model is not known",
                            hint="Plan with 4 or more control points alone; with lines, by a model "
                                 "of least squares, such as --model poly3d.")
     at = both.factors[:len(candidates)]
-    there = both.factors[len(candidates):]
+    there = both.factors[-len(scene):]
     left = np.eye(at.shape[2])  # what measurements leave of the directions of doubt
     over = np.einsum("mad,mae->de", there, there) / len(there)
     image = fitted.project(candidates)
@@ -147,7 +149,7 @@ def _gains(at: FloatArray, left: FloatArray, over: FloatArray, noise: FloatArray
     """Return by how much a measurement at each candidate lessens the mean variance, shape (c,)."""
     toward = at @ left                                                       # (c, 2, d)
     own = np.einsum("cad,cbd->cab", toward, at) + np.diag(noise)             # (c, 2, 2)
-    seen = np.einsum("cad,de,cbe->cab", toward, over, toward)
+    seen = np.einsum("cae,cbe->cab", toward @ over, toward)
     return np.asarray(np.einsum("cab,cba->c", np.linalg.inv(own), seen))
 
 

@@ -78,7 +78,8 @@ def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
         raise TermselError("the model sees none of the places", file=candidates,
                            hint="Give places in the CRS of the control, inside the scene.")
     numbers = np.flatnonzero(known)
-    found = rank_places(fitted, places[numbers], scene, count, misfit=True)
+    found = rank_places(fitted, scene if places is scene and known.all() else places[numbers],
+                        scene, count, misfit=True)
     shared = float(np.linalg.norm(result.shared_sigma or 0.0))
     chosen = places[numbers[found.order]]
     if np.isnan(fitted.control.ground_vertices()[:, 2]).any():

@@ -1,0 +1,76 @@
+"""OpenLayers for the page: fetched by npm when a package is built, and never committed.
+
+A source package brings it along, so that who builds from one needs no npm. Where npm is missing the
+package is built without it, and `termsel app` says what to do.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import os
+import shutil
+import subprocess
+import tarfile
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+PACKAGE = "ol@10.11.0"
+SHA512 = "OJ+lrx7kx/1O7Xx18Ff9QkVnwZIEL0OuhJQSy2sYgzzDvyZ2qHvuZEGAajbSstUyBwaS1OtQ4RWnY84tRMDdqg=="
+"""Checksum of the package, as the registry of npm states it."""
+FILES = {"ol.js": "package/dist/ol.js", "ol.css": "package/ol.css",
+         "LICENSE.md": "package/LICENSE.md"}
+"""What is taken, and where it is in the package."""
+PLACE = "termsel_app/page/vendor"
+
+
+class OpenLayersHook(BuildHookInterface[Any]):
+    """Adds OpenLayers to source packages and wheels."""
+
+    PLUGIN_NAME = "custom"
+
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        """Fetch what is missing, and name the files."""
+        folder = Path(self.root, "vendor")
+        if not all((folder / name).is_file() for name in FILES):
+            try:
+                fetch(folder)
+            except (OSError, subprocess.SubprocessError, ValueError) as error:
+                self.app.display_warning(
+                    f"OpenLayers could not be fetched by npm ({error}): this package of "
+                    "termsel-app has no page. Install Node.js and build it again.")
+                return
+        place = PLACE if self.target_name == "wheel" else "vendor"
+        for name in FILES:
+            build_data["force_include"][str(folder / name)] = f"{place}/{name}"
+
+
+def fetch(folder: Path) -> None:
+    """Write the files of OpenLayers to a folder, once the checksum of its package is right."""
+    npm = shutil.which("npm")
+    if npm is None:
+        raise OSError("npm is not installed")
+    with tempfile.TemporaryDirectory() as place:
+        subprocess.run([npm, "pack", "--silent", PACKAGE], cwd=place, check=True, timeout=300,
+                       stdout=subprocess.DEVNULL)
+        archive = next(Path(place).glob("*.tgz"))
+        digest = base64.b64encode(hashlib.sha512(archive.read_bytes()).digest()).decode()
+        if digest != SHA512:
+            raise ValueError(f"{PACKAGE} has another checksum")
+        with tarfile.open(archive) as members:
+            for name, member in FILES.items():
+                content = members.extractfile(member)
+                if content is None:
+                    raise ValueError(f"{PACKAGE} has no {member}")
+                write(folder / name, content.read())
+
+
+def write(path: Path, content: bytes) -> None:
+    """Write a file whole, as another build may be doing the same."""
+    path.parent.mkdir(exist_ok=True)
+    part = path.with_name(f"{path.name}.{os.getpid()}")
+    part.write_bytes(content)
+    part.replace(path)

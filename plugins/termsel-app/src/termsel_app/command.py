@@ -1,0 +1,145 @@
+"""The command `termsel app`."""
+
+from __future__ import annotations
+
+import webbrowser
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from termsel import TermselError
+from termsel.toolkit import echo, remote_option, show_messages
+
+if TYPE_CHECKING:
+    from termsel_app.session import Files
+
+_FILE = click.Path(path_type=Path)
+EXAMPLE = Path("termsel-example")
+"""Where the files of the example are written."""
+
+
+@click.command()
+@click.argument("image", metavar="[IMAGE|DIR]", required=False)
+@click.option("--map", "maps", metavar="FILE", multiple=True,
+              help="A georeferenced raster or a vector file, shown beside the image; or tiles by "
+                   "their address, with {x}, {y} and {z}, which are fetched from there. May be "
+                   "repeated.")
+@click.option("--points", metavar="FILE", type=_FILE,
+              help="Points to begin with, in any format of `termsel list readers`.")
+@click.option("--lines", metavar="FILE", type=_FILE, help="Control lines, likewise.")
+@click.option("--rpc", metavar="FILE", type=_FILE, help="The vendor's RPC of the image, which the "
+                                                        "points correct.")
+@click.option("--dem", metavar="FILE", type=_FILE, help="Raster of heights, for points on the map.")
+@click.option("--crs", metavar="CRS",
+              help="CRS of the ground coordinates: EPSG:n, or `local`. By default that of the "
+                   "points, else of the first map.")
+@click.option("--out", "folder", metavar="DIR", type=_FILE,
+              help="Folder of the session and of all that is saved. By default the image's name "
+                   "with -control, in the current folder.")
+@click.option("--port", metavar="N", type=click.IntRange(0, 65535), default=0, show_default=True,
+              help="Port of the page; 0 for one that is free.")
+@click.option("--no-browser", is_flag=True, help="Print the address, and open no browser.")
+@click.option("--example", is_flag=True, help="Show the scene of the tutorial, in a new folder "
+                                              f"{EXAMPLE}.")
+@remote_option
+def app(image: str | None, maps: tuple[str, ...], points: Path | None, lines: Path | None,
+        rpc: Path | None, dem: Path | None, crs: str | None, folder: Path | None, port: int,
+        no_browser: bool, example: bool) -> None:
+    """Collect control points in the browser, with their quality at every click.
+
+    IMAGE is the image to georeference; DIR goes on with a session, or shows a result that a run
+    wrote. The page is for this machine alone. Ctrl-C ends it; every change is saved at once, and
+    the same command goes on where it ended.
+
+    \b
+    Examples:
+      termsel app --example
+      termsel app scan.tif --map ortho.tif
+      termsel app scan.tif --map roads.gpkg --crs EPSG:25832
+      termsel app scene.tif --map ortho.tif --rpc scene.RPB --dem dem.tif
+      termsel app scan.tif --crs EPSG:4326 --points control.csv
+    """
+    show_messages()
+
+    from termsel.toolkit import allowed_drivers, remote_allowed
+    from termsel_app.page_files import require_page
+    from termsel_app.server import serve
+    from termsel_app.session import Files, open_session
+
+    require_page()
+    given = Files(image, maps, _name(points), _name(lines), _name(rpc), _name(dem), crs)
+    if example:
+        given, folder = example_files(given, folder)
+    elif image is None:
+        raise TermselError("no image is given",
+                           hint="Give an image: termsel app scan.tif --map ortho.tif. Or look at "
+                                "the example: termsel app --example.")
+    else:
+        given, folder = found(given, folder)
+    with open_session(given, folder, remote=remote_allowed(),
+                      drivers=allowed_drivers()) as session:
+
+        def started(address: str) -> None:
+            echo(f"The page is at {address}")
+            echo(f"Saved in {folder}; Ctrl-C ends it.", err=True)
+            if not no_browser:
+                webbrowser.open(address)
+
+        try:
+            serve(session, port, started)
+        except KeyboardInterrupt:
+            echo(f"\nEnded. All changes are saved in {folder}; the same command goes on.",
+                 err=True)
+
+
+def _name(path: Path | None) -> str | None:
+    return None if path is None else str(path)
+
+
+def found(given: Files, folder: Path | None) -> tuple[Files, Path]:
+    """Return the files of a session and its folder, where the first argument may be either."""
+    from dataclasses import replace
+
+    from termsel_app.journal import NAME, header_of
+    from termsel_app.session import Files
+
+    place = Path(given.image or "")
+    if not place.is_dir():
+        return given, folder or Path(f"{place.stem or 'image'}-control")
+    if (place / NAME).exists():
+        kept = Files.of_header(header_of(place))
+        return replace(kept, maps=kept.maps + given.maps), folder or place
+    if (place / "result.json").exists():
+        return of_result(place, given), folder or place.with_name(f"{place.name}-control")
+    raise TermselError("this folder holds neither a session nor a result", file=place,
+                       hint="Give an image, or the folder that `termsel app` or `termsel run "
+                            "--out` wrote.")
+
+
+def of_result(place: Path, given: Files) -> Files:
+    """Return the files that show a result: its points and lines, without the image."""
+    from dataclasses import replace
+
+    from termsel import read_result
+
+    features = read_result(place).features
+    names = {kind: str(place / f"{kind}.csv") for kind in ("points", "lines")
+             if (place / f"{kind}.csv").exists()}
+    return replace(given, image=None, points=names.get("points"), lines=names.get("lines"),
+                   crs=features.crs, size=features.image_size)
+
+
+def example_files(given: Files, folder: Path | None) -> tuple[Files, Path]:
+    """Write the files of the tutorial, unless they are there, and return those of its scene."""
+    from dataclasses import replace
+
+    from termsel.toolkit import write_example
+
+    place = folder or EXAMPLE
+    if not (place / "files").exists():
+        place.mkdir(parents=True, exist_ok=True)
+        write_example(place / "files")
+    files = place / "files"
+    return replace(given, image=str(files / "scene.tif"), maps=(str(files / "ortho.tif"),),
+                   dem=str(files / "dem.tif"), crs="EPSG:4979"), place

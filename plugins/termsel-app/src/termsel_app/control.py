@@ -1,0 +1,173 @@
+"""What is measured on the page: points and lines, as plain records, and changes of them.
+
+A change is a list of patches, each the record of a feature before and after it; so every change can
+be undone, written to a journal, and repeated from there.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from termsel import FeatureSet, Lines, Points, TermselError
+
+ROLES = ("", "control", "check", "independent", "off")
+"""Roles that the page offers; "" lets termsel assign one."""
+MOST = 20_000
+"""Features that a session may have."""
+
+Record = dict[str, Any]
+"""A feature: id, kind ("point" or "line"), role, and image and ground, either of which may still be
+missing. Of a point these are [line, sample] and [x, y, z]; of a line two of each. z is None where
+it is not known."""
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A feature before a change and after it; None where it is not there."""
+
+    before: Record | None
+    after: Record | None
+
+    def inverse(self) -> Patch:
+        """Return the patch that takes this one back."""
+        return Patch(self.after, self.before)
+
+
+@dataclass
+class ControlFeatures:
+    """All features of a session by id, in the order in which they were begun, and what to undo."""
+
+    records: dict[str, Record] = field(default_factory=dict)
+    undone: list[tuple[Patch, ...]] = field(default_factory=list)
+    done: list[tuple[Patch, ...]] = field(default_factory=list)
+
+    def apply(self, patches: Iterable[Patch]) -> None:
+        """Change the records, as a change that can be undone."""
+        patches = tuple(patches)
+        self._patch(patches)
+        self.done.append(patches)
+        self.undone.clear()
+
+    def undo(self) -> tuple[Patch, ...]:
+        """Take back the last change; raises TermselError if there is none."""
+        if not self.done:
+            raise TermselError("there is nothing to undo")
+        patches = self.done.pop()
+        self._patch([patch.inverse() for patch in reversed(patches)])
+        self.undone.append(patches)
+        return patches
+
+    def redo(self) -> tuple[Patch, ...]:
+        """Do again what was undone last; raises TermselError if there is nothing."""
+        if not self.undone:
+            raise TermselError("there is nothing to do again")
+        patches = self.undone.pop()
+        self._patch(patches)
+        self.done.append(patches)
+        return patches
+
+    def _patch(self, patches: Iterable[Patch]) -> None:
+        for patch in patches:
+            before = patch.before
+            after = patch.after
+            if before is not None and after is not None and before["id"] != after["id"]:
+                # A new name keeps its place in the list.
+                self.records = {(after["id"] if name == before["id"] else name):
+                                (after if name == before["id"] else record)
+                                for name, record in self.records.items()}
+            elif after is not None:
+                self.records[after["id"]] = after
+            elif before is not None:
+                self.records.pop(before["id"], None)
+
+    def new_id(self, kind: str) -> str:
+        """Return a name that no feature has: the next number after those there are."""
+        letter = "P" if kind == "point" else "L"
+        numbers = [int(match[1]) for name in self.records
+                   if (match := re.fullmatch(rf"{letter}(\d{{1,9}})", name))]
+        return f"{letter}{max(numbers, default=0) + 1:02d}"
+
+    def complete(self, kind: str) -> list[Record]:
+        """Return the features of a kind that have both image and ground."""
+        return [record for record in self.records.values()
+                if record["kind"] == kind and record["image"] and record["ground"]]
+
+    def features(self, crs: str) -> FeatureSet:
+        """Return the features that are complete, as termsel takes them.
+
+        Raises TermselError for what cannot be control, such as two points at one place.
+        """
+        points = self.complete("point")
+        lines = [record for record in self.complete("line")
+                 if record["role"] != "off" and is_whole(record)]
+        return FeatureSet(
+            points=Points(tuple(record["id"] for record in points),
+                          np.array([record["image"] for record in points]).reshape(-1, 2),
+                          _ground(record["ground"] for record in points).reshape(-1, 3), None,
+                          tuple(record["role"] for record in points)),
+            lines=Lines(tuple(record["id"] for record in lines),
+                        np.array([record["image"] for record in lines]).reshape(-1, 2, 2),
+                        _ground(vertex for record in lines
+                                for vertex in record["ground"]).reshape(-1, 2, 3)),
+            crs=crs)
+
+
+def is_whole(record: Record) -> bool:
+    """Return whether a line has two places in the image and two on the ground."""
+    return all(record[side] and len(record[side]) == 2 for side in ("image", "ground"))
+
+
+def _ground(places: Iterable[Any]) -> Any:
+    """Return ground coordinates with NaN for heights that are not known."""
+    return np.array([[x, y, np.nan if z is None else z] for x, y, z in places], dtype=np.float64)
+
+
+def checked(record: Mapping[str, Any]) -> Record:
+    """Return a record that came from a page or a file, if it is one; raises TermselError if not."""
+    kind = record.get("kind")
+    if kind not in ("point", "line"):
+        raise TermselError(f"{kind!r} is no kind of feature", hint="Kinds are point and line.")
+    name = record.get("id")
+    if not isinstance(name, str) or not name.strip() or len(name) > 200 or not name.isprintable():
+        raise TermselError("this is no name of a feature",
+                           hint="Give 1 to 200 printable characters.")
+    role = record.get("role", "")
+    if role not in ROLES:
+        raise TermselError(f"{role!r} is no role", hint=f"Roles are {', '.join(ROLES[1:])}, or "
+                                                        "none.")
+    if kind == "line" and role not in ("", "control", "off"):
+        raise TermselError("a line is always control", hint="Choose control or off.")
+    count = None if kind == "point" else 2
+    return {"id": name.strip(), "kind": kind, "role": role,
+            "image": _places(record.get("image"), 2, count),
+            "ground": _places(record.get("ground"), 3, count)}
+
+
+def _places(value: Any, size: int, count: int | None) -> Any:
+    """Return one place, or up to two places of a line; None where there is none."""
+    if value is None or value == []:
+        return None
+    if count is None:
+        return _place(value, size)
+    if not isinstance(value, list) or len(value) > count:
+        raise TermselError("a line has two ends")
+    return [_place(place, size) for place in value]
+
+
+def _place(value: Any, size: int) -> list[float | None]:
+    if not isinstance(value, list) or len(value) != size:
+        raise TermselError(f"a place has {size} coordinates")
+    if size == 3 and value[2] is None:
+        return [*(_number(number) for number in value[:2]), None]
+    return [_number(number) for number in value]
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise TermselError(f"{value!r} is no coordinate", hint="Give finite numbers.")
+    return float(value)

@@ -1,0 +1,49 @@
+"""Lines of round coordinates: on the map, and through a fitted model in the image."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from termsel_app.maps import Box, box_of
+from termsel_app.places import Places, between, turned
+
+LINES = 6
+"""About how many lines there are either way."""
+_VERTICES = 33
+"""Vertices of a line."""
+
+
+def round_step(width: float) -> float:
+    """Return 1, 2 or 5 times a power of ten, of which about LINES fit a width."""
+    rough = max(width, 1e-12) / LINES
+    power = 10.0 ** math.floor(math.log10(rough))
+    return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= rough)
+
+
+def graticule(places: Places, box: Box) -> list[dict[str, Any]]:
+    """Return lines of round ground coordinates within a box of the map.
+
+    Each has its label, its vertices on the map, and their ground x and y.
+    """
+    side = np.linspace(0, 1, 9)
+    mesh = np.stack(np.meshgrid(box[0] + side * (box[2] - box[0]),
+                                box[1] + side * (box[3] - box[1])), axis=-1).reshape(-1, 2)
+    west, south, east, north = box_of(turned(between(places.plane, places.shown), mesh,
+                                             inverse=True))
+    lines = []
+    for axis, (low, high, first, last) in enumerate(((west, east, south, north),
+                                                     (south, north, west, east))):
+        step = round_step(high - low)
+        digits = max(-math.floor(math.log10(step)), 0)
+        for number in range(math.ceil(low / step), math.floor(high / step) + 1):
+            along = np.linspace(first, last, _VERTICES)
+            across = np.full(_VERTICES, number * step)
+            ground = np.column_stack([across, along] if axis == 0 else [along, across])
+            lines.append({"label": f"{number * step:,.{digits}f}", "axis": "xy"[axis],
+                          "ground": ground,
+                          "map": [vertex for vertex in places.to_map(ground).tolist()
+                                  if np.isfinite(vertex).all()]})
+    return lines

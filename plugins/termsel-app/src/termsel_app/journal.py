@@ -1,0 +1,178 @@
+"""The journal of a session: its files in the first line, and then one line a change.
+
+A line is on the disk before the page hears of the change. The next start reads the lines again; one
+that was cut off, as when the machine lost power, is dropped.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from io import FileIO
+from pathlib import Path
+from typing import Any
+
+from termsel import TermselError
+from termsel.toolkit import inside, locked, require_regular
+from termsel_app.control import MOST, ControlFeatures, Patch, checked
+
+SCHEMA = "termsel-app-1"
+NAME = "session.jsonl"
+LARGEST = 2**28
+"""Bytes of a journal that are read."""
+
+
+class Journal:
+    """A journal that is open for appending.
+
+    Parameters
+    ----------
+    file : io.FileIO
+    path : pathlib.Path
+        Its name, for messages.
+    """
+
+    def __init__(self, file: FileIO, path: Path) -> None:
+        self._file = file
+        self._path = path
+
+    def begin(self, header: Mapping[str, Any]) -> None:
+        """Write the first line of a new session."""
+        self.append({"schema": SCHEMA, **header})
+
+    def append(self, entry: Mapping[str, Any]) -> None:
+        """Write an entry and wait until it is on the disk.
+
+        Raises TermselError where that fails; then the journal is as it was before.
+        """
+        text = json.dumps(entry, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+        end = self._file.seek(0, os.SEEK_END)
+        try:
+            content = memoryview(f"{text}\n".encode())
+            while content:  # a disk that is nearly full takes a part
+                content = content[self._file.write(content):]
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            self._file.truncate(end)
+            raise TermselError(
+                f"the change could not be saved: {error.strerror or error}", file=self._path,
+                hint="Nothing that was measured before is lost. Make room, then do it again."
+            ) from error
+
+
+@contextmanager
+def open_journal(folder: Path) -> Iterator[
+        tuple[Journal, dict[str, Any] | None, ControlFeatures]]:
+    """Open the journal of a folder.
+
+    Yields the journal, its header, and the features as the last change left them. A new one has no
+    header yet (see `Journal.begin`). Nobody else can open it meanwhile. Raises TermselError if
+    somebody has, if it cannot be read or written.
+    """
+    with locked(folder, "Another `termsel app` has this session open: use its page, or choose "
+                        "another --out."):
+        path = inside(folder, NAME)
+        if path.exists():
+            require_regular(path)
+        try:
+            file = open(path, "a+b", buffering=0, opener=_without_links)  # noqa: SIM115
+        except OSError as error:
+            raise TermselError(f"the session cannot be written: {error.strerror}", file=path,
+                               hint="Choose another --out.") from error
+        with file:
+            entries, length = read_entries(file, path)
+            file.truncate(length)
+            journal = Journal(file, path)
+            if not entries:
+                yield journal, None, ControlFeatures()
+            else:
+                yield journal, _header(entries[0], path), replayed(entries[1:], path)
+
+
+def header_of(folder: Path) -> dict[str, Any]:
+    """Return the header of a session that is there; raises TermselError if there is none."""
+    path = inside(folder, NAME)
+    require_regular(path)
+    try:
+        with open(path, "rb", buffering=0, opener=_without_links) as file:
+            entries, _ = read_entries(file, path)
+    except OSError as error:
+        raise TermselError(f"the session cannot be read: {error.strerror}", file=path) from error
+    if not entries:
+        raise TermselError("the session is empty", file=path)
+    return _header(entries[0], path)
+
+
+def _without_links(name: str, flags: int) -> int:
+    return os.open(name, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
+
+
+def read_entries(file: FileIO, path: Path) -> tuple[list[dict[str, Any]], int]:
+    """Return the entries of a journal, and the bytes up to the end of the last that is whole."""
+    file.seek(0)
+    if os.fstat(file.fileno()).st_size > LARGEST:
+        raise TermselError("the session is too large to be read", file=path)
+    content = file.readall() or b""
+    length = content.rfind(b"\n") + 1  # what follows was cut off
+    entries = []
+    for number, line in enumerate(content[:length].splitlines(), 1):
+        try:
+            entry = json.loads(line)
+        except (ValueError, RecursionError) as error:
+            raise TermselError(f"this is no entry of a session: {error}", file=path, line=number,
+                               hint="Was the file edited? Remove the line, or choose another "
+                                    "--out.") from error
+        if not isinstance(entry, dict):
+            raise TermselError("this is no entry of a session", file=path, line=number)
+        entries.append(entry)
+    return entries, length
+
+
+def _header(entry: dict[str, Any], path: Path) -> dict[str, Any]:
+    if entry.get("schema") != SCHEMA:
+        raise TermselError(f"this is no session of termsel app: its first line does not say "
+                           f"{SCHEMA}", file=path, line=1)
+    return {key: value for key, value in entry.items() if key != "schema"}
+
+
+def replayed(entries: list[dict[str, Any]], path: Path) -> ControlFeatures:
+    """Return the features after all changes of a journal."""
+    control = ControlFeatures()
+    for number, entry in enumerate(entries, 2):
+        try:
+            if "undo" in entry:
+                control.undo()
+            elif "redo" in entry:
+                control.redo()
+            else:
+                control.apply(patches_of(entry))
+        except TermselError as error:
+            raise TermselError(f"this change cannot be repeated: {error.what}", file=path,
+                               line=number, hint="Was the file edited? Remove the line, or choose "
+                                                 "another --out.") from error
+        if len(control.records) > MOST:
+            raise TermselError(f"a session has at most {MOST:,} features", file=path, line=number)
+    return control
+
+
+def patches_of(entry: Mapping[str, Any]) -> list[Patch]:
+    """Return the patches of an entry; raises TermselError if it has none."""
+    given = entry.get("change")
+    if not isinstance(given, list) or not all(
+            isinstance(pair, list) and len(pair) == 2 for pair in given):
+        raise TermselError("it has no change")
+    return [Patch(*(None if record is None else checked(_mapping(record)) for record in pair))
+            for pair in given]
+
+
+def _mapping(record: Any) -> dict[str, Any]:
+    if not isinstance(record, dict):
+        raise TermselError("it has no features")
+    return record
+
+
+def entry_of(patches: list[Patch]) -> dict[str, Any]:
+    """Return the entry of a change."""
+    return {"change": [[patch.before, patch.after] for patch in patches]}

@@ -1,0 +1,103 @@
+"""Tiles and lines that the page draws: image, map, the image warped onto the map, and graticules."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from termsel_app.graticule import graticule
+from termsel_app.maps import Box, resampled
+from termsel_app.prediction import Prediction
+from termsel_app.rasters import TILE, Pixels, Raster
+from termsel_app.session import Session
+
+NODES = 17
+"""Places along either side of a tile where the model is computed; it is interpolated between."""
+
+
+def image_resolutions(image: Raster | None, size: tuple[int, int] | None) -> list[float]:
+    """Return pixels of the image in one pixel of a tile, of all levels, the coarsest first."""
+    height, width = size or (1000, 1000)
+    levels = max(int(np.ceil(np.log2(max(height, width) / TILE))), 0)
+    return [float(2**level) for level in range(levels, -1, -1)]
+
+
+def image_tile(image: Raster, level: int, column: int, row: int) -> Pixels:
+    """Return a tile of the image; transparent outside."""
+    resolutions = image_resolutions(image, (image.height, image.width))
+    if not 0 <= level < len(resolutions):
+        return np.zeros((TILE, TILE, 4), dtype=np.uint8)
+    side = TILE * resolutions[level]
+    return image.pixels((row * side, column * side, side, side), (TILE, TILE))
+
+
+def box_of_tile(session: Session, box: Box, level: int, column: int, row: int) -> Box | None:
+    """Return the extent of a tile of the map, whose grid begins in the north-west of a box."""
+    resolutions = session.maps.resolutions(box)
+    if not 0 <= level < len(resolutions):
+        return None
+    side = TILE * resolutions[level]
+    west = box[0] + column * side
+    north = box[3] - row * side
+    return (west, north - side, west + side, north)
+
+
+def warped_tile(image: Raster, prediction: Prediction, box: Box) -> Pixels:
+    """Return a tile of the map as the image shows it."""
+    from scipy.ndimage import map_coordinates
+
+    west, south, east, north = box
+    x = np.linspace(west, east, NODES)
+    y = np.linspace(north, south, NODES)
+    nodes = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    seen = prediction.to_image(nodes).reshape(NODES, NODES, 2)
+    if not np.isfinite(seen).all():
+        return np.zeros((TILE, TILE, 4), dtype=np.uint8)
+    at = (np.arange(TILE) + 0.5) / TILE * (NODES - 1)
+    mesh = np.meshgrid(at, at, indexing="ij")
+    lines, samples = (map_coordinates(seen[..., axis], mesh, order=1).ravel() for axis in (0, 1))
+    return resampled(image, lines, samples)
+
+
+def drawn_graticule(session: Session, box: Box) -> dict[str, Any]:
+    """Return lines of round coordinates on the map, and through the model in the image."""
+    lines = graticule(session.places, box)
+    prediction = session.prediction
+    return {"lines": [{"label": line["label"], "axis": line["axis"], "map": line["map"],
+                       "image": None if prediction is None else through(prediction, line["map"])}
+                      for line in lines]}
+
+
+def drawn_vectors(session: Session) -> dict[str, Any]:
+    """Return the vertices of the map's vector layers through the model, line by line."""
+    prediction = session.prediction
+    if prediction is None:
+        return {"lines": []}
+    lines = []
+    for layer in session.maps.vectors:
+        for feature in layer.collection["features"]:
+            lines += [through(prediction, line) for line in _lines_of(feature["geometry"])]
+    return {"lines": [line for line in lines if len(line) > 1]}
+
+
+def through(prediction: Prediction, vertices: Any) -> list[list[float]]:
+    """Return line and sample of vertices on the map, those left out that the model does not see."""
+    if not len(vertices):
+        return []
+    image = prediction.to_image(vertices)
+    return [place for place in image.tolist() if place[0] == place[0] and place[1] == place[1]]
+
+
+def _lines_of(geometry: Any) -> list[Any]:
+    """Return the lines of a geometry of GeoJSON."""
+    kind, coordinates = geometry["type"], geometry.get("coordinates", ())
+    if kind == "LineString":
+        return [coordinates]
+    if kind in ("MultiLineString", "Polygon"):
+        return list(coordinates)
+    if kind == "MultiPolygon":
+        return [ring for polygon in coordinates for ring in polygon]
+    if kind == "GeometryCollection":
+        return [line for part in geometry["geometries"] for line in _lines_of(part)]
+    return []

@@ -1,0 +1,249 @@
+"""The map: rasters and vectors in any CRS, shown in one, in tiles that all layers share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from termsel import TermselError
+from termsel.toolkit import LOCAL, FloatArray, normalise, open_layer
+from termsel_app.places import MERCATOR, between, shown_crs, turned
+from termsel_app.rasters import TILE, Pixels, Raster, refuse_giant
+
+MOST_VERTICES = 400_000
+"""Vertices of vector layers that the page gets."""
+KINDS = ("Point", "LineString", "Polygon", "MultiPoint", "MultiLineString", "MultiPolygon",
+         "GeometryCollection")
+_VECTORS = (".gpkg", ".geojson", ".json", ".shp", ".fgb", ".kml", ".gml", ".gpx")
+FINER = 4
+"""Levels of tiles beyond the finest raster."""
+
+Box = tuple[float, float, float, float]
+"""Least x and y, largest x and y."""
+
+
+def is_tiles(name: str) -> bool:
+    """Return whether a map is named by the address of its tiles."""
+    return name.startswith(("http://", "https://")) and all(
+        part in name for part in ("{x}", "{z}")) and ("{y}" in name or "{-y}" in name)
+
+
+def is_vector(name: str) -> bool:
+    """Return whether a map is a vector file, by its name."""
+    return Path(name).suffix.lower() in _VECTORS
+
+
+@dataclass(frozen=True)
+class VectorLayer:
+    """A vector layer as GeoJSON in the CRS shown."""
+
+    name: str
+    collection: dict[str, Any]
+    box: Box
+
+
+class MapRaster:
+    """A georeferenced raster as tiles in any CRS."""
+
+    def __init__(self, path: Path | str, remote: bool = False, crs: str | None = None) -> None:
+        refuse_giant(path)
+        self.raster = Raster(path, remote)
+        dataset = self.raster.dataset
+        if dataset.transform.is_identity:
+            self.close()
+            raise TermselError("this map is not georeferenced", file=path,
+                               hint="Give a raster with a geotransform, such as an orthoimage. The "
+                                    "image to georeference comes first, without --map.")
+        if dataset.crs is None and crs is None:
+            self.close()
+            raise TermselError("this map has no CRS", file=path,
+                               hint="State it with --crs, such as --crs EPSG:25832; or --crs local "
+                                    "for plane coordinates without a CRS.")
+        self.crs = normalise(dataset.crs.to_wkt()) if dataset.crs else normalise(crs or LOCAL)
+
+    def close(self) -> None:
+        """Close the file."""
+        self.raster.close()
+
+    def box(self, shown: str) -> Box:
+        """Return the extent in the CRS that is shown."""
+        dataset = self.raster.dataset
+        side = np.linspace(0, 1, 21)
+        edge = np.concatenate([np.column_stack([side, 0 * side]), np.column_stack([side, 0 * side + 1]),
+                               np.column_stack([0 * side, side]), np.column_stack([0 * side + 1, side])])
+        x, y = dataset.transform @ (edge[:, 0] * dataset.width, edge[:, 1] * dataset.height)
+        return box_of(turned(between(self.crs, shown), np.column_stack([x, y])))
+
+    def resolution(self, shown: str) -> float:
+        """Return the size of a pixel in the middle, in the CRS that is shown."""
+        dataset = self.raster.dataset
+        row, column = dataset.height / 2, dataset.width / 2
+        x, y = dataset.transform @ (np.array([column, column + 1]), np.array([row, row]))
+        ends = turned(between(self.crs, shown), np.column_stack([x, y]))
+        return float(np.hypot(*(ends[1] - ends[0])))
+
+    def tile(self, box: Box, shown: str) -> Pixels:
+        """Return the colours of a box in the CRS that is shown."""
+        from affine import Affine
+
+        west, south, east, north = box
+        dataset = self.raster.dataset
+        transform = dataset.transform
+        upright = transform.b == transform.d == 0 and transform.e < 0
+        if upright and between(self.crs, shown) is None:
+            return self.raster.pixels(((transform.f - north) / -transform.e,
+                                       (west - transform.c) / transform.a,
+                                       (north - south) / -transform.e,
+                                       (east - west) / transform.a), (TILE, TILE))
+        target = Affine(((east - west) / TILE), 0, west, 0, (south - north) / TILE, north)
+        rows, columns = np.mgrid[0:TILE, 0:TILE] + 0.5
+        return self._resampled(target @ (columns.ravel(), rows.ravel()), shown)
+
+    def _resampled(self, xy: Any, shown: str) -> Pixels:
+        """Return the colours at places of a tile, by the nearest pixel of what is read for it."""
+        places = turned(between(self.crs, shown), np.column_stack(xy), inverse=True)
+        columns, rows = ~self.raster.dataset.transform @ (places[:, 0], places[:, 1])
+        return resampled(self.raster, rows - 0.5, columns - 0.5)
+
+
+def resampled(raster: Raster, lines: Any, samples: Any) -> Pixels:
+    """Return the colours of a tile at lines and samples [px], each TILE * TILE of them.
+
+    What is read has about the resolution of the tile, and the nearest of its pixels counts.
+    """
+    tile = np.zeros((TILE * TILE, 4), dtype=np.uint8)
+    seen = np.flatnonzero((lines > -0.5) & (lines < raster.height - 0.5)
+                          & (samples > -0.5) & (samples < raster.width - 0.5))
+    if not len(seen):
+        return tile.reshape(TILE, TILE, 4)
+    top, left = lines[seen].min() + 0.5, samples[seen].min() + 0.5
+    size = np.array([lines[seen].max() + 0.5 - top, samples[seen].max() + 0.5 - left])
+    shape = np.clip(np.ceil(size), 1, 2 * TILE).astype(int)
+    pixels = raster.pixels((float(top), float(left), float(max(size[0], 1.0)),
+                            float(max(size[1], 1.0))), (int(shape[0]), int(shape[1])))
+    steps = np.maximum(size, 1.0) / shape
+    row = np.clip((lines[seen] + 0.5 - top) / steps[0], 0, shape[0] - 1).astype(np.intp)
+    column = np.clip((samples[seen] + 0.5 - left) / steps[1], 0, shape[1] - 1).astype(np.intp)
+    tile[seen] = pixels[row, column]
+    return tile.reshape(TILE, TILE, 4)
+
+
+def box_of(xy: FloatArray) -> Box:
+    """Return the extent of places, those left out that are nowhere."""
+    xy = xy[np.isfinite(xy).all(axis=1)]
+    if not len(xy):
+        return (0.0, 0.0, 1.0, 1.0)
+    low, high = xy.min(axis=0), xy.max(axis=0)
+    return (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+
+
+def around(boxes: Sequence[Box]) -> Box:
+    """Return the extent of all boxes."""
+    values = np.array(boxes)
+    low, high = values[:, :2].min(axis=0), values[:, 2:].max(axis=0)
+    return (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+
+
+@dataclass
+class Maps:
+    """All layers of the map, and the grid of their tiles."""
+
+    shown: str
+    rasters: list[MapRaster] = field(default_factory=list)
+    vectors: list[VectorLayer] = field(default_factory=list)
+    tiles: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def close(self) -> None:
+        """Close all files."""
+        for raster in self.rasters:
+            raster.close()
+
+    @property
+    def box(self) -> Box | None:
+        """The extent of what the files show; None where there are none."""
+        boxes = [raster.box(self.shown) for raster in self.rasters]
+        boxes += [layer.box for layer in self.vectors]
+        return around(boxes) if boxes else None
+
+    def resolutions(self, box: Box) -> list[float]:
+        """Return the sizes of a pixel of tiles of all levels, the coarsest first."""
+        width = max(box[2] - box[0], box[3] - box[1], 1e-9)
+        finest = min((raster.resolution(self.shown) for raster in self.rasters),
+                     default=width / 4096) / 2**FINER
+        levels = max(int(np.ceil(np.log2(width / TILE / finest))), 0) + 2
+        return [finest * 2**level for level in range(levels, -1, -1)]
+
+
+def open_maps(names: Sequence[str], crs: str | None, remote: bool) -> Maps:
+    """Open all maps that are named.
+
+    Raises TermselError for a file that cannot be read, is not georeferenced, or has no CRS while
+    none is stated.
+    """
+    rasters = []
+    try:
+        for name in names:
+            if not is_tiles(name) and not is_vector(name):
+                rasters.append(MapRaster(name, remote, crs))
+        tiles = [name for name in names if is_tiles(name)]
+        vectors = [_layer_of(name) for name in names if not is_tiles(name) and is_vector(name)]
+        stated = [raster.crs for raster in rasters] + [own for _, own in vectors if own]
+        first = MERCATOR if tiles else next(iter(stated), crs or LOCAL)
+        maps = Maps(shown_crs(normalise(first)), rasters, [], tiles)
+        for name, (shapes, own) in zip([name for name in names if not is_tiles(name)
+                                        and is_vector(name)], vectors, strict=True):
+            maps.vectors.append(_shown(name, shapes, own or crs, maps.shown))
+        _say_far(maps)
+        return maps
+    except BaseException:
+        for raster in rasters:
+            raster.close()
+        raise
+
+
+def _layer_of(name: str) -> tuple[Any, str]:
+    """Return the shapes of a vector file, and its CRS; "" where it states none."""
+    meta, shapes, _ = open_layer(Path(name), None, KINDS)
+    if shapes is None:
+        raise TermselError("the layer has no geometry", file=name,
+                           hint="Give a layer of points, lines or areas.")
+    stated = str(meta["crs"] or "")
+    return shapes, normalise(stated) if stated else ""
+
+
+def _shown(name: str, shapes: Any, crs: str | None, shown: str) -> VectorLayer:
+    """Return shapes of a CRS as a layer in the CRS that is shown."""
+    import shapely
+
+    if crs is None:
+        raise TermselError("this map has no CRS", file=name, hint="State it with --crs.")
+    shapes = shapely.force_2d([shape for shape in shapes if shape is not None
+                               and not shape.is_empty])
+    count = int(shapely.get_num_coordinates(shapes).sum()) if len(shapes) else 0
+    if count > MOST_VERTICES:
+        raise TermselError(f"this layer has {count:,} vertices, and the page shows at most "
+                           f"{MOST_VERTICES:,}", file=name,
+                           hint="Cut out the place, for example with ogr2ogr -spat.")
+    transformer = between(normalise(crs), shown)
+    shapes = shapely.transform(shapes, lambda xy: turned(transformer, xy))
+    features = [{"type": "Feature", "properties": {}, "geometry": shapely.geometry.mapping(shape)}
+                for shape in shapes if np.isfinite(shapely.get_coordinates(shape)).all()]
+    return VectorLayer(Path(name).name, {"type": "FeatureCollection", "features": features},
+                       box_of(shapely.get_coordinates(shapes)))
+
+
+def _say_far(maps: Maps) -> None:
+    """Note which layers lie apart from the first one."""
+    layers = [(raster.raster.name, raster.box(maps.shown)) for raster in maps.rasters]
+    layers += [(layer.name, layer.box) for layer in maps.vectors]
+    for name, box in layers[1:]:
+        first = layers[0][1]
+        apart = (box[0] > first[2] or box[2] < first[0] or box[1] > first[3] or box[3] < first[1])
+        if apart:
+            maps.notes.append(f"{name} does not overlap {layers[0][0]}: is it a map of another "
+                              "place?")

@@ -1,0 +1,138 @@
+"""What a session gives away: tables of control, and what commands of termsel make of it.
+
+Each output has a name of its own in the folder of the session; a page chooses among these, and
+names no file. The commands run as they do in a terminal, so that results are the same.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from termsel import TermselError
+from termsel_app.control import ControlFeatures
+from termsel_app.quality import written
+from termsel_app.session import Files, Session
+
+RESULT = "result"
+_SECONDS = 900
+"""Longest time of a command."""
+
+
+@dataclass(frozen=True)
+class Output:
+    """Something that can be saved.
+
+    `names` are its files in the folder; `command` the command of termsel that makes them, in which
+    {image}, {dem} and {map} stand for files; none for the tables of control alone.
+    """
+
+    label: str
+    names: tuple[str, ...]
+    command: tuple[str, ...] = ()
+    needs_result: bool = True
+
+
+OUTPUTS = {
+    "points": Output("Points (CSV)", ("points.csv",), needs_result=False),
+    "result": Output("Result folder", (RESULT,)),
+    "qgis-points": Output("QGIS .points", ("control.points",), (
+        "export", RESULT, "--to", "qgis-points", "--output", "control.points", "--overwrite")),
+    "gpkg": Output("GeoPackage", ("control.gpkg",), (
+        "export", RESULT, "--to", "residuals-gpkg", "--output", "control.gpkg", "--overwrite")),
+    "annotation": Output("IIIF annotation", ("annotation.json",), (
+        "export", RESULT, "--to", "georeference-annotation", "--output", "annotation.json",
+        "--overwrite")),
+    "map": Output("Map (cloud-optimised GeoTIFF)", ("map.tif",), (
+        "rectify", RESULT, "{image}", "--output", "map.tif", "--overwrite")),
+    "rpc": Output("RPC", ("image_RPC.TXT",), (
+        "export", RESULT, "--to", "rpc-txt", "--output", "image_RPC.TXT", "--overwrite")),
+    "report": Output("Report", ("report.html",), (
+        "report", RESULT, "--output", "report.html", "--overwrite")),
+}
+
+
+def run_arguments(session: Session) -> list[str]:
+    """Return the arguments of `termsel run` that repeat the session, from its folder."""
+    features = session.control.features(session.places.crs)
+    arguments = ["run"]
+    if len(features.points):
+        arguments += ["--points", "points.csv"]
+    if len(features.lines):
+        arguments += ["--lines", "lines.csv"]
+    files = session.files
+    folder = session.folder
+    for option, name in (("--rpc", files.rpc), ("--dem", files.dem), ("--image", files.image)):
+        if name is not None:
+            arguments += [option, from_folder(name, folder)]
+    return [*arguments, "--out", RESULT, "--overwrite"]
+
+
+def from_folder(name: str, folder: Path) -> str:
+    """Return the name of a file as a command in a folder gives it."""
+    if name.startswith("/vsi") or "://" in name:
+        return name
+    return os.path.relpath(Path(name).absolute(), folder.absolute())
+
+
+def command_line(session: Session) -> str:
+    """Return the one line that repeats the session in a terminal."""
+    return f"cd {shlex.quote(str(session.folder))} && {shlex.join(['termsel', *run_arguments(session)])}"
+
+
+def save(session: Session, name: str) -> list[Path]:
+    """Write an output and return its files.
+
+    Raises TermselError if there is no such output, or the command fails: with what it says.
+    """
+    output = OUTPUTS.get(name)
+    if output is None:
+        raise TermselError(f"there is no output {name!r}", hint=f"Choose {', '.join(OUTPUTS)}.")
+    with session.lock:
+        features = session.control.features(session.places.crs)
+        arguments = run_arguments(session)
+    files = [*written(features, session.folder).values()]
+    if output.needs_result:
+        call(arguments, session.folder)
+    if output.command:
+        call(completed(output.command, session.files, session.folder), session.folder)
+    if name == "points":
+        return files
+    return [session.folder / path for path in output.names]
+
+
+def completed(command: Sequence[str], files: Files, folder: Path) -> list[str]:
+    """Return a command with the files of the session."""
+    if "{image}" in command and files.image is None:
+        raise TermselError("a map needs the image, and this session has none",
+                           hint="Start `termsel app IMAGE --points points.csv`.")
+    arguments = [from_folder(str(files.image), folder) if part == "{image}" else part
+                 for part in command]
+    if command[0] == "rectify" and files.dem is not None:
+        arguments += ["--dem", from_folder(files.dem, folder)]
+    return arguments
+
+
+def call(arguments: Sequence[str], folder: Path) -> None:
+    """Run a command of termsel in a folder; raises TermselError with what it says where it fails."""
+    try:
+        done = subprocess.run([sys.executable, "-P", "-m", "termsel", *arguments], cwd=folder,
+                              capture_output=True, text=True, encoding="utf-8", errors="replace",
+                              stdin=subprocess.DEVNULL, timeout=_SECONDS)
+    except subprocess.TimeoutExpired:
+        raise TermselError(f"termsel {arguments[0]} takes longer than {_SECONDS // 60} minutes",
+                           hint="Run it in a terminal.") from None
+    if done.returncode:
+        said = [line for line in done.stderr.strip().splitlines() if line.strip()]
+        message = " ".join(line.strip() for line in said[-4:]).removeprefix("Error: ")
+        raise TermselError(message or f"termsel {arguments[0]} failed")
+
+
+def control_count(control: ControlFeatures) -> int:
+    """Return how many features are complete."""
+    return len(control.complete("point")) + len(control.complete("line"))

@@ -1,0 +1,229 @@
+"""What termsel says of the control: every figure comes from its public engine, none from here.
+
+`judged` runs in a process of its own. Points are written as a table and read again, as the command
+line reads them, so that the page and `termsel run` say the same to the last digit.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import termsel
+from termsel import TermselError, toolkit
+
+if TYPE_CHECKING:
+    from termsel import FeatureSet, Result
+
+FEWEST = 3
+"""Points from which on there is a model without an RPC."""
+NEXT = 3
+"""Places to measure next."""
+GRID = 40
+"""Places along either side of the image where the uncertainty is computed."""
+ENOUGH = 0.05
+"""Share of the uncertainty that a further point must gain to be worth measuring."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """Control to be judged.
+
+    `serial` counts the changes; `size` is lines and samples of the image; `rpc` and `dem` are
+    files; `remote` and `drivers` say what files may refer to and be.
+    """
+
+    serial: int
+    features: FeatureSet
+    size: tuple[int, int] | None
+    rpc: Path | None = None
+    dem: Path | None = None
+
+
+Answer = dict[str, Any]
+
+
+def prepare() -> None:
+    """Load what the first answer needs, before it is asked for."""
+    for name in (termsel.run, termsel.read, toolkit.plan, toolkit.opening):
+        assert callable(name)
+
+
+def judged(question: Question) -> Iterator[Answer]:
+    """Yield what is known of the control, the quickest first.
+
+    The first answer has the figures and the result; the others the points' own prediction errors,
+    the places to measure next, and the uncertainty all over the image. Where there is no result,
+    the only answer has a reason.
+    """
+    features = question.features
+    base = {"serial": question.serial}
+    taken = [role != "off" for role in features.points.roles].count(True)
+    fewest = 1 if question.rpc is not None else FEWEST
+    if taken < fewest and not len(features.lines):
+        yield {**base, "stage": "waiting",
+               "text": f"{fewest - taken} more {'point' if fewest - taken == 1 else 'points'}, and "
+                       "there is a first model."}
+        return
+    try:
+        result = _run(question)
+    except TermselError as error:
+        yield {**base, "stage": "refused", "text": f"{error.what}.", "hint": error.hint or "",
+               "ids": list(error.ids)}
+        return
+    yield {**base, "stage": "figures", **figures(result), "result": result}
+    yield {**base, "stage": "predicted", "errors": prediction_errors(result)}
+    yield {**base, "stage": "next", **_next_places(result)}
+    yield {**base, "stage": "uncertainty", "uncertainty": uncertainty(result)}
+
+
+def _run(question: Question) -> Result:
+    with tempfile.TemporaryDirectory(prefix="termsel-app-") as folder:
+        files = written(question.features, Path(folder))
+        features = termsel.read(
+            files.get("points"), files.get("lines"), dem=question.dem, rpc=question.rpc)
+    if question.size is not None:
+        features = replace(features, image_size=question.size)
+    return termsel.run(features=features)
+
+
+def written(features: FeatureSet, folder: Path) -> dict[str, Path]:
+    """Write points and lines as tables to a folder, and return their names."""
+    files = {}
+    if len(features.points):
+        files["points"] = folder / "points.csv"
+        termsel.write_points_csv(features.points, files["points"], features.crs)
+    if len(features.lines):
+        files["lines"] = folder / "lines.csv"
+        termsel.write_lines_csv(features.lines, files["lines"], features.crs)
+    return files
+
+
+def figures(result: Result) -> Answer:
+    """Return what the page shows of a result: accuracy, model, blunders, and each feature's error.
+    """
+    record = result.record
+    strategy = result.strategy
+    residuals = errors(result)
+    return {
+        "opening": [{"label": note.label, "text": note.text} for note in toolkit.opening(record)],
+        "accuracy": accuracy(result),
+        "why": strategy.reason if strategy is not None else "",
+        "judgement": result.judgement,
+        "notes": list(result.notes),
+        "errors": residuals,
+        "blunders": [{"id": outlier.id, "kind": outlier.kind, "role": outlier.role,
+                      "error": residuals.get(outlier.id, {}).get("distance", outlier.error),
+                      "certainty": outlier.certainty,
+                      "excluded": outlier.excluded} for outlier in result.outliers],
+        "roles": {row.id: row.role for row in result.residuals},
+    }
+
+
+def accuracy(result: Result) -> Answer | None:
+    """Return the surer of the predicted and the independent RMSE with its interval, px and metres.
+    """
+    record = result.record
+    predicted = toolkit.expected_of(record)
+    if predicted is not None and toolkit.predicted_first(record):
+        figure = (predicted.rmse, predicted.low, predicted.high)
+        kind = "predicted by cross-validation"
+        level = predicted.level
+    elif result.accuracy is not None:
+        image = result.accuracy.image
+        figure = (image.total, *image.interval)
+        kind = f"of {image.n} independent points"
+        level = 0.9
+    else:
+        return None
+    scale = metres_per_pixel(result)
+    return {"px": figure, "kind": kind, "level": level,
+            "metres": None if scale is None else [value * scale for value in figure]}
+
+
+def metres_per_pixel(result: Result) -> float | None:
+    """Return the side of a pixel on the ground in the middle of the control [m], if it is known."""
+    fit = result.exported
+    ground = fit.control.ground_vertices()
+    if not len(ground):
+        return None
+    place = fit.project(ground).mean(axis=0)
+    height = np.nan_to_num(np.nanmedian(ground[:, 2])) if np.isfinite(ground[:, 2]).any() else 0.0
+    corners = fit.locate(place + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), height)
+    sides = toolkit.in_metres(fit.control.crs, np.repeat(corners[:1], 2, axis=0),
+                      (corners[1:] - corners[0])[:, :2])
+    if sides is None or not np.isfinite(sides).all():
+        return None
+    return float(np.sqrt(abs(np.linalg.det(sides))))
+
+
+def errors(result: Result) -> dict[str, Answer]:
+    """Return the residual of each feature [px]; of a line the larger of its two vertices."""
+    table: dict[str, Answer] = {}
+    for row in result.residuals:
+        largest = max(row.distance, table.get(row.id, {}).get("distance", 0.0))
+        point = row.kind == "point"
+        table[row.id] = {"line": row.line if point else None,
+                         "sample": row.sample if point else None, "distance": largest,
+                         "used": row.used, "blunder": row.blunder}
+    return table
+
+
+def prediction_errors(result: Result) -> dict[str, float]:
+    """Return how far off each feature is where the others alone predict it [px].
+
+    Of control by the chosen model without it; of all others their residuals are just that.
+    """
+    table = {row.id: row.distance for row in result.residuals
+             if row.kind == "point" and not row.used}
+    control = result.fit.control.take(np.asarray(result.fit.used))
+    if result.strategy is None:
+        return table
+    try:
+        held_out = termsel.fit(control, result.strategy.chosen).leave_one_out
+    except TermselError:  # without some feature the fit is not determined
+        return table
+    for row in held_out:
+        table[row.id] = max(row.distance, table.get(row.id, 0.0))
+    return table
+
+
+def _next_places(result: Result) -> Answer:
+    """Return where a further point helps most, and whether one is worth while."""
+    try:
+        places = toolkit.plan(result.as_exported(), NEXT)
+    except TermselError as error:
+        return {"next": [], "enough": {"text": f"{error.what}.", "reached": False}}
+    rows = [{"line": line, "sample": sample, "ground": [x, y, None if z != z else z],
+             "uncertainty": left}
+            for line, sample, x, y, z, left in places.values.tolist()]
+    after = rows[0]["uncertainty"]
+    gain = 1.0 - after / places.now if places.now else 0.0
+    text = (f"One more point takes the mean uncertainty of the model from {places.now:.3g} to "
+            f"{after:.3g} px, {NEXT} more to {rows[-1]['uncertainty']:.3g} px.")
+    return {"next": rows, "enough": {"text": text, "reached": gain < ENOUGH, "gain": gain,
+                                     "now": places.now, "after": after}}
+
+
+def uncertainty(result: Result) -> Answer | None:
+    """Return the model's standard deviation [px] on a grid over the image, line by line.
+
+    None where it is not known.
+    """
+    fit = result.exported
+    (top, left), (bottom, right) = fit.image_box()
+    lines = np.linspace(top, bottom, GRID)
+    samples = np.linspace(left, right, GRID)
+    image = np.stack(np.meshgrid(lines, samples, indexing="ij"), axis=-1).reshape(-1, 2)
+    ground = fit.control.ground_vertices()
+    height = np.nan_to_num(np.nanmedian(ground[:, 2])) if np.isfinite(ground[:, 2]).any() else 0.0
+    sigma = np.hypot(*result.sigma(fit.locate(image, height)).T)
+    if not np.isfinite(sigma).any():
+        return None
+    return {"box": [float(top), float(left), float(bottom), float(right)], "side": GRID,
+            "values": [None if value != value else round(value, 4) for value in sigma.tolist()]}

@@ -1,0 +1,270 @@
+"""Rasters of any size as coloured tiles: windows, overviews, colour tables and stretches.
+
+What a tile shows is read at about its own resolution. A large raster without overviews gets one,
+read once and kept in memory, so that all of it can be looked at.
+"""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from io import BytesIO
+from pathlib import Path
+from threading import Lock, Thread
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from termsel import allow_remote, open_raster
+from termsel.toolkit import refuse_empty_giant, require_rasterio
+
+Pixels = NDArray[np.uint8]
+"""Red, green, blue and opacity, shape (lines, samples, 4)."""
+
+TILE = 256
+"""Pixels along either side of a tile."""
+LARGE = 4096
+"""Pixels of the longer side from which a raster without overviews gets one."""
+OVERVIEW = 2048
+"""About how many pixels an overview has along the longer side."""
+_STRIP = 2**25
+"""Pixels that are read at once for an overview."""
+_SAMPLES = 512
+"""Pixels along either side of what a stretch is taken from."""
+_TAILS = (1.0, 99.0)
+"""Percentiles of the pixels that become black and white."""
+
+
+class Raster:
+    """A raster that is open for as long as the page is; its methods may be called by any thread.
+
+    Parameters
+    ----------
+    path : path-like
+    remote : bool
+        Whether it may be on a server.
+    """
+
+    def __init__(self, path: Path | str, remote: bool = False) -> None:
+        self.path = path
+        self.name = Path(path).name
+        self._stack = ExitStack()
+        if remote:
+            self._stack.enter_context(allow_remote())
+        self.dataset: Any = self._stack.enter_context(open_raster(path))
+        self.lock = Lock()
+        self.height, self.width = self.dataset.shape
+        try:
+            self.colours = _colour_table(self.dataset)
+            self.bands = _bands(self.dataset, self.colours is not None)
+            self._alpha = _alpha(self.dataset)
+            self._step = 1
+            self._overview: Pixels | None = None
+            self.share_read = 1.0
+            self.limits = self._stretch()
+            if max(self.height, self.width) > LARGE and not self.dataset.overviews(1):
+                self._begin_overview()
+        except BaseException:
+            self._stack.close()
+            raise
+
+    def close(self) -> None:
+        """Close the file."""
+        self._step = 0  # ends the reading of an overview
+        with self.lock:
+            self._stack.close()
+
+    def _stretch(self) -> list[tuple[float, float]] | None:
+        """Return which values become black and white, by band; None for bytes, shown as they are.
+
+        From all of a raster where it is small or has overviews, else from parts all over it.
+        """
+        if self.dataset.dtypes[self.bands[0] - 1] == "uint8":
+            return None
+        values = np.concatenate(self._sampled(), axis=1)
+        limits = []
+        for band in values:
+            finite = band[np.isfinite(band)]
+            low, high = np.percentile(finite, _TAILS) if finite.size else (0.0, 1.0)
+            limits.append((float(low), float(high if high > low else low + 1.0)))
+        return limits
+
+    def _sampled(self) -> list[Any]:
+        """Return values of all bands (bands, n), NaN for none, of places all over the raster."""
+        from rasterio.windows import Window
+
+        if self.dataset.overviews(1) or self.height * self.width <= LARGE**2:
+            shape = (len(self.bands), min(self.height, _SAMPLES), min(self.width, _SAMPLES))
+            windows = [(Window(0, 0, self.width, self.height), shape)]
+        else:
+            side = _SAMPLES // 4
+            windows = [(Window(int(x), int(y), side, side), (len(self.bands), side, side))
+                       for y in np.linspace(0, self.height - side, 4)
+                       for x in np.linspace(0, self.width - side, 4)]
+        return [self.dataset.read(self.bands, window=window, out_shape=shape, masked=True)
+                .astype(np.float64).filled(np.nan).reshape(len(self.bands), -1)
+                for window, shape in windows]
+
+    def _begin_overview(self) -> None:
+        self._step = int(np.ceil(max(self.height, self.width) / OVERVIEW))
+        shape = (-(-self.height // self._step), -(-self.width // self._step))
+        self._overview = np.zeros((*shape, 4), dtype=np.uint8)
+        self.share_read = 0.0
+        Thread(target=self._read_overview, daemon=True).start()
+
+    def _read_overview(self) -> None:
+        """Fill the overview by strips of whole blocks, from above."""
+        block = self.dataset.block_shapes[0][0]
+        rows = max(_STRIP // self.width // block, 1) * block
+        rows = max(rows // self._step, 1) * self._step
+        step = self._step
+        for top in range(0, self.height, rows):
+            if not self._step:
+                return
+            count = min(rows, self.height - top)
+            shape = (-(-count // step), -(-self.width // step))
+            strip = self._read((top, 0, count, self.width), shape, average=False)
+            if self._overview is not None:
+                self._overview[top // step:top // step + shape[0]] = strip
+            self.share_read = (top + count) / self.height
+
+    def _read(self, box: tuple[float, float, float, float], shape: tuple[int, int],
+              average: bool) -> Pixels:
+        """Return the pixels of a box inside the raster: top, left, height and width [px]."""
+        from rasterio.enums import Resampling
+        from rasterio.windows import Window
+
+        top, left, height, width = box
+        window = Window(left, top, width, height)
+        resampling = Resampling.average if average and self.colours is None \
+            else Resampling.nearest
+        with self.lock:
+            if not self._step:
+                return np.zeros((*shape, 4), dtype=np.uint8)
+            values = self.dataset.read(self.bands, window=window, resampling=resampling,
+                                       out_shape=(len(self.bands), *shape))
+            mask = self._mask(window, shape)
+        return self.coloured(values, mask)
+
+    def _mask(self, window: Any, shape: tuple[int, int]) -> NDArray[np.uint8] | None:
+        from rasterio.enums import MaskFlags
+
+        flags = self.dataset.mask_flag_enums[0]
+        if self._alpha is None and MaskFlags.all_valid in flags:
+            return None
+        if self._alpha is not None:
+            alpha = self.dataset.read(self._alpha, window=window, out_shape=shape)
+            return np.asarray(alpha if alpha.dtype == np.uint8 else (alpha > 0) * 255,
+                              dtype=np.uint8)
+        return np.asarray(self.dataset.read_masks(1, window=window, out_shape=shape))
+
+    def coloured(self, values: Any, mask: NDArray[np.uint8] | None) -> Pixels:
+        """Return values of the bands shown (bands, lines, samples) as colours."""
+        shape = values.shape[1:]
+        pixels = np.empty((*shape, 4), dtype=np.uint8)
+        pixels[..., 3] = 255 if mask is None else mask
+        if self.colours is not None:
+            colours = self.colours[np.clip(values[0], 0, len(self.colours) - 1).astype(np.intp)]
+            pixels[..., :3] = colours[..., :3]
+            pixels[..., 3] = np.minimum(pixels[..., 3], colours[..., 3])
+            return pixels
+        for band in range(3):
+            source = min(band, len(values) - 1)
+            pixels[..., band] = self._as_bytes(values[source], source)
+        if values.dtype.kind in "fc":
+            pixels[..., 3][~np.isfinite(values).all(axis=0)] = 0
+        return pixels
+
+    def _as_bytes(self, values: Any, band: int) -> Any:
+        if self.limits is None:
+            return values
+        low, high = self.limits[band]
+        scaled = (np.nan_to_num(np.real(values).astype(np.float32)) - low) * (255 / (high - low))
+        return np.clip(scaled, 0, 255).astype(np.uint8)
+
+    def pixels(self, box: tuple[float, float, float, float], shape: tuple[int, int]) -> Pixels:
+        """Return what a box shows, transparent outside the raster.
+
+        Parameters
+        ----------
+        box : tuple of float
+            Top, left, height and width [px], from the outer corner of the upper-left pixel.
+        shape : tuple of int
+            Lines and samples to return.
+        """
+        top, left, height, width = box
+        steps = np.array([height / shape[0], width / shape[1]])
+        result = np.zeros((*shape, 4), dtype=np.uint8)
+        first, last = [], []
+        for start, step, count, size in zip((top, left), steps, shape, (self.height, self.width),
+                                            strict=True):
+            first.append(max(int(np.ceil(-start / step - 0.5)), 0))
+            last.append(min(int(np.floor((size - start) / step + 0.5)), count))
+        if first[0] >= last[0] or first[1] >= last[1]:
+            return result
+        part = (slice(first[0], last[0]), slice(first[1], last[1]))
+        overview = self._overview
+        if overview is not None and steps.min() >= self._step:
+            centres = [np.clip((start + (np.arange(low, high) + 0.5) * step) / self._step, 0,
+                               count - 1).astype(np.intp)
+                       for start, low, high, step, count in zip(
+                           (top, left), first, last, steps, overview.shape[:2], strict=True)]
+            result[part] = overview[np.ix_(*centres)]
+            return result
+        inside = (np.clip(top + first[0] * steps[0], 0, self.height),
+                  np.clip(left + first[1] * steps[1], 0, self.width))
+        inner = (min((last[0] - first[0]) * steps[0], self.height - inside[0]),
+                 min((last[1] - first[1]) * steps[1], self.width - inside[1]))
+        result[part] = self._read((*inside, *inner), (last[0] - first[0], last[1] - first[1]),
+                                  average=bool(1 < steps.max() <= 16
+                                               or self.dataset.overviews(1)))
+        return result
+
+
+def _colour_table(dataset: Any) -> Pixels | None:
+    """Return the colours of a palette (n, 4), if the raster has one."""
+    try:
+        table = dataset.colormap(1)
+    except ValueError:
+        return None
+    colours = np.zeros((max(table) + 1, 4), dtype=np.uint8)
+    for index, colour in table.items():
+        colours[index] = colour
+    return colours
+
+
+def _bands(dataset: Any, indexed: bool) -> list[int]:
+    """Return which bands are shown: three as colours, or one."""
+    from rasterio.enums import ColorInterp
+
+    if indexed:
+        return [1]
+    kinds = list(dataset.colorinterp)
+    colours = (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
+    if all(colour in kinds for colour in colours):
+        return [kinds.index(colour) + 1 for colour in colours]
+    shown = [i + 1 for i, kind in enumerate(kinds) if kind != ColorInterp.alpha] or [1]
+    return shown[:3] if len(shown) >= 3 else shown[:1]
+
+
+def _alpha(dataset: Any) -> int | None:
+    from rasterio.enums import ColorInterp
+
+    kinds = list(dataset.colorinterp)
+    return kinds.index(ColorInterp.alpha) + 1 if ColorInterp.alpha in kinds else None
+
+
+def png(pixels: Pixels) -> bytes:
+    """Return pixels as a PNG file."""
+    from PIL import Image
+
+    file = BytesIO()
+    Image.fromarray(pixels).save(file, "PNG", compress_level=1)
+    return file.getvalue()
+
+
+def refuse_giant(path: Path | str) -> None:
+    """Refuse a small file that states a huge raster, as `termsel rectify` does."""
+    require_rasterio()
+    with open_raster(path) as dataset:
+        refuse_empty_giant(dataset)

@@ -1,0 +1,376 @@
+"""The server of the page: on this machine alone, and for who knows the secret of the run.
+
+Each request must have the secret in its path, this server in its Host, and no other origin than
+this server. A path names a layer, a kind of output or a file of the page from a fixed list; no
+request names a file of the disk.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import json
+import secrets
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from tornado.httpserver import HTTPServer
+from tornado.ioloop import IOLoop
+from tornado.netutil import bind_sockets
+from tornado.web import Application, HTTPError, RequestHandler
+from tornado.websocket import WebSocketClosedError, WebSocketHandler
+
+from termsel import TermselError
+from termsel_app.layers import (
+    box_of_tile,
+    drawn_graticule,
+    drawn_vectors,
+    image_resolutions,
+    image_tile,
+    warped_tile,
+)
+from termsel_app.outputs import OUTPUTS, command_line, save
+from termsel_app.rasters import TILE, png
+from termsel_app.session import Session, checked_places
+
+ADDRESS = "127.0.0.1"
+LARGEST_BODY = 2**22
+PAGE = {"app.js": "text/javascript", "panes.js": "text/javascript", "panel.js": "text/javascript",
+        "server.js": "text/javascript", "style.css": "text/css", "vendor/ol.js": "text/javascript",
+        "vendor/ol.css": "text/css"}
+"""Files of the page, and what they are."""
+_THREADS = 4
+
+
+class Pages:
+    """The session, its secret and the pages that are open.
+
+    Parameters
+    ----------
+    session : Session
+    port : int
+    """
+
+    def __init__(self, session: Session, port: int) -> None:
+        self.session = session
+        self.secret = secrets.token_urlsafe(24)
+        self.port = port
+        self.box = session.box()
+        self.threads = ThreadPoolExecutor(_THREADS)
+        self.open: set[Events] = set()
+
+    @property
+    def hosts(self) -> tuple[str, str]:
+        """What the Host of a request may be."""
+        return (f"{ADDRESS}:{self.port}", f"localhost:{self.port}")
+
+    @property
+    def address(self) -> str:
+        """The address of the page."""
+        return f"http://{ADDRESS}:{self.port}/{self.secret}/"
+
+    def tell(self, message: dict[str, Any]) -> None:
+        """Send a message to all pages; in the thread of the server."""
+        text = json.dumps(message)
+        for events in tuple(self.open):
+            events.send(text)
+
+
+class Guarded(RequestHandler):
+    """A request, refused in silence unless secret, Host and origin are right."""
+
+    pages: Pages
+
+    def initialize(self, pages: Pages) -> None:
+        """Take the session."""
+        self.pages = pages
+
+    def set_default_headers(self) -> None:
+        """Let the page load nothing from elsewhere, and nobody else show it or read it."""
+        self.set_header("Server", "termsel")
+        self.set_header("Cache-Control", "no-store")
+        self.set_header("X-Content-Type-Options", "nosniff")
+        self.set_header("Referrer-Policy", "no-referrer")
+        self.set_header("Cross-Origin-Resource-Policy", "same-origin")
+        self.set_header("Cross-Origin-Opener-Policy", "same-origin")
+
+    def prepare(self) -> None:
+        """Refuse a request from elsewhere."""
+        if not is_allowed(self):
+            raise HTTPError(403)
+
+    def write_error(self, status_code: int, **_: Any) -> None:
+        """Answer nothing but the status."""
+        self.finish()
+
+    def log_exception(self, *details: Any) -> None:
+        """Keep what is refused out of the terminal; faults of the program stay there."""
+        if not isinstance(details[1], HTTPError):
+            super().log_exception(*details)
+
+    @property
+    def session(self) -> Session:
+        """The session."""
+        return self.pages.session
+
+    async def apart(self, task: Callable[..., Any], *given: Any) -> Any:
+        """Do something in a thread, so that the page stays usable."""
+        return await IOLoop.current().run_in_executor(self.pages.threads, task, *given)
+
+
+def is_allowed(handler: RequestHandler) -> bool:
+    """Return whether a request has the secret, comes to this server and from its page."""
+    pages: Pages = handler.pages  # type: ignore[attr-defined]
+    secret = handler.path_args[0] if handler.path_args else ""
+    origin = handler.request.headers.get("Origin")
+    return (hmac.compare_digest(str(secret).encode(), pages.secret.encode())
+            and handler.request.host in pages.hosts
+            and (origin is None or origin in {f"http://{host}" for host in pages.hosts})
+            and handler.request.headers.get("Sec-Fetch-Site", "none") in ("none", "same-origin"))
+
+
+class Page(Guarded):
+    """The page, and the files that belong to it."""
+
+    def get(self, secret: str, name: str) -> None:  # noqa: ARG002
+        """Send a file of the page."""
+        name = name or "index.html"
+        if name != "index.html" and name not in PAGE:
+            raise HTTPError(404)
+        file = files("termsel_app").joinpath("page", *name.split("/"))
+        if not file.is_file():
+            raise HTTPError(404)
+        self.set_header("Content-Type", f"{PAGE.get(name, 'text/html')}; charset=utf-8")
+        if name == "index.html":
+            servers = " ".join(sorted({_origin(tiles) for tiles in self.session.maps.tiles}))
+            self.set_header("Content-Security-Policy", (
+                "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
+                f"img-src 'self' data: blob: {servers}; base-uri 'none'; form-action 'none'; "
+                "frame-ancestors 'none'"))
+        self.finish(file.read_bytes())
+
+
+def _origin(address: str) -> str:
+    """Return the scheme and server of an address of tiles."""
+    scheme, _, rest = address.partition("://")
+    return f"{scheme}://{rest.partition('/')[0].replace('{s}', '*').replace(';', '')}"
+
+
+class State(Guarded):
+    """All that the page shows when it is opened."""
+
+    def get(self, secret: str) -> None:  # noqa: ARG002
+        """Send the session."""
+        session = self.session
+        self.finish({
+            **session.state(), "answers": {
+                stage: answer for stage, answer in session.answers.items()},
+            "setting": setting(session, self.pages)})
+
+
+def setting(session: Session, pages: Pages) -> dict[str, Any]:
+    """Return what does not change while the page is open."""
+    size = session.size
+    box = pages.box
+    files_given = session.files
+    return {
+        "image": {"name": None if session.image is None else session.image.name,
+                  "size": size, "tiles": session.image is not None,
+                  "resolutions": image_resolutions(session.image, size)},
+        "map": {"box": box, "resolutions": session.maps.resolutions(box),
+                "rasters": [raster.raster.name for raster in session.maps.rasters],
+                "vectors": [{"name": layer.name, "collection": layer.collection}
+                            for layer in session.maps.vectors],
+                "tiles": session.maps.tiles},
+        "crs": session.places.crs, "shown": session.places.shown, "folder": str(session.folder),
+        "rpc": files_given.rpc, "dem": files_given.dem, "notes": session.notes,
+        "outputs": [{"name": name, "label": output.label} for name, output in OUTPUTS.items()
+                    if name != "rpc" or session.places.crs != "local"]}
+
+
+class Tile(Guarded):
+    """Tiles of the image, of a raster of the map, and of the image on the map."""
+
+    async def get(self, secret: str, layer: str, level: str, column: str,  # noqa: ARG002
+                  row: str) -> None:
+        """Send a tile."""
+        pixels = await self.apart(self._pixels, layer, int(level), int(column), int(row))
+        if pixels is None:
+            raise HTTPError(404)
+        self.set_header("Content-Type", "image/png")
+        self.set_header("Cache-Control", "private, max-age=3600")
+        self.finish(pixels)
+
+    def _pixels(self, layer: str, level: int, column: int, row: int) -> bytes | None:
+        session = self.session
+        if layer == "image":
+            return None if session.image is None else png(
+                image_tile(session.image, level, column, row))
+        box = box_of_tile(session, self.pages.box, level, column, row)
+        if box is None:
+            return None
+        if layer == "warped":
+            if session.image is None or session.prediction is None:
+                return png(np.zeros((TILE, TILE, 4), dtype=np.uint8))
+            return png(warped_tile(session.image, session.prediction, box))
+        number = int(layer.removeprefix("map"))
+        if number >= len(session.maps.rasters):
+            return None
+        return png(session.maps.rasters[number].tile(box, session.maps.shown))
+
+
+class Call(Guarded):
+    """What the page asks the session to do, or to tell."""
+
+    async def post(self, secret: str, name: str) -> None:  # noqa: ARG002
+        """Do it, and send what comes of it; what the user can correct is sent as an error."""
+        if self.request.headers.get("Content-Type", "").partition(";")[0] != "application/json":
+            raise HTTPError(415)
+        task = CALLS.get(name)
+        if task is None:
+            raise HTTPError(404)
+        try:
+            given = json.loads(self.request.body)
+        except (ValueError, RecursionError) as error:
+            raise HTTPError(400) from error
+        if not isinstance(given, dict):
+            raise HTTPError(400)
+        try:
+            answer = await self.apart(task, self.session, self.pages, given)
+        except TermselError as error:
+            self.set_status(422)
+            self.finish({"error": f"{error.what}.", "hint": error.hint or "",
+                         "ids": list(error.ids)})
+            return
+        self.finish(answer or {})
+
+
+def _text(given: dict[str, Any], key: str) -> str:
+    value = given.get(key)
+    if not isinstance(value, str):
+        raise TermselError(f"{key} is no text")
+    return value
+
+
+def _names(given: dict[str, Any]) -> list[str]:
+    value = given.get("ids")
+    if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
+        raise TermselError("ids are no list of names")
+    return value
+
+
+def _box(given: dict[str, Any]) -> tuple[float, float, float, float]:
+    low, high = checked_places([given.get("box", [])[:2], given.get("box", [])[2:]])
+    return (low[0], low[1], high[0], high[1])
+
+
+CALLS: dict[str, Callable[[Session, Pages, dict[str, Any]], dict[str, Any] | None]] = {
+    "put": lambda session, _, given: {"id": session.put(given)},
+    "delete": lambda session, _, given: session.delete(_names(given)),
+    "undo": lambda session, _, __: session.undo(),
+    "redo": lambda session, _, __: session.redo(),
+    "paste": lambda session, _, given: {"count": session.paste(_text(given, "text"))},
+    "predict": lambda session, _, given: {"prediction": session.predict(
+        given.get("image"), given.get("map"))},
+    "ground": lambda session, _, given: {"ground": session.ground_of(
+        checked_places([given.get("map")]))[0]},
+    "graticule": lambda session, _, given: drawn_graticule(session, _box(given)),
+    "vectors": lambda session, _, __: drawn_vectors(session),
+    "command": lambda session, _, __: {"command": command_line(session)},
+    "save": lambda session, _, given: {"files": [
+        str(path) for path in save(session, _text(given, "name"))]},
+}
+"""What a page may ask for, by name."""
+
+
+class Events(WebSocketHandler):
+    """Tells a page of every change and answer."""
+
+    pages: Pages
+
+    def initialize(self, pages: Pages) -> None:
+        """Take the session."""
+        self.pages = pages
+
+    def check_origin(self, origin: str) -> bool:
+        """Return whether the page is this server's own."""
+        return origin in {f"http://{host}" for host in self.pages.hosts}
+
+    def prepare(self) -> None:
+        """Refuse a request from elsewhere."""
+        if not is_allowed(self) or self.request.headers.get("Origin") is None:
+            raise HTTPError(403)
+
+    def write_error(self, status_code: int, **_: Any) -> None:
+        """Answer nothing but the status."""
+        self.finish()
+
+    def log_exception(self, *details: Any) -> None:
+        """Keep what is refused out of the terminal."""
+        if not isinstance(details[1], HTTPError):
+            super().log_exception(*details)
+
+    def open(self, *_: str, **__: str) -> None:
+        """Begin to tell."""
+        self.pages.open.add(self)
+
+    def on_message(self, message: str | bytes) -> None:
+        """Hear nothing: a page asks by other requests."""
+
+    def on_close(self) -> None:
+        """Tell no more."""
+        self.pages.open.discard(self)
+
+    def send(self, text: str) -> None:
+        """Send a message, unless the page has gone."""
+        try:
+            self.write_message(text)
+        except WebSocketClosedError:
+            self.pages.open.discard(self)
+
+
+def serve(session: Session, port: int, started: Callable[[str], None]) -> None:
+    """Serve the page until Ctrl-C; `started` is called with its address.
+
+    Raises TermselError if the port cannot be had.
+    """
+    asyncio.run(_serve(session, port, started))
+
+
+async def _serve(session: Session, port: int, started: Callable[[str], None]) -> None:
+    try:
+        sockets = bind_sockets(port, address=ADDRESS)
+    except OSError as error:
+        raise TermselError(f"port {port} cannot be had: {error.strerror}",
+                           hint="Choose another --port, or leave it out.") from error
+    pages = Pages(session, sockets[0].getsockname()[1])
+    given = {"pages": pages}
+    application = Application([
+        (r"/([^/]*)/state", State, given),
+        (r"/([^/]*)/tile/(image|warped|map\d{1,3})/(\d{1,2})/(-?\d{1,8})/(-?\d{1,8})\.png", Tile,
+         given),
+        (r"/([^/]*)/call/([a-z]+)", Call, given), (r"/([^/]*)/events", Events, given),
+        (r"/([^/]*)/(.*)", Page, given), (r"/(.*)", Nobody, given)],
+        log_function=lambda handler: None, websocket_ping_interval=20)
+    server = HTTPServer(application, max_body_size=LARGEST_BODY)
+    server.add_sockets(sockets)
+    loop = IOLoop.current()
+    session.tell = lambda message: loop.add_callback(pages.tell, message)
+    try:
+        started(pages.address)
+        await asyncio.Event().wait()
+    finally:
+        session.tell = lambda message: None
+        server.stop()
+        pages.threads.shutdown(wait=False, cancel_futures=True)
+
+
+class Nobody(Guarded):
+    """Whatever else is asked for."""
+
+    def get(self, *_: str) -> None:
+        """Refuse it."""
+        raise HTTPError(403)

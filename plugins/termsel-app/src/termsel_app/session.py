@@ -1,0 +1,469 @@
+"""A session: its files, the control measured so far, what termsel says of it, and who is told."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from threading import RLock
+from typing import Any
+
+import numpy as np
+
+import termsel
+from termsel import FeatureSet, TermselError
+from termsel.toolkit import LOCAL, horizontal, normalise
+from termsel_app.control import MOST, ControlFeatures, Patch, Record, checked
+from termsel_app.journal import Journal, entry_of, open_journal
+from termsel_app.maps import Box, Maps, around, box_of, open_maps
+from termsel_app.places import Places, shown_crs
+from termsel_app.prediction import Prediction, prediction_of
+from termsel_app.quality import Answer, Question
+from termsel_app.rasters import Raster
+from termsel_app.worker import Worker
+
+MOST_PASTED = 2**20
+"""Characters that may be pasted."""
+
+
+@dataclass(frozen=True)
+class Files:
+    """What a session was started with, as the first line of its journal keeps it."""
+
+    image: str | None
+    maps: tuple[str, ...] = ()
+    points: str | None = None
+    lines: str | None = None
+    rpc: str | None = None
+    dem: str | None = None
+    crs: str | None = None
+    size: tuple[int, int] | None = None
+
+    def header(self) -> dict[str, Any]:
+        """Return it as the first line of a journal."""
+        return asdict(self)
+
+    @classmethod
+    def of_header(cls, header: Mapping[str, Any]) -> Files:
+        """Return what the first line of a journal says; raises TermselError where it is no header.
+
+        The addresses of tiles are left out: only the command line asks a server for anything.
+        """
+        maps = header.get("maps") or []
+        if not isinstance(maps, list) or not all(isinstance(name, str) for name in maps):
+            raise TermselError("the maps of this session are no list of files")
+        texts = {key: header.get(key) for key in ("image", "points", "lines", "rpc", "dem", "crs")}
+        for key, value in texts.items():
+            if value is not None and not isinstance(value, str):
+                raise TermselError(f"{key} of this session is no text")
+        size = header.get("size")
+        if size is not None and not (isinstance(size, list) and len(size) == 2
+                                     and all(type(n) is int and 0 < n < 2**31 for n in size)):
+            raise TermselError("the size of the image of this session is no pair of numbers")
+        local = tuple(name for name in maps if "://" not in name and not name.startswith("/vsi"))
+        return cls(**texts, maps=local, size=None if size is None else (size[0], size[1]))
+
+
+@dataclass
+class Session:
+    """All that the page shows and changes. Its methods may be called by any thread."""
+
+    files: Files
+    folder: Path
+    journal: Journal
+    control: ControlFeatures
+    image: Raster | None
+    maps: Maps
+    places: Places
+    notes: list[str]
+    version: int = 0
+    answers: dict[str, Answer] = field(default_factory=dict)
+    prediction: Prediction | None = None
+    tell: Callable[[dict[str, Any]], None] = lambda message: None
+    lock: RLock = field(default_factory=RLock)
+    worker: Worker | None = None
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """Lines and samples of the image."""
+        return self.files.size if self.image is None else (self.image.height, self.image.width)
+
+    def box(self) -> Box:
+        """Return the extent of the map: of its files, else of the control."""
+        boxes = []
+        if self.maps.box is not None:
+            boxes.append(self.maps.box)
+        places = [place for record in self.control.records.values()
+                  for place in _ground_places(record)]
+        if places:
+            boxes.append(box_of(self.places.to_map(places)))
+        if not boxes and self.prediction is not None and self.size is not None:
+            lines, samples = self.size
+            boxes.append(box_of(self.prediction.to_map(
+                [[0, 0], [0, samples], [lines, 0], [lines, samples]])))
+        box = around(boxes) if boxes else (0.0, 0.0, 1000.0, 1000.0)
+        wide = max(box[2] - box[0], box[3] - box[1]) or 1000.0
+        margin = 0.0 if self.maps.box is not None and len(boxes) == 1 else wide * 0.1
+        return (box[0] - margin, box[1] - margin, box[2] + margin, box[3] + margin)
+
+    # Changes
+
+    def change(self, patches: list[Patch]) -> None:
+        """Write a change to the journal, make it, tell the pages, and have the control judged."""
+        with self.lock:
+            self._require_new(patches)
+            self.journal.append(entry_of(patches))
+            self.control.apply(patches)
+            self._changed()
+
+    def _require_new(self, patches: list[Patch]) -> None:
+        for patch in patches:
+            name = None if patch.after is None else patch.after["id"]
+            before = None if patch.before is None else patch.before["id"]
+            if name is not None and name != before and name in self.control.records:
+                raise TermselError(f"there is a feature {name!r} already",
+                                   hint="Choose another name.", ids=[name])
+        if len(self.control.records) + len(patches) > MOST:
+            raise TermselError(f"a session has at most {MOST:,} features")
+
+    def undo(self) -> None:
+        """Take back the last change."""
+        with self.lock:
+            self.control.undo()
+            self._journal_or(self.control.redo, {"undo": True})
+            self._changed()
+
+    def redo(self) -> None:
+        """Do again what was undone."""
+        with self.lock:
+            self.control.redo()
+            self._journal_or(self.control.undo, {"redo": True})
+            self._changed()
+
+    def _journal_or(self, back: Callable[[], Any], entry: dict[str, Any]) -> None:
+        """Append an entry, or go back where that fails."""
+        try:
+            self.journal.append(entry)
+        except TermselError:
+            back()
+            raise
+
+    def _changed(self) -> None:
+        self.version += 1
+        self.tell({"kind": "control", **self.state()})
+        self.judge()
+
+    def judge(self) -> None:
+        """Have the control judged, if it can be."""
+        with self.lock:
+            if self.worker is None:
+                return
+            try:
+                features = self.control.features(self.places.crs)
+            except TermselError as error:
+                self.answered({"serial": self.version, "stage": "refused", "text": f"{error.what}.",
+                               "hint": error.hint or "", "ids": list(error.ids)})
+                return
+            self.worker.ask(Question(
+                self.version, features, self.size,
+                None if self.files.rpc is None else Path(self.files.rpc),
+                None if self.files.dem is None else Path(self.files.dem)))
+
+    def answered(self, answer: Answer) -> None:
+        """Keep an answer of the worker, and tell the pages."""
+        with self.lock:
+            if answer["serial"] not in (self.version, -1):
+                return
+            result = answer.pop("result", None)
+            if result is not None:
+                self.prediction = prediction_of(
+                    result, self.control.features(self.places.crs), self.places)
+            for place in answer.get("next", ()):
+                place["map"] = self.places.to_map([place["ground"][:2]])[0].tolist()
+            if answer["stage"] in ("figures", "waiting", "refused"):
+                self.answers.clear()
+            self.answers[answer["stage"]] = answer
+            self.tell({"kind": "answer", **answer})
+
+    def state(self) -> dict[str, Any]:
+        """Return the control as the page shows it."""
+        with self.lock:
+            return {"version": self.version,
+                    "records": [self._shown(record) for record in self.control.records.values()],
+                    "undo": len(self.control.done), "redo": len(self.control.undone)}
+
+    def _shown(self, record: Record) -> Record:
+        """Return a record with where its ground places are on the map."""
+        places = _ground_places(record)
+        shown = self.places.to_map(places).tolist() if places else None
+        if record["kind"] == "point" and shown:
+            shown = shown[0]
+        return {**record, "map": shown}
+
+    # What a page asks for
+
+    def ground_of(self, xy: Any) -> list[list[float | None]]:
+        """Return ground coordinates of places on the map; a height is None if it is not known."""
+        ground = self.places.to_ground(xy)
+        if not np.isfinite(ground[:, :2]).all():
+            raise TermselError(f"this place has no coordinates in {self.places.crs}",
+                               hint="Choose a place within its area.")
+        return [[x, y, None if z != z else z] for x, y, z in ground.tolist()]
+
+    def put(self, given: Mapping[str, Any]) -> str:
+        """Add or change a feature; return its name.
+
+        `given` has the id of a feature that is there, or a kind for a new one, and what to set:
+        `image`, `map` or `ground`, `role`, `name`.
+        """
+        with self.lock:
+            name = given.get("id")
+            before = self.control.records.get(name) if isinstance(name, str) else None
+            if before is None and name is not None:
+                raise TermselError(f"there is no feature {name!r} any more", ids=[str(name)])
+            kind = given.get("kind", "point") if before is None else before["kind"]
+            after: Record = dict(before) if before else {
+                "id": self.control.new_id(kind), "kind": kind, "role": "", "image": None,
+                "ground": None}
+            after.update({key: given[key] for key in ("image", "ground", "role") if key in given})
+            if given.get("map") is not None:
+                places = given["map"] if kind == "line" else [given["map"]]
+                ground = self.ground_of(checked_places(places))
+                after["ground"] = ground if kind == "line" else ground[0]
+            if "name" in given:
+                after["id"] = given["name"]
+            after = checked(after)
+            if after.get("ground") and kind == "point" and after["ground"][2] is None \
+                    and given.get("ground") is not None:
+                after["ground"] = self._with_height(after["ground"])
+            if after != before:
+                self.change([Patch(before, after)])
+            return str(after["id"])
+
+    def _with_height(self, ground: list[float | None]) -> list[float | None]:
+        height = self.places.heights(np.array([ground[:2]], dtype=np.float64))[0]
+        return [*ground[:2], None if height != height else float(height)]
+
+    def delete(self, names: list[str]) -> None:
+        """Delete features."""
+        with self.lock:
+            records = [self.control.records[name] for name in names if name in self.control.records]
+            if records:
+                self.change([Patch(record, None) for record in records])
+
+    def paste(self, text: str) -> int:
+        """Add points from a table that was pasted; return how many.
+
+        A header names the columns, as in a points CSV; without one they are id, x, y and perhaps z,
+        or id, line, sample, x, y and perhaps z.
+        """
+        if len(text) > MOST_PASTED:
+            raise TermselError(f"at most {MOST_PASTED:,} characters can be pasted")
+        records = list(_pasted(text))
+        with self.lock:
+            patches = []
+            for number, record in enumerate(records):
+                record["id"] = record["id"] or f"{self.control.new_id('point')}-{number + 1}"
+                before = self.control.records.get(record["id"])
+                after = dict(before) if before else {**record, "role": record["role"]}
+                for side in ("image", "ground"):
+                    after[side] = record[side] or after[side]
+                if after["ground"] and after["ground"][2] is None:
+                    after["ground"] = self._with_height(after["ground"])
+                patches.append(Patch(before, checked(after)))
+            names = [patch.after["id"] for patch in patches if patch.after]
+            twice = next((name for name in names if names.count(name) > 1), None)
+            if twice is not None:
+                raise TermselError(f"{twice!r} occurs twice in what was pasted",
+                                   hint="Names are unique: correct one of them.")
+            if patches:
+                self.change(patches)
+        return len(patches)
+
+    def predict(self, image: Any = None, xy: Any = None) -> dict[str, Any] | None:
+        """Return where a place of the image is on the map, or the other way round."""
+        prediction = self.prediction
+        if prediction is None:
+            return None
+        if image is not None:
+            return prediction.on_map(tuple(checked_places([image])[0]))
+        return prediction.in_image(tuple(checked_places([xy])[0]))
+
+
+def checked_places(places: Any) -> list[list[float]]:
+    """Return pairs of finite numbers that came from a page."""
+    if not isinstance(places, list) or not 1 <= len(places) <= 2:
+        raise TermselError("these are no places")
+    for place in places:
+        if not isinstance(place, list) or len(place) != 2 or not all(
+                isinstance(value, int | float) and np.isfinite(value) for value in place):
+            raise TermselError("a place has two finite coordinates")
+    return places
+
+
+def _ground_places(record: Record) -> list[list[float]]:
+    """Return x and y of all ground places of a feature."""
+    if not record["ground"]:
+        return []
+    places = [record["ground"]] if record["kind"] == "point" else record["ground"]
+    return [place[:2] for place in places]
+
+
+_NAMES = ("id", "role", "line", "sample", "x", "y", "z")
+_WITHOUT_HEADER = {3: ("id", "x", "y"), 4: ("id", "x", "y", "z"),
+                   5: ("id", "line", "sample", "x", "y"), 6: ("id", "line", "sample", "x", "y", "z")}
+
+
+def _pasted(text: str) -> Iterator[Record]:
+    """Yield the points of a table; raises TermselError with the line at fault."""
+    lines = [line for line in text.splitlines() if line.strip()]
+    separator = next((mark for mark in ("\t", ";", ",") if lines and mark in lines[0]), None)
+    rows = [[cell.strip() for cell in row] for row in csv.reader(
+        io.StringIO("\n".join(lines)), delimiter=separator)] if separator else [
+        re.split(r"\s+", line.strip()) for line in lines]
+    if not rows:
+        raise TermselError("nothing was pasted", hint="Paste rows such as: A1, 512300.5, 5339520.1")
+    header = [cell.lower() for cell in rows[0]]
+    if {"x", "y"} <= set(header) or {"line", "sample"} <= set(header):
+        names: tuple[str, ...] = tuple(header)
+        rows = rows[1:]
+    else:
+        names = _WITHOUT_HEADER.get(len(rows[0]), ())
+    if not names:
+        raise TermselError(f"rows of {len(rows[0])} columns need a header",
+                           hint=f"Its names are {', '.join(_NAMES)}.")
+    for number, row in enumerate(rows, 1):
+        if len(row) != len(names):
+            raise TermselError(f"row {number} has {len(row)} columns, expected {len(names)}",
+                               line=number)
+        cells = dict(zip(names, row, strict=True))
+        yield {"id": cells.get("id", ""), "kind": "point", "role": cells.get("role", "").lower(),
+               "image": _cells(cells, ("line", "sample"), number),
+               "ground": _cells(cells, ("x", "y", "z"), number)}
+
+
+def _cells(cells: Mapping[str, str], names: tuple[str, ...], number: int,
+           ) -> list[float | None] | None:
+    """Return the numbers of some columns; None where the first are blank; a blank z is None."""
+    if not all(cells.get(name) for name in names[:2]):
+        return None
+    values: list[float | None] = []
+    for name in names:
+        cell = cells.get(name, "")
+        if not cell and name == "z":
+            values.append(None)
+            continue
+        try:
+            values.append(float(cell))
+        except ValueError:
+            raise TermselError(f"{cell!r} in row {number} is no number", line=number, column=name,
+                               hint="Write decimals with a point.") from None
+    return values
+
+
+@contextmanager
+def open_session(files: Files, folder: Path, *, remote: bool = False,
+                 drivers: tuple[str, ...] = ()) -> Iterator[Session]:
+    """Open a session in a folder, or go on with the one that is there.
+
+    Raises TermselError for files that cannot be used, and a folder that holds another session.
+    """
+    with ExitStack() as stack:
+        _make(folder)
+        worker = Worker(remote, drivers)  # it loads termsel while files are opened
+        stack.callback(worker.close)
+        journal, header, control = stack.enter_context(open_journal(folder))
+        kept = None if header is None else Files.of_header(header)
+        _require_same(files, kept, folder)
+        image = None if files.image is None else Raster(files.image, remote)
+        if image is not None:
+            stack.callback(image.close)
+        features = None
+        if kept is None and (files.points or files.lines):
+            features = termsel.read(files.points, files.lines, crs=files.crs)
+        crs = _crs(files, features, kept)
+        maps = open_maps(files.maps, crs, remote)
+        stack.callback(maps.close)
+        crs = crs or _crs_of_maps(maps)
+        if not (maps.rasters or maps.vectors or maps.tiles):
+            maps.shown = shown_crs(horizontal(crs) or LOCAL)
+        places = Places(crs, maps.shown, None if files.dem is None else Path(files.dem))
+        stack.callback(places.close)
+        if kept is None:
+            journal.begin(replace(files, crs=crs).header())
+        session = Session(replace(files, crs=crs), folder, journal, control, image, maps, places,
+                          list(maps.notes))
+        if features is not None:
+            session.change([Patch(None, record) for record in records_of(features)])
+        worker.tell = session.answered
+        session.worker = worker
+        session.judge()
+        yield session
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise TermselError(f"the folder cannot be made: {error.strerror}", file=folder,
+                           hint="Choose another --out.") from error
+
+
+def _require_same(files: Files, kept: Files | None, folder: Path) -> None:
+    """Refuse to go on with a session of another image."""
+    if kept is None or files.image is None or kept.image is None:
+        return
+    if Path(files.image).absolute() != Path(kept.image).absolute():
+        raise TermselError(f"the session in this folder is of another image, {kept.image}",
+                           file=folder, hint="Choose another --out for this image.")
+
+
+def records_of(features: FeatureSet) -> list[Record]:
+    """Return features as records of a session."""
+    points = features.points
+    records = [{"id": name, "kind": "point", "role": role, "image": image,
+                "ground": _with_none(ground)}
+               for name, role, image, ground in zip(points.ids, points.roles, points.image.tolist(),
+                                                    points.ground.tolist(), strict=True)]
+    seen: dict[str, int] = {}
+    for name, image, ground in zip(features.lines.ids, features.lines.image.tolist(),
+                                   features.lines.ground.tolist(), strict=True):
+        seen[name] = seen.get(name, 0) + 1
+        label = name if seen[name] == 1 else f"{name}.{seen[name]}"
+        records.append({"id": label, "kind": "line", "role": "", "image": image,
+                        "ground": [_with_none(vertex) for vertex in ground]})
+    return [checked(record) for record in records]
+
+
+def _with_none(ground: list[float]) -> list[float | None]:
+    return [*ground[:2], None if ground[2] != ground[2] else ground[2]]
+
+
+def _crs(files: Files, features: FeatureSet | None, kept: Files | None) -> str | None:
+    """Return the CRS of the ground coordinates, as far as files and options say it."""
+    if kept is not None and kept.crs is not None:
+        before = normalise(kept.crs)
+        if files.crs is not None and normalise(files.crs) != before:
+            raise TermselError(f"this session is in {before}, not in {files.crs}",
+                               hint="Leave --crs out, or choose another --out.")
+        return before
+    if files.crs is not None:
+        return normalise(files.crs)
+    if features is not None and features.crs:
+        return features.crs
+    return "EPSG:4979" if files.rpc is not None else None
+
+
+def _crs_of_maps(maps: Maps) -> str:
+    """Return the CRS of the first map for the ground coordinates."""
+    if maps.rasters:
+        return maps.rasters[0].crs
+    if maps.vectors or maps.tiles:
+        return maps.shown
+    raise TermselError("the CRS of the ground coordinates is not known",
+                       hint="State it with --crs, such as --crs EPSG:25832; or --crs local for "
+                            "plane coordinates without a CRS. A --map states it, too.")

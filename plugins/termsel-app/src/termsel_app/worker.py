@@ -1,0 +1,106 @@
+"""The process in which the control is judged: a newer change supersedes an older one."""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import signal
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from multiprocessing.connection import Connection
+from threading import Thread
+from typing import TYPE_CHECKING, Any
+
+from termsel import allow_driver, allow_remote
+from termsel.toolkit import safe_start
+
+if TYPE_CHECKING:
+    from termsel_app.quality import Answer, Question
+
+
+def answer_all(questions: Connection, remote: bool, drivers: Sequence[str]) -> None:
+    """Answer questions until there are no more; give up on one as soon as the next one is there."""
+    from termsel_app.quality import judged, prepare
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, which ends this process
+    logging.getLogger("termsel").setLevel(logging.ERROR)
+    with ExitStack() as stack:
+        if remote:
+            stack.enter_context(allow_remote())
+        stack.enter_context(allow_driver(*drivers))
+        prepare()
+        try:
+            while (question := _newest(questions)) is not None:
+                for answer in judged(question):
+                    questions.send(answer)
+                    if questions.poll():
+                        break
+        except (EOFError, BrokenPipeError, ConnectionResetError):
+            return
+
+
+def _newest(questions: Connection) -> Question | None:
+    """Wait for a question, and return the newest of those that are there."""
+    question: Question | None = questions.recv()
+    while questions.poll():
+        question = questions.recv()
+    return question
+
+
+class Worker:
+    """A process that judges; one that died is started again with the next question.
+
+    Parameters
+    ----------
+    remote, drivers
+        What files may refer to and be, as the command line says.
+
+    Attributes
+    ----------
+    tell : callable
+        Called, in a thread of the worker, with each answer.
+    """
+
+    def __init__(self, remote: bool = False, drivers: Sequence[str] = ()) -> None:
+        self.tell: Callable[[Answer], None] = lambda answer: None
+        self._given = (remote, tuple(drivers))
+        self._process: Any = None
+        self._pipe: Connection | None = None
+        self._begin()
+
+    def ask(self, question: Question) -> None:
+        """Have control judged."""
+        if self._process is None or not self._process.is_alive():
+            self._begin()
+        assert self._pipe is not None
+        self._pipe.send(question)
+
+    def close(self) -> None:
+        """End the process."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.join()
+            self._process = None
+
+    def _begin(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        here, there = context.Pipe()
+        with safe_start():
+            self._process = context.Process(target=answer_all, args=(there, *self._given),
+                                            daemon=True)
+            self._process.start()
+        there.close()
+        self._pipe = here
+        Thread(target=self._listen, args=(here,), daemon=True).start()
+
+    def _listen(self, pipe: Connection) -> None:
+        while True:
+            try:
+                answer = pipe.recv()
+            except (EOFError, OSError):
+                if self._process is not None and pipe is self._pipe:
+                    self.tell({"serial": -1, "stage": "refused", "ids": [],
+                                "text": "The process that computes has ended.",
+                                "hint": "The next change starts it again."})
+                return
+            self.tell(answer)
