@@ -22,7 +22,7 @@ EXAMPLE = Path("termsel-example")
 @click.command()
 @click.argument("image", metavar="[IMAGE|DIR]", required=False)
 @click.option("--map", "maps", metavar="FILE", multiple=True,
-              help="A georeferenced raster or a vector file, shown beside the image; or tiles by "
+              help="A georeferenced raster or a vector file, shown next to the image; or tiles by "
                    "their address, with {x}, {y} and {z}, which are fetched from there. May be "
                    "repeated.")
 @click.option("--points", metavar="FILE", type=_FILE,

@@ -1,4 +1,4 @@
-"""Tiles and lines that the page draws: image, map, the image warped onto the map, and graticules."""
+"""What the page draws: tiles of image and map, the image warped onto the map, graticules."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ NODES = 17
 """Places along either side of a tile where the model is computed; it is interpolated between."""
 
 
-def image_resolutions(image: Raster | None, size: tuple[int, int] | None) -> list[float]:
+def image_resolutions(size: tuple[int, int] | None) -> list[float]:
     """Return pixels of the image in one pixel of a tile, of all levels, the coarsest first."""
     height, width = size or (1000, 1000)
     levels = max(int(np.ceil(np.log2(max(height, width) / TILE))), 0)
@@ -25,7 +25,7 @@ def image_resolutions(image: Raster | None, size: tuple[int, int] | None) -> lis
 
 def image_tile(image: Raster, level: int, column: int, row: int) -> Pixels:
     """Return a tile of the image; transparent outside."""
-    resolutions = image_resolutions(image, (image.height, image.width))
+    resolutions = image_resolutions((image.height, image.width))
     if not 0 <= level < len(resolutions):
         return np.zeros((TILE, TILE, 4), dtype=np.uint8)
     side = TILE * resolutions[level]

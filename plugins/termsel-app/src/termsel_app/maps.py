@@ -73,8 +73,9 @@ class MapRaster:
         """Return the extent in the CRS that is shown."""
         dataset = self.raster.dataset
         side = np.linspace(0, 1, 21)
-        edge = np.concatenate([np.column_stack([side, 0 * side]), np.column_stack([side, 0 * side + 1]),
-                               np.column_stack([0 * side, side]), np.column_stack([0 * side + 1, side])])
+        ends = (np.zeros_like(side), np.ones_like(side))
+        edge = np.concatenate([np.column_stack(pair) for end in ends
+                               for pair in ((side, end), (end, side))])
         x, y = dataset.transform @ (edge[:, 0] * dataset.width, edge[:, 1] * dataset.height)
         return box_of(turned(between(self.crs, shown), np.column_stack([x, y])))
 
@@ -199,11 +200,11 @@ def open_maps(names: Sequence[str], crs: str | None, remote: bool) -> Maps:
                                         and is_vector(name)], vectors, strict=True):
             maps.vectors.append(_shown(name, shapes, own or crs, maps.shown))
         _say_far(maps)
-        return maps
     except BaseException:
         for raster in rasters:
             raster.close()
         raise
+    return maps
 
 
 def _layer_of(name: str) -> tuple[Any, str]:

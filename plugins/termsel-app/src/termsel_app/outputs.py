@@ -82,7 +82,8 @@ def from_folder(name: str, folder: Path) -> str:
 
 def command_line(session: Session) -> str:
     """Return the one line that repeats the session in a terminal."""
-    return f"cd {shlex.quote(str(session.folder))} && {shlex.join(['termsel', *run_arguments(session)])}"
+    folder = shlex.quote(str(session.folder.absolute()))
+    return f"cd {folder} && {shlex.join(['termsel', *run_arguments(session)])}"
 
 
 def save(session: Session, name: str) -> list[Path]:
@@ -119,7 +120,7 @@ def completed(command: Sequence[str], files: Files, folder: Path) -> list[str]:
 
 
 def call(arguments: Sequence[str], folder: Path) -> None:
-    """Run a command of termsel in a folder; raises TermselError with what it says where it fails."""
+    """Run a command of termsel in a folder; raises TermselError with what it says if it fails."""
     try:
         done = subprocess.run([sys.executable, "-P", "-m", "termsel", *arguments], cwd=folder,
                               capture_output=True, text=True, encoding="utf-8", errors="replace",

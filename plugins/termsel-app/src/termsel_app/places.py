@@ -39,11 +39,11 @@ def between(source: str, target: str) -> Any:
 
 def turned(transformer: Any, xy: Any, inverse: bool = False) -> FloatArray:
     """Return x and y (n, 2) by a transformer, infinite where that cannot be."""
-    xy = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
+    places: FloatArray = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
     if transformer is None:
-        return xy
+        return places
     with _LOCK:
-        x, y = transformer.transform(xy[:, 0], xy[:, 1],
+        x, y = transformer.transform(places[:, 0], places[:, 1],
                                      direction="INVERSE" if inverse else "FORWARD")
     return np.column_stack([x, y])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -87,7 +88,7 @@ class Prediction:
         sigma: FloatArray = self.result.sigma(self.ground(xy), measured=True)
         return sigma
 
-    def in_image(self, xy: tuple[float, float]) -> dict[str, Any] | None:
+    def in_image(self, xy: Sequence[float]) -> dict[str, Any] | None:
         """Return where a place of the map is in the image, and the ellipse that nine in ten hold.
         """
         place = self.to_image([xy])[0]
@@ -96,7 +97,7 @@ class Prediction:
         return {"place": place.tolist(), "ring": _finite(_ring(place, self.sigma([xy])[0])),
                 "sigma": _known(self.sigma([xy])[0])}
 
-    def on_map(self, image: tuple[float, float]) -> dict[str, Any] | None:
+    def on_map(self, image: Sequence[float]) -> dict[str, Any] | None:
         """Return where a place of the image is on the map, likewise."""
         place = self.to_map([image])[0]
         if not np.isfinite(place).all():
@@ -109,7 +110,9 @@ class Prediction:
 
 def _ring(place: FloatArray, sigma: FloatArray) -> FloatArray:
     radius = NINE_IN_TEN * sigma
-    return place + np.column_stack([radius[0] * np.sin(_TURN), radius[1] * np.cos(_TURN)])
+    circle = np.column_stack([np.sin(_TURN), np.cos(_TURN)])
+    ring: FloatArray = place + radius * circle
+    return ring
 
 
 def _finite(ring: FloatArray) -> list[list[float]]:
@@ -131,7 +134,8 @@ def prediction_of(result: Result, features: FeatureSet, places: Places) -> Predi
     if len(points) >= 3 and not np.isfinite(result.sigma(points.ground[:1])).all():
         used = points.take([role != "off" for role in points.roles])
         plane = places.to_map(used.ground)
-        flat = termsel.Points(used.ids, used.image, np.column_stack([plane, np.full(len(used), np.nan)]))
+        ground = np.column_stack([plane, np.full(len(used), np.nan)])
+        flat = termsel.Points(used.ids, used.image, ground)
         try:
             return Prediction(termsel.fit(replace(features, points=flat, crs="local", rpc=None),
                                           "helmert2d"), places, in_map=True)

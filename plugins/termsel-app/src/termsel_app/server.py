@@ -135,7 +135,7 @@ def is_allowed(handler: RequestHandler) -> bool:
 class Page(Guarded):
     """The page, and the files that belong to it."""
 
-    def get(self, secret: str, name: str) -> None:  # noqa: ARG002
+    def get(self, secret: str, name: str) -> None:
         """Send a file of the page."""
         name = name or "index.html"
         if name != "index.html" and name not in PAGE:
@@ -162,12 +162,11 @@ def _origin(address: str) -> str:
 class State(Guarded):
     """All that the page shows when it is opened."""
 
-    def get(self, secret: str) -> None:  # noqa: ARG002
+    def get(self, secret: str) -> None:
         """Send the session."""
         session = self.session
         self.finish({
-            **session.state(), "answers": {
-                stage: answer for stage, answer in session.answers.items()},
+            **session.state(), "answers": dict(session.answers),
             "setting": setting(session, self.pages)})
 
 
@@ -179,7 +178,7 @@ def setting(session: Session, pages: Pages) -> dict[str, Any]:
     return {
         "image": {"name": None if session.image is None else session.image.name,
                   "size": size, "tiles": session.image is not None,
-                  "resolutions": image_resolutions(session.image, size)},
+                  "resolutions": image_resolutions(size)},
         "map": {"box": box, "resolutions": session.maps.resolutions(box),
                 "rasters": [raster.raster.name for raster in session.maps.rasters],
                 "vectors": [{"name": layer.name, "collection": layer.collection}
@@ -194,7 +193,7 @@ def setting(session: Session, pages: Pages) -> dict[str, Any]:
 class Tile(Guarded):
     """Tiles of the image, of a raster of the map, and of the image on the map."""
 
-    async def get(self, secret: str, layer: str, level: str, column: str,  # noqa: ARG002
+    async def get(self, secret: str, layer: str, level: str, column: str,
                   row: str) -> None:
         """Send a tile."""
         pixels = await self.apart(self._pixels, layer, int(level), int(column), int(row))
@@ -225,7 +224,7 @@ class Tile(Guarded):
 class Call(Guarded):
     """What the page asks the session to do, or to tell."""
 
-    async def post(self, secret: str, name: str) -> None:  # noqa: ARG002
+    async def post(self, secret: str, name: str) -> None:
         """Do it, and send what comes of it; what the user can correct is sent as an error."""
         if self.request.headers.get("Content-Type", "").partition(";")[0] != "application/json":
             raise HTTPError(415)
@@ -354,7 +353,7 @@ async def _serve(session: Session, port: int, started: Callable[[str], None]) ->
          given),
         (r"/([^/]*)/call/([a-z]+)", Call, given), (r"/([^/]*)/events", Events, given),
         (r"/([^/]*)/(.*)", Page, given), (r"/(.*)", Nobody, given)],
-        log_function=lambda handler: None, websocket_ping_interval=20)
+        log_function=lambda _: None, websocket_ping_interval=20)
     server = HTTPServer(application, max_body_size=LARGEST_BODY)
     server.add_sockets(sockets)
     loop = IOLoop.current()
@@ -363,7 +362,7 @@ async def _serve(session: Session, port: int, started: Callable[[str], None]) ->
         started(pages.address)
         await asyncio.Event().wait()
     finally:
-        session.tell = lambda message: None
+        session.tell = lambda _: None
         server.stop()
         pages.threads.shutdown(wait=False, cancel_futures=True)
 

@@ -81,9 +81,11 @@ class Session:
     places: Places
     notes: list[str]
     version: int = 0
+    asked: int = -1
+    judged: list[Record] | None = None
     answers: dict[str, Answer] = field(default_factory=dict)
     prediction: Prediction | None = None
-    tell: Callable[[dict[str, Any]], None] = lambda message: None
+    tell: Callable[[dict[str, Any]], None] = lambda _: None
     lock: RLock = field(default_factory=RLock)
     worker: Worker | None = None
 
@@ -154,14 +156,20 @@ class Session:
 
     def _changed(self) -> None:
         self.version += 1
-        self.tell({"kind": "control", **self.state()})
         self.judge()
+        self.tell({"kind": "control", **self.state()})
 
     def judge(self) -> None:
-        """Have the control judged, if it can be."""
+        """Have the control judged, unless it is what was judged last.
+
+        A point that is measured in one pane so far changes nothing.
+        """
         with self.lock:
-            if self.worker is None:
+            complete = self.control.complete("point") + self.control.complete("line")
+            if self.worker is None or complete == self.judged:
                 return
+            self.judged = complete
+            self.asked = self.version
             try:
                 features = self.control.features(self.places.crs)
             except TermselError as error:
@@ -176,7 +184,7 @@ class Session:
     def answered(self, answer: Answer) -> None:
         """Keep an answer of the worker, and tell the pages."""
         with self.lock:
-            if answer["serial"] not in (self.version, -1):
+            if answer["serial"] not in (self.asked, -1):
                 return
             result = answer.pop("result", None)
             if result is not None:
@@ -192,7 +200,7 @@ class Session:
     def state(self) -> dict[str, Any]:
         """Return the control as the page shows it."""
         with self.lock:
-            return {"version": self.version,
+            return {"version": self.version, "asked": self.asked,
                     "records": [self._shown(record) for record in self.control.records.values()],
                     "undo": len(self.control.done), "redo": len(self.control.undone)}
 
@@ -290,8 +298,8 @@ class Session:
         if prediction is None:
             return None
         if image is not None:
-            return prediction.on_map(tuple(checked_places([image])[0]))
-        return prediction.in_image(tuple(checked_places([xy])[0]))
+            return prediction.on_map(checked_places([image])[0])
+        return prediction.in_image(checked_places([xy])[0])
 
 
 def checked_places(places: Any) -> list[list[float]]:
@@ -315,7 +323,8 @@ def _ground_places(record: Record) -> list[list[float]]:
 
 _NAMES = ("id", "role", "line", "sample", "x", "y", "z")
 _WITHOUT_HEADER = {3: ("id", "x", "y"), 4: ("id", "x", "y", "z"),
-                   5: ("id", "line", "sample", "x", "y"), 6: ("id", "line", "sample", "x", "y", "z")}
+                   5: ("id", "line", "sample", "x", "y"),
+                   6: ("id", "line", "sample", "x", "y", "z")}
 
 
 def _pasted(text: str) -> Iterator[Record]:

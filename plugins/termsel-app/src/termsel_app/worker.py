@@ -22,7 +22,7 @@ def answer_all(questions: Connection, remote: bool, drivers: Sequence[str]) -> N
     """Answer questions until there are no more; give up on one as soon as the next one is there."""
     from termsel_app.quality import judged, prepare
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, which ends this process
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server
     logging.getLogger("termsel").setLevel(logging.ERROR)
     with ExitStack() as stack:
         if remote:
@@ -62,7 +62,7 @@ class Worker:
     """
 
     def __init__(self, remote: bool = False, drivers: Sequence[str] = ()) -> None:
-        self.tell: Callable[[Answer], None] = lambda answer: None
+        self.tell: Callable[[Answer], None] = lambda _: None
         self._given = (remote, tuple(drivers))
         self._process: Any = None
         self._pipe: Connection | None = None

@@ -17,6 +17,8 @@ const ol = /** @type {any} */ (window).ol;
 
 const state = {
   version: -1,
+  /** The version whose control is being judged, or was last. */
+  asked: -1,
   /** @type {Feature[]} */ records: [],
   /** @type {Record<string, any>} */ answers: {},
   /** @type {any} */ setting: null,
@@ -82,18 +84,17 @@ async function refresh() {
 function take(message) {
   if (message.kind === "control") {
     if (message.version < state.version) return;
-    Object.assign(state, { version: message.version, records: message.records, undo: message.undo, redo: message.redo });
+    Object.assign(state, { version: message.version, asked: message.asked, records: message.records, undo: message.undo, redo: message.redo });
     if (state.chosen && !recordOf(state.chosen)) state.chosen = null;
-    document.body.classList.add("busy");
   } else {
     if (["figures", "waiting", "refused"].includes(message.stage)) {
       state.answers = {};
-      document.body.classList.remove("busy");
     }
     state.answers[message.stage] = message;
     if (message.stage === "figures") {
       warped?.source.setUrl(`tile/warped/{z}/{x}/{y}.png?v=${message.serial}`);
       drawThrough();
+      showWhereAgain();
     }
   }
   if (panes.image) draw();
@@ -217,7 +218,10 @@ function connectPane(side) {
     if (feature) choose(feature.getId());
     else clicked(side, event.coordinate);
   });
-  letDrag(pane, (id, dropped) => attempt(() => call("put", { id, ...at(side, recordOf(id), dropped) })));
+  letDrag(pane, (id, dropped) => {
+    state.chosen = id;
+    attempt(() => call("put", { id, ...at(side, recordOf(id), dropped) }));
+  });
 }
 
 /** A prediction as it is drawn. @param {any} prediction @param {"image" | "map"} from */
@@ -257,19 +261,33 @@ async function clicked(side, coordinate) {
   if (!answer) return;
   state.chosen = answer.id;
   draw();
-  if (waitsFor(other) && !waitsFor(side)) showWhere(side, coordinate);
+  if (waitsFor(other) && !waitsFor(side)) showWhere(side, coordinate, true);
 }
 
-/** Show in the other pane where a place must be. @param {"image" | "map"} side @param {Place} coordinate */
-async function showWhere(side, coordinate) {
+/**
+ * Show in the other pane where a place must be.
+ * @param {"image" | "map"} side
+ * @param {Place} coordinate
+ * @param {boolean} go there, too: never while the user may be about to click
+ */
+async function showWhere(side, coordinate, go) {
   const { prediction } = await call("predict", side === "image" ? { image: inImage(coordinate) } : { map: coordinate })
     .catch(() => ({ prediction: null }));
   if (!prediction) return;
   const other = side === "image" ? panes.map : panes.image;
   const there = shown(prediction, side);
   showPrediction(other, there);
+  if (!go) return;
   const width = there.ring.length ? Math.max(...there.ring.map(place => Math.abs(place[0] - there.place[0]))) * 2 : undefined;
   other.goTo(there.place, width && width * 3);
+}
+
+/** Show it for the place that waits for its other pane, once there is a new model. */
+function showWhereAgain() {
+  const record = recordOf(state.chosen);
+  if (!record || record.kind !== "point" || !panes.map) return;
+  if (record.image && !record.map) showWhere("image", onScreen(record.image), false);
+  if (record.map && !record.image) showWhere("map", record.map, false);
 }
 
 /** @param {string | null} id */
@@ -333,7 +351,9 @@ function draw() {
   drawUncertainty(uncertainty?.uncertainty);
   legend(largest, uncertainty?.uncertainty);
   document.documentElement.dataset.version = String(state.version);
-  document.documentElement.dataset.answered = String(Object.values(state.answers).map(answer => answer.serial).pop() ?? -1);
+  const answered = (figures ?? state.answers.waiting ?? state.answers.refused)?.serial ?? -1;
+  document.body.classList.toggle("busy", answered !== state.asked);
+  Object.assign(document.documentElement.dataset, { asked: String(state.asked), answered: String(answered) });
 }
 
 /** The arrow of a blunder is no longer than three times that of all others. @param {any} error @param {number} largest */
@@ -435,7 +455,12 @@ async function saveAs(output) {
 
 /** The pane that the arrow keys move in: the one under the cursor or with the focus. */
 function keyPane() {
-  return byId("map-pane").matches(":hover, :focus-within") ? "map" : "image";
+  for (const state of [":hover", ":focus-within"]) {
+    for (const side of /** @type {const} */ (["image", "map"])) {
+      if (byId(`${side}-pane`).matches(state)) return side;
+    }
+  }
+  return "image";
 }
 
 /** Move the selected point by pixels of the image, or of the finest map. @param {number} x @param {number} y */

@@ -1,0 +1,317 @@
+"""Sessions: every change is kept, undone and repeated, and nothing is lost."""
+
+from __future__ import annotations
+
+import json
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rasterio
+from rasterio.transform import Affine
+
+import termsel
+from termsel import TermselError
+from termsel_app.journal import NAME, open_journal
+from termsel_app.session import Files, Session, open_session
+
+
+def write_raster(path: Path, pixels: Any, crs: str | None = None, transform: Any = None,
+                 **more: Any) -> Path:
+    """Write pixels (bands, lines, samples) as GeoTIFF."""
+    with rasterio.open(path, "w", driver="GTiff", count=len(pixels), height=pixels.shape[1],
+                       width=pixels.shape[2], dtype=pixels.dtype, crs=crs,
+                       transform=transform, **more) as raster:
+        raster.write(pixels)
+    return path
+
+
+@pytest.fixture
+def scan(tmp_path: Path) -> Path:
+    """Return an image of 200 lines and 300 samples."""
+    pixels = np.random.default_rng(1).integers(0, 255, (1, 200, 300)).astype(np.uint8)
+    return write_raster(tmp_path / "scan.tif", pixels)
+
+
+@pytest.fixture
+def ortho(tmp_path: Path) -> Path:
+    """Return a map of 300 m by 200 m."""
+    pixels = np.random.default_rng(2).integers(0, 255, (1, 200, 300)).astype(np.uint8)
+    return write_raster(tmp_path / "ortho.tif", pixels, "EPSG:25832",
+                        Affine(1, 0, 500000, 0, -1, 5200000))
+
+
+@contextmanager
+def session_of(folder: Path, *arguments: Any, **more: Any) -> Iterator[Session]:
+    """Open a session without the process that judges."""
+    with open_session(Files(*arguments, **more), folder) as session:
+        worker = session.worker
+        assert worker is not None
+        worker.close()
+        session.worker = None
+        yield session
+
+
+def test_every_change_is_there_again_at_the_next_start(
+        scan: Path, ortho: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    with session_of(folder, str(scan), (str(ortho),)) as session:
+        name = session.put({"image": [10.0, 20.0]})
+        session.put({"id": name, "map": [500020.5, 5199989.5]})
+        second = session.put({"map": [500100.0, 5199900.0]})
+        session.put({"id": second, "image": [99.0, 99.0], "role": "independent"})
+        session.put({"id": name, "name": "corner of the church"})
+        session.delete([second])
+        session.undo()
+        before = session.state()
+    with session_of(folder, str(scan), (str(ortho),)) as session:
+        assert session.state() == {**before, "version": 0}
+        assert [record["id"] for record in session.control.records.values()] == [
+            "corner of the church", second]
+        session.redo()
+        assert second not in session.control.records
+        for _ in range(6):
+            session.undo()
+        assert not session.control.records
+        with pytest.raises(TermselError, match="nothing to undo"):
+            session.undo()
+
+
+def test_a_line_that_was_cut_off_is_dropped_and_one_that_was_edited_is_named(
+        scan: Path, ortho: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    with session_of(folder, str(scan), (str(ortho),)) as session:
+        session.put({"image": [10.0, 20.0]})
+    journal = folder / NAME
+    whole = journal.read_bytes()
+    journal.write_bytes(whole + b'{"change": [[null, {"id": "P0')
+    with session_of(folder, str(scan), (str(ortho),)) as session:
+        assert list(session.control.records) == ["P01"]
+    assert journal.read_bytes() == whole
+    for line in (b"[]", b'{"change": 3}', b'{"undo": 1}\n{"undo": 1}', b"nonsense",
+                 b'{"change": [[null, {"id": "A", "kind": "point", "image": [1e999, 0]}]]}'):
+        journal.write_bytes(whole + line + b"\n")
+        with pytest.raises(TermselError) as refused, session_of(folder, str(scan), (str(ortho),)):
+            pass
+        assert refused.value.line in (3, 4), line
+
+
+def test_nothing_is_lost_when_the_disk_is_full(
+        scan: Path, ortho: Path, tmp_path: Path) -> None:
+    resource = pytest.importorskip("resource")  # not on Windows
+    folder = tmp_path / "out"
+    with session_of(folder, str(scan), (str(ortho),)) as session:
+        session.put({"image": [10.0, 20.0]})
+        size = (folder / NAME).stat().st_size
+        limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+        handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size + 5, limits[1]))
+        try:
+            with pytest.raises(TermselError, match="could not be saved") as refused:
+                session.put({"image": [30.0, 40.0]})
+            with pytest.raises(TermselError, match="could not be saved"):
+                session.undo()
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+            signal.signal(signal.SIGXFSZ, handler)
+        assert "lost" in (refused.value.hint or "")
+        assert list(session.control.records) == ["P01"]
+        assert (folder / NAME).stat().st_size == size
+        session.put({"image": [30.0, 40.0]})
+    with session_of(folder, str(scan), (str(ortho),)) as session:
+        assert list(session.control.records) == ["P01", "P02"]
+
+
+def test_one_process_at_a_time_has_a_session(scan: Path, ortho: Path, tmp_path: Path) -> None:
+    import subprocess
+    import sys
+
+    with session_of(tmp_path / "out", str(scan), (str(ortho),)):
+        done = subprocess.run(
+            [sys.executable, "-m", "termsel", "app", str(scan), "--map", str(ortho), "--out",
+             str(tmp_path / "out"), "--no-browser"], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "at work in this folder" in done.stderr
+    assert "Another `termsel app` has this session open" in " ".join(done.stderr.split())
+
+
+def test_no_link_in_the_folder_of_a_session_is_followed(
+        scan: Path, ortho: Path, tmp_path: Path) -> None:
+    target = tmp_path / "target"
+    target.write_text("kept")
+    folder = tmp_path / "out"
+    folder.mkdir()
+    (folder / NAME).symlink_to(target)
+    with pytest.raises(TermselError, match="link"), session_of(folder, str(scan), (str(ortho),)):
+        pass
+    assert target.read_text() == "kept"
+
+
+def test_a_strangers_session_asks_no_server_and_names_no_output() -> None:
+    kept = Files.of_header({"image": "scan.tif", "maps": [
+        "https://example.org/{z}/{x}/{y}.png", "/vsicurl/http://127.0.0.1/a.tif", "ortho.tif"],
+        "out": "/etc", "allow_remote": True, "command": "x"})
+    assert kept.maps == ("ortho.tif",)
+    for header in ({"maps": "ortho.tif"}, {"image": 3}, {"maps": [1]}, {"size": [1, -1]}):
+        with pytest.raises(TermselError):
+            Files.of_header(header)
+
+
+def test_a_session_of_another_image_or_crs_is_refused(
+        scan: Path, ortho: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    with session_of(folder, str(scan), (str(ortho),)):
+        pass
+    with pytest.raises(TermselError, match="of another image"), \
+            session_of(folder, str(ortho), (str(ortho),)):
+        pass
+    with pytest.raises(TermselError, match="not in EPSG:4326"), \
+            session_of(folder, str(scan), (str(ortho),), crs="EPSG:4326"):
+        pass
+
+
+def test_what_is_missing_is_said_before_a_page_opens(
+        scan: Path, ortho: Path, tmp_path: Path) -> None:
+    bare = write_raster(tmp_path / "bare.tif", np.zeros((1, 9, 9), dtype=np.uint8), None,
+                        Affine(1, 0, 7, 0, -1, 9))
+    cases: tuple[tuple[tuple[Any, ...], str], ...] = (
+        ((str(scan),), "CRS of the ground coordinates is not known"),
+        ((str(scan), (str(scan),)), "not georeferenced"),
+        ((str(scan), (str(bare),)), "has no CRS"),
+        ((str(tmp_path / "none.tif"), (str(ortho),)), "none.tif"))
+    for arguments, said in cases:
+        with pytest.raises(TermselError) as refused, \
+                session_of(tmp_path / "out", *arguments):
+            pass
+        assert said in f"{refused.value.what} {refused.value.file}"
+        assert not (tmp_path / "out" / NAME).stat().st_size
+
+
+def test_a_map_elsewhere_is_told(scan: Path, ortho: Path, tmp_path: Path) -> None:
+    far = write_raster(tmp_path / "far.tif", np.zeros((1, 9, 9), dtype=np.uint8), "EPSG:4326",
+                       Affine(0.1, 0, -70, 0, -0.1, 10))
+    with session_of(tmp_path / "out", str(scan), (str(ortho), str(far))) as session:
+        assert len(session.notes) == 1
+        assert "far.tif does not overlap ortho.tif" in session.notes[0]
+
+
+def test_pasted_rows_become_points_or_complete_them(
+        scan: Path, ortho: Path, tmp_path: Path) -> None:
+    with session_of(tmp_path / "out", str(scan), (str(ortho),)) as session:
+        first = session.put({"image": [10.0, 20.0]})
+        assert session.paste(f"{first}\t500001.5\t5199990\nB 7\t500003\t5199991") == 2
+        assert session.control.records[first]["image"] == [10.0, 20.0]
+        assert session.control.records[first]["ground"] == [500001.5, 5199990.0, None]
+        assert session.control.records["B 7"]["image"] is None
+        session.paste("role;id;y;x\nindependent;C;5199992;500009")
+        assert session.control.records["C"]["role"] == "independent"
+        assert session.control.records["C"]["ground"] == [500009.0, 5199992.0, None]
+        version = session.version
+        for text in ("", "a b", "D, 1, twelve", "D, 1, 2\nD, 3, 4", "id,role,x,y\nE,boss,1,2",
+                     "E, 1, 2\nF, 1", "E, nan, 3"):
+            with pytest.raises(TermselError):
+                session.paste(text)
+        assert session.version == version
+
+
+@pytest.mark.parametrize("given", [
+    {"image": [1.0]}, {"image": "here"}, {"image": [float("nan"), 1.0]}, {"map": [1.0, None]},
+    {"role": "boss", "image": [1.0, 1.0]}, {"kind": "area", "image": [1.0, 1.0]},
+    {"id": "none", "image": [1.0, 1.0]}, {"image": [1.0, 1.0], "name": "a\nb"},
+    {"kind": "line", "image": [[0.0, 0.0], [1.0, 1.0], [2.0, 2.0]]}])
+def test_what_is_no_measurement_is_refused(
+        scan: Path, ortho: Path, tmp_path: Path, given: dict[str, Any]) -> None:
+    with session_of(tmp_path / "out", str(scan), (str(ortho),)) as session:
+        with pytest.raises(TermselError):
+            session.put(given)
+        assert session.version == 0
+        assert not session.control.records
+
+
+def test_points_of_a_file_are_the_beginning_and_are_read_once(
+        scan: Path, ortho: Path, tmp_path: Path) -> None:
+    points = tmp_path / "points.csv"
+    points.write_text("# crs: EPSG:25832\nid,role,line,sample,x,y,z\n"
+                      "A,check,1,2,500001,5199999,\nB,,3,4,500004,5199990,7.5\n")
+    folder = tmp_path / "out"
+    given = {"maps": (str(ortho),), "points": str(points)}
+    with session_of(folder, str(scan), **given) as session:
+        assert session.control.records["B"]["ground"] == [500004.0, 5199990.0, 7.5]
+        session.delete(["A"])
+    with session_of(folder, str(scan), **given) as session:
+        assert list(session.control.records) == ["B"]
+
+
+def test_heights_come_from_the_dem(scan: Path, ortho: Path, tmp_path: Path) -> None:
+    dem = write_raster(tmp_path / "dem.tif", np.full((1, 40, 60), 321.5, dtype=np.float32),
+                       "EPSG:25832", Affine(10, 0, 499900, 0, -10, 5200100))
+    with session_of(tmp_path / "out", str(scan), (str(ortho),), dem=str(dem)) as session:
+        name = session.put({"map": [500010.0, 5199950.0]})
+        assert session.control.records[name]["ground"][2] == 321.5
+        typed = session.put({"ground": [500020.0, 5199950.0, None]})
+        assert session.control.records[typed]["ground"][2] == 321.5
+        stated = session.put({"ground": [500030.0, 5199950.0, 12.0]})
+        assert session.control.records[stated]["ground"][2] == 12.0
+
+
+def test_the_map_is_shown_in_a_plane_and_coordinates_are_those_of_the_control(
+        scan: Path, tmp_path: Path) -> None:
+    degrees = write_raster(tmp_path / "degrees.tif", np.zeros((1, 90, 90), dtype=np.uint8),
+                           "EPSG:4326", Affine(0.01, 0, 11, 0, -0.01, 47))
+    with session_of(tmp_path / "out", str(scan), (str(degrees),)) as session:
+        assert session.places.shown == "EPSG:3857"
+        assert session.places.crs == "EPSG:4326"
+        name = session.put({"ground": [11.2, 46.5, None]})
+        shown = session.state()["records"][0]["map"]
+        moved = session.put({"id": name, "map": shown})
+        assert session.control.records[moved]["ground"][:2] == pytest.approx([11.2, 46.5], abs=1e-9)
+
+
+def test_changes_of_two_pages_at_once_are_all_kept(
+        scan: Path, ortho: Path, tmp_path: Path) -> None:
+    with session_of(tmp_path / "out", str(scan), (str(ortho),)) as session:
+        threads = [threading.Thread(target=lambda i=i: session.put({"image": [float(i), 1.0]}))
+                   for i in range(20)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert len(session.control.records) == session.version == 20
+    with open_journal(tmp_path / "out") as (_, _, control):
+        assert len(control.records) == 20
+
+
+def test_the_journal_is_lines_of_json_with_the_files_first(
+        scan: Path, ortho: Path, tmp_path: Path) -> None:
+    with session_of(tmp_path / "out", str(scan), (str(ortho),)) as session:
+        session.put({"image": [1.0, 2.0]})
+    first, change = [json.loads(line) for line in
+                     (tmp_path / "out" / NAME).read_text("utf-8").splitlines()]
+    assert first["schema"] == "termsel-app-1"
+    assert first["crs"] == "EPSG:25832"
+    assert change["change"][0][1]["image"] == [1.0, 2.0]
+
+
+def test_control_is_written_as_termsel_reads_it(scan: Path, ortho: Path, tmp_path: Path) -> None:
+    from termsel_app.quality import written
+
+    with session_of(tmp_path / "out", str(scan), (str(ortho),)) as session:
+        rng = np.random.default_rng(3)
+        for _ in range(5):
+            session.put({"image": rng.uniform(0, 99, 2).tolist(),
+                         "map": rng.uniform([500000, 5199900], [500099, 5199999]).tolist()})
+        session.put({"image": [5.0, 5.0]})  # not measured on the ground yet
+        line = session.put({"kind": "line", "image": [[1.0, 1.0], [9.0, 9.0]]})
+        session.put({"id": line, "map": [[500001.0, 5199999.0], [500019.0, 5199980.0]]})
+        features = session.control.features(session.places.crs)
+        names = written(features, tmp_path)
+        again = termsel.read(names["points"], names["lines"])
+    assert again.points.ids == features.points.ids == ("P01", "P02", "P03", "P04", "P05")
+    np.testing.assert_array_equal(again.points.image, features.points.image)
+    np.testing.assert_array_equal(again.points.ground, features.points.ground)
+    np.testing.assert_array_equal(again.lines.image, features.lines.image)
