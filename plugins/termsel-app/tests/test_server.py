@@ -234,5 +234,7 @@ def test_bad_input_is_one_clear_message(place: Path, arguments: tuple[str, ...],
     with pytest.raises(TermselError) as refused:
         app.main([*arguments, "--no-browser"], standalone_mode=False)
     assert said in f"{refused.value.what} {refused.value.hint} {refused.value.file}"
-    assert not (place / "scan-control" / NAME).exists() or \
-        (place / "scan-control" / NAME).stat().st_size
+    # Nothing is left behind, but what a session has written.
+    assert not (place / "none-control").exists()
+    assert not list(place.glob("*/.lock"))
+    assert all(path.stat().st_size for path in place.glob(f"*/{NAME}"))

@@ -81,7 +81,7 @@ def open_journal(folder: Path) -> Iterator[
         except OSError as error:
             raise TermselError(f"the session cannot be written: {error.strerror}", file=path,
                                hint="Choose another --out.") from error
-        with file:
+        with file, _unless_empty(file, path):
             entries, length = read_entries(file, path)
             file.truncate(length)
             journal = Journal(file, path)
@@ -89,6 +89,16 @@ def open_journal(folder: Path) -> Iterator[
                 yield journal, None, ControlFeatures()
             else:
                 yield journal, _header(entries[0], path), replayed(entries[1:], path)
+
+
+@contextmanager
+def _unless_empty(file: FileIO, path: Path) -> Iterator[None]:
+    """Leave no journal behind where nothing was written to it."""
+    try:
+        yield
+    finally:
+        if not os.fstat(file.fileno()).st_size:
+            path.unlink(missing_ok=True)
 
 
 def header_of(folder: Path) -> dict[str, Any]:

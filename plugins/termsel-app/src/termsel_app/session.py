@@ -6,7 +6,7 @@ import csv
 import io
 import re
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from threading import RLock
@@ -382,7 +382,7 @@ def open_session(files: Files, folder: Path, *, remote: bool = False,
     Raises TermselError for files that cannot be used, and a folder that holds another session.
     """
     with ExitStack() as stack:
-        _make(folder)
+        _make(folder, stack)
         worker = Worker(remote, drivers)  # it loads termsel while files are opened
         stack.callback(worker.close)
         journal, header, control = stack.enter_context(open_journal(folder))
@@ -414,12 +414,20 @@ def open_session(files: Files, folder: Path, *, remote: bool = False,
         yield session
 
 
-def _make(folder: Path) -> None:
+def _make(folder: Path, stack: ExitStack) -> None:
+    """Make a folder, which goes again where nothing is written to it."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        if not folder.exists():
+            folder.mkdir(parents=True)
+            stack.callback(_remove_empty, folder)
     except OSError as error:
         raise TermselError(f"the folder cannot be made: {error.strerror}", file=folder,
                            hint="Choose another --out.") from error
+
+
+def _remove_empty(folder: Path) -> None:
+    with suppress(OSError):  # it is not empty
+        folder.rmdir()
 
 
 def _require_same(files: Files, kept: Files | None, folder: Path) -> None:
