@@ -72,6 +72,7 @@ from .data.coordinates.wgs84 import from_ecef as from_ecef
 from .data.coordinates.wgs84 import to_ecef as to_ecef
 from .data.coordinates.wgs84 import vertical as vertical
 from .data.dem_difference import off_as_a_whole as off_as_a_whole
+from .data.extent import KnownImage as KnownImage
 from .data.features import BoolArray as BoolArray
 from .data.features import FloatArray as FloatArray
 from .data.features import no_lines as no_lines

@@ -265,3 +265,18 @@ def test_the_rpc_of_a_jumping_ground_range_has_no_pole(tmp_path: Path) -> None:
     places = places_seen(400, seed=6)
     away = np.linalg.norm(found.rpc.project(places) - fitted.project(places), axis=1)
     assert np.nanmax(away) < 40.0
+
+
+def test_one_point_is_enough_for_a_map_of_the_whole_image(tmp_path: Path) -> None:
+    """Where the image is and how large it is, the annotation says."""
+    safe = product(tmp_path, [("iw", "vv")])
+    radar = Radar(metadata=str(safe))
+    place = places_seen(1, seed=9)
+    seen = radar.unshifted(place)
+    points = termsel.Points(("P1",), seen, place,
+                            attributes={"sensor": np.array([str(safe)], dtype=object)})
+    fitted = termsel.fit(termsel.FeatureSet(points, crs="EPSG:4979"), "named-radar")
+    assert fitted.image_box() == ((0.0, 0.0), (LINES - 1.0, SAMPLES - 1.0))
+    corners = np.array([[0.0, 3000.0], [LINES - 1.0, SAMPLES - 3000.0]])
+    back = fitted.locate(corners, 500.0)
+    np.testing.assert_allclose(fitted.project(back), corners, atol=1e-5)

@@ -6,6 +6,7 @@ A model that corrects an RPC has the option "rpc".
 from __future__ import annotations
 
 from collections.abc import Container
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,11 +14,29 @@ from termsel.data.coordinates.crs import transformation
 from termsel.data.features import FeatureSet, FloatArray, KnownGeometry
 
 
-def image_extent(features: FeatureSet, options: Container[str],
+@dataclass(frozen=True, eq=False)
+class KnownImage:
+    """What a model knows of its image before it is fitted, as by the metadata of a product.
+
+    Parameters
+    ----------
+    size : tuple of int
+        Lines and samples.
+    area : ndarray, shape (2, 3)
+        Least and largest WGS84 longitude, latitude [deg] and ellipsoidal height [m] of what it
+        shows.
+    """
+
+    size: tuple[int, int]
+    area: FloatArray
+
+
+def image_extent(features: FeatureSet, options: Container[str], known: KnownImage | None = None,
                  ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return first and last line and sample [px] of the image, of its RPC or of the features."""
-    if features.image_size is not None:
-        lines, samples = features.image_size
+    size = features.image_size or (known.size if known else None)
+    if size is not None:
+        lines, samples = size
         return (0.0, 0.0), (lines - 1.0, samples - 1.0)
     image = features.image_vertices()
     if (rpc := features.rpc) is not None and "rpc" in options:
@@ -39,10 +58,16 @@ def _of_rpc(rpc: KnownGeometry) -> FloatArray:
     return np.stack([middle - half, middle + half])
 
 
-def reach(features: FeatureSet, options: Container[str]) -> FloatArray:
-    """Return half the size of the area of the RPC that is corrected, shape (3,); else 0."""
-    if (rpc := features.rpc) is None or "rpc" not in options:
+def reach(features: FeatureSet, options: Container[str], known: KnownImage | None = None,
+          ) -> FloatArray:
+    """Return half the size of the area of the RPC that is corrected, or that is known, shape (3,);
+    else 0.
+    """
+    if known is not None:
+        box = known.area
+    elif (rpc := features.rpc) is not None and "rpc" in options:
+        box = np.array(rpc.ground_offset) + np.outer([-1.0, 1.0], rpc.ground_scale)
+    else:
         return np.zeros(3)
-    box = np.array(rpc.ground_offset) + np.outer([-1.0, 1.0], rpc.ground_scale)
     there = transformation("EPSG:4979", features.crs, strict=False)(box)
     return np.asarray(np.abs(there[1] - there[0]) / 2)

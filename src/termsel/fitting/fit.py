@@ -406,7 +406,8 @@ class Fit(Glance):
     def locate(self, image: ArrayLike, heights: ArrayLike | Surface) -> FloatArray:
         """Return the ground points seen at image points (see `termsel.fitting.locate.locate`)."""
         centre, scale = self.ground_box()
-        scale = np.maximum(scale, reach(self.control, self.model.options))
+        scale = np.maximum(scale, reach(
+            self.control, self.model.options, self.model.known_image()))
         return locate(self.project, image, heights, centre=centre, scale=scale)
 
     def ground_box(self) -> tuple[FloatArray, FloatArray]:
@@ -417,7 +418,7 @@ class Fit(Glance):
 
     def image_box(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Return first and last line and sample [px]: of the image, its RPC or the control."""
-        return image_extent(self.control, self.model.options)
+        return image_extent(self.control, self.model.options, self.model.known_image())
 
     def errors(self, points: Points) -> FloatArray:
         """Return measured minus computed line and sample [px], shape (n, 2)."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar, Protocol, Self
 
+from termsel.data.extent import KnownImage
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray
 from termsel.data.scaling import Scaling
 from termsel.fitting.adjustment.equations import Equations
@@ -39,6 +40,9 @@ class Fittable(Protocol):
 
     def with_parameters(self, parameters: Mapping[str, Any]) -> Self:
         """Return the model with parameters of a selection as values of its options."""
+
+    def known_image(self) -> KnownImage | None:
+        """Return what is known of the image before a fit, or None."""
 
     def prepared(self, scaling: Scaling, crs: str) -> Self:
         """Return the model for features that are scaled like this."""

@@ -31,7 +31,7 @@ log = logging.getLogger(__name__)
 Projection = Callable[[FloatArray], FloatArray]
 """Line and sample (n, 2) of ground places (n, 3)."""
 
-_TILE = 1024  # pixels read at once along either side
+_TILE = 256  # largest number of pixels read at once along either side
 _AROUND = 2  # further pixels on each side of a part
 _NODATA = -1e10
 _PLACED = "Give a raster in a geographic or projected CRS of the Earth."
@@ -89,10 +89,14 @@ class Dem:
         place = np.clip(place[inside], 0, size - 1)
         first = np.minimum(place.astype(np.intp), np.maximum(size - 2, 0))
         tiles, member = np.unique(first // _TILE, axis=0, return_inverse=True)
-        for i, tile in enumerate(tiles):
-            some = np.flatnonzero(member.ravel() == i)
-            heights[inside[some]] = _bilinear(self._pixels(tile * _TILE), first[some]
-                                              - tile * _TILE, place[some] - first[some])
+        order = np.argsort(member.ravel(), kind="stable")
+        bounds = np.searchsorted(member.ravel()[order], np.arange(len(tiles) + 1))
+        for i in range(len(tiles)):
+            some = order[bounds[i]:bounds[i + 1]]
+            start = first[some].min(axis=0)
+            pixels = self._pixels(start, first[some].max(axis=0))
+            heights[inside[some]] = _bilinear(pixels, first[some] - start,
+                                              place[some] - first[some])
         return heights
 
     def ellipsoidal(self, window: Any) -> FloatArray:
@@ -100,22 +104,21 @@ class Dem:
         rows, columns = np.mgrid[:window.height, :window.width] + 0.5
         x, y = self.raster.transform @ (columns.ravel() + window.col_off,
                                         rows.ravel() + window.row_off)
-        heights = self.converted(x, y, self._read(window).ravel())
+        heights = self.converted(x, y, self.stored(window).ravel())
         ground = np.column_stack([*self.to_raster.transform(x, y, direction="INVERSE"), heights])
         known = np.isfinite(ground).all(axis=1)
         heights[known] = to_wgs84(self.crs)(ground[known])[:, 2]
         heights[~known] = np.nan
         return heights.reshape(window.height, window.width)
 
-    def _pixels(self, start: Any) -> FloatArray:
-        """Return the heights of a tile, the next row and column; NaN for none and infinite."""
+    def _pixels(self, first: Any, last: Any) -> FloatArray:
+        """Return the heights between two pixels, and the next row and column; NaN for none."""
         from rasterio.windows import Window
 
-        row, column = (int(i) for i in start)
-        return self._read(Window(column, row, min(_TILE + 1, self.raster.width - column),
-                                 min(_TILE + 1, self.raster.height - row)))
+        rows, columns = (np.minimum(last + 2, self.raster.shape) - first).tolist()
+        return self.stored(Window(int(first[1]), int(first[0]), columns, rows))
 
-    def _read(self, window: Any) -> FloatArray:
+    def stored(self, window: Any) -> FloatArray:
         """Return the raster's own heights in a window; NaN for none and infinite."""
         with np.errstate(all="ignore"):  # of bytes that are no numbers, and numbers near the limit
             values = self.raster.read(1, window=window, masked=True).astype(np.float64)

@@ -23,7 +23,7 @@ from termsel.data.coordinates.crs import (
 from termsel.data.coordinates.longitudes import continuous
 from termsel.data.coordinates.utm import is_polar, metric_crs, polar_crs
 from termsel.data.features import FloatArray
-from termsel.formats.heights import surface_of
+from termsel.formats.heights import Dem, surface_of
 
 if TYPE_CHECKING:
     from termsel.results.result import Result
@@ -197,6 +197,20 @@ def sees_all(result: Result, grid: MapGrid, height: float) -> bool:
     return not result.fit.unseen(ground[known]).any()
 
 
+def footprint_of(result: Result, surface: Dem | float) -> FloatArray:
+    """Return the ground (n, 3) of a grid of image places, in the CRS of the control; NaN for none.
+    """
+    (top, left), (bottom, right) = result.fit.image_box()
+    # From the outer edges of the outermost pixels.
+    image = np.stack(np.meshgrid(np.linspace(top - 0.5, bottom + 0.5, _OUTLINE),
+                                 np.linspace(left - 0.5, right + 0.5, _OUTLINE), indexing="ij"),
+                     axis=-1).reshape(-1, 2)
+    ground = result.fit.locate(image, surface)
+    # The horizon is without end, and what is seen near it says nothing of the size of a pixel.
+    ground[~result.fit.holds(ground)] = np.nan
+    return ground
+
+
 def _even_pixel(outline: FloatArray, pixels: float) -> float:
     """Return the side of a square on the ground of as many as an image has pixels.
 
@@ -214,16 +228,9 @@ def _ground(result: Result, dem: Path | str | None, height: float, target: str,
     from pyproj import Transformer
     from pyproj.exceptions import ProjError
 
-    (top, left), (bottom, right) = result.fit.image_box()
-    # From the outer edges of the outermost pixels.
-    image = np.stack(np.meshgrid(np.linspace(top - 0.5, bottom + 0.5, _OUTLINE),
-                                 np.linspace(left - 0.5, right + 0.5, _OUTLINE), indexing="ij"),
-                     axis=-1).reshape(-1, 2)
     own = result.features.crs
     with surface_of(dem, own, height) as surface:
-        ground = result.fit.locate(image, surface)
-    # The horizon is without end, and what is seen near it says nothing of the size of a pixel.
-    ground[~result.fit.holds(ground)] = np.nan
+        ground = footprint_of(result, surface)
     try:
         turn = Transformer.from_crs(horizontal(own), target, always_xy=True)
     except ProjError as error:

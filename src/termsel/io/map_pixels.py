@@ -12,10 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from termsel.core.errors import TermselError
-from termsel.data.cog import TILE, write_cog
+from termsel.data.cog import write_cog
+from termsel.data.features import FloatArray
 from termsel.data.rasters import open_raster
 from termsel.formats.pictures import Band, Colour, Picture, expanded
 from termsel.io.map_grid import MapGrid
+from termsel.io.map_positions import MapPositions
+from termsel.io.resampling import Part, extent, reach, resampled
 
 log = logging.getLogger(__name__)
 
@@ -24,7 +27,7 @@ RESAMPLING = ("nearest", "bilinear", "cubic", "cubic_spline", "lanczos", "averag
 Values = NDArray[Any]
 Mask = NDArray[np.bool_]
 
-_NARROW = 128  # across, where GDAL interpolates places along lines between ends and middle
+_LARGEST_PART = 1 << 28  # bytes of an image that are read at once for a tile
 _WITH_TABLE = ("Byte", "UInt16")  # types whose colours a GeoTIFF holds
 _WHITE: Colour = (255, 255, 255, 255)
 _TYPES = {"Byte": "uint8", "CFloat32": "complex64", "CFloat64": "complex128", "CInt16": "complex64"}
@@ -209,19 +212,22 @@ def _require_held(nodata: float, dtype: np.dtype[Any]) -> None:
 
 
 def warp(raster: Any, output: Path, grid: MapGrid, made: MapPixels, *, tags: Mapping[str, str],
-         progress: Callable[[float], None] | None, **options: Any) -> None:
+         progress: Callable[[float], None] | None, positions: MapPositions | None = None,
+         **options: Any) -> None:
     """Warp a picture, tile by tile, into a cloud-optimised GeoTIFF.
 
     Parameters
     ----------
     raster : rasterio.DatasetReader
-        The VRT of `made.picture`, with georeferencing.
+        The VRT of `made.picture`, with georeferencing unless positions are given.
     output : pathlib.Path
     grid : MapGrid
     made : MapPixels
     tags : mapping
         Of the map.
     progress : callable, optional
+    positions : MapPositions, optional
+        Where the pixels of the map are in the image; by default GDAL's warper computes that.
     **options
         Of GDAL's transformer.
     """
@@ -229,8 +235,11 @@ def warp(raster: Any, output: Path, grid: MapGrid, made: MapPixels, *, tags: Map
 
     def pixels(window: Any, transform: Any) -> tuple[Values, Mask]:
         nonlocal lost
-        tile, shown = _warped(raster, made, (window.height, window.width), grid.crs, transform,
-                              options)
+        shape = window.height, window.width
+        if positions is not None:
+            tile, shown = _interpolated(raster, made, positions.of_tile(shape, transform))
+        else:
+            tile, shown = _warped(raster, made, shape, grid.crs, transform, options)
         if made.table:
             opaque = np.ones(max(len(made.table), int(tile[0].max()) + 1), dtype=bool)
             opaque[:len(made.table)] = [alpha > 0 for *_, alpha in made.table]
@@ -243,11 +252,70 @@ def warp(raster: Any, output: Path, grid: MapGrid, made: MapPixels, *, tags: Map
         return tile if in_order else tile[list(made.order)], shown
 
     write_cog(output, _profile(grid, made), pixels, describe=lambda tiled: _describe(
-        tiled, made, tags), progress=progress, across=TILE if raster.rpcs else _NARROW,
+        tiled, made, tags), progress=progress,
         masked=made.masked, nearest=made.category, bits=made.bits)
     if lost:
         log.warning("Warning: %d px of the map have the value %g of --nodata in the image itself; "
                     "they are empty on the map. Give another value, or none.", lost, made.nodata)
+
+
+def _interpolated(raster: Any, made: MapPixels, places: FloatArray) -> tuple[Values, Mask]:
+    """Return a tile of the map, alpha last, and where it shows the image, from its positions."""
+    colours = len(made.empty)
+    bands = colours + made.alpha
+    shape = places.shape[:2]
+    empty = np.array([0.0 if value is None else value for value in made.empty] + [0.0] * made.alpha)
+    part = _window_of(raster, made, places)
+    if part is None:
+        tile = np.zeros((bands, *shape), dtype=made.dtype)
+        tile[:] = empty.astype(made.dtype)[:, None, None]
+        return tile, np.zeros(shape, dtype=bool)
+    size = part.width * part.height * bands * made.dtype.itemsize
+    if size > _LARGEST_PART and max(shape) > 1:
+        # Of a map that is much coarser than the image, a tile is made in two halves.
+        axis = int(np.argmax(shape))
+        halves = [_interpolated(raster, made, half) for half in np.array_split(places, 2, axis)]
+        return (np.concatenate([tile for tile, _ in halves], axis + 1),
+                np.concatenate([shown for _, shown in halves], axis))
+    values, known = _read(raster, made, part)
+    tile, there = resampled(Part(values, known, part.row_off, part.col_off), places,
+                            made.resampling, raster.shape, empty)
+    # As gdalwarp has it: what is no data in some bands counts in the others.
+    shown = there[:colours].any(axis=0)
+    if made.alpha:
+        shown &= tile[-1] != 0
+    return tile, shown
+
+
+def _window_of(raster: Any, made: MapPixels, places: FloatArray) -> Any:
+    """Return the window of an image that positions need; None where they need none."""
+    from rasterio.windows import Window
+
+    lines, samples = raster.shape
+    low, high = extent(places, lines, samples)
+    if not (low <= high).all():
+        return None
+    around = np.ceil(reach(made.resampling, places)).astype(int)
+    first = np.maximum(np.floor(low).astype(int) - around, 0)
+    last = np.minimum(np.ceil(high).astype(int) + around + 1, [lines, samples])
+    return Window(int(first[1]), int(first[0]), int(last[1] - first[1]), int(last[0] - first[0]))
+
+
+def _read(raster: Any, made: MapPixels, window: Any) -> tuple[Values, Mask]:
+    """Return pixels (bands, lines, samples) of a window, alpha last, and which of them are data."""
+    bands = list(range(1, len(made.empty) + made.alpha + 1))
+    values = np.ascontiguousarray(raster.read(bands, window=window).astype(made.dtype, copy=False))
+    known = np.ones(values.shape, dtype=bool)
+    for band, empty in enumerate(made.empty):
+        if made.dtype.kind in "fc":
+            known[band] = ~np.isnan(values[band])
+        if empty is not None and not np.isnan(empty):
+            known[band] &= values[band] != made.dtype.type(empty)
+    if made.picture.masked:
+        known &= raster.read_masks(1, window=window) > 0
+    if made.alpha:
+        known[:-1] &= values[-1] > 0
+    return values, known
 
 
 def _warped(raster: Any, made: MapPixels, shape: tuple[int, int], crs: str, transform: Any,

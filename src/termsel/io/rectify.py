@@ -23,15 +23,23 @@ from termsel.data.coordinates.crs import (
 )
 from termsel.data.rasters import gdal_name, open_raster, refuse_empty_giant, require_rasterio
 from termsel.fitting.sky import NEAR_OR_FAR, why_not_shown
+from termsel.formats.deviation import places_of, say_deviation
 from termsel.formats.heights import Dem, say_difference, surface_of, write_ellipsoidal
 from termsel.formats.pictures import Picture
 from termsel.formats.rpc_files import rpc_items
 from termsel.formats.vrt import picture_for, vrt_text
-from termsel.formats.writers.grids import GeolocationVrt
 from termsel.io.accuracy_tags import accuracy_tags
 from termsel.io.export import as_exported
-from termsel.io.map_grid import MapGrid, grid_of_image, map_crs, sees_all, within
+from termsel.io.map_grid import (
+    MapGrid,
+    footprint_of,
+    grid_of_image,
+    map_crs,
+    sees_all,
+    within,
+)
 from termsel.io.map_pixels import map_pixels, warp
+from termsel.io.map_positions import MapPositions
 from termsel.io.replacing import require_replaceable
 from termsel.models.rpc_fit import GOOD, RpcFit, rpc_of
 
@@ -59,9 +67,10 @@ def rectify(
 ) -> None:
     """Resample an image to a map.
 
-    A fit that an RPC represents within 0.05 px is warped as RPC, with the heights of the
-    raster looked up for every pixel of the map; any other by a geolocation array whose rays
-    meet the raster.
+    A fit that an RPC represents within 0.05 px is warped as RPC, by GDAL's warper. Of any other,
+    positions in the image are computed on a coarse grid of the map, at some heights, and
+    interpolated to 0.05 px. Either way the heights of the raster are looked up for every pixel of
+    the map.
 
     Parameters
     ----------
@@ -128,6 +137,9 @@ def rectify(
             grid = within(grid, bounds, result.features.crs)
         surface = stack.enter_context(surface_of(dem, result.features.crs, level))
         source, options = _source(result, pixels.plain, folder / "scene.vrt", surface, grid)
+        positions = None if options is not None else MapPositions(
+            result.fit, grid.crs, surface, footprint_of(result, level))
+        options = options or {}
         if "RPC_DEM" in options:
             options["RPC_DEM"] = str(stack.enter_context(utf8_name(options["RPC_DEM"])))
         with open_raster(source) as raster:
@@ -136,21 +148,24 @@ def rectify(
                 f" ({zone}as the control is not in metres; --crs names another)"
             _say(result, grid, chosen, share, dem)
             warp(raster, output, grid, pixels, tags=accuracy_tags(result), progress=progress,
-                 **options)
+                 positions=positions, **options)
 
 
 def _source(result: Result, picture: Picture, vrt: Path, surface: Dem | float, grid: MapGrid,
-            ) -> tuple[Path, dict[str, Any]]:
-    """Write the virtual raster that is warped; return it and the options of the warper."""
+            ) -> tuple[Path, dict[str, Any] | None]:
+    """Write the virtual raster that is warped; return it and the options of GDAL's warper.
+
+    None for these where no RPC comes near the model.
+    """
     # By an RPC the warper would put the sky, mirrored, on places behind the camera.
     level = float(result.fit.ground_box()[0][2]) if isinstance(surface, Dem) else surface
     found = _rpc(result) if sees_all(result, grid, level) else None
     if found is None:
-        log.info("Warping by a geolocation array.")
-        writer = GeolocationVrt(image=str(picture.path), **(
-            {"dem": str(surface.path)} if isinstance(surface, Dem) else {"height": surface}))
-        writer.write_picture(result, vrt, picture)
-        return vrt, {}
+        log.info("Positions in the image are computed on a grid of the map, and interpolated.")
+        _say_level(result, surface)
+        say_difference(result.features, result.project, surface)
+        write_text(vrt, vrt_text(picture, vrt.parent))
+        return vrt, None
     say_difference(result.features, result.project, surface)
     write_text(vrt, vrt_text(picture, vrt.parent, domains={"RPC": rpc_items(found.rpc)}))
     # An RPC takes ellipsoidal heights in metres, whatever those of the control are.
@@ -166,6 +181,18 @@ def _source(result: Result, picture: Picture, vrt: Path, surface: Dem | float, g
         write_ellipsoidal(surface, dem, grid.bounds, grid.crs)
     # GDAL's PROJ must not convert heights once more.
     return vrt, {"RPC_DEM": str(dem), "RPC_DEM_APPLY_VDATUM_SHIFT": "FALSE"}
+
+
+def _say_level(result: Result, surface: Dem | float) -> None:
+    """Warn how far heights of the control are off a level ground, where no raster is given."""
+    if isinstance(surface, Dem) or not result.fit.model.uses_height:
+        return
+    log.warning("Warning: without a raster of heights (--dem) the ground is taken as level, at the "
+                "height %.6g.", surface)
+    places = places_of(result.fit)
+    level = places * [1, 1, 0] + [0, 0, surface]
+    say_deviation("map", result.fit, places, result.fit.project(level),
+                  ", at the heights of the control")
 
 
 def _rpc(result: Result) -> RpcFit | None:

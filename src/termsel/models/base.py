@@ -14,6 +14,7 @@ from termsel.core.isolation.arrays import of_shape, of_type, returns
 from termsel.core.isolation.calls import Check
 from termsel.core.options import Configurable
 from termsel.data.coordinates.crs import to_wgs84
+from termsel.data.extent import KnownImage
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray
 from termsel.data.scaling import Scaling
 from termsel.fitting.adjustment.equations import Equations
@@ -104,6 +105,7 @@ class SensorModel(Configurable, ABC):
         "project": _image_fault, "predict": _image_fault, "denominators": _or_none(_image_fault),
         "residual_weights": _or_none(_weights_fault), "as_rpc": _or_none(_rpc_fault),
         "interpolation": _or_none(returns(Interpolation)),
+        "known_image": _or_none(returns(KnownImage)),
         "polynomial_degree": _or_none(returns(int))}
 
     uses_height: ClassVar[bool] = True
@@ -210,6 +212,14 @@ class SensorModel(Configurable, ABC):
         ----------
         coefficients : ndarray, shape (k,)
             Of all terms; 0 of those that are not selected.
+        """
+        return None
+
+    def known_image(self) -> KnownImage | None:
+        """Return size and area of the image where the model knows them before it is fitted.
+
+        As by the metadata of a product: then few points, and one already, are enough for all of the
+        image. None, the default, leaves it to the features.
         """
         return None
 

@@ -170,9 +170,12 @@ def _term_sets(fitted: Fit) -> Iterator[tuple[str, BoolArray, float]]:
 
 
 def _heights(fitted: Fit) -> tuple[float, float]:
-    """Return the least and the largest height of the control."""
+    """Return the least and the largest height of the control, and of what is known."""
     heights = fitted.control.ground_vertices()[:, 2]
     heights = heights[np.isfinite(heights)]
+    known = fitted.model.known_image()
+    if known is not None:
+        heights = np.concatenate([heights, known.area[:, 2]])
     return (float(heights.min()), float(heights.max())) if heights.size else (0.0, 0.0)
 
 

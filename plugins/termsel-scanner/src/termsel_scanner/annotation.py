@@ -34,6 +34,8 @@ EPOCH = datetime(2000, 1, 1)
 ORBIT_MARGIN = 60.0
 """Time before and after the image of which state vectors are kept [s]."""
 
+LATTICE = "geolocationGrid/geolocationGridPointList/geolocationGridPoint"
+
 HEAD = 4096
 """Bytes in which an annotation shows what it is."""
 
@@ -85,6 +87,7 @@ class Annotation:
     ground_ranges: tuple[GroundRange, ...]  # empty for images in slant range
     bursts: tuple[Burst, ...]  # empty but for TOPS images in slant range
     lines_per_burst: int
+    area: tuple[tuple[float, ...], ...] = ()  # least and largest longitude, latitude, height
 
     def text(self) -> str:
         """Return all as JSON, from which `annotation_of` reads it again."""
@@ -182,7 +185,7 @@ def lattice_of(path: Path) -> tuple[LatticePoint, ...]:
         If the file cannot be read, or has no lattice.
     """
     root = _root(path)
-    points = root.findall("geolocationGrid/geolocationGridPointList/geolocationGridPoint")
+    points = root.findall(LATTICE)
     if not points:
         raise TermselError(f"{path}: geolocationGridPointList has no points", hint=_HINT)
     try:
@@ -220,7 +223,19 @@ def _from_xml(root: ElementTree.Element, name: str) -> Annotation:
         times=_nested(times), positions=_nested(states[:, :3]),
         velocities=_nested(states[:, 3:]), ground_ranges=ground_ranges,
         bursts=() if in_ground_range else _bursts(root, start, lines_per_burst),
-        lines_per_burst=lines_per_burst)
+        lines_per_burst=lines_per_burst, area=_area(root))
+
+
+def _area(root: ElementTree.Element) -> tuple[tuple[float, ...], ...]:
+    """Return least and largest longitude, latitude [deg] and height [m] of the lattice."""
+    points = root.findall(LATTICE)
+    if not points:
+        return ()
+    places = np.array([[_number(point, name) for name in ("longitude", "latitude", "height")]
+                       for point in points])
+    if np.ptp(places[:, 0]) > 180.0:  # across the date line
+        places[:, 0] %= 360.0
+    return tuple(map(tuple, np.stack([places.min(axis=0), places.max(axis=0)]).tolist()))
 
 
 def _orbit(root: ElementTree.Element, start: float, duration: float,

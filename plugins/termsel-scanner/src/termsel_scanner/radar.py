@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from termsel import FeatureSet, Option, TermselError
+from termsel.toolkit import KnownImage
 from termsel_scanner.annotation import Annotation, FloatArray, annotation_of
 from termsel_scanner.orbit import geocentric
 from termsel_scanner.physical import Physical, known
@@ -101,6 +102,11 @@ class Radar(Physical):
     def source(self) -> str:
         """The file of the annotation."""
         return self.annotation.source
+
+    def known_image(self) -> KnownImage | None:
+        """Return the size of the image, and the area of the annotation's lattice."""
+        stated = self.annotation
+        return KnownImage(stated.size, np.array(stated.area)) if stated.area else None
 
     def starts(self, features: FeatureSet) -> FloatArray:
         """Return the values of terms from which a fit begins: no shift."""

@@ -1,0 +1,339 @@
+"""Where the pixels of a map are in an image, by any fitted model, relief included.
+
+A model is asked at nodes of a coarse grid on the map, at a few heights. Between nodes positions are
+bilinear in the plane, between heights quadratic, and every pixel has the height of the ground at
+its own place. The grid is made finer until positions at random pixels are within CLOSE of the
+model's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from termsel.data.coordinates.crs import horizontal
+from termsel.data.coordinates.longitudes import nearest
+from termsel.data.features import FloatArray
+from termsel.fitting.adjustment.compiled import compiled
+from termsel.fitting.fit import Fit
+from termsel.formats.heights import Dem
+
+CLOSE = 0.03
+"""Largest error of interpolated positions at pixels that are tried [px]: others are seldom above
+0.05."""
+
+COARSEST, FINEST = 64, 4
+"""Pixels of the map between nodes."""
+
+TRIED = 150
+"""Pixels of a tile at which positions are compared with the model's own."""
+
+LEVELS = 3
+"""Heights at which a model is asked: it is quadratic between them."""
+
+MARGIN = 1.0
+"""What the lowest and highest of these heights are beyond those of the ground."""
+
+AT_ONCE = 20_000
+"""Places at which a model is asked at once."""
+
+LARGEST_DEM = 1 << 24
+"""Pixels of a raster of heights that are read for a tile at once; of more, each place is looked up.
+"""
+
+_BEYOND = 0.1  # of the image's extent on the ground, in which nodes still count
+_GAIN = 0.125  # part of CLOSE, below which the next tile is tried with a coarser grid
+
+
+@dataclass(eq=False)
+class MapPositions:
+    """Positions in an image of the pixels of a map, tile by tile.
+
+    Parameters
+    ----------
+    fitted : Fit
+    crs : str
+        Of the map.
+    surface : Dem or float
+        The ground.
+    footprint : ndarray, shape (n, 3)
+        Places on the ground of the image's edges and inside, in the CRS of the control.
+    """
+
+    fitted: Fit
+    crs: str
+    surface: Dem | float
+    footprint: FloatArray
+    _step: int = field(default=COARSEST, init=False)
+    _rng: Any = field(default_factory=lambda: np.random.default_rng(0), init=False)
+
+    def of_tile(self, shape: tuple[int, int], transform: Any) -> FloatArray:
+        """Return line and sample of the pixels of a tile, (lines, samples, 2); NaN for none.
+
+        Parameters
+        ----------
+        shape : tuple of int
+            Lines and samples.
+        transform : affine.Affine
+            From samples and lines, counted from the outer corner of its first pixel, to x and y.
+        """
+        heights = self._heights(shape, transform)
+        known = np.isfinite(heights)
+        if not known.any():
+            return np.full((*shape, 2), np.nan)
+        levels = self._levels(float(heights[known].min()), float(heights[known].max()))
+        tried = self._tried(known)
+        places = self._ground(tried + 0.5, transform)
+        exact = self._positions(np.column_stack([places, heights[tuple(tried.T)]]))
+        step = self._step
+        while True:
+            positions = self._interpolated(shape, transform, heights, levels, step)
+            error = _largest_error(positions[tuple(tried.T)], exact)
+            if error <= CLOSE or step <= FINEST:
+                break
+            step //= 2
+        self._step = min(2 * step, COARSEST) if error < _GAIN * CLOSE else step
+        if error > CLOSE:
+            return self._each(shape, transform, heights)
+        return positions
+
+    def _tried(self, known: NDArray[np.bool_]) -> NDArray[np.intp]:
+        """Return lines and samples (m, 2) of some pixels of a tile whose height is known."""
+        places = np.argwhere(known) if known.mean() < 0.5 else None
+        if places is not None:
+            return np.asarray(places[self._rng.integers(0, len(places), TRIED)])
+        pixels = np.stack([self._rng.integers(0, size, 4 * TRIED) for size in known.shape], axis=1)
+        return np.asarray(pixels[known[tuple(pixels.T)]][:TRIED])
+
+    def _interpolated(self, shape: tuple[int, int], transform: Any, heights: FloatArray,
+                      levels: FloatArray, step: int) -> FloatArray:
+        """Return positions between those at nodes, at the heights of the pixels."""
+        nodes, size = _nodes(shape, step)
+        plan = self._ground(nodes, transform)
+        at_levels = np.stack([self._positions(np.column_stack([plan, np.full(len(plan), level)]))
+                              for level in levels])
+        found = np.empty((*shape, 2))
+        _between(at_levels.reshape(len(levels), *size, 2), levels, heights, step, found)
+        return found
+
+    def _each(self, shape: tuple[int, int], transform: Any, heights: FloatArray) -> FloatArray:
+        """Return the model's own positions of all pixels: it is not smooth enough there."""
+        lines, samples = np.indices(shape)
+        pixels = np.column_stack([lines.ravel(), samples.ravel()]) + 0.5
+        found = np.empty((len(pixels), 2))
+        flat = heights.ravel()
+        for start in range(0, len(pixels), AT_ONCE):
+            some = slice(start, start + AT_ONCE)
+            places = self._ground(pixels[some], transform)
+            found[some] = self._positions(np.column_stack([places, flat[some]]))
+        return found.reshape(*shape, 2)
+
+    def _positions(self, ground: FloatArray) -> FloatArray:
+        """Return line and sample (n, 2) of places on the ground; NaN where a map shows none."""
+        found = np.full((len(ground), 2), np.nan)
+        asked = np.isfinite(ground).all(axis=1) & self._is_near(ground[:, :2])
+        asked[asked] = self.fitted.holds(ground[asked])
+        if asked.any():
+            with np.errstate(all="ignore"):
+                found[asked] = self.fitted.project(ground[asked])
+        return found
+
+    def _is_near(self, plan: FloatArray) -> NDArray[np.bool_]:
+        """Return whether places are about where the image is: beyond, polynomials turn back."""
+        normals, offsets = self._hull
+        return np.asarray((plan @ normals.T <= offsets).all(axis=1))
+
+    @cached_property
+    def _hull(self) -> tuple[FloatArray, FloatArray]:
+        """Normals (k, 2) and offsets (k,) of a convex polygon around the image on the ground."""
+        from scipy.spatial import ConvexHull  # takes long to import
+
+        places = self.footprint[np.isfinite(self.footprint[:, :2]).all(axis=1), :2]
+        equations = ConvexHull(places).equations
+        beyond = _BEYOND * float(np.ptp(places, axis=0).max())
+        return equations[:, :2], beyond - equations[:, 2]
+
+    def _levels(self, low: float, high: float) -> FloatArray:
+        """Return the heights at which the model is asked."""
+        if not self.fitted.model.uses_height or low == high:
+            return np.array([low])
+        return np.linspace(low - MARGIN, high + MARGIN, LEVELS)
+
+    def _ground(self, pixels: FloatArray, transform: Any) -> FloatArray:
+        """Return x and y in the CRS of the control of lines and samples (n, 2) of a tile."""
+        x, y = transform @ (pixels[:, 1], pixels[:, 0])
+        return np.stack(self._to_ground.transform(x, y), axis=1)
+
+    @cached_property
+    def _to_ground(self) -> Any:
+        from pyproj import Transformer
+
+        return Transformer.from_crs(self.crs, horizontal(self.fitted.control.crs), always_xy=True)
+
+    def _heights(self, shape: tuple[int, int], transform: Any) -> FloatArray:
+        """Return the heights of the ground at the pixels of a tile, (lines, samples)."""
+        surface = self.surface
+        if not isinstance(surface, Dem):
+            return np.full(shape, float(surface))
+        nodes, size = _nodes(shape, COARSEST)
+        ground = self._ground(nodes, transform)
+        x, y = surface.to_raster.transform(*ground.T)
+        if surface.turns:
+            middle = (surface.raster.bounds.left + surface.raster.bounds.right) / 2
+            x = nearest(np.asarray(x), middle)
+        to_pixel = ~surface.raster.transform
+        sample, line = to_pixel @ (np.asarray(x), np.asarray(y))
+        places = np.stack([line, sample], axis=1) - 0.5
+        part = _part_of(surface, places)
+        if part is None:
+            return self._looked_up(shape, transform)
+        pixels, first = part
+        # What the datum adds is smooth, unlike the ground.
+        nothing = np.zeros(len(x))
+        added = surface.converted(x, y, nothing)
+        slope = float(np.nanmedian(surface.converted(x, y, nothing + 1000.0) - added)) / 1000.0
+        found = np.empty(shape)
+        _heights_between(pixels, np.column_stack([places - first, added]).reshape(*size, 3),
+                         COARSEST, np.array(surface.raster.shape, dtype=np.float64) - first, first,
+                         slope, found)
+        return found
+
+    def _looked_up(self, shape: tuple[int, int], transform: Any) -> FloatArray:
+        """Return the heights of the ground at pixels, each by itself."""
+        surface = self.surface
+        assert isinstance(surface, Dem)
+        lines, samples = np.indices(shape)
+        pixels = np.column_stack([lines.ravel(), samples.ravel()]) + 0.5
+        return surface(self._ground(pixels, transform)).reshape(shape)
+
+
+def _nodes(shape: tuple[int, int], step: int) -> tuple[FloatArray, tuple[int, int]]:
+    """Return nodes (n, 2) that cover the centres of the pixels of a tile, and how many there are.
+
+    They are in lines and samples counted from its outer corner.
+    """
+    size = tuple(max(-(-(count - 1) // step), 1) + 1 for count in shape)
+    lines, samples = np.indices(size)
+    return np.column_stack([lines.ravel(), samples.ravel()]) * float(step) + 0.5, \
+        (size[0], size[1])
+
+
+def _part_of(surface: Dem, places: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Return the pixels of a raster around places, and the first one; None for too many."""
+    from rasterio.windows import Window
+
+    known = places[np.isfinite(places).all(axis=1)]
+    size = np.array(surface.raster.shape)
+    if not len(known):
+        return np.full((1, 1), np.nan), np.zeros(2)
+    first = np.clip(np.floor(known.min(axis=0)).astype(int) - 1, 0, size - 1)
+    last = np.clip(np.ceil(known.max(axis=0)).astype(int) + 2, 1, size)
+    lines, samples = np.maximum(last - first, 1)
+    if lines * samples > LARGEST_DEM:
+        return None
+    pixels = surface.stored(Window(first[1], first[0], samples, lines))
+    return pixels, first.astype(np.float64)
+
+
+def _largest_error(positions: FloatArray, exact: FloatArray) -> float:
+    """Return how far positions are from exact ones; infinite where only one of them is known."""
+    known = np.isfinite(exact).all(axis=1)
+    missing = ~np.isfinite(positions).all(axis=1)
+    if (missing & known).any():
+        return np.inf
+    both = known & ~missing
+    return float(np.linalg.norm((positions - exact)[both], axis=1).max(initial=0.0))
+
+
+def _positions_between(nodes: Any, levels: Any, heights: Any, step: int, found: Any) -> None:
+    """Fill positions `found` (lines, samples, 2) from those of `nodes` (levels, rows, columns, 2).
+
+    Bilinear in the plane; by Lagrange's polynomial between heights.
+    """
+    count = len(levels)
+    of_level = np.empty(count)
+    for i in range(found.shape[0]):
+        row = min(i // step, nodes.shape[1] - 2)
+        down = i / step - row
+        for j in range(found.shape[1]):
+            column = min(j // step, nodes.shape[2] - 2)
+            right = j / step - column
+            height = heights[i, j]
+            for k in range(count):
+                weight = 1.0
+                for other in range(count):
+                    if other != k:
+                        weight *= (height - levels[other]) / (levels[k] - levels[other])
+                of_level[k] = weight
+            line = 0.0
+            sample = 0.0
+            for k in range(count):
+                upper = of_level[k] * (1.0 - down)
+                lower = of_level[k] * down
+                a = upper * (1.0 - right)
+                b = upper * right
+                c = lower * (1.0 - right)
+                d = lower * right
+                line += (a * nodes[k, row, column, 0] + b * nodes[k, row, column + 1, 0]
+                         + c * nodes[k, row + 1, column, 0] + d * nodes[k, row + 1, column + 1, 0])
+                sample += (a * nodes[k, row, column, 1] + b * nodes[k, row, column + 1, 1]
+                           + c * nodes[k, row + 1, column, 1]
+                           + d * nodes[k, row + 1, column + 1, 1])
+            if np.isnan(height):
+                line = np.nan
+            found[i, j, 0] = line
+            found[i, j, 1] = sample
+
+
+_between = compiled(_positions_between)
+
+
+def _bilinear_heights(pixels: Any, nodes: Any, step: int, size: Any, first: Any, slope: float,
+                      found: Any) -> None:
+    """Fill heights `found` (lines, samples) from the pixels of a raster.
+
+    Nodes (rows, columns, 3) have line and sample in `pixels`, and what the datum adds. The raster
+    goes from `-first` to `size`; in the outer half of its outermost pixels heights are constant.
+    """
+    rows = pixels.shape[0]
+    columns = pixels.shape[1]
+    for i in range(found.shape[0]):
+        row = min(i // step, nodes.shape[0] - 2)
+        down = i / step - row
+        for j in range(found.shape[1]):
+            column = min(j // step, nodes.shape[1] - 2)
+            right = j / step - column
+            a = (1.0 - down) * (1.0 - right)
+            b = (1.0 - down) * right
+            c = down * (1.0 - right)
+            d = down * right
+            line = (a * nodes[row, column, 0] + b * nodes[row, column + 1, 0]
+                    + c * nodes[row + 1, column, 0] + d * nodes[row + 1, column + 1, 0])
+            sample = (a * nodes[row, column, 1] + b * nodes[row, column + 1, 1]
+                      + c * nodes[row + 1, column, 1] + d * nodes[row + 1, column + 1, 1])
+            added = (a * nodes[row, column, 2] + b * nodes[row, column + 1, 2]
+                     + c * nodes[row + 1, column, 2] + d * nodes[row + 1, column + 1, 2])
+            found[i, j] = np.nan
+            if not (-0.5 - first[0] <= line <= size[0] - 0.5
+                    and -0.5 - first[1] <= sample <= size[1] - 0.5):
+                continue
+            line = min(max(line, 0.0), rows - 1.0)
+            sample = min(max(sample, 0.0), columns - 1.0)
+            r = min(int(line), max(rows - 2, 0))
+            s = min(int(sample), max(columns - 2, 0))
+            below = line - r
+            aside = sample - s
+            height = 0.0
+            for k in range(2):
+                for m in range(2):
+                    weight = (below if k else 1.0 - below) * (aside if m else 1.0 - aside)
+                    if weight > 0.0:  # those without any weight may be no data
+                        height += weight * pixels[r + k, s + m]
+            found[i, j] = height * slope + added
+
+
+_heights_between = compiled(_bilinear_heights)
