@@ -97,7 +97,7 @@ def test_most_candidates_are_wrong_and_many_pieces_have_a_right_one(
 def test_rounds_find_the_camera_from_thirty_px_off(place: Any, tmp_path: Path) -> None:
     done = iterate_lines(place / "image.tif", place / "roads.gpkg", "rpc-drift",
                          {"rpc": str(place / "image.RPB")}, dem=place / "dem.tif",
-                         out=tmp_path / "result")
+                         folder=tmp_path / "result")
     true = place.world.independent()
     errors = np.linalg.norm(done.result.project(true.ground) - true.image, axis=1)
     assert np.sqrt((errors**2).mean()) < 0.6

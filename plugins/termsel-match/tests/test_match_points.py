@@ -125,7 +125,7 @@ def test_what_takes_long_is_said_before(
         place: Any, altered: Callable[..., Path], caplog: pytest.LogCaptureFixture,
         monkeypatch: pytest.MonkeyPatch) -> None:
     caplog.set_level("INFO", logger="termsel")
-    monkeypatch.setattr(overview, "_LONG", 1e5)
+    monkeypatch.setattr(overview, "_MANY_PIXELS", 1e5)
     many = altered("image.tif", lambda pixels: np.repeat(pixels, 40, axis=0))
     many.with_suffix(".RPB").unlink()  # a start
     found = match(many, place / "ortho.tif", dem=place / "dem.tif", count=40)

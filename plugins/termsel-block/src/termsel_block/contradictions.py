@@ -173,8 +173,7 @@ def doubts_of_models(block: Block, adjusted: Adjusted) -> list[str]:
     """Return which models are contradicted and yet in use, as sentences."""
     return [f"Points and ties of {block.images[i].name} contradict what the model "
             f"{block.images[i].model!r} knows of cameras{_off(contradiction)}. Its errors may be "
-            "larger than "
-            "is predicted: compare with auto." for i,
+            "larger than is predicted: compare with auto." for i,
             contradiction in contradicted(adjusted).items()]
 
 

@@ -16,12 +16,15 @@ from termsel_match.points.readers import REFERENCE, bytes_of, text_of, with_grou
 __all__ = ["AspMatches", "is_matches", "read_matches"]
 
 _DIGITS = 19
-_CELLS = 11  # of an interest point as text, before its descriptor
-_COUNTS = 16  # bytes of the two counts
+# Of an interest point as text, before its descriptor.
+_POINT_CELLS = 11
+# bytes of the two counts.
+_COUNTS = 16
 # x, y, both as whole numbers, orientation, scale, interest, polarity, octave, level, and the
 # length of the descriptor, as VisionWorkbench writes them without gaps.
 _RECORD = Struct("<2f2i3f?2IQ")
-_MOST = 10_000_000  # matches, and numbers of a descriptor: more are none of a real file
+# Matches, and numbers of a descriptor: more are none of a real file.
+_MAX_MATCHES = 10_000_000
 
 
 class AspMatches(Reader):
@@ -41,6 +44,8 @@ class AspMatches(Reader):
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file and line."""
+        # The first image is the one to georeference: its positions are the image's, the others the
+        # map's.
         first, second = read_matches(path)
         return with_ground(path, [f"M{i + 1:03d}" for i in range(len(first))], first, second,
                            self.options["reference"], None)
@@ -65,6 +70,7 @@ def read_matches(path: Path) -> tuple[FloatArray, FloatArray]:
         Naming file and line of what is no match file.
     """
     content = bytes_of(path)
+    # Binary files begin with two counts of 8 bytes, text with two numbers.
     if (counts := _counts(content[:_COUNTS + _RECORD.size])) is not None:
         return _binary(content, counts[0], path)
     lines = text_of(path).splitlines()
@@ -76,15 +82,16 @@ def read_matches(path: Path) -> tuple[FloatArray, FloatArray]:
             f"the file announces {count} matches and has {max(len(lines) - 1, 0)} rows",
             file=path, line=1, hint="Expected a row for each point of either image. Is the "
                                     "file complete?")
-    places = []
+    positions = []
     for number, text in enumerate(lines[1:1 + 2 * count], 2):
         cells = text.split()
         if not _is_interest_point(cells):
             raise TermselError("this row is not an interest point", file=path, line=number,
                                hint="Expected x, y and nine further numbers.")
-        places.append([float(cells[1]), float(cells[0])])
-    both = np.array(places)
-    return both[:count], both[count:]
+        # The text has x before y; positions are line and sample.
+        positions.append([float(cells[1]), float(cells[0])])
+    of_images = np.array(positions)
+    return of_images[:count], of_images[count:]
 
 
 def _counts(head: bytes) -> tuple[int, int] | None:
@@ -92,31 +99,35 @@ def _counts(head: bytes) -> tuple[int, int] | None:
     if len(head) < _COUNTS + _RECORD.size:
         return None
     counts = int.from_bytes(head[:8], "little"), int.from_bytes(head[8:_COUNTS], "little")
+    # Whole numbers next to x and y are these, rounded: so no other binary file looks like one.
     x, y, column, row, *_, size = _RECORD.unpack_from(head, _COUNTS)
     near = isfinite(x) and isfinite(y) and abs(x - column) <= 1 and abs(y - row) <= 1
-    return counts if 0 < counts[0] == counts[1] < _MOST and near and size < _MOST else None
+    return (counts if 0 < counts[0] == counts[1] < _MAX_MATCHES and near and size < _MAX_MATCHES
+            else None)
 
 
 def _binary(content: bytes, count: int, path: Path) -> tuple[FloatArray, FloatArray]:
     """Return line and sample of the points of both images, of a binary file."""
-    for width in (4, 8):  # bytes of a number of the descriptor, by the version of ASP
-        places: list[tuple[float, float]] = []
+    # bytes of a number of the descriptor, by the version of ASP.
+    for width in (4, 8):
+        positions: list[tuple[float, float]] = []
+        # The descriptors have lengths of their own, so that records are read one after the other.
         at = _COUNTS
-        while len(places) < 2 * count and at + _RECORD.size <= len(content):
+        while len(positions) < 2 * count and at + _RECORD.size <= len(content):
             x, y, *_, size = _RECORD.unpack_from(content, at)
-            if not (isfinite(x) and isfinite(y) and size < _MOST):
+            if not (isfinite(x) and isfinite(y) and size < _MAX_MATCHES):
                 break
-            places.append((y, x))
+            positions.append((y, x))
             at += _RECORD.size + width * size
-        if len(places) == 2 * count and at == len(content):
-            both = np.array(places, dtype=np.float64)
-            return both[:count], both[count:]
+        if len(positions) == 2 * count and at == len(content):
+            of_images = np.array(positions, dtype=np.float64)
+            return of_images[:count], of_images[count:]
     raise TermselError(f"the file announces {count} matches and is cut off, or is no match file of "
                        "ASP", file=path, hint="Is the file complete?")
 
 
 def _is_interest_point(cells: Sequence[str]) -> bool:
     try:
-        return len(cells) >= _CELLS and all(isfinite(float(cell)) for cell in cells[:2])
+        return len(cells) >= _POINT_CELLS and all(isfinite(float(cell)) for cell in cells[:2])
     except ValueError:
         return False

@@ -32,7 +32,8 @@ Bounds = tuple[float, float, float, float]
 CANDIDATES, REPORT, PICTURE, RESULT = ("candidates.csv", "report.txt", "residuals.png",
                                         "result")
 
-_SEARCH = 12.0  # px for lines, from the model of the points
+# In px for lines, from the model of the points.
+_SEARCH = 12.0
 
 
 def georeference(
@@ -148,7 +149,9 @@ def judge(
                            hint="Give --reference ORTHO; only --points FILE with --extent image "
                                 "does without.")
     if vectors is not None:
-        read_vectors(Path(vectors))  # what is wrong with them is said before the matching
+        # What is wrong with them is said before the matching.
+        read_vectors(Path(vectors))
+    # Before the matching, which takes minutes.
     model, options = model_for(start, Path(image))
     if model == "rpc-drift" and find_spec("termsel_rpc") is None:
         raise TermselError("an image with an RPC requires the package termsel-rpc, which is not "
@@ -169,7 +172,7 @@ def judge(
     def made(plainer_than: Correction | None = None) -> tuple[Selected, Matched | None, str]:
         result_folder = None if folder is None else Path(folder) / RESULT
         selected = select_points(candidates.features, model, options, accept=accept,
-                                 plainer_than=plainer_than, seed=seed, out=result_folder)
+                                 plainer_than=plainer_than, seed=seed, folder=result_folder)
         lines = None
         unused = ""
         if vectors is not None:
@@ -178,8 +181,9 @@ def judge(
             try:
                 lines = iterate_lines(image, vectors, model, options, dem=dem, start=at,
                                       search=_SEARCH, band=matching.get("band"), seed=seed)
-                selected = with_lines(selected, lines.features, seed=seed, out=result_folder)
-            except TermselError as error:  # the points suffice
+                selected = with_lines(selected, lines.features, seed=seed, folder=result_folder)
+            except TermselError as error:
+                # The points suffice.
                 lines = None
                 unused = error.what
         return selected, lines, unused
@@ -196,22 +200,27 @@ def judge(
         richest = selected.called_for or selected.correction
         try:
             selected, lines, unused = made(selected.correction)
-        except TermselError:  # the one that is in the folder stays, and is refused
+        except TermselError:
+            # The one that is in the folder stays, and is refused.
             break
         selected = replace(selected, called_for=richest)
         evidence, bounds = said_of(selected)
     return Georeferenced(
-        candidates, selected, evidence, accept, reasons(selected, evidence, accept),
-        remarks(candidates, selected, evidence, accept), lines, unused, bounds)
+        candidates=candidates, selected=selected, evidence=evidence, accept=accept,
+        reasons=reasons(selected, evidence, accept),
+        remarks=remarks(candidates, selected, evidence, accept), lines=lines, unused=unused,
+        bounds=bounds)
 
 
 def model_for(start: Path | str | None, image: Path) -> tuple[str, dict[str, Any]]:
     """Return the model by what there is to refine, and its options."""
     path = image if start is None else Path(start)
-    if path.is_dir():  # a result, which keeps its RPC as it was
+    # A result, which keeps its RPC as it was.
+    if path.is_dir():
         options = read_result(path).options["model"]
         return ("rpc-drift", {"rpc": options["rpc"]}) if "rpc" in options else ("affine", {})
-    with suppress(TermselError):  # a start of another kind, which match_points has read
+    # A start of another kind, which match_points has read.
+    with suppress(TermselError):
         if path.is_file():
             read_rpc(path)
             return "rpc-drift", {"rpc": str(path)}
@@ -225,21 +234,25 @@ def _evidence(image: Path | str, reference: Path | str | None, candidates: Candi
     result = selected.result
     bounds = None
     repeats = (0.0, 0.0)
-    whole = np.ones((COVERS, COVERS), dtype=bool)
+    # All of the image, as places spread evenly over it.
+    everywhere = np.ones((COVERS, COVERS), dtype=bool)
     with open_masked(image, None, masks) as picture, \
             open_dem(Path(dem), candidates.crs) as heights:
         if reference is None:
-            shown = picture.known_at(grid(picture.size, whole.shape)).reshape(whole.shape)
+            overlap = picture.known_at(grid(picture.size,
+                                            everywhere.shape)).reshape(everywhere.shape)
         else:
             model = Start("the model", candidates.crs, 0.0, result.project, result.locate)
-            shown, outline, repeats = _shown(references_of(reference), picture, model, dem, masks,
+            overlap, outline, repeats = _shown(references_of(reference), picture, model, dem, masks,
                                     candidates.crs)
-            if not shown.any():  # chips are smaller than what is looked at
-                shown = _near(candidates.points.image, picture.size, shown)
+            # Chips are smaller than what is looked at.
+            if not overlap.any():
+                # Then the places next to candidates stand for what the chips show.
+                overlap = _near(candidates.points.image, picture.size, overlap)
             if extent == "reference":
                 bounds = outline
-        evidence = evidence_of(candidates, selected, heights, shown,
-                               whole if bounds is None else shown, seed, repeats)
+        mapped = everywhere if bounds is None else overlap
+        evidence = evidence_of(candidates, selected, heights, (overlap, mapped), seed, repeats)
     return evidence, bounds
 
 
@@ -249,24 +262,27 @@ def _shown(files: list[Path], picture: GreyRaster, model: Start, dem: Path | str
 
     And at which distance the one that is most like itself is so, and how much (`repetition`).
     """
-    shown = np.zeros((COVERS, COVERS), dtype=bool)
+    overlap = np.zeros((COVERS, COVERS), dtype=bool)
     bounds = []
     repeats = (0.0, 0.0)
     for file in files:
+        # Tiles beside the image do not show it, which is no error of the whole.
         with suppress(NotShown), open_reference(file, model, dem, picture.size,
-                                                masks=masks) as other:
-            shown |= other.shown(picture)
-            bounds.append(other.bounds(crs))
-            seen = other.seen(grid(picture.size, (COVERS, COVERS)))
-            repeats = max(repeats, repetition(other.picture, seen), key=lambda one: one[1])
+                                                masks=masks) as opened:
+            overlap |= opened.shown(picture)
+            bounds.append(opened.bounds(crs))
+            at_reference = opened.seen(grid(picture.size, (COVERS, COVERS)))
+            repeats = max(repeats, repetition(opened.picture, at_reference),
+                          key=lambda repetition_: repetition_[1])
     low = np.min(bounds, axis=0)
     high = np.max(bounds, axis=0)
-    return shown, (float(low[0]), float(low[1]), float(high[2]), float(high[3])), repeats
+    return overlap, (float(low[0]), float(low[1]), float(high[2]), float(high[3])), repeats
 
 
-def _near(places: FloatArray, size: tuple[int, int], shown: Mask) -> Mask:
+def _near(positions: FloatArray, size: tuple[int, int], overlap: Mask) -> Mask:
     """Return which of the places spread over an image is the nearest to some place."""
-    near = shown.copy()
-    at = np.round(places / (np.array(size) - 1) * (np.array(shown.shape) - 1)).astype(int)
-    near[tuple(np.clip(at, 0, np.array(shown.shape) - 1).T)] = True
+    near = overlap.copy()
+    # From pixels to the nearest of the places that are spread evenly.
+    at = np.round(positions / (np.array(size) - 1) * (np.array(overlap.shape) - 1)).astype(int)
+    near[tuple(np.clip(at, 0, np.array(overlap.shape) - 1).T)] = True
     return near

@@ -37,6 +37,7 @@ class Number(click.FloatRange):
                 ctx: click.Context | None) -> float:
         """Return the number."""
         number = float(super().convert(value, param, ctx))
+        # nan is the only number that is not itself, and no limit excludes it.
         return number if number == number else self.fail(f"{value!r} is no number.", param, ctx)
 
 
@@ -87,8 +88,8 @@ def matcher_of(name: str | None, settings: tuple[str, ...]) -> Matcher | None:
         if not (key and sign):
             raise TermselError(f"--set {text!r} is not KEY=VALUE",
                                hint="Give an option and its value, such as weights=FILE.")
-    made: Matcher = get("matchers", name)(**{key: value for key, _, value in pairs})
-    return made
+    matcher: Matcher = get("matchers", name)(**{key: value for key, _, value in pairs})
+    return matcher
 
 
 @click.command("match-points")
@@ -128,8 +129,9 @@ def match_points(image: Path, reference: Path, output: Path, overwrite: bool, qu
     click.echo(f"{len(candidates.points)} candidates in {candidates.cells.get('found', 0)} of "
                f"{cells} cells of the image, CRS {crs}")
     click.echo(f"Written: {output}", err=True)
-    again = next_map(image, reference, output, options["dem"], options["start"], options["masks"])
-    click.echo(f"Next: {again}", err=True)
+    next_command = next_map(image, reference, output, options["dem"], options["start"],
+                            options["masks"])
+    click.echo(f"Next: {next_command}", err=True)
 
 
 @click.command("match-lines")
@@ -175,7 +177,8 @@ def match_lines(image: Path, vectors: Path, iterate: bool, folder: Path | None, 
     show_log()
     with bar("match-lines", quiet) as progress:
         if iterate:
-            done = iterate_lines(image, vectors, *model_for(options["start"], image), out=folder,
+            # The model of the lines is that which the start allows: an RPC's correction, or affine.
+            done = iterate_lines(image, vectors, *model_for(options["start"], image), folder=folder,
                                  progress=progress, **options)
             lines = done.lines
             crs = done.candidates.crs
@@ -297,8 +300,8 @@ def auto_georeference(context: click.Context, /, image: Path, output: Path, fold
     if done.reasons:
         click.echo("No map was written.", err=True)
         context.exit(NOT_GOOD_ENOUGH)
-    looked = f"; look at {counted(len(done.remarks), 'remark')} above" if done.remarks else ""
-    click.echo(f"Written: {output}{looked}", err=True)
+    advice = f"; look at {counted(len(done.remarks), 'remark')} above" if done.remarks else ""
+    click.echo(f"Written: {output}{advice}", err=True)
 
 
 @click.command("match-example")
@@ -335,7 +338,8 @@ def next_map(image: Path, reference: Path, points: Path, dem: Path | None,
              "--reference", quote(str(reference)),
              "--dem", "DEM" if dem is None else quote(str(dem))]
     words += [] if start is None else ["--start", quote(start)]
-    words += [word for mask in masks for word in ("--mask", quote(mask))]
+    for mask in masks:
+        words += ["--mask", quote(mask)]
     return " ".join([*words, "-o map.tif --out result"])
 
 
@@ -346,6 +350,7 @@ def next_run(start: str | None, image: Path, lines: Path) -> str:
     model, options = model_for(start, image)
     rpc = ""
     if model == "rpc-drift":
+        # A result keeps its RPC in its own files, whose name the user has to give.
         of_result = start is not None and Path(start).is_dir()
         rpc = f" --set rpc={'RPC_FILE' if of_result else quote(options['rpc'])}"
     return (f"termsel run --problem matched-lines --model {model}{rpc} --lines {quote(str(lines))} "
@@ -363,6 +368,7 @@ def refuse_folder(folder: Path | None) -> None:
         return
     if folder.exists():
         raise TermselError("this folder exists already", file=folder, hint="Name a new one.")
+    # The nearest folder above that exists must allow new ones.
     above = next(parent for parent in folder.absolute().parents if parent.exists())
     if not above.is_dir() or not os.access(above, os.W_OK):
         raise TermselError(f"cannot make this folder: {above} is no folder to write to",
@@ -394,15 +400,15 @@ def bar(title: str, quiet: bool) -> Iterator[Callable[[float], None] | None]:
         yield None
         return
     if sys.stderr.isatty():
-        with click.progressbar(length=1000, label=title, file=sys.stderr) as shown:
-            yield lambda share: shown.update(round(1000 * share) - shown.pos)
+        with click.progressbar(length=1000, label=title, file=sys.stderr) as progress_bar:
+            yield lambda share: progress_bar.update(round(1000 * share) - progress_bar.pos)
         return
-    said = monotonic()
+    last_report = monotonic()
 
     def say(share: float) -> None:
-        nonlocal said
-        if monotonic() - said >= EVERY:
-            said = monotonic()
+        nonlocal last_report
+        if monotonic() - last_report >= EVERY:
+            last_report = monotonic()
             click.echo(f"{title}: {100 * share:.0f} %", err=True)
 
     yield say

@@ -12,6 +12,7 @@ from termsel import FeatureSet
 def searched(problem: str, features: FeatureSet, model: str, options: Mapping[str, Any], *,
              seed: int, criterion: str | None = None) -> tuple[str, ...]:
     """Return the features that a search selects, without the comparisons that a run makes."""
+    # As `termsel run` prepares it, so that options and defaults are the same.
     task = termsel.prepare(problem, features=features, model=model, criterion=criterion,
                            options=dict(options))
     best = termsel.search(task.problem, task.solver, seed=seed,

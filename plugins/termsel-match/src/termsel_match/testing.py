@@ -18,12 +18,16 @@ from termsel.toolkit import (
 from termsel_match.matchers import Matcher, Matches, Window, fault
 
 SEARCH = 20.0
-_SIDE, _BORDER = 160, 24  # px of the first window, and of the second around it
-_SHIFT = (7.0, -5.0)  # px: the second shows the ground so much further down and to the left
-_NEAR = 2.0  # px
-_LEAST = 8
-_SHARE = 0.5  # of the matches that must be right
-_TRIES = 3
+# In px of the first window, and of the second around it.
+_WINDOW_SIDE, _WINDOW_BORDER = 160, 24
+# In px: the second shows the ground so much further down and to the left.
+_TRUE_SHIFT = (7.0, -5.0)
+# In px.
+_NEAR = 2.0
+_MIN_RIGHT = 8
+# Of the matches that must be right.
+_RIGHT_SHARE = 0.5
+_SEEDS = 3
 
 
 def declaration(matcher: Matcher) -> None:
@@ -33,25 +37,26 @@ def declaration(matcher: Matcher) -> None:
 
 def finds_a_shift(matcher: Matcher) -> None:
     """Of the matches of two windows that differ by noise and a shift, half and more are right."""
-    for seed in range(_TRIES):
+    for seed in range(_SEEDS):
         first, second = _pair(seed)
         matches = _matched(matcher, first, second)
-        away = matches.second + second.origin - matches.first - first.origin - _SHIFT
+        # Where the second shows what the first has, less the shift that was made.
+        away = matches.second + second.origin - matches.first - first.origin - _TRUE_SHIFT
         right = np.linalg.norm(away, axis=1) < _NEAR
-        require(right.sum() >= _LEAST and right.mean() >= _SHARE,
+        require(right.sum() >= _MIN_RIGHT and right.mean() >= _RIGHT_SHARE,
                 f"of {len(right)} matches of two alike windows {int(right.sum())} are right; "
-                f"expected {_LEAST} and more, and at least half")
+                f"expected {_MIN_RIGHT} and more, and at least half")
 
 
 def stays_within_the_windows(matcher: Matcher) -> None:
     """Places are within the windows, and none is where there are no data."""
     first, second = _pair(0)
-    known = first.known.copy()
-    known[:, :_SIDE // 2] = False
-    matches = _matched(matcher, Window(first.pixels, known, first.origin), second)
-    for places, window, name in ((matches.first, Window(first.pixels, known), "first"),
-                                 (matches.second, second, "second")):
-        at = np.round(places).astype(int)
+    is_known = first.known.copy()
+    is_known[:, :_WINDOW_SIDE // 2] = False
+    matches = _matched(matcher, Window(first.pixels, is_known, first.origin), second)
+    for positions, window, name in ((matches.first, Window(first.pixels, is_known), "first"),
+                                    (matches.second, second, "second")):
+        at = np.round(positions).astype(int)
         require(((at >= 0) & (at < window.known.shape)).all(),
                 f"places are beyond the {name} window")
         require(window.known[tuple(at.T)].all(), f"places of the {name} window have no data")
@@ -64,26 +69,26 @@ def nothing_where_nothing_is(matcher: Matcher) -> None:
     empty = Window(first.pixels, np.zeros_like(first.known), first.origin)
     _matched(matcher, flat, second)
     _matched(matcher, flat, Window(np.full_like(second.pixels, 7), second.known, second.origin))
-    found = len(_matched(matcher, empty, second).first)
-    require(found == 0, f"a window without data has {found} matches")
+    n_matches = len(_matched(matcher, empty, second).first)
+    require(n_matches == 0, f"a window without data has {n_matches} matches")
 
 
 def small_windows(matcher: Matcher) -> None:
     """Windows of a few pixels, as at the edge of an image, give no fault."""
     first, second = _pair(0)
-    for side in (1, 5, 30):
-        _matched(matcher, Window(first.pixels[:side, :side], first.known[:side, :side]),
-                 Window(second.pixels[:side, :2 * side], second.known[:side, :2 * side]))
+    for extent in (1, 5, 30):
+        _matched(matcher, Window(first.pixels[:extent, :extent], first.known[:extent, :extent]),
+                 Window(second.pixels[:extent, :2 * extent], second.known[:extent, :2 * extent]))
 
 
 def repeats(matcher: Matcher) -> None:
     """The same windows give the same matches again, in another process too."""
     first, second = _pair(0)
     once = _matched(matcher, first, second)
-    for other in (matcher, pickled(matcher)):
-        again = _matched(other, first, second)
-        require(np.array_equal(once.first, again.first)
-                and np.array_equal(once.second, again.second),
+    for same_matcher in (matcher, pickled(matcher)):
+        repeated = _matched(same_matcher, first, second)
+        require(np.array_equal(once.first, repeated.first)
+                and np.array_equal(once.second, repeated.second),
                 "match() of the same windows differs from one call or process to the next")
 
 
@@ -106,30 +111,33 @@ SUITE = Suite((declaration, finds_a_shift, stays_within_the_windows, nothing_whe
 
 def _matched(matcher: Matcher, first: Window, second: Window) -> Matches:
     matches = matcher.match(first, second, SEARCH)
-    said = fault(matcher, matches)
-    require(said is None, f"match() {said}")
+    problem = fault(matcher, matches)
+    require(problem is None, f"match() {problem}")
     return matches
 
 
 def _pair(seed: int) -> tuple[Window, Window]:
     """Return two windows of ground with fields, houses and texture, with noise of their own."""
     rng = np.random.default_rng(seed)
-    side = _SIDE + 2 * (_BORDER + 16)
-    ground = cv2.GaussianBlur(rng.normal(0, 60, (side, side)).astype(np.float32), (0, 0), 2.0)
+    extent = _WINDOW_SIDE + 2 * (_WINDOW_BORDER + 16)
+    ground = cv2.GaussianBlur(rng.normal(0, 60, (extent, extent)).astype(np.float32), (0, 0), 2.0)
     for _ in range(60):
-        top, left = rng.integers(0, side - 8, 2).tolist()
+        first_line, first_sample = rng.integers(0, extent - 8, 2).tolist()
         high, wide = rng.integers(6, 30, 2).tolist()
-        ground[top:top + high, left:left + wide] += float(rng.normal(0, 40))
+        ground[first_line:first_line + high,
+               first_sample:first_sample + wide] += float(rng.normal(0, 40))
     ground = cv2.GaussianBlur(ground, (0, 0), 0.8) + 500
 
-    def seen(corner: tuple[int, int], extent: int) -> Window:
-        top, left = corner
-        pixels = ground[top:top + extent, left:left + extent] \
-            + rng.normal(0, 2, (extent, extent)).astype(np.float32)
-        return Window(pixels.astype(np.float32), np.ones((extent, extent), dtype=bool))
+    def seen(corner: tuple[int, int], size: int) -> Window:
+        first_line, first_sample = corner
+        pixels = ground[first_line:first_line + size, first_sample:first_sample + size] \
+            + rng.normal(0, 2, (size, size)).astype(np.float32)
+        return Window(pixels.astype(np.float32), np.ones((size, size), dtype=bool))
 
-    inner = _BORDER + 16
-    first = seen((inner, inner), _SIDE)
+    inner = _WINDOW_BORDER + 16
+    first = seen((inner, inner), _WINDOW_SIDE)
     # What is at p in the first is at p + border + shift in the second.
-    second = seen((16 - int(_SHIFT[0]), 16 - int(_SHIFT[1])), _SIDE + 2 * _BORDER)
-    return first, Window(second.pixels, second.known, (-float(_BORDER), -float(_BORDER)))
+    second = seen((16 - int(_TRUE_SHIFT[0]), 16 - int(_TRUE_SHIFT[1])),
+                  _WINDOW_SIDE + 2 * _WINDOW_BORDER)
+    return first, Window(second.pixels, second.known,
+                         (-float(_WINDOW_BORDER), -float(_WINDOW_BORDER)))

@@ -123,8 +123,7 @@ def _refuse_alone(images: Sequence[BlockImage], ties: Ties, path: Path) -> None:
             len(in_use(image.features)) + len(image.features.lines))
         if n + n_control < _MIN_FEATURES:
             raise TermselError(f"image {image.name!r} has {n} ties and {n_control} control "
-                               "features, so "
-                               "that nothing joins it to the block", file=path,
+                               "features, so that nothing joins it to the block", file=path,
                                hint=f"Give it {_MIN_FEATURES} ties or more, or remove it.")
 
 
@@ -184,16 +183,14 @@ def _check_names(names: Sequence[str], path: Path) -> None:
                 or not name.isprintable() or len(name.encode()) > _LONGEST:
             short_name = name if len(name) <= _LONGEST else f"{name[:20]}..."
             raise TermselError(f"{short_name!r} cannot be the name of an image, whose result gets "
-                               "a "
-                               "folder of that name", file=path,
+                               "a folder of that name", file=path,
                                hint=f"Use letters, digits, - and _, and at most {_LONGEST} bytes.")
     # Windows and macOS do not tell capitals in names of files.
     for folder, count in Counter(name.casefold() for name in names).items():
         if count > 1:
             same_folder = [repr(name) for name in names if name.casefold() == folder]
             raise TermselError(f"the images {' and '.join(same_folder)} would share one folder "
-                               "where "
-                               "file names have no case", file=path,
+                               "where file names have no case", file=path,
                                hint="Give them names that differ in more than capitals.")
     if len(names) < 2:
         raise TermselError(f"a block of {len(names)} images has no ties", file=path,

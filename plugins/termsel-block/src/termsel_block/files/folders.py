@@ -55,8 +55,7 @@ def claim(folder: Path, names: list[str], *, overwrite: bool, reads: Iterable[Pa
            if name.casefold() in (RECORD, SUMMARY, PAGE, TIES, SCHEMA_FILE)]
     if reserved:
         raise TermselError(f"{reserved[0]!r} cannot be the name of an image: the block has a file "
-                           "of "
-                           "that name", hint="Give the image another name.")
+                           "of that name", hint="Give the image another name.")
     require_replaceable([folder / name for name in (RECORD, SUMMARY, PAGE, TIES, SCHEMA_FILE)],
                         reads=reads, overwrite=True, makes_folder=True)
     if (folder / RECORD).exists() and not overwrite:
@@ -175,9 +174,9 @@ def image_result(result: BlockResult, i: int, record: BlockRecord) -> Result:
     note = (f"The places of {int(state.in_use[i].sum())} ties come from a block of "
             f"{len(record.images)} images. By the block points in this image have an RMSE of "
             f"{image_record.predicted:.2f} px, with an interval of 90 % from "
-            f"{image_record.low:.2f} to "
-            f"{image_record.high:.2f} px. What the ties have in common is part of that, and of the "
-            "uncertainty, not of the residuals. Blunders among control and ties are named by the "
+            f"{image_record.low:.2f} to {image_record.high:.2f} px. What the ties have in common "
+            "is part of that, and of the uncertainty, not of the residuals. Blunders among "
+            "control and ties are named by the "
             "block.")
     # What the block's covariance says more than the image's own fit does.
     shared = shared_sigma(result, i, features, fitted.sigma(features.points.ground))

@@ -23,14 +23,22 @@ log = logging.getLogger("termsel.match")
 NONE = "none"
 """Name of a mask that is none: clouds and water are looked at, too."""
 
-_LOOK = 400  # px along either side of the reduced image from which thresholds are learned
-_APART = 0.75  # of all variance, between two classes that are really two
-_BRIGHT = 1.8  # times the median of the rest: clouds
-_GREY = 0.25  # relative difference of visible bands of clouds
-_DARK = 0.6  # times the median near infrared of the rest: water
-_WIDE = 9  # px, reduced: smaller areas are roofs and shadows
-_GLOBE = np.array([360.0, 90.0])  # deg of longitude and latitude
-_FEW = 0.002  # part of the image, below which nothing is masked
+# In px along either side of the reduced image from which thresholds are learned.
+_LEARNED_SIDE = 400
+# Of all variance, between two classes that are really two.
+_MIN_SEPARATION = 0.75
+# Times the median of the rest: clouds.
+_CLOUD_BRIGHTNESS = 1.8
+# Relative difference of visible bands of clouds.
+_GREY = 0.25
+# Times the median near infrared of the rest: water.
+_WATER_DARKNESS = 0.6
+# In px, reduced: smaller areas are roofs and shadows.
+_MIN_WIDTH = 9
+# Deg of longitude and latitude.
+_GLOBE = np.array([360.0, 90.0])
+# Part of the image, below which nothing is masked.
+_MIN_PART = 0.002
 
 Excluded = Callable[[int, int, tuple[int, int], int], Mask]
 
@@ -56,12 +64,16 @@ def open_masked(path: Path | str, band: int | None, masks: Sequence[Path | str],
         If a file cannot be read, or has no polygons.
     """
     with open_picture(path, band) as picture:
-        excluded = tuple(_drawn([_in_px(part) for part in shapes])
-                         for name in masks if str(name) != NONE
-                         for shapes, crs in [polygons(name)] if not crs)
+        excluded = []
+        for name in masks:
+            if str(name) == NONE:
+                continue
+            shapes, crs = polygons(name)
+            if not crs:
+                excluded.append(_drawn([_in_px(shape) for shape in shapes]))
         if not masks:
-            excluded = by_bands(picture)
-        yield replace(picture, excluded=excluded)
+            excluded = list(by_bands(picture))
+        yield replace(picture, excluded=tuple(excluded))
 
 
 def polygons(path: Path | str) -> tuple[NDArray[Any], str]:
@@ -79,11 +91,12 @@ def polygons(path: Path | str) -> tuple[NDArray[Any], str]:
                            hint="Draw areas, and save them in a layer of polygons.")
     crs = str(meta["crs"] or "")
     areas = shapely.force_2d(areas)
-    places = shapely.get_coordinates(areas)
-    if not np.isfinite(places).all():
+    coordinates = shapely.get_coordinates(areas)
+    if not np.isfinite(coordinates).all():
         raise TermselError("a polygon of this mask has a coordinate that is no number", file=path,
                            hint="Draw it again.")
-    if crs and CRS.from_user_input(crs).is_geographic and (np.abs(places) > _GLOBE).any():
+    # GeoJSON claims degrees for everything: what is none on the globe is in px.
+    if crs and CRS.from_user_input(crs).is_geographic and (np.abs(coordinates) > _GLOBE).any():
         crs = ""
     return areas, crs
 
@@ -102,25 +115,27 @@ def on_the_ground(masks: Sequence[Path | str], crs: str, transform: Any) -> tupl
     """
     from pyproj import Transformer
 
-    found = []
+    excluded = []
     for name in masks:
         if str(name) == NONE:
             continue
-        shapes, own = polygons(name)
-        if not own:
+        shapes, mask_crs = polygons(name)
+        if not mask_crs:
             continue
-        turn = Transformer.from_crs(own, crs, always_xy=True)
+        turn = Transformer.from_crs(mask_crs, crs, always_xy=True)
 
-        def to_px(places: FloatArray, turn: Any = turn, name: Path | str = name) -> FloatArray:
-            x, y = turn.transform(places[:, 0], places[:, 1])
+        def to_px(coordinates: FloatArray, turn: Any = turn, name: Path | str = name) -> FloatArray:
+            x, y = turn.transform(coordinates[:, 0], coordinates[:, 1])
             if not np.isfinite([x, y]).all():
                 raise TermselError("polygons of this mask have no place in the CRS of the "
                                    "reference", file=name,
                                    hint="Is their CRS right? Draw them near the image.")
+            # The inverse of the geotransform: from coordinates to columns and rows of the
+            # reference.
             return np.column_stack(~transform @ (np.asarray(x), np.asarray(y)))
 
-        found.append(_drawn([shapely.transform(shape, to_px) for shape in shapes]))
-    return tuple(found)
+        excluded.append(_drawn([shapely.transform(shape, to_px) for shape in shapes]))
+    return tuple(excluded)
 
 
 def tell_of_idle(masks: Sequence[Path | str], images: Sequence[Path | str],
@@ -142,16 +157,16 @@ def tell_of_idle(masks: Sequence[Path | str], images: Sequence[Path | str],
         shapes, crs = polygons(name)
         if crs:
             idle = not any(_touch(shapes, _bounds(file, crs)) for file in references)
-            where = "any reference"
+            target = "any reference"
         else:
             shapes = np.array([_in_px(shape) for shape in shapes])
             idle = not any(_touch(shapes, _bounds(file)) for file in images)
-            where = "the image"
+            target = "the image"
         if idle:
             hint = (" Save polygons that are in px in a GeoPackage without a CRS: GeoJSON has "
                     "degrees." if crs else " Draw them in px of the image.")
             log.warning("Warning: the mask %s hides nothing: its polygons do not touch %s.%s",
-                        name, where, hint)
+                        name, target, hint)
 
 
 def _bounds(path: Path | str, crs: str = "") -> tuple[float, ...] | None:
@@ -167,10 +182,10 @@ def _bounds(path: Path | str, crs: str = "") -> tuple[float, ...] | None:
         if raster.crs is None:
             return None
         try:
-            found = transform_bounds(raster.crs, CRS.from_user_input(crs), *raster.bounds)
+            bounds = transform_bounds(raster.crs, CRS.from_user_input(crs), *raster.bounds)
         except CRSError:
             return None
-    return tuple(found) if np.isfinite(found).all() else None
+    return tuple(bounds) if np.isfinite(bounds).all() else None
 
 
 def _touch(shapes: NDArray[Any], bounds: tuple[float, ...] | None) -> bool:
@@ -180,18 +195,21 @@ def _touch(shapes: NDArray[Any], bounds: tuple[float, ...] | None) -> bool:
 
 def _in_px(shape: Any) -> Any:
     """Return a polygon in columns and rows from the corner of the first pixel."""
-    places = shapely.get_coordinates(shape)
-    down = -1.0 if (places[:, 1] <= 0).all() else 1.0
+    coordinates = shapely.get_coordinates(shape)
+    # QGIS draws an image without CRS below the axis, with negative y.
+    down = -1.0 if (coordinates[:, 1] <= 0).all() else 1.0
     return shapely.transform(shape, lambda xy: xy * [1.0, down])
 
 
 def _drawn(shapes: list[Any]) -> Excluded:
     """Return where windows are in polygons, which are in columns and rows."""
-    def drawn(top: int, left: int, shape: tuple[int, int], step: int) -> Mask:
+    def drawn(first_line: int, first_sample: int, shape: tuple[int, int], step: int) -> Mask:
         from rasterio.features import rasterize
         from rasterio.transform import Affine
 
-        window = Affine(step, 0, left, 0, step, top)
+        # Pixel (row, column) of the window is at first line + step * row, first sample + step *
+        # column.
+        window = Affine(step, 0, first_sample, 0, step, first_line)
         return np.asarray(rasterize(shapes, out_shape=shape, transform=window, all_touched=True,
                                     dtype="uint8") > 0)
 
@@ -214,17 +232,17 @@ def bands_of(raster: Any) -> Bands:
     Four bands of which nothing is said are blue, green, red and near infrared, as of most
     satellites.
     """
-    said: dict[str, int] = {}
+    stated: dict[str, int] = {}
     for index, kind, text in zip(raster.indexes, raster.colorinterp, raster.descriptions,
                                  strict=True):
         words = {kind.name.lower(), *(text or "").lower().replace("-", " ").split()}
         for name, signs in (("red", {"red"}), ("green", {"green"}), ("blue", {"blue"}),
                             ("infrared", {"nir", "infrared", "nir1"})):
             if signs & words:
-                said.setdefault(name, index)
-    if not said and raster.count == 4:
+                stated.setdefault(name, index)
+    if not stated and raster.count == 4:
         return Bands(3, 2, 1, 4)
-    return Bands(*(said.get(name, 0) for name in ("red", "green", "blue", "infrared")))
+    return Bands(*(stated.get(name, 0) for name in ("red", "green", "blue", "infrared")))
 
 
 def by_bands(picture: GreyRaster) -> tuple[Excluded, ...]:
@@ -241,58 +259,66 @@ def by_bands(picture: GreyRaster) -> tuple[Excluded, ...]:
     water index (NDWI). International Journal of Remote Sensing 17(7), 1425-1432.
     """
     bands = bands_of(picture.raster)
-    found = []
-    step = max(1, max(picture.size) // _LOOK)
+    excluded_areas = []
+    # Thresholds are learned from a reduced image; the same threshold then holds for all windows.
+    step = max(1, max(picture.size) // _LEARNED_SIDE)
     shape = picture.size[0] // step, picture.size[1] // step
 
     def learned(name: str, used: tuple[int, ...], index: Callable[[FloatArray], FloatArray],
                 likely: Callable[[FloatArray, Mask, Mask], bool]) -> None:
-        part = replace(picture, bands=used)
-        values, known = read_bands(part, 0, 0, shape, step)
-        if not known.any():
+        of_bands = replace(picture, bands=used)
+        values, is_known = read_bands(of_bands, 0, 0, shape, step)
+        if not is_known.any():
             return
-        limit, apart = otsu(index(values)[known])
-        high = known & (index(values) > limit)
-        if apart < _APART or high.mean() < _FEW or not likely(values, high, known & ~high):
+        # Otsu's threshold is the one between two classes; how well it divides says if they are two.
+        limit, separation = otsu(index(values)[is_known])
+        high = is_known & (index(values) > limit)
+        if separation < _MIN_SEPARATION or high.mean() < _MIN_PART or not likely(values, high,
+                                                                                 is_known & ~high):
             return
         log.info("Note: %.0f %% of the image is %s, where nothing is matched (--mask none).",
                  100 * _wide(high).mean(), name)
 
-        def excluded(top: int, left: int, shape: tuple[int, int], step: int) -> Mask:
-            values, known = read_bands(part, top, left, shape, step)
-            return _wide(known & (index(values) > limit))
+        def excluded(first_line: int, first_sample: int, shape: tuple[int, int], step: int) -> Mask:
+            values, is_known = read_bands(of_bands, first_line, first_sample, shape, step)
+            return _wide(is_known & (index(values) > limit))
 
-        found.append(excluded)
+        excluded_areas.append(excluded)
 
     visible = tuple(band for band in (bands.red, bands.green, bands.blue) if band)
     if bands.green and bands.infrared:
+        # Water is dark in the near infrared, which vegetation and soil are not.
         def is_water(values: FloatArray, water: Mask, land: Mask) -> bool:
-            return bool(np.median(values[1][water]) < _DARK * np.median(values[1][land]))
+            return bool(np.median(values[1][water]) < _WATER_DARKNESS * np.median(values[1][land]))
 
         learned("water", (bands.green, bands.infrared), lambda values: np.asarray(
             (values[0] - values[1]) / np.maximum(values[0] + values[1], 1e-6)), is_water)
     if len(visible) == 3:
+        # Clouds are brighter than the ground in all visible bands, and about alike in each: grey.
         def is_cloud(values: FloatArray, cloud: Mask, land: Mask) -> bool:
             medians = np.array([np.median(value[cloud]) / max(float(np.median(value[land])), 1e-6)
                                 for value in values])
-            return bool(medians.min() > _BRIGHT
+            return bool(medians.min() > _CLOUD_BRIGHTNESS
                         and medians.max() - medians.min() < _GREY * medians.max())
 
         learned("cloud", visible, lambda values: np.asarray(values.min(axis=0)), is_cloud)
-    return tuple(found)
+    return tuple(excluded_areas)
 
 
-def read_bands(picture: GreyRaster, top: int, left: int, shape: tuple[int, int], step: int,
+def read_bands(picture: GreyRaster, first_line: int, first_sample: int, shape: tuple[int, int],
+               step: int,
                ) -> tuple[FloatArray, Mask]:
     """Return the values of each band of a window, (c, lines, samples), and where all are known."""
-    parts = [replace(picture, bands=(band,), excluded=()).read(
-        top, left, shape[0] * step, shape[1] * step, step) for band in picture.bands]
-    return (np.stack([part[0] for part in parts]).astype(np.float64),
-            np.logical_and.reduce([known for _, known in parts]))
+    windows = [replace(picture, bands=(band,), excluded=()).read(
+        first_line, first_sample, shape[0] * step, shape[1] * step, step) for band in picture.bands]
+    # Known is what all bands know.
+    return (np.stack([window[0] for window in windows]).astype(np.float64),
+            np.logical_and.reduce([is_known for _, is_known in windows]))
 
 
 def otsu(values: FloatArray) -> tuple[float, float]:
     """Return the threshold that divides values best, and the part of their variance between."""
+    # Otsu: the variance between both classes, (m t - m_t)^2 / (t (1 - t)), is largest.
     count, edges = np.histogram(values, 256)
     middle = (edges[1:] + edges[:-1]) / 2
     share = count / count.sum()
@@ -307,8 +333,9 @@ def otsu(values: FloatArray) -> tuple[float, float]:
     return float(edges[best + 1]), float(between[best] / variance) if variance > 0 else 0.0
 
 
-def _wide(where: Mask) -> Mask:
+def _wide(mask: Mask) -> Mask:
     """Return areas that are wide, with what lies around them."""
-    wide = cv2.morphologyEx(where.astype(np.uint8), cv2.MORPH_OPEN,
-                            np.ones((_WIDE, _WIDE), np.uint8))
-    return np.asarray(cv2.dilate(wide, np.ones((_WIDE, _WIDE), np.uint8)) > 0)
+    # Opening removes what is narrower than the square, dilation adds the seam of a cloud.
+    wide = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN,
+                            np.ones((_MIN_WIDTH, _MIN_WIDTH), np.uint8))
+    return np.asarray(cv2.dilate(wide, np.ones((_MIN_WIDTH, _MIN_WIDTH), np.uint8)) > 0)

@@ -16,11 +16,15 @@ from termsel_match.matchers.sift import alike, described
 
 log = logging.getLogger("termsel.match")
 
-_LONG = 4e8  # px of all bands, which take some 3 s
-_SIDE = 1000  # px of what is compared
+# In px of all bands, which take some 3 s.
+_MANY_PIXELS = 4e8
+# In px of what is compared.
+_REDUCED_SIDE = 1000
 _RATIO = 0.8
-_LEAST, _SHARE = 12, 0.1  # pairs that agree, and their share of all
-_TOLERANCE = 12.0  # px, reduced: relief and perspective are not affine
+# Pairs that agree, and their share of all.
+_MIN_PAIRS, _MIN_SHARE = 12, 0.1
+# In px, reduced: relief and perspective are not affine.
+_TOLERANCE = 12.0
 
 
 def start_by_overview(picture: GreyRaster, reference: Path | str, band: int | None) -> Start:
@@ -42,49 +46,56 @@ def start_by_overview(picture: GreyRaster, reference: Path | str, band: int | No
     TermselError
         If too few pairs agree, or the reference has no CRS.
     """
-    with open_picture(reference, band) as other:
-        crs = crs_of(other)
-        transform = other.raster.transform
-        for one in (picture, other):
-            _say_if_long(one)
-        own, own_vectors = _reduced(picture)
-        seen, vectors = _reduced(other)
-    own_number, number = alike(own_vectors, vectors, _RATIO)
-    agree = np.zeros(len(own_number), dtype=bool)
-    if len(own_number) >= _LEAST:
+    with open_picture(reference, band) as reference_picture:
+        crs = crs_of(reference_picture)
+        transform = reference_picture.raster.transform
+        for opened in (picture, reference_picture):
+            _say_if_long(opened)
+        at_image, image_vectors = _reduced(picture)
+        at_reference, reference_vectors = _reduced(reference_picture)
+    # Pairs of keypoints whose descriptors are each other's nearest.
+    image_number, reference_number = alike(image_vectors, reference_vectors, _RATIO)
+    agree = np.zeros(len(image_number), dtype=bool)
+    if len(image_number) >= _MIN_PAIRS:
         # From the reference to the image, in whose pixels the tolerance is.
         _, inliers = cv2.estimateAffine2D(
-            seen[number], own[own_number], method=cv2.USAC_MAGSAC, maxIters=20000,
+            at_reference[reference_number], at_image[image_number], method=cv2.USAC_MAGSAC,
+            maxIters=20000,
             ransacReprojThreshold=_TOLERANCE * _step(picture.size))
         if inliers is not None:
             agree = np.asarray(inliers).ravel().astype(bool)
-    if agree.sum() < max(_LEAST, _SHARE * len(own_number)):
+    if agree.sum() < max(_MIN_PAIRS, _MIN_SHARE * len(image_number)):
         raise TermselError(
             f"without a start the image is not found in the reference: {int(agree.sum())} of "
-            f"{len(own_number)} similar places agree", file=picture.path,
+            f"{len(image_number)} similar places agree", file=picture.path,
             hint="Give --start with an RPC, a result or some points.")
-    x, y = transform @ (seen[number[agree], 1] + 0.5, seen[number[agree], 0] + 0.5)
+    # Centres of pixels are half a pixel from their corners, which the geotransform counts.
+    x, y = transform @ (at_reference[reference_number[agree], 1] + 0.5,
+                        at_reference[reference_number[agree], 0] + 0.5)
+    # A keypoint may have two directions, and then comes twice.
     _, unique = np.unique(np.column_stack([x, y]), axis=0, return_index=True)
     ground = np.column_stack([x, y, np.full(len(x), np.nan)])[unique]
-    points = Points(tuple(map(str, range(len(unique)))), own[own_number[agree]][unique], ground)
+    points = Points(tuple(map(str, range(len(unique)))), at_image[image_number[agree]][unique],
+                    ground)
     return start_by_points(FeatureSet(points, crs=crs),
                            f"an affine transformation by {len(points)} places that are alike")
 
 
 def _say_if_long(picture: GreyRaster) -> None:
     pixels = picture.size[0] * picture.size[1] * len(picture.bands)
-    if pixels > _LONG and not picture.raster.overviews(picture.bands[0]):
+    if pixels > _MANY_PIXELS and not picture.raster.overviews(picture.bands[0]):
         log.info("Note: all %d x %d px of %s are read to find the image in the reference, which "
                  "may take minutes: it has no overviews (gdaladdo makes them). A --start "
                  "saves it.", *picture.size, picture.path)
 
 
 def _step(size: tuple[int, int]) -> int:
-    return max(1, -(-max(size) // _SIDE))
+    return max(1, -(-max(size) // _REDUCED_SIDE))
 
 
 def _reduced(picture: GreyRaster) -> tuple[FloatArray, Grey]:
     """Return keypoints of a whole picture in its own pixels, and their descriptors."""
     step = _step(picture.size)
-    places, vectors = described(*picture.read(0, 0, *picture.size, step))
-    return (places + 0.5) * step - 0.5, vectors
+    keypoints, vectors = described(*picture.read(0, 0, *picture.size, step))
+    # The middle of a reduced pixel is that of the pixels it was made of.
+    return (keypoints + 0.5) * step - 0.5, vectors

@@ -22,11 +22,16 @@ Mask = NDArray[np.bool_]
 
 log = logging.getLogger("termsel.match")
 
-_DARK, _BRIGHT = 1.0, 99.0  # percentiles that become 0 and 255
-_LOOK = 200  # px along either side of a raster that is reduced to see where it has data
-_AREA = 15  # px along either side of an area of zeros that are no data
-_FEW = 16  # distinct pixels; fewer have no texture
-_BANDS = 16  # of which the mean is taken: more take their time, and change it little
+# Percentiles that become 0 and 255.
+_DARK_PERCENTILE, _BRIGHT_PERCENTILE = 1.0, 99.0
+# In px along either side of a raster that is reduced to see where it has data.
+_LOOKED_UP_SIDE = 200
+# In px along either side of an area of zeros that are no data.
+_BLANK_SIDE = 15
+# Distinct pixels; fewer have no texture.
+_MIN_PIXELS = 16
+# Of which the mean is taken: more take their time, and change it little.
+_BANDS = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,13 +60,13 @@ class GreyRaster:
         """Lines and samples [px]."""
         return int(self.raster.height), int(self.raster.width)
 
-    def read(self, top: int, left: int, lines: int, samples: int, step: int = 1,
+    def read(self, first_line: int, first_sample: int, lines: int, samples: int, step: int = 1,
              ) -> tuple[Grey, Mask]:
         """Return the pixels of a window and where it has data.
 
         Parameters
         ----------
-        top, left, lines, samples : int
+        first_line, first_sample, lines, samples : int
             The window [px]; it may extend beyond the raster, where there are no data.
         step : int
             Grey along either side of those returned, each of which is a mean; GDAL reads
@@ -70,7 +75,7 @@ class GreyRaster:
         Returns
         -------
         pixels : ndarray of float32, shape (lines // step, samples // step)
-        known : ndarray of bool, same shape
+        is_known : ndarray of bool, same shape
 
         Raises
         ------
@@ -81,51 +86,58 @@ class GreyRaster:
         from rasterio.errors import RasterioIOError
         from rasterio.windows import Window
 
+        # The part of the window that the raster has; the rest stays unknown.
         shape = lines // step, samples // step
         pixels = np.zeros(shape, dtype=np.float32)
-        known = np.zeros(shape, dtype=bool)
+        is_known = np.zeros(shape, dtype=bool)
         height, width = self.size
         # Whole steps, so that reduced pixels lie where they would without the edge.
-        first = max(-(-max(-top, 0) // step), 0), max(-(-max(-left, 0) // step), 0)
-        last = (min(shape[0], (height - top) // step), min(shape[1], (width - left) // step))
+        first = max(-(-max(-first_line, 0) // step), 0), max(-(-max(-first_sample, 0) // step), 0)
+        last = (min(shape[0], (height - first_line) // step),
+                min(shape[1], (width - first_sample) // step))
         if first[0] >= last[0] or first[1] >= last[1]:
-            return pixels, known
-        window = Window(left + first[1] * step, top + first[0] * step,
+            return pixels, is_known
+        window = Window(first_sample + first[1] * step, first_line + first[0] * step,
                         (last[1] - first[1]) * step, (last[0] - first[0]) * step)
-        inside = slice(first[0], last[0]), slice(first[1], last[1])
+        part_inside = slice(first[0], last[0]), slice(first[1], last[1])
         with np.errstate(all="ignore"):
             try:
                 grey = self.raster.read(
                     list(self.bands), window=window, masked=True, resampling=Resampling.average,
                     out_shape=(len(self.bands), last[0] - first[0], last[1] - first[1]))
-            except RasterioIOError as error:  # of this file, whichever others are open
+            except RasterioIOError as error:
+                # Of this file, whichever others are open.
                 raise TermselError(f"GDAL cannot read this raster: {error.__cause__ or error}",
                                    file=self.path, hint="Is it complete?") from error
+            # The mean over bands is masked only where all of them are.
             values = grey.astype(np.float32).mean(axis=0)
-            there = ~np.ma.getmaskarray(values) & np.isfinite(values.data)
+            has_data = ~np.ma.getmaskarray(values) & np.isfinite(values.data)
+        # Without a stated value, areas that are exactly 0 in all bands are where an image was
+        # filled up.
         if self.raster.nodatavals[self.bands[0] - 1] is None:
-            there &= ~_blank(grey.data)
-        pixels[inside] = np.where(there, values.data, 0)
-        known[inside] = there
+            has_data &= ~_blank(grey.data)
+        pixels[part_inside] = np.where(has_data, values.data, 0)
+        is_known[part_inside] = has_data
         for excluded in self.excluded:
-            known &= ~excluded(top, left, shape, step)
-        return pixels, known
+            is_known &= ~excluded(first_line, first_sample, shape, step)
+        return pixels, is_known
 
-    def known_at(self, places: FloatArray) -> Mask:
+    def known_at(self, positions: FloatArray) -> Mask:
         """Return where there are data near places, (n, 2), looked up in a reduced raster."""
-        inside = np.all((places >= 0) & (places <= np.array(self.size) - 1), axis=1)
+        inside = np.all((positions >= 0) & (positions <= np.array(self.size) - 1), axis=1)
         if not inside.any():
             return np.asarray(inside)
-        low = np.floor(places[inside].min(axis=0))
-        high = np.ceil(places[inside].max(axis=0)) + 1
-        step = int(max(1, (high - low).max() // _LOOK))
-        (top, left) = low.astype(int).tolist()
+        # One window around all positions, reduced to some 200 px, says whether there are data near.
+        low = np.floor(positions[inside].min(axis=0))
+        high = np.ceil(positions[inside].max(axis=0)) + 1
+        step = int(max(1, (high - low).max() // _LOOKED_UP_SIDE))
+        (first_line, first_sample) = low.astype(int).tolist()
         (lines, samples) = (
             np.ceil((high - low) / step).astype(int) * step).tolist()
-        known = self.read(top, left, lines, samples, step)[1]
+        is_known = self.read(first_line, first_sample, lines, samples, step)[1]
         # Its last row or column may be of a part of a step, which is not read.
-        at = np.minimum((places[inside] - low) // step, np.array(known.shape) - 2).astype(int)
-        inside[inside] = known[tuple(np.maximum(at, 0).T)]
+        at = np.minimum((positions[inside] - low) // step, np.array(is_known.shape) - 2).astype(int)
+        inside[inside] = is_known[tuple(np.maximum(at, 0).T)]
         return np.asarray(inside)
 
 
@@ -134,12 +146,15 @@ def _blank(values: NDArray[Any]) -> Mask:
     zero = (values == 0).all(axis=0).astype(np.uint8)
     if not zero.any():
         return np.zeros(zero.shape, dtype=bool)
-    return np.asarray(cv2.morphologyEx(zero, cv2.MORPH_OPEN, np.ones((_AREA, _AREA), np.uint8))
+    # Opening leaves only areas of zeros, not dark pixels by themselves.
+    return np.asarray(cv2.morphologyEx(zero, cv2.MORPH_OPEN,
+                                       np.ones((_BLANK_SIDE, _BLANK_SIDE), np.uint8))
                       > 0)
 
 
 def grid(size: tuple[int, int], shape: tuple[int, ...]) -> FloatArray:
     """Return places spread evenly over an image, row by row, shape (n, 2) [px]."""
+    # Both ends are part of the image: its first and its last line and sample.
     steps = (np.linspace(0, extent - 1, count) for extent, count in zip(size, shape, strict=True))
     return np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 2)
 
@@ -172,17 +187,19 @@ def open_picture(path: Path | str, band: int | None = None) -> Iterator[GreyRast
         if band is None and len(visible) > _BANDS:
             log.info("Note: the mean of %d of the %d bands of %s is taken, evenly spaced. Choose "
                      "one by its number (--band, --reference-band).", _BANDS, len(visible), path)
+            # Evenly spaced numbers of bands.
             visible = tuple(visible[i * len(visible) // _BANDS] for i in range(_BANDS))
         yield GreyRaster(Path(path), raster, visible if band is None else (band,))
 
 
-def stretched(pixels: Grey, known: Mask) -> NDArray[np.uint8] | None:
+def stretched(pixels: Grey, is_known: Mask) -> NDArray[np.uint8] | None:
     """Return pixels as bytes from dark to bright; None if they have no texture."""
-    values = pixels[known]
-    if values.size < _FEW:
+    values = pixels[is_known]
+    if values.size < _MIN_PIXELS:
         return None
-    dark, bright = np.percentile(values, (_DARK, _BRIGHT))
+    # Percentiles and not extremes: single bright pixels do not darken all others.
+    dark, bright = np.percentile(values, (_DARK_PERCENTILE, _BRIGHT_PERCENTILE))
     if not bright > dark:
         return None
     scaled = np.clip((pixels - dark) * (255 / (bright - dark)), 0, 255)
-    return np.asarray(np.where(known, scaled, 0), dtype=np.uint8)
+    return np.asarray(np.where(is_known, scaled, 0), dtype=np.uint8)

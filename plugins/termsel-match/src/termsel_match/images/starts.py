@@ -24,7 +24,8 @@ from termsel_match.images.rasters import FloatArray
 
 Heights = float | Callable[[FloatArray], FloatArray]
 
-_LEAST = 3  # points that determine an affine transformation
+# Points that determine an affine transformation.
+_MIN_POINTS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +34,7 @@ class Start:
 
     Parameters
     ----------
-    what : str
+    description : str
         What it is, in words.
     crs : str
         Of its ground coordinates.
@@ -51,7 +52,7 @@ class Start:
         What it was made from, whose heights a DEM is held against.
     """
 
-    what: str
+    description: str
     crs: str
     height: float
     project: Callable[[FloatArray], FloatArray]
@@ -73,6 +74,7 @@ def turned(plane: FloatArray, crs: str, to: str) -> FloatArray:
     """Return plane coordinates, (..., 2), in another CRS."""
     from pyproj import CRS, Transformer
 
+    # Heights stay as they are: only the plane is transformed.
     turn = Transformer.from_crs(CRS.from_user_input(crs).to_2d(), CRS.from_user_input(to).to_2d(),
                                 always_xy=True)
     return np.stack(turn.transform(plane[..., 0], plane[..., 1]), axis=-1)
@@ -111,6 +113,7 @@ def start_of(named: str | Path | None, image: Path) -> Start | None:
     path = Path(named)
     if path.is_dir():
         result = read_result(path)
+        # The lowest height of the result stands in where there is no DEM.
         height = float(result.fit.ground_box()[0][2])
         return Start(f"the result {path}", result.features.crs,
                      height if np.isfinite(height) else 0.0, result.project, result.locate,
@@ -120,11 +123,13 @@ def start_of(named: str | Path | None, image: Path) -> Start | None:
     except TermselError as error:
         if not path.is_file():
             raise
+        # It may be a file of points: then that it has no RPC is no error.
         reason = error
     try:
         return start_by_points(read(path), f"the points of {path.name}")
     except TermselError as error:
-        if "holds an RPC" in error.what:  # but one that cannot be read
+        # But one that cannot be read.
+        if "holds an RPC" in error.what:
             raise reason from error
         if error.what == "the CRS of the ground coordinates is unknown":
             raise TermselError(error.what, file=path, hint="Write it above the header of the file, "
@@ -137,10 +142,10 @@ def _of_rpc(path: Path) -> Start:
     middle = rpc.ground_offset[2]
     half = abs(rpc.ground_scale[2])
     return Start(f"the RPC of {path.name}", "EPSG:4979", middle, rpc.project, rpc.locate,
-                 (middle - half, middle + half), rpc.error_bias)
+                 heights=(middle - half, middle + half), bias=rpc.error_bias)
 
 
-def start_by_points(features: FeatureSet, what: str) -> Start:
+def start_by_points(features: FeatureSet, description: str) -> Start:
     """Return an affine transformation by points, whose heights are not used.
 
     Raises
@@ -149,14 +154,16 @@ def start_by_points(features: FeatureSet, what: str) -> Start:
         If they are fewer than three, or on one straight line.
     """
     points = features.points
-    if len(points) < _LEAST:
-        raise TermselError(f"{what} are {len(points)}, and a start requires at least {_LEAST}",
+    if len(points) < _MIN_POINTS:
+        raise TermselError(f"{description} are {len(points)}, and a start requires at least "
+                           f"{_MIN_POINTS}",
                            hint="Add points, for example the corners of the image.")
+    # Roles would leave out points for check; a start uses all.
     free = replace(features, points=replace(points, roles=()))
     fitted = fit(free, "poly2d", degree=1)
     heights = points.ground[:, 2]
     height = float(np.nanmean(heights)) if np.isfinite(heights).any() else 0.0
-    return Start(what, features.crs, height, fitted.project, fitted.locate, control=features)
+    return Start(description, features.crs, height, fitted.project, fitted.locate, control=features)
 
 
 def _of_position(image: Path) -> Start | None:
@@ -165,15 +172,17 @@ def _of_position(image: Path) -> Start | None:
         gcps, crs = raster.gcps
         if not gcps and raster.crs is not None and not raster.transform.is_identity:
             crs = raster.crs
-            corners = [(line, sample) for line in (0, raster.height - 1)
-                       for sample in (0, raster.width - 1)]
-            places = [(line, sample, *(raster.transform @ (sample + 0.5, line + 0.5)))
-                      for line, sample in corners]
+            last_line = raster.height - 1
+            last_sample = raster.width - 1
+            corners = [(0, 0), (0, last_sample), (last_line, 0), (last_line, last_sample)]
+            positions = [(line, sample, *(raster.transform @ (sample + 0.5, line + 0.5)))
+                         for line, sample in corners]
         else:
-            places = [(gcp.row - 0.5, gcp.col - 0.5, gcp.x, gcp.y) for gcp in gcps]
-    if len(places) < _LEAST or crs is None:
+            # GCPs count from the corner of the first pixel, positions from its centre.
+            positions = [(gcp.row - 0.5, gcp.col - 0.5, gcp.x, gcp.y) for gcp in gcps]
+    if len(positions) < _MIN_POINTS or crs is None:
         return None
-    values = np.array(places)
+    values = np.array(positions)
     ground = np.column_stack([values[:, 2:], np.full(len(values), np.nan)])
     points = Points(tuple(map(str, range(len(values)))), values[:, :2], ground)
     return start_by_points(FeatureSet(points, crs=crs.to_wkt()),

@@ -17,11 +17,14 @@ from termsel_match.images.masks import on_the_ground
 from termsel_match.images.rasters import FloatArray, Grey, GreyRaster, Mask, grid, open_picture
 from termsel_match.images.starts import Heights, Start
 
-_MESH = 24  # px between places that are computed; those between are interpolated
+# In px between places that are computed; those between are interpolated.
+_REFERENCE_MESH = 24
 COVERS = 33
 """Places along either side of an image by which its overlap is judged."""
-_EDGE = 5  # places along either side of a reference by which its part of the image is found
-_SAME = 1.5  # ratio of pixel sizes up to which none is reduced
+# Places along either side of a reference by which its part of the image is found.
+_EDGE_PLACES = 5
+# Ratio of pixel sizes up to which none is reduced.
+_SAME_SIZE = 1.5
 
 
 class NotShown(TermselError):
@@ -46,8 +49,8 @@ class Patch:
 
     def in_reference(self, at: FloatArray) -> FloatArray:
         """Return where in the reference, line and sample (n, 2), places of the patch are."""
-        where = np.asarray(at).T / _MESH
-        return np.stack([map_coordinates(axis, where, order=1) for axis in self.mesh], axis=1)
+        in_mesh = np.asarray(at).T / _REFERENCE_MESH
+        return np.stack([map_coordinates(axis, in_mesh, order=1) for axis in self.mesh], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,9 +79,9 @@ class Reference:
         """Return line and sample of the reference, (n, 2), of image places; NaN for none."""
         ground = self.start.locate(image, self.heights)
         x, y = self.to_map.transform(ground[:, 0], ground[:, 1])
-        places = _pixels(self.picture.raster.transform, np.asarray(x), np.asarray(y))
-        places[~np.isfinite(places).all(axis=1)] = np.nan
-        return places
+        positions = _pixels(self.picture.raster.transform, np.asarray(x), np.asarray(y))
+        positions[~np.isfinite(positions).all(axis=1)] = np.nan
+        return positions
 
     def ground(self, at: FloatArray) -> FloatArray:
         """Return ground coordinates, (n, 3), of places in the reference, (n, 2).
@@ -86,49 +89,59 @@ class Reference:
         Heights are NaN without a DEM and where it has none.
         """
         x, y = self.picture.raster.transform @ (at[:, 1] + 0.5, at[:, 0] + 0.5)
-        place = np.column_stack([x, y])
-        heights = self.map_heights(place) if callable(self.map_heights) \
-            else np.full(len(place), np.nan)
-        return np.column_stack([place, heights])
+        plane = np.column_stack([x, y])
+        heights = self.map_heights(plane) if callable(self.map_heights) \
+            else np.full(len(plane), np.nan)
+        return np.column_stack([plane, heights])
 
-    def patch(self, top: int, left: int, shape: tuple[int, int], step: int) -> Patch:
+    def patch(self, first_line: int, first_sample: int, shape: tuple[int, int], step: int) -> Patch:
         """Return the reference as the image would show it from a line and a sample on.
 
         Parameters
         ----------
-        top, left : int
+        first_line, first_sample : int
             Of the image [px].
         shape : tuple of int
             Lines and samples of the patch, each of `step` px of the image.
         step : int
         """
-        lines, samples = (np.arange(0, -(-size // _MESH) + 1) * _MESH for size in shape)
+        lines, samples = (np.arange(0, -(-size // _REFERENCE_MESH) + 1) * _REFERENCE_MESH
+                          for size in shape)
         nodes = np.stack(np.meshgrid(lines, samples, indexing="ij"), axis=-1).reshape(-1, 2)
         # The middle of a reduced pixel is that of its pixels.
-        seen = self.seen((nodes + 0.5) * step - 0.5 + [top, left])
-        mesh = seen.T.reshape(2, len(lines), len(samples))
+        at_reference = self.seen((nodes + 0.5) * step - 0.5 + [first_line, first_sample])
+        mesh = at_reference.T.reshape(2, len(lines), len(samples))
         empty = Patch(np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=bool), mesh)
-        finite = np.isfinite(seen).all(axis=1)
+        finite = np.isfinite(at_reference).all(axis=1)
         if not finite.any():
             return empty
-        size = max(1, round(_spacing(mesh) / _MESH / _SAME))
-        low = np.floor(seen[finite].min(axis=0)).astype(int) - 4 * size
-        extent = np.ceil(seen[finite].max(axis=0)).astype(int) + 4 * size - low
-        low, high = np.maximum(low, 0), np.minimum(low + extent, self.picture.size)
+        # Pixels of the reference that are finer than those of the image are reduced first.
+        size = max(1, round(_spacing(mesh) / _REFERENCE_MESH / _SAME_SIZE))
+        # Some pixels more on each side, which cubic interpolation needs.
+        low = np.floor(at_reference[finite].min(axis=0)).astype(int) - 4 * size
+        extent = np.ceil(at_reference[finite].max(axis=0)).astype(int) + 4 * size - low
+        # Cut to what the reference has.
+        high = np.minimum(low + extent, self.picture.size)
+        low = np.maximum(low, 0)
         low -= low % size
         if (high - low < size).any():
             return empty
         top_left = low.tolist()
         extent = (high - low).tolist()
-        pixels, known = self.picture.read(top_left[0], top_left[1], extent[0], extent[1], size)
-        grid = np.stack(np.meshgrid(*(np.arange(n) / _MESH for n in shape), indexing="ij"))
-        where = [((map_coordinates(axis, grid, order=1) - start + 0.5) / size - 0.5
+        pixels, is_known = self.picture.read(top_left[0], top_left[1], extent[0], extent[1], size)
+        # The mesh has a node every 24 px: each pixel lies between four of them.
+        grid = np.stack(np.meshgrid(*(np.arange(n) / _REFERENCE_MESH for n in shape),
+                                    indexing="ij"))
+        at_pixels = [((map_coordinates(axis, grid, order=1) - start + 0.5) / size - 0.5
                   ).astype(np.float32) for axis, start in zip(mesh, low, strict=True)]
-        there = np.isfinite(where[0])
-        where = [np.where(there, axis, -9).astype(np.float32) for axis in where]
-        seen_known = cv2.remap(known.astype(np.float32), where[1], where[0], cv2.INTER_LINEAR)
-        return Patch(cv2.remap(pixels, where[1], where[0], cv2.INTER_CUBIC),
-                     np.asarray(there & (seen_known > 0.999)), mesh)
+        is_finite = np.isfinite(at_pixels[0])
+        # Where the start has no ground, remap reads beyond the raster, which is unknown there.
+        at_pixels = [np.where(is_finite, axis, -9).astype(np.float32) for axis in at_pixels]
+        seen_known = cv2.remap(is_known.astype(np.float32), at_pixels[1], at_pixels[0],
+                               cv2.INTER_LINEAR)
+        return Patch(cv2.remap(pixels, at_pixels[1], at_pixels[0], cv2.INTER_CUBIC),
+                     # Only where all pixels that take part are known.
+                     np.asarray(is_finite & (seen_known > 0.999)), mesh)
 
     def shown(self, picture: GreyRaster) -> Mask:
         """Return where an image and the reference have data, shape (33, 33).
@@ -139,10 +152,10 @@ class Reference:
             The image; the places are spread evenly over it.
         """
         image = grid(picture.size, (COVERS, COVERS))
-        both = np.ones(len(image), dtype=bool)
-        for raster, places in ((picture, image), (self.picture, self.seen(image))):
-            both &= raster.known_at(places)
-        return both.reshape(COVERS, COVERS)
+        has_both = np.ones(len(image), dtype=bool)
+        for raster, positions in ((picture, image), (self.picture, self.seen(image))):
+            has_both &= raster.known_at(positions)
+        return has_both.reshape(COVERS, COVERS)
 
     def footprint(self, size: tuple[int, int]) -> tuple[int, int, int, int] | None:
         """Return the part of an image where the reference is by the start; None for none.
@@ -157,22 +170,23 @@ class Reference:
         tuple of int
             Line and sample of its first pixel, lines and samples.
         """
-        edge = self.ground(grid(self.picture.size, (_EDGE, _EDGE)))
+        # The edges and the inside of the reference, by the start's heights, in the image.
+        edge = self.ground(grid(self.picture.size, (_EDGE_PLACES, _EDGE_PLACES)))
         x, y = self.to_map.transform(edge[:, 0], edge[:, 1], direction="INVERSE")
         plane = np.column_stack([x, y])
         heights = self.heights(plane) if callable(self.heights) else \
             np.full(len(plane), self.heights)
-        seen = self.start.project(np.column_stack([plane, heights]))
-        seen = seen[np.isfinite(seen).all(axis=1)]
-        if not len(seen):
+        at_image = self.start.project(np.column_stack([plane, heights]))
+        at_image = at_image[np.isfinite(at_image).all(axis=1)]
+        if not len(at_image):
             return None
-        low = np.maximum(np.floor(seen.min(axis=0)).astype(int), 0)
-        high = np.minimum(np.ceil(seen.max(axis=0)).astype(int) + 1, size)
-        if (high - low < _MESH).any():
+        low = np.maximum(np.floor(at_image.min(axis=0)).astype(int), 0)
+        high = np.minimum(np.ceil(at_image.max(axis=0)).astype(int) + 1, size)
+        if (high - low < _REFERENCE_MESH).any():
             return None
-        (top, left) = low.tolist()
+        (first_line, first_sample) = low.tolist()
         (lines, samples) = (high - low).tolist()
-        return top, left, lines, samples
+        return first_line, first_sample, lines, samples
 
     def bounds(self, crs: str) -> tuple[float, float, float, float]:
         """Return least x and y and largest x and y of the reference in a CRS."""
@@ -190,16 +204,20 @@ class Reference:
             Lines and samples of the image.
         """
         middle = np.array(size) / 2
-        seen = self.seen(middle + np.array([[0, 0], [_MESH, 0], [0, _MESH]]))
-        return max(1, round(_MESH / _spacing(seen[[0, 1, 0, 2]].T.reshape(2, 2, 2)) / _SAME))
+        # Three neighbours of a mesh in the middle: two steps, down and to the right.
+        at_reference = self.seen(middle + np.array([[0, 0], [_REFERENCE_MESH, 0],
+                                                    [0, _REFERENCE_MESH]]))
+        return max(1, round(_REFERENCE_MESH / _spacing(at_reference[[0, 1, 0, 2]].T.reshape(2, 2,
+                                                                                  2)) / _SAME_SIZE))
 
 
 def _spacing(mesh: FloatArray) -> float:
     """Return the distance of neighbours of a mesh, in the median."""
     steps = np.concatenate([np.linalg.norm(np.diff(mesh, axis=axis), axis=0).ravel()
+                            # Steps along both axes of the mesh.
                             for axis in (1, 2)])
     steps = steps[np.isfinite(steps) & (steps > 0)]
-    return float(np.median(steps)) if len(steps) else float(_MESH)
+    return float(np.median(steps)) if len(steps) else float(_REFERENCE_MESH)
 
 
 def _pixels(transform: Any, x: FloatArray, y: FloatArray) -> FloatArray:
@@ -240,15 +258,18 @@ def open_reference(path: Path | str, start: Start, dem: Path | str | None, size:
         picture = stack.enter_context(open_picture(path, band))
         crs = crs_of(picture)
         picture = replace(picture, excluded=on_the_ground(masks, crs, picture.raster.transform))
-        heights: list[Heights] = [
-            start.height if dem is None else stack.enter_context(open_dem(Path(dem), one))
-            for one in (start.crs, crs)]
+        heights: list[Heights] = []
+        for crs_ in (start.crs, crs):
+            if dem is None:
+                heights.append(start.height)
+            else:
+                heights.append(stack.enter_context(open_dem(Path(dem), crs_)))
         try:
             to_map = Transformer.from_crs(CRS.from_user_input(start.crs).to_2d(), crs,
                                           always_xy=True)
         except ProjError as error:
-            raise TermselError(f"the CRS of {start.what} cannot be transformed to that of this "
-                               f"raster: {error}", file=path,
+            raise TermselError(f"the CRS of {start.description} cannot be transformed to that of "
+                               f"this raster: {error}", file=path,
                                hint="Give a reference in a CRS of the Earth.") from error
         reference = Reference(picture, crs, start, heights[0], heights[1], to_map)
         _require_overlap(reference, size, dem)
@@ -269,7 +290,7 @@ def references_of(named: Path | str) -> list[Path]:
     path = Path(named)
     if not path.is_dir():
         return [path]
-    files = sorted(one for one in path.iterdir() if one.suffix.lower() in _RASTERS)
+    files = sorted(file for file in path.iterdir() if file.suffix.lower() in _RASTERS)
     if not files:
         raise TermselError("this folder has no image", file=path,
                            hint=f"Give one with georeferenced images ({', '.join(_RASTERS)}).")
@@ -295,18 +316,21 @@ def crs_of(picture: GreyRaster) -> str:
 
 def _require_overlap(reference: Reference, size: tuple[int, int],
                      dem: Path | str | None) -> None:
-    seen = reference.seen(grid(size, (COVERS, COVERS)))
-    known = np.isfinite(seen).all(axis=1)
-    if not known.any():
-        what = f"{dem} does not cover what the image shows by {reference.start.what}"
+    at_reference = reference.seen(grid(size, (COVERS, COVERS)))
+    is_finite = np.isfinite(at_reference).all(axis=1)
+    if not is_finite.any():
+        problem = f"{dem} does not cover what the image shows by {reference.start.description}"
         if dem is None:
-            what = f"{reference.start.what} has no ground position for the image"
-        raise TermselError(what, hint="Give a DEM of the place, and the RPC of this image.")
-    inside = known & ((seen >= 0) & (seen <= np.array(reference.picture.size) - 1)).all(axis=1)
+            problem = f"{reference.start.description} has no ground position for the image"
+        raise TermselError(problem, hint="Give a DEM of the place, and the RPC of this image.")
+    # Finite positions that are on the reference: the image and it have ground in common.
+    last = np.array(reference.picture.size) - 1
+    inside = is_finite & ((at_reference >= 0) & (at_reference <= last)).all(axis=1)
     if not inside.any():
         raise NotShown(
-            f"the reference does not show the place of the image: by {reference.start.what} the "
-            f"image is at line {_range(seen[known, 0])} and sample {_range(seen[known, 1])} of it",
+            f"the reference does not show the place of the image: by {reference.start.description} "
+            f"the image is at line {_range(at_reference[is_finite, 0])} and sample "
+            f"{_range(at_reference[is_finite, 1])} of it",
             file=reference.picture.path,
             hint="Give a reference of the same place, and the start of this image.")
 

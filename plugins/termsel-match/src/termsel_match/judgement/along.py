@@ -10,10 +10,14 @@ from termsel import FeatureSet, Fit, Points
 from termsel_match.judgement.selection import Selected
 from termsel_match.judgement.structures import Correction
 
-_PLACES = 32  # lines at which a step is looked for
-_FEWEST = 3  # points on either side
-_SMOOTH, _STEP = 0.125, 0.25  # of the accepted error; a seam's step is about four times its RMS
-_WIDEST = 0.25  # of the lines: what a step is between
+# lines at which a step is looked for.
+_STEP_LINES = 32
+# Points on either side.
+_MIN_CANDIDATES = 3
+# Of the accepted error; a seam's step is about four times its RMS.
+_JITTER, _SEAM = 0.125, 0.25
+# Of the lines: what a step is between.
+_WIDEST = 0.25
 
 
 @dataclass(frozen=True)
@@ -36,16 +40,17 @@ class Along:
 
     def matters(self, accept: float) -> bool:
         """Return whether the change is worth a remark where an error [px] is accepted."""
-        return self.size > _SMOOTH * accept or float(np.hypot(*self.away)) > _STEP * accept
+        return self.size > _JITTER * accept or float(np.hypot(*self.away)) > _SEAM * accept
 
 
 def steady(selected: Selected) -> Fit:
     """Return a model that goes nowhere beyond the candidates: of a smooth correction, the drift."""
-    chosen = selected.correction
-    if chosen.model != "rpc-jitter":
+    correction = selected.correction
+    if correction.model != "rpc-jitter":
         return selected.result.fit
+    # Fitted again to the same candidates, with the drift alone.
     agree = selected.points.take(selected.agrees)
-    return Correction("rpc-drift", {"rpc": chosen.options["rpc"]}).fit(
+    return Correction("rpc-drift", {"rpc": correction.options["rpc"]}).fit(
         FeatureSet(agree, crs=selected.result.features.crs))
 
 
@@ -63,21 +68,23 @@ def along(selected: Selected, agree: Points, lines: int) -> Along:
     lines : int
         Of the image.
     """
-    chosen = selected.correction
-    if chosen.model != "rpc-jitter":
+    correction = selected.correction
+    if correction.model != "rpc-jitter":
         return Along()
     drift = steady(selected).project(agree.ground)
     away = selected.result.project(agree.ground) - drift
     line = agree.image[:, 0]
-    wide = lines * min(_WIDEST, 1 / chosen.options["intervals"])
-    where = 0.0
+    # A step is between two stretches of lines, as long as an interval of the correction at most.
+    wide = lines * min(_WIDEST, 1 / correction.options["intervals"])
+    largest_at = 0.0
     step = np.zeros(2)
-    for place in np.linspace(0, lines, _PLACES):
-        before, after = ((line > low) & (line <= low + wide) for low in (place - wide, place))
-        if min(before.sum(), after.sum()) >= _FEWEST:
+    for line_ in np.linspace(0, lines, _STEP_LINES):
+        before, after = ((line > low) & (line <= low + wide) for low in (line_ - wide, line_))
+        # On both sides there must be some candidates, of which the means are compared.
+        if min(before.sum(), after.sum()) >= _MIN_CANDIDATES:
             change = away[after].mean(axis=0) - away[before].mean(axis=0)
             if np.linalg.norm(change) > np.linalg.norm(step):
-                where = float(place)
+                largest_at = float(line_)
                 step = change
-    return Along(float(np.sqrt((away**2).sum(axis=1).mean())), where,
+    return Along(float(np.sqrt((away**2).sum(axis=1).mean())), largest_at,
                  (float(step[0]), float(step[1])))

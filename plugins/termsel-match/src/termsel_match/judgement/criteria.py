@@ -29,5 +29,6 @@ class Agreement(Criterion):
         """Return the part that does not agree."""
         with np.errstate(over="ignore", invalid="ignore"):
             squares = (np.asarray(fits.check_errors) ** 2).sum(axis=-1)
-            part = squares / (squares + self.options["half_at"] ** 2)
-        return np.asarray(np.where(np.isfinite(part), part, 1.0).mean(axis=-1))
+            # The loss of Geman and McClure: e^2 / (e^2 + t^2).
+            disagreement = squares / (squares + self.options["half_at"] ** 2)
+        return np.asarray(np.where(np.isfinite(disagreement), disagreement, 1.0).mean(axis=-1))

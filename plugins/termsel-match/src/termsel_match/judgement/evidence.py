@@ -13,10 +13,13 @@ from termsel_match.images.rasters import FloatArray, Mask, grid
 LEVEL = 0.01
 """Permutation level at which residuals are not by chance."""
 _NEIGHBOURS = 8
-_LEAST = 12  # residuals; of fewer nothing is seen
+# Residuals; of fewer nothing is seen.
+_MIN_RESIDUALS = 12
 _PERMUTATIONS = 499
-_APART = 1.5  # mean distances of candidates: in so wide a circle chance leaves none in 1 of 1000
-_CLUSTER = 4  # candidates that agree on another place; fewer are not counted
+# Mean distances of candidates: in so wide a circle chance leaves none in 1 of 1000.
+_BARE_RADIUS = 1.5
+# Candidates that agree on another place; fewer are not counted.
+_CLUSTER = 4
 
 
 @dataclass(frozen=True)
@@ -29,7 +32,7 @@ class Structure:
         Share of permutations of the residuals in which neighbours are as alike.
     size : float
         Root mean square of what neighbours have in common [px], both axes together.
-    where : str
+    image_part : str
         Part of the image where it is largest.
     away : tuple of float
         Mean residual there, line and sample [px].
@@ -37,7 +40,7 @@ class Structure:
 
     level: float
     size: float
-    where: str
+    image_part: str
     away: tuple[float, float]
 
 
@@ -64,22 +67,26 @@ def structure(image: FloatArray, residuals: FloatArray, limit: float, size: tupl
     Moran 1950: Notes on continuous stochastic phenomena. Biometrika 37, 17-23.
     """
     count = len(image)
-    if count < _LEAST:
+    if count < _MIN_RESIDUALS:
         return None
+    # The eight nearest of each, itself left out.
     near = cKDTree(image).query(image, min(_NEIGHBOURS, count // 3) + 1)[1][:, 1:]
     length = np.linalg.norm(residuals, axis=1)
+    # Errors beyond the limit count as those at it, so that one of them is not all of the figure.
     cut = residuals * np.minimum(1, limit / np.maximum(length, 1e-12))[:, None]
     cut -= cut.mean(axis=0)
 
     def likeness(values: FloatArray) -> float:
         return float((values * values[near].mean(axis=1)).sum(axis=1).mean())
 
-    own = likeness(cut)
-    more = sum(likeness(rng.permutation(cut)) >= own for _ in range(_PERMUTATIONS))
+    observed = likeness(cut)
+    # By chance any residual could be at any place: so they are permuted.
+    n_as_alike = sum(likeness(rng.permutation(cut)) >= observed for _ in range(_PERMUTATIONS))
+    # The median of a residual and its neighbours: where it is large, all of them are off.
     local = np.concatenate([residuals[:, None], residuals[near]], axis=1)
     middle = np.median(local, axis=1)
     worst = int(np.linalg.norm(middle, axis=1).argmax())
-    return Structure((1 + more) / (1 + _PERMUTATIONS), max(likeness(residuals), 0.0) ** 0.5,
+    return Structure((1 + n_as_alike) / (1 + _PERMUTATIONS), max(likeness(residuals), 0.0) ** 0.5,
                      part_of(image[worst], size), tuple(middle[worst].tolist()))
 
 
@@ -92,13 +99,13 @@ class OtherPlace:
     count : int
     away : tuple of float
         Line and sample from where the model sees them [px].
-    where : str
+    image_part : str
         Part of the image where their middle is.
     """
 
     count: int
     away: tuple[float, float]
-    where: str
+    image_part: str
 
 
 def other_place(image: FloatArray, residuals: FloatArray, radius: float, size: tuple[int, int],
@@ -121,10 +128,12 @@ def other_place(image: FloatArray, residuals: FloatArray, radius: float, size: t
         return None
     tree = cKDTree(residuals)
     around = tree.query_ball_point(residuals, radius)
-    groups = np.array([len(one) for one in around])
+    groups = np.array([len(neighbours) for neighbours in around])
     largest = int(groups.argmax())
+    # Wrong matches lie anywhere in a circle of the largest distance.
     search = max(float(np.linalg.norm(residuals, axis=1).max()), radius)
     expected = len(residuals) * (radius / search) ** 2
+    # Poisson's probability of so many others by chance, times the number of trials.
     chance = len(residuals) * float(poisson.sf(groups[largest] - 2, expected))
     if groups[largest] < _CLUSTER or chance > LEVEL:
         return None
@@ -133,7 +142,7 @@ def other_place(image: FloatArray, residuals: FloatArray, radius: float, size: t
                       part_of(np.median(image[members], axis=0), size))
 
 
-def unsupported(image: FloatArray, shown: Mask, size: tuple[int, int]) -> tuple[float, str]:
+def unsupported(image: FloatArray, overlap: Mask, size: tuple[int, int]) -> tuple[float, str]:
     """Return the share of what image and reference show that has no candidate near, and where.
 
     Near is within 1.5 times the distance of candidates if they were spread evenly.
@@ -142,21 +151,23 @@ def unsupported(image: FloatArray, shown: Mask, size: tuple[int, int]) -> tuple[
     ----------
     image : ndarray, shape (n, 2)
         Candidates that agree [px].
-    shown : ndarray of bool, shape (a, b)
+    overlap : ndarray of bool, shape (a, b)
         Where both show the ground, at places spread evenly over the image.
     size : tuple of int
         Lines and samples of the image.
     """
-    places = grid(size, shown.shape)[shown.ravel()]
-    area = size[0] * size[1] * float(shown.mean())
-    away = cKDTree(image).query(places)[0]
-    bare = away > _APART * (area / len(image)) ** 0.5
-    where = part_of(np.median(places[bare], axis=0), size) if bare.any() else ""
-    return float(bare.mean()), where
+    positions = grid(size, overlap.shape)[overlap.ravel()]
+    area = size[0] * size[1] * float(overlap.mean())
+    # The distance of candidates, if they were spread evenly over the area, is sqrt(area / n).
+    away = cKDTree(image).query(positions)[0]
+    bare = away > _BARE_RADIUS * (area / len(image)) ** 0.5
+    image_part = part_of(np.median(positions[bare], axis=0), size) if bare.any() else ""
+    return float(bare.mean()), image_part
 
 
-def part_of(place: FloatArray, size: tuple[int, int]) -> str:
+def part_of(position: FloatArray, size: tuple[int, int]) -> str:
     """Return in words which ninth of an image a place is in."""
-    down, right = np.clip(3 * place / np.array(size), 0, 2).astype(int).tolist()
-    words = [word for word in (("upper", "", "lower")[down], ("left", "", "right")[right]) if word]
+    down, right = np.clip(3 * position / np.array(size), 0, 2).astype(int).tolist()
+    words = [direction for direction in (("upper", "", "lower")[down], ("left", "", "right")[right])
+             if direction]
     return f"the {' '.join(words)} part" if words else "the middle"

@@ -12,10 +12,13 @@ from termsel.toolkit import write_bytes
 from termsel_match.images.rasters import open_picture, stretched
 from termsel_match.judgement.selection import Selected
 
-_SIDE = 1200  # px, at most
-_LONG = 40.0  # px of the picture: the arrow of a residual that nine in ten do not exceed
+# In px, at most.
+_PICTURE_SIDE = 1200
+# In px of the picture: the arrow of a residual that nine in ten do not exceed.
+_ARROW = 40.0
 _NICE = (1, 2, 5)
-_BAR = 34  # px of the legend
+# In px of the legend.
+_BAR = 34
 # Blue, green, red, of Okabe and Ito's colours, which differ for colour-blind eyes too.
 _BLUE = (233, 180, 86)
 _VERMILION = (0, 94, 213)
@@ -37,49 +40,54 @@ def draw(image: Path | str, selected: Selected, path: Path) -> None:
         If a file cannot be read or written.
     """
     with open_picture(image) as picture:
-        step = max(1, -(-max(picture.size) // _SIDE))
+        step = max(1, -(-max(picture.size) // _PICTURE_SIDE))
         grey = stretched(*picture.read(0, 0, *picture.size, step))
     if grey is None:
         raise TermselError("the image has no texture to be drawn", file=image,
                            hint="Is it empty?")
     drawn = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
     points = selected.points
-    good = selected.agrees
-    residuals = (points.image - selected.result.project(points.ground))[good]
+    agrees = selected.agrees
+    residuals = (points.image - selected.result.project(points.ground))[agrees]
     times = scale_of(residuals, step)
-    for place, away in zip(points.image[good], residuals, strict=True):
-        start, end = arrow(place, away, times, step)
-        cv2.arrowedLine(drawn, start, end, _BLUE, 2, cv2.LINE_AA, 4, 0.25)
-        cv2.circle(drawn, start, 4 << 4, _BLUE, 1, cv2.LINE_AA, 4)
-    for place in points.image[~good]:
-        at = [value >> 4 for value in _px(place, step)]
-        cv2.drawMarker(drawn, at, _VERMILION, cv2.MARKER_TILTED_CROSS, 12, 2, cv2.LINE_AA)
+    for position, away in zip(points.image[agrees], residuals, strict=True):
+        start, end = arrow(position, away, times, step)
+        cv2.arrowedLine(drawn, start, end, color=_BLUE, thickness=2, line_type=cv2.LINE_AA,
+                        shift=4, tipLength=0.25)
+        cv2.circle(drawn, start, 4 << 4, color=_BLUE, thickness=1, lineType=cv2.LINE_AA, shift=4)
+    for position in points.image[~agrees]:
+        at = [value >> 4 for value in _px(position, step)]
+        cv2.drawMarker(drawn, at, _VERMILION, cv2.MARKER_TILTED_CROSS, markerSize=12, thickness=2,
+                       line_type=cv2.LINE_AA)
     legend = np.full((_BAR, drawn.shape[1], 3), 255, dtype=np.uint8)
-    text = f"{int(good.sum())} agree (arrows: residuals x {times:g})   {int((~good).sum())} do not"
-    cv2.putText(legend, text, (8, 23), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 0, 0), 1, cv2.LINE_AA)
+    text = (f"{int(agrees.sum())} agree (arrows: residuals x {times:g})   {int((~agrees).sum())} "
+            "do not")
+    cv2.putText(legend, text, (8, 23), cv2.FONT_HERSHEY_SIMPLEX, 0.5, color=(0, 0, 0), thickness=1,
+                lineType=cv2.LINE_AA)
     encoded, data = cv2.imencode(".png", np.concatenate([drawn, legend]))
     assert encoded
     write_bytes(path, data.tobytes())
 
 
-def arrow(place: np.ndarray, away: np.ndarray, times: float, step: int,
+def arrow(position: np.ndarray, away: np.ndarray, times: float, step: int,
           ) -> tuple[list[int], list[int]]:
     """Return both ends of the arrow of a residual, as OpenCV draws them.
 
     It is larger by `times` in the scale of the image, which the picture reduces.
     """
-    return _px(place, step), _px(place + times * away, step)
+    return _px(position, step), _px(position + times * away, step)
 
 
 def scale_of(residuals: np.ndarray, step: int) -> float:
     """Return by how much residuals are drawn larger than the image is: 1, 2, 5, 10, ..."""
     length = np.linalg.norm(residuals, axis=1)
     usual = float(np.quantile(length, 0.9)) / step if len(length) else 0.0
-    wanted = _LONG / max(usual, 1e-6)
-    power = 10.0 ** np.floor(np.log10(wanted))
-    return float(max(one * power for one in _NICE if one * power <= wanted))
+    largest_scale = _ARROW / max(usual, 1e-6)
+    power = 10.0 ** np.floor(np.log10(largest_scale))
+    # The largest of 1, 2, 5, 10, 20, ... that is not above it.
+    return float(max(factor * power for factor in _NICE if factor * power <= largest_scale))
 
 
-def _px(place: np.ndarray, step: int) -> list[int]:
+def _px(position: np.ndarray, step: int) -> list[int]:
     """Return a place as OpenCV draws it: x, y in sixteenths of a pixel."""
-    return [int(value) for value in np.round(((place[::-1] + 0.5) / step - 0.5) * 16)]
+    return [int(value) for value in np.round(((position[::-1] + 0.5) / step - 0.5) * 16)]

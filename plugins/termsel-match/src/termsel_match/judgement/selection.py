@@ -18,19 +18,25 @@ from termsel_match.images.starts import turned
 from termsel_match.judgement.structures import Correction, called_for, corrections
 from termsel_match.searching import searched
 
-TOLERANCE = 2.0  # px at which a candidate counts half in the search
+# In px at which a candidate counts half in the search.
+TOLERANCE = 2.0
 _LEAST_CHECK = 2
 NEAR = 2 * TOLERANCE
 """Px within which the spread of those that agree is estimated."""
 _SIGMAS = 3.5
-_LEAST_LIMIT = 0.5  # px
-_MISSED = 0.35  # px that a model misses by RMS, from which on it is said; right ones miss 0.2
-_ROUNDS = 20
-_CHOICES = 2  # of the correction
-_WORSE = 1.1  # times the check RMSE of the points: more is not by chance
+# In px.
+_MIN_AGREEMENT = 0.5
+# In px that a model misses by RMS, from which on it is said; right ones miss 0.2.
+_MISSED = 0.35
+_FIT_ROUNDS = 20
+# Of the correction.
+_CHOICES = 2
+# Times the check RMSE of the points: more is not by chance.
+_WORSE = 1.1
 AGREEING = ("Independent RMSE, NSSDA and ASPRS figures are of the independent candidates that "
             "agree with the model, without the others. They may be too small.")
-_MEDIAN = 1.1774  # of the distance in two dimensions, in standard deviations of one
+# Of the distance in two dimensions, in standard deviations of one.
+_RAYLEIGH_MEDIAN = 1.1774
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +110,7 @@ class Selected:
 
 def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], *,
                   accept: float = TOLERANCE, plainer_than: Correction | None = None,
-                  seed: int = 1, out: Path | str | None = None) -> Selected:
+                  seed: int = 1, folder: Path | str | None = None) -> Selected:
     """Return the model with which most candidates agree.
 
     A quarter of the candidates is set aside as independent, unless some are so already. A
@@ -127,7 +133,7 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
         That is too rich: those before it are chosen from.
     seed : int
         Draws the roles, and drives the search.
-    out : path-like, optional
+    folder : path-like, optional
         Folder for the result; with `plainer_than` it replaces the one that is there.
 
     Raises
@@ -136,6 +142,7 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
         If too few agree to determine the model.
     """
     points = features.points
+    # Independent candidates take no part in the search, the fits or the choice of the correction.
     roles = _roles(points, seed)
     independent = roles == "independent"
     with_roles = features.with_(points=replace(points, roles=tuple(roles)))
@@ -143,51 +150,56 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
     def fitted(correction: Correction, used: Mask) -> Fit:
         return correction.fit(FeatureSet(points.take(used), crs=features.crs))
 
-    chosen = Correction(model, options)
-    least = len(fitted(chosen, ~independent).terms)
+    correction = Correction(model, options)
+    n_terms = len(fitted(correction, ~independent).terms)
+    # The search finds a few candidates that determine a model with which many agree.
     picked = np.isin(points.ids, searched(
         "rpc-gcps", with_roles, model, {
-            **options, "half_at": TOLERANCE, "max_uncovered": 0.9, "min_features": max(6, least),
-            "max_features": max(6, least),
+            **options, "half_at": TOLERANCE, "max_uncovered": 0.9, "min_features": max(6, n_terms),
+            "max_features": max(6, n_terms),
             # The fit to all that agree comes next, and needs no better place to begin.
             "polish": False}, seed=seed, criterion="agreement"))
     # A spread that a fault of the reference has made is not the spread of matching.
-    most = accept if points.sigma is None else max(accept, _SIGMAS * float(np.median(points.sigma)))
-    fit = fitted(chosen, picked)
-    for again in range(_CHOICES + 1):
+    max_limit = accept if points.sigma is None else max(accept,
+                                                        _SIGMAS * float(np.median(points.sigma)))
+    fit = fitted(correction, picked)
+    # Each round fits to all that agree, then looks whether these call for another correction.
+    for choice in range(_CHOICES + 1):
         agrees = np.zeros(0, dtype=bool)
         limit = 0.0
-        for _ in range(_ROUNDS):
+        for _ in range(_FIT_ROUNDS):
             before = agrees
             errors = _errors(fit, points)
-            agrees, limit = _agreeing(errors, ~independent, most)
-            _require(agrees, roles, len(fit.terms) // 2 if again else least)
+            agrees, limit = _agreeing(errors, ~independent, max_limit)
+            _require(agrees, roles, len(fit.terms) // 2 if choice else n_terms)
             if np.array_equal(agrees, before):
                 break
-            fit = fitted(chosen, agrees)
+            fit = fitted(correction, agrees)
         # Jitter moves good candidates beyond the limit: all that are near have a say.
         near = ~independent & (errors <= NEAR)
         several = corrections(model, options, int(near.sum()))
-        plainer = list(takewhile(lambda one: one != plainer_than, several))
+        # Those before the one that is too rich.
+        plainer = list(takewhile(lambda richer: richer != plainer_than, several))
         close = FeatureSet(points.take(near), crs=features.crs)
         better = called_for(plainer, close, seed)
-        if better == chosen or again == _CHOICES:
+        if better == correction or choice == _CHOICES:
             break
-        chosen = better
-        fit = fitted(chosen, near)
+        correction = better
+        fit = fitted(correction, near)
     agrees = _errors(fit, points) <= limit
     _require(agrees, roles, len(fit.terms) // 2)
-    kept = with_roles.with_(points=with_roles.points.take(agrees))
+    agreeing = with_roles.with_(points=with_roles.points.take(agrees))
     result = _told(termsel.run(
-        "owdis-points", features=kept, model=chosen.model, solver="all-terms",
-        options={**chosen.options, **_all_used(kept)}, seed=seed, out=out,
-        overwrite=plainer_than is not None), out)
+        "owdis-points", features=agreeing, model=correction.model, solver="all-terms",
+        options={**correction.options, **_all_used(agreeing)}, seed=seed, out=folder,
+        overwrite=plainer_than is not None), folder)
     # Where nothing richer is called for, those that do not agree are wrong matches.
     missed = _missed(result.fit, points.take(
         (roles != "control") & (agrees | (plainer_than is not None))))
     if plainer_than is None and missed <= (_MISSED if points.sigma is not None else accept / 2):
         missed = 0.0
-    return Selected(result, agrees, independent, limit, points, chosen, plainer_than, missed)
+    return Selected(result=result, agrees=agrees, independent=independent, limit=limit,
+                    points=points, correction=correction, called_for=plainer_than, missed=missed)
 
 
 def _all_used(features: FeatureSet) -> dict[str, Any]:
@@ -196,10 +208,10 @@ def _all_used(features: FeatureSet) -> dict[str, Any]:
     return {"min_features": len(features.with_(points=control)), "blunders": "keep"}
 
 
-def _require(agrees: Mask, roles: Any, least: int) -> None:
+def _require(agrees: Mask, roles: Any, n_terms: int) -> None:
     """Require that enough candidates agree for a fit and for its check."""
     control, check = (int((agrees & (roles == role)).sum()) for role in ("control", "check"))
-    if control < max(6, least) or check < _LEAST_CHECK:
+    if control < max(6, n_terms) or check < _LEAST_CHECK:
         raise TermselError(f"not enough candidates agree: {control + check} of "
                            f"{int((roles != 'independent').sum())}",
                            hint="Most matches are wrong. Give a start that is nearer, a larger "
@@ -207,7 +219,7 @@ def _require(agrees: Mask, roles: Any, least: int) -> None:
 
 
 def with_lines(selected: Selected, lines: FeatureSet, *, seed: int = 1,
-               out: Path | str | None = None) -> Selected:
+               folder: Path | str | None = None) -> Selected:
     """Return the model fitted to the points that agree and to lines together.
 
     Points and lines weigh by their standard deviations. The candidates for check, which no fit
@@ -218,7 +230,7 @@ def with_lines(selected: Selected, lines: FeatureSet, *, seed: int = 1,
     selected : Selected
     lines : FeatureSet
         In the CRS of the points or another one.
-    seed, out
+    seed, folder
         As for `select_points`; a result that is in the folder is replaced.
 
     Raises
@@ -231,29 +243,32 @@ def with_lines(selected: Selected, lines: FeatureSet, *, seed: int = 1,
     features = selected.result.features
     ground = lines.lines.ground.copy()
     ground[..., :2] = turned(ground[..., :2], lines.crs, features.crs)
-    both = features.with_(lines=replace(lines.lines, ground=ground))
+    with_both = features.with_(lines=replace(lines.lines, ground=ground))
     control = features.points.roles == np.array("control", dtype=object)
-    used = both.with_(points=replace(features.points.take(control), roles=()))
+    used = with_both.with_(points=replace(features.points.take(control), roles=()))
     check = features.points.take(features.points.roles == np.array("check", dtype=object))
-    alone, with_them = (_rms(fitted, check) for fitted in (
+    # Candidates for check are in neither fit, and so can judge between both.
+    rms_alone, rms_with_lines = (_rms(fitted, check) for fitted in (
         selected.result.fit, termsel.fit(used, model, **options)))
-    if with_them > _WORSE * alone:
+    if rms_with_lines > _WORSE * rms_alone:
         raise TermselError(
-            f"points and lines contradict each other: candidates for check are {with_them:.2f} px "
-            f"from the model of both, and {alone:.2f} px from that of the points",
+            "points and lines contradict each other: candidates for check are "
+            f"{rms_with_lines:.2f} px from the model of both, and {rms_alone:.2f} px from that of "
+            "the points",
             hint="Are the vectors where the reference is?")
     result = _told(termsel.run(
-        "owdis-lines", features=both, model=model, solver="all-terms",
-        options={**options, "mixed": True, **_all_used(both)}, seed=seed, out=out, overwrite=True),
-        out)
+        "owdis-lines", features=with_both, model=model, solver="all-terms",
+        options={**options, "mixed": True, **_all_used(with_both)}, seed=seed, out=folder,
+        overwrite=True),
+        folder)
     return replace(selected, result=result)
 
 
-def _told(result: Result, out: Path | str | None) -> Result:
+def _told(result: Result, folder: Path | str | None) -> Result:
     """Return a result with the note on what its independent figures are of, also in its folder."""
     noted = replace(result, notes=(*result.notes, AGREEING))
-    if out is not None:
-        write_result(noted, Path(out))
+    if folder is not None:
+        write_result(noted, Path(folder))
     return noted
 
 
@@ -268,9 +283,10 @@ def _roles(points: Points, seed: int) -> Any:
              "independent" if len(free) == len(roles) else "control"]
     free = free[np.argsort(points.image[free, 0], kind="stable")]
     rng = np.random.default_rng([seed, 1])
+    # Of four neighbours one is for check, and one independent.
     for first in range(0, len(free), len(drawn)):
-        some = free[first:first + len(drawn)]
-        roles[some] = rng.permutation(np.array(drawn, dtype=object))[:len(some)]
+        neighbours = free[first:first + len(drawn)]
+        roles[neighbours] = rng.permutation(np.array(drawn, dtype=object))[:len(neighbours)]
     return roles
 
 
@@ -296,19 +312,22 @@ def _missed(fit: Fit, points: Points) -> float:
     squares = squares[np.isfinite(squares)]
     if len(squares) < _LEAST_CHECK:
         return float("inf")
-    right = squares <= _SIGMAS**2 * np.median(squares) / _MEDIAN**2
+    # Rayleigh's median: blunders are beyond 3.5 standard deviations of the others.
+    right = squares <= _SIGMAS**2 * np.median(squares) / _RAYLEIGH_MEDIAN**2
     noise = 0.0
     if points.sigma is not None:
+        # Neighbours along the lines differ by noise alone, sqrt(2) times in each axis.
         steps = (np.diff(away[right], axis=0)**2).sum(axis=1)
         noise = float(min(np.median((points.sigma**2).sum(axis=1)),
-                          np.median(steps) / _MEDIAN**2))
+                          np.median(steps) / _RAYLEIGH_MEDIAN**2))
     return float(np.sqrt(max(squares[right].mean() - noise, 0.0)))
 
 
-def _agreeing(errors: FloatArray, used: Mask, most: float) -> tuple[Mask, float]:
+def _agreeing(errors: FloatArray, used: Mask, max_limit: float) -> tuple[Mask, float]:
     """Return which of the candidates in use agree, and the limit, by the spread of near ones."""
+    # By the median of those that are near, which blunders hardly change.
     near = errors[used & (errors < NEAR)]
-    sigma = float(np.median(near)) / _MEDIAN if len(near) else 0.0
-    limit = max(min(_SIGMAS * sigma, most), _LEAST_LIMIT)
+    sigma = float(np.median(near)) / _RAYLEIGH_MEDIAN if len(near) else 0.0
+    limit = max(min(_SIGMAS * sigma, max_limit), _MIN_AGREEMENT)
     return np.asarray(used & (errors <= limit)), limit
 

@@ -14,8 +14,10 @@ from termsel import FeatureSet, Fit, TermselError
 from termsel_match.images.rasters import FloatArray
 
 _FOLDS = 5
-_CAP = 4.0  # px beyond which all errors count alike: such candidates are wrong
-_LEAST = 3  # candidates for each interval
+# In px beyond which all errors count alike: such candidates are wrong.
+_CAP = 4.0
+# Candidates for each interval.
+_PER_INTERVAL = 3
 _INTERVALS = (2, 4, 8, 16, 32)
 
 
@@ -57,9 +59,9 @@ def corrections(model: str, options: Mapping[str, Any], count: int) -> list[Corr
     """
     if not model.startswith("rpc-"):
         return [Correction(model, options)]
-    plain = [Correction(name, options) for name in ("rpc-shift", "rpc-drift", "rpc-affine")]
-    return plain + [Correction("rpc-jitter", {**options, "intervals": intervals})
-                    for intervals in _INTERVALS if _LEAST * intervals <= count]
+    polynomials = [Correction(name, options) for name in ("rpc-shift", "rpc-drift", "rpc-affine")]
+    return polynomials + [Correction("rpc-jitter", {**options, "intervals": intervals})
+                          for intervals in _INTERVALS if _PER_INTERVAL * intervals <= count]
 
 
 def called_for(several: list[Correction], features: FeatureSet, seed: int) -> Correction:
@@ -83,27 +85,29 @@ def called_for(several: list[Correction], features: FeatureSet, seed: int) -> Co
     if len(several) == 1:
         return several[0]
     fold = np.random.default_rng([seed, 4]).permutation(len(features.points)) % _FOLDS
-    judged = [(one, squares) for one in several
-              if (squares := _held_out(one, features, fold)) is not None]
-    if not judged:
+    errors_of = [(correction, squares) for correction in several
+                 if (squares := _held_out(correction, features, fold)) is not None]
+    if not errors_of:
         return several[0]
-    best = min(judged, key=lambda one: float(one[1].mean()))[1]
+    best = min((squares for _, squares in errors_of), key=np.mean)
+    # One standard error of the difference, point by point: most of what is common cancels.
     root = np.sqrt(len(best))
-    return next(one for one, squares in judged
+    return next(correction for correction, squares in errors_of
                 if (squares - best).mean() <= (squares - best).std() / root)
 
 
-def _held_out(one: Correction, features: FeatureSet, fold: NDArray[np.intp],
+def _held_out(correction: Correction, features: FeatureSet, fold: NDArray[np.intp],
               ) -> FloatArray | None:
     """Return squared errors of points by fits without their fold; None where undetermined."""
     points = features.points
     squares = np.empty(len(fold))
     for number in range(_FOLDS):
-        out = fold == number
+        held_out = fold == number
         try:
-            fitted = one.fit(features.with_(points=points.take(~out)))
+            fitted = correction.fit(features.with_(points=points.take(~held_out)))
         except TermselError:
             return None
-        away = points.image[out] - fitted.project(points.ground[out])
-        squares[out] = (away**2).sum(axis=1)
+        away = points.image[held_out] - fitted.project(points.ground[held_out])
+        squares[held_out] = (away**2).sum(axis=1)
+    # Wrong candidates count alike however far they are.
     return np.minimum(np.where(np.isfinite(squares), squares, np.inf), _CAP**2)

@@ -14,8 +14,10 @@ from termsel_match.images.starts import Start, start_of
 from termsel_match.lines.ridges import bands
 from termsel_match.lines.vectors import pieces_of
 
-LEAST = 6  # pieces with a band
-MOST = 4  # bands for each piece
+# Pieces with a band.
+LEAST_PIECES = 6
+# Bands for each piece.
+BANDS_PER_PIECE = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,36 +78,40 @@ def match_lines(
         If a file cannot be read, there is no start, or fewer than six pieces have a band.
     """
     image = Path(image)
-    known = start if isinstance(start, Start) else start_of(start, image)
-    if known is None:
+    rough = start if isinstance(start, Start) else start_of(start, image)
+    if rough is None:
         raise without_start(image)
-    known.say_dem(dem)
+    rough.say_dem(dem)
     with open_picture(image, band) as picture:
         size = picture.size
-        pieces = pieces_of(vectors, known, dem, size)
+        straight_pieces = pieces_of(vectors, rough, dem, size)
         of_pieces = []
-        for i, ends in enumerate(pieces.image):
-            of_pieces.append(bands(picture, ends, search, MOST))
+        for i, ends in enumerate(straight_pieces.image):
+            of_pieces.append(bands(picture, ends, search, BANDS_PER_PIECE))
             if progress is not None:
-                progress((i + 1) / len(pieces.image))
-    seen = sum(map(bool, of_pieces))
-    if seen < LEAST:
-        raise TermselError(f"not enough candidates: {seen} pieces of vectors have a band in the "
-                           f"image, at least {LEAST} needed", file=image,
+                progress((i + 1) / len(straight_pieces.image))
+    n_with_band = sum(map(bool, of_pieces))
+    if n_with_band < LEAST_PIECES:
+        raise TermselError(f"not enough candidates: {n_with_band} pieces of vectors have a band in "
+                           f"the image, at least {LEAST_PIECES} needed", file=image,
                            hint="Do the vectors show what can be seen? Is the start off by more "
                                 "than --search?")
-    rows = [(i, k, ridge) for i, several in enumerate(of_pieces) for k, ridge in enumerate(several)]
+    rows = []
+    for i, several in enumerate(of_pieces):
+        rows += [(i, k, ridge) for k, ridge in enumerate(several)]
+    # `termsel run --problem matched-lines` groups the candidates by these attributes.
     attributes = {
-        "vector": [pieces.vector[i] for i, _, _ in rows], "piece": [str(i + 1) for i, _, _ in rows],
+        "vector": [straight_pieces.vector[i] for i, _, _ in rows],
+        "piece": [str(i + 1) for i, _, _ in rows],
         "offset": [f"{ridge.offset:.2f}" for _, _, ridge in rows],
         "score": [f"{ridge.score:.2f}" for _, _, ridge in rows]}
     lines = Lines(tuple(f"L{i + 1:03d}.{k + 1}" for i, k, _ in rows),
                   np.array([ridge.image for _, _, ridge in rows]),
-                  np.array([_shortened(pieces.ground[i], k) for i, k, _ in rows]),
+                  np.array([_shortened(straight_pieces.ground[i], k) for i, k, _ in rows]),
                   np.array([ridge.sigma for _, _, ridge in rows]),
                   attributes={name: np.array(cells, dtype=object)
                               for name, cells in attributes.items()})
-    return LineCandidates(lines, pieces.crs, size, len(of_pieces), known.what)
+    return LineCandidates(lines, straight_pieces.crs, size, len(of_pieces), rough.description)
 
 
 def without_start(image: Path) -> TermselError:
@@ -116,5 +122,6 @@ def without_start(image: Path) -> TermselError:
 
 def _shortened(ends: FloatArray, k: int) -> FloatArray:
     """Return two vertices of the same ground line, others for each band: they must differ."""
+    # One part in a hundred for each further band, along the same line.
     share = np.array([[0.01 * k], [1 - 0.01 * k]])
     return np.asarray(ends[0] + share * (ends[1] - ends[0]))

@@ -12,10 +12,14 @@ import termsel
 from termsel import FeatureSet, Fit, Lines, Points, TermselError
 from termsel_match.images.starts import Start, turned
 
-_WEAK = 3.0  # ratio of standard deviations across and along
-_HELD = 2.0  # px along the lines, beyond which the start holds the image
-_ASKED = 60  # vectors that are tried in turn, those with most lines
-UNCERTAIN = 1.0  # px by which the image may move without one vector
+# Ratio of standard deviations across and along.
+_WEAK_RATIO = 3.0
+# In px along the lines, beyond which the start holds the image.
+_HELD = 2.0
+# Vectors that are tried in turn, those with most lines.
+_ASKED = 60
+# In px by which the image may move without one vector.
+UNCERTAIN = 1.0
 
 
 @dataclass(frozen=True)
@@ -65,17 +69,20 @@ def fitted_to(features: FeatureSet, model: str, options: Mapping[str, Any], star
     if _across_and_along(features.lines)[0][1] <= _HELD:
         try:
             return features, termsel.fit(features, model, **options)
-        except TermselError:  # for example no drift from lines in one place
+        except TermselError:
+            # For example no drift from lines in one place.
             pass
+    # Four corners, as wrong as the search is wide: they hold what the lines leave open.
     size = np.array(features.image_size) - 1
     image = size * np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
     height = float(np.nanmean(features.lines.ground[..., 2]))
-    known = start.locate(image, height)
-    ground = np.column_stack([turned(known[:, :2], start.crs, features.crs), np.full(4, height)])
+    ground_of_start = start.locate(image, height)
+    ground = np.column_stack([turned(ground_of_start[:, :2], start.crs, features.crs),
+                              np.full(4, height)])
     points = Points(tuple(f"start-{i}" for i in range(1, 5)), image, ground,
                     np.full((4, 2), search), ("control",) * 4)
-    held = features.with_(points=points)
-    return held, termsel.fit(held, model, **options)
+    with_start = features.with_(points=points)
+    return with_start, termsel.fit(with_start, model, **options)
 
 
 def most_decisive(features: FeatureSet, model: str, options: Mapping[str, Any]) -> Decisive:
@@ -92,33 +99,36 @@ def most_decisive(features: FeatureSet, model: str, options: Mapping[str, Any]) 
     lines = features.lines
     ground = lines.ground.reshape(-1, 3)
     of = lines.attributes["vector"].astype(str)
-    seen = termsel.fit(features, model, **options).project(ground)
+    positions = termsel.fit(features, model, **options).project(ground)
     names, count = np.unique(of, return_counts=True)
+    # Without the only vector nothing is left to fit.
     if len(names) == 1:
         return Decisive(str(names[0]), float("inf"))
     moves = []
     for name in names[np.argsort(-count, kind="stable")[:_ASKED]]:
-        rest = lines.take(of != name)
+        other_lines = lines.take(of != name)
         try:
-            without = termsel.fit(features.with_(lines=rest), model, **options).project(ground)
+            without = termsel.fit(features.with_(lines=other_lines), model,
+                                  **options).project(ground)
         except TermselError:
             return Decisive(str(name), float("inf"))
-        moved = float(np.sqrt(((without - seen) ** 2).sum(axis=1).mean()))
+        moved = float(np.sqrt(((without - positions) ** 2).sum(axis=1).mean()))
         moves.append(Decisive(str(name), moved))
     return max(moves, key=lambda decisive: decisive.moved)
 
 
 def undetermined(lines: Lines) -> str:
     """Return in words how well lines fix the image, across them and along."""
-    (across, along), towards = _across_and_along(lines)
-    if along < _WEAK * across:
+    (across_them, along_them), towards = _across_and_along(lines)
+    if along_them < _WEAK_RATIO * across_them:
         return (f"The lines fix the position of the image in all directions: standard deviation "
-                f"{along:.2f} px.")
-    known = f"only to {along:.2f} px"
-    if along > _HELD:
-        known = ("not at all" if along == float("inf") else known) + ": there the start holds it"
+                f"{along_them:.2f} px.")
+    precision = f"only to {along_them:.2f} px"
+    if along_them > _HELD:
+        precision = ("not at all" if along_them == float("inf")
+                     else precision) + ": there the start holds it"
     return (f"The lines run in nearly one direction. Across it they fix the image to "
-            f"{across:.2f} px, along it {known}. It is at {towards:.0f} degrees from the "
+            f"{across_them:.2f} px, along it {precision}. It is at {towards:.0f} degrees from the "
             "direction of lines towards that of samples.")
 
 
@@ -126,10 +136,12 @@ def _across_and_along(lines: Lines) -> tuple[tuple[float, float], float]:
     """Return standard deviations across most lines and along [px], and where along is [deg]."""
     assert lines.sigma is not None
     run = lines.image[:, 1] - lines.image[:, 0]
+    # A line says where the image is across it: information sum(n n^T / sigma^2) of all normals n.
     normal = np.stack([-run[:, 1], run[:, 0]], axis=1) / np.linalg.norm(run, axis=1)[:, None]
     information = (normal[:, :, None] * normal[:, None] / lines.sigma[:, None, None] ** 2).sum(
         axis=0)
     (weak, strong), axes = np.linalg.eigh(information)
-    along = float(1 / np.sqrt(weak)) if weak > 1e-9 * strong else float("inf")
+    # The weak direction is along most lines.
+    along_them = float(1 / np.sqrt(weak)) if weak > 1e-9 * strong else float("inf")
     towards = float(np.degrees(np.arctan2(axes[1, 0], axes[0, 0]))) % 180
-    return (float(1 / np.sqrt(strong)), along), towards
+    return (float(1 / np.sqrt(strong)), along_them), towards

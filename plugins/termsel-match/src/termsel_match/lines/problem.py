@@ -21,12 +21,17 @@ from termsel import (
 )
 from termsel_match.images.rasters import FloatArray
 
-_LIMIT = 2.5  # half_at distances up to which a line may agree
-_SIGMAS, _LEAST_LIMIT = 2.5, 0.6  # by the spread of those, and at least; px
-_MEDIAN = 0.8326  # of the rms of two errors, in standard deviations of one
-_ROUNDS = 30
-_SAME = 1e-9  # of coefficients, which are of scaled coordinates
-_DAMPING = 1e-9  # of the mean diagonal: so that any lines have a solution
+# half_at distances up to which a line may agree.
+_LIMIT = 2.5
+# By the spread of those, and at least; px.
+_LINE_SIGMAS, _MIN_LINE_LIMIT = 2.5, 0.6
+# Of the rms of two errors, in standard deviations of one.
+_RMS_MEDIAN = 0.8326
+_REFINEMENTS = 30
+# Of coefficients, which are of scaled coordinates.
+_SAME_COEFFICIENTS = 1e-9
+# Of the mean diagonal: so that any lines have a solution.
+_DAMPING = 1e-9
 
 PICKED = Option("picked", 4, "Lines that a chromosome determines the model by.", int, 2, 50)
 HALF_AT = Option("half_at", 2.0, "Distance at which a piece counts half [px].", float, 0.01, 1e4)
@@ -72,15 +77,19 @@ class MatchedLines(Problem):
         equations = inputs.model.equations(inputs.control.with_(lines=replace(lines, sigma=None)))
         self._columns = equations.A.reshape(len(lines), 2, -1)
         self._target = equations.b.reshape(len(lines), 2)
-        pieces = lines.attributes.get("piece", np.array(lines.ids, dtype=object))
-        _, where, piece = np.unique(pieces.astype(str), return_index=True, return_inverse=True)
+        piece_names = lines.attributes.get("piece", np.array(lines.ids, dtype=object))
+        # Numbers of pieces in the order in which they come.
+        _, first_at, number = np.unique(piece_names.astype(str), return_index=True,
+                                        return_inverse=True)
         # As they come, which is along their vectors: as text, "10" is before "2".
-        piece = np.argsort(np.argsort(where))[piece.ravel()]
-        self._order = np.argsort(piece, kind="stable")
-        self._first = np.flatnonzero(np.diff(piece[self._order], prepend=-1))
-        vectors = lines.attributes.get("vector", pieces).astype(str)[self._order][self._first]
+        number = np.argsort(np.argsort(first_at))[number.ravel()]
+        # Candidates of a piece are put next to one another, so that `reduceat` finds its nearest.
+        self._order = np.argsort(number, kind="stable")
+        self._first = np.flatnonzero(np.diff(number[self._order], prepend=-1))
+        vectors = lines.attributes.get("vector", piece_names).astype(str)[self._order][self._first]
         _, vector, count = np.unique(vectors, return_inverse=True, return_counts=True)
         self._vector = vector.ravel()
+        # n pieces of a vector weigh 1 / sqrt(n) each, sqrt(n) together.
         weight = 1 / np.sqrt(count[self._vector])
         self._weight = weight / weight.sum()
         self._half = float(inputs.options["half_at"])
@@ -89,15 +98,17 @@ class MatchedLines(Problem):
     def evaluate(self, genes: Any) -> Evaluation:
         """Return the part of the pieces that does not agree."""
         away = self._distances(self._fitted(np.asarray(genes, dtype=np.intp)))
+        # Of each piece the nearest candidate alone counts.
         nearest = np.minimum.reduceat(away[:, self._order], self._first, axis=1)
-        part = nearest**2 / (nearest**2 + self._half**2)
-        return Evaluation((part @ self._weight)[:, None], np.zeros(len(part)))
+        disagreement = nearest**2 / (nearest**2 + self._half**2)
+        return Evaluation((disagreement @ self._weight)[:, None], np.zeros(len(disagreement)))
 
     def decode(self, genes: Any) -> Selection:
         """Return the lines that agree."""
         coefficients = self.refined(self.fitted(np.asarray(genes, dtype=np.intp)))
-        chosen = self.agreeing(coefficients)
-        picked = np.sort(chosen) if len(chosen) >= len(self._columns[0, 0]) else np.unique(genes)
+        agreeing = self.agreeing(coefficients)
+        picked = np.sort(agreeing) if len(agreeing) >= len(self._columns[0,
+                                                                         0]) else np.unique(genes)
         return Selection(self.inputs.model.terms,
                          tuple(self.inputs.control.ids[int(i)] for i in picked))
 
@@ -115,12 +126,13 @@ class MatchedLines(Problem):
 
         `times` is how many times each piece counts.
         """
-        for _ in range(_ROUNDS):
+        for _ in range(_REFINEMENTS):
             nearest, away = self._nearest(coefficients)
+            # Weights of Geman and McClure's loss: its derivative by e^2, (t^2 / (e^2 + t^2))^2.
             loss = self._weight * (self._half**2 / (away**2 + self._half**2)) ** 2
             before = coefficients
             coefficients = self.fitted(nearest, loss if times is None else loss * times)
-            if np.allclose(coefficients, before, rtol=0, atol=_SAME):
+            if np.allclose(coefficients, before, rtol=0, atol=_SAME_COEFFICIENTS):
                 break
         return coefficients
 
@@ -128,14 +140,15 @@ class MatchedLines(Problem):
                  ) -> NDArray[np.intp]:
         """Return the lines that agree with a model, as many times as their pieces count."""
         nearest, away = self._nearest(coefficients)
+        # A piece that counts twice is there twice.
         if times is not None:
             of = np.repeat(np.arange(len(nearest)), times.astype(np.intp))
             nearest = nearest[of]
             away = away[of]
         near = away[away <= _LIMIT * self._half]
-        spread = float(np.median(near)) / _MEDIAN if len(near) else 0.0
+        spread = float(np.median(near)) / _RMS_MEDIAN if len(near) else 0.0
         return np.asarray(
-            nearest[away <= min(max(_SIGMAS * spread, _LEAST_LIMIT), _LIMIT * self._half)])
+            nearest[away <= min(max(_LINE_SIGMAS * spread, _MIN_LINE_LIMIT), _LIMIT * self._half)])
 
     def seen(self, coefficients: FloatArray) -> FloatArray:
         """Return where a model sees the vertices of all lines, (2 n, 2) [px]."""
@@ -145,7 +158,8 @@ class MatchedLines(Problem):
     def _nearest(self, coefficients: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
         """Return the nearest line of each piece to a model, and how far it is [px]."""
         away = self._distances(coefficients[None])[0]
-        nearest = np.array([own[away[own].argmin()] for own in self._of_pieces()])
+        nearest = np.array([candidates[away[candidates].argmin()]
+                            for candidates in self._of_pieces()])
         return nearest, away[nearest]
 
     def _of_pieces(self) -> list[NDArray[np.intp]]:
@@ -157,6 +171,8 @@ class MatchedLines(Problem):
         columns = (self._columns[lines] * root[:, None, None]).reshape(
             len(lines), -1, self._columns.shape[2])
         target = (self._target[lines] * root[:, None]).reshape(len(lines), -1)
+        # Normal equations of all chromosomes at once, damped so that parallel lines have a
+        # solution.
         normal = np.einsum("pri,prj->pij", columns, columns)
         size = np.trace(normal, axis1=1, axis2=2) / normal.shape[1]
         normal += _DAMPING * size[:, None, None] * np.eye(normal.shape[1])

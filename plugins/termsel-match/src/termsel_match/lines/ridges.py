@@ -9,18 +9,29 @@ import numpy as np
 
 from termsel_match.images.rasters import FloatArray, GreyRaster
 
-_STEP = 0.5  # px across
-_WIDTHS = (4.0, 6.0, 8.0, 10.0, 13.0)  # px of a band
-_FLANK = 4.0  # px on either side that are compared with it
-_BLOCK = 12.0  # px along, in which the place across is found
-_APART = 5.0  # px between bands
-_EDGE = 2.5  # px about an edge in which its slope counts
-_AROUND = 3.0  # px about a band in which its blocks are placed
-_COMPARED = 40.0  # px to either side, at least, whose responses are compared
-_LEAST = 3.0  # response of a band, in standard deviations of those of the strip
+# In px across.
+_PROFILE_STEP = 0.5
+# In px of a band.
+_WIDTHS = (4.0, 6.0, 8.0, 10.0, 13.0)
+# In px on either side that are compared with it.
+_FLANK = 4.0
+# In px along, in which the place across is found.
+_BLOCK_LENGTH = 12.0
+# In px between bands.
+_BAND_DISTANCE = 5.0
+# In px about an edge in which its slope counts.
+_EDGE_WIDTH = 2.5
+# In px about a band in which its blocks are placed.
+_BAND_REACH = 3.0
+# In px to either side, at least, whose responses are compared.
+_COMPARED = 40.0
+# Response of a band, in standard deviations of those of the strip.
+_MIN_RESPONSE = 3.0
 _LEAST_BLOCKS = 3
-_SEEN = 0.6  # part of the length that must be in the image
-_LEAST_SIGMA = 0.1  # px
+# Part of the length that must be in the image.
+_SEEN = 0.6
+# In px.
+_MIN_BAND_SIGMA = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +56,7 @@ class Band:
     score: float
 
 
-def bands(picture: GreyRaster, ends: FloatArray, search: float, most: int) -> list[Band]:
+def bands(picture: GreyRaster, ends: FloatArray, search: float, limit: int) -> list[Band]:
     """Return the clearest bands that are parallel to a line.
 
     Parameters
@@ -55,29 +66,33 @@ def bands(picture: GreyRaster, ends: FloatArray, search: float, most: int) -> li
         Two places of the line, line and sample [px].
     search : float
         Largest distance across [px].
-    most : int
+    limit : int
         Largest number of bands.
     """
     run = ends[1] - ends[0]
     length = float(np.linalg.norm(run))
-    along = run / length
+    # Unit vectors along the line and across it.
+    direction = run / length
     across = np.array([-run[1], run[0]]) / length
     compared = max(search, _COMPARED)
     reach = compared + max(_WIDTHS) / 2 + _FLANK + 2
-    offset = np.arange(-reach, reach + _STEP / 2, _STEP)
-    place = np.arange(0.0, length + 0.5)
-    where = ends[0] + place[:, None, None] * along + offset[:, None] * across
-    low = np.floor(where.reshape(-1, 2).min(axis=0)).astype(int) - 1
-    extent = np.ceil(where.reshape(-1, 2).max(axis=0)).astype(int) + 2 - low
-    grey, known = picture.read(int(low[0]), int(low[1]), int(extent[0]), int(extent[1]))
-    at = [(where[..., axis] - low[axis]).astype(np.float32) for axis in (1, 0)]
-    strip = cv2.remap(grey, *at, cv2.INTER_LINEAR).astype(np.float64)
-    seen = cv2.remap(known.astype(np.float32), *at, cv2.INTER_LINEAR) > 0.999
-    strip[~seen] = np.nan
-    count = seen.sum(axis=0)
-    profile = np.where(seen, strip, 0.0).sum(axis=0) / np.maximum(count, 1)
+    offset = np.arange(-reach, reach + _PROFILE_STEP / 2, _PROFILE_STEP)
+    distance = np.arange(0.0, length + 0.5)
+    at = ends[0] + distance[:, None, None] * direction + offset[:, None] * across
+    low = np.floor(at.reshape(-1, 2).min(axis=0)).astype(int) - 1
+    extent = np.ceil(at.reshape(-1, 2).max(axis=0)).astype(int) + 2 - low
+    grey, grey_known = picture.read(int(low[0]), int(low[1]), int(extent[0]), int(extent[1]))
+    # OpenCV takes columns before rows.
+    maps = [(at[..., axis] - low[axis]).astype(np.float32) for axis in (1, 0)]
+    strip = cv2.remap(grey, *maps, cv2.INTER_LINEAR).astype(np.float64)
+    is_known = cv2.remap(grey_known.astype(np.float32), *maps, cv2.INTER_LINEAR) > 0.999
+    strip[~is_known] = np.nan
+    count = is_known.sum(axis=0)
+    # The mean along the line: a band is clearer in it than in any row.
+    profile = np.where(is_known, strip, 0.0).sum(axis=0) / np.maximum(count, 1)
     profile[count < _SEEN * len(strip)] = np.nan
     responses = np.stack([_response(profile[None], width)[0] for width in _WIDTHS])
+    # The best width at each offset; what is clear is so in comparison with the rest of the strip.
     best = np.abs(np.nan_to_num(responses)).max(axis=0) * (np.abs(offset) <= compared)
     if not best.any():
         return []
@@ -85,9 +100,9 @@ def bands(picture: GreyRaster, ends: FloatArray, search: float, most: int) -> li
     best[np.abs(offset) > search] = 0.0
     clearest: list[Band] = []
     for i in np.argsort(-best):
-        if len(clearest) == most or best[i] < _LEAST * spread:
+        if len(clearest) == limit or best[i] < _MIN_RESPONSE * spread:
             break
-        if all(abs(offset[i] - other.offset) >= _APART for other in clearest):
+        if all(abs(offset[i] - taken_band.offset) >= _BAND_DISTANCE for taken_band in clearest):
             width = _WIDTHS[int(np.nanargmax(np.abs(responses[:, i])))]
             sign = float(np.sign(responses[_WIDTHS.index(width), i]))
             band = _placed(strip, offset, float(offset[i]), width, sign)
@@ -104,13 +119,14 @@ def _response(profiles: FloatArray, width: float) -> FloatArray:
     The smaller of the differences to either side, where both have the same sign: of an edge it is
     small.
     """
-    half = round(width / 2 / _STEP)
-    flank = round(_FLANK / _STEP)
+    half = round(width / 2 / _PROFILE_STEP)
+    flank = round(_FLANK / _PROFILE_STEP)
     unknown = ~np.isfinite(profiles)
-    total, gaps = (np.pad(np.cumsum(one, axis=1), ((0, 0), (1, 0)))
-                   for one in (np.where(unknown, 0.0, profiles), unknown))
+    # Sums up to each column, so that the mean of any stretch is one difference.
+    total, gaps = (np.pad(np.cumsum(values, axis=1), ((0, 0), (1, 0)))
+                   for values in (np.where(unknown, 0.0, profiles), unknown))
     n = profiles.shape[1]
-    out = np.full(profiles.shape, np.nan)
+    response = np.full(profiles.shape, np.nan)
     middle = np.arange(half + flank + 1, n - half - flank - 1)
 
     def mean(first: int, last: int) -> FloatArray:
@@ -118,13 +134,16 @@ def _response(profiles: FloatArray, width: float) -> FloatArray:
                           / (last - first + 1))
 
     core = mean(-half + 1, half - 1)
-    left, right = core - mean(-half - flank, -half - 1), core - mean(half + 1, half + flank)
-    same = np.sign(left) == np.sign(right)
-    value = np.where(same, np.sign(left) * np.minimum(np.abs(left), np.abs(right)), 0.0)
+    # How much brighter the core is than either flank.
+    left_step = core - mean(-half - flank, -half - 1)
+    right_step = core - mean(half + 1, half + flank)
+    is_band = np.sign(left_step) == np.sign(right_step)
+    value = np.where(is_band, np.sign(left_step)
+                     * np.minimum(np.abs(left_step), np.abs(right_step)), 0.0)
     reach = half + flank
     gap = gaps[:, middle + reach + 1] > gaps[:, middle - reach]
-    out[:, middle] = np.where(gap, np.nan, value)
-    return out
+    response[:, middle] = np.where(gap, np.nan, value)
+    return response
 
 
 def _between_edges(profiles: FloatArray, offset: FloatArray, at: FloatArray, width: float,
@@ -136,44 +155,48 @@ def _between_edges(profiles: FloatArray, offset: FloatArray, at: FloatArray, wid
     """
     slope = np.nan_to_num(np.gradient(profiles, axis=1))
     edges = []
-    for side in (-1, 1):
-        near = np.abs(offset - (at + side * width / 2)[:, None]) <= _EDGE
-        weight = np.where(near, np.clip(-side * slope, 0, None) ** 2, 0.0)
+    for sign in (-1, 1):
+        # The slope of the right sign near the edge that the width expects.
+        near = np.abs(offset - (at + sign * width / 2)[:, None]) <= _EDGE_WIDTH
+        weight = np.where(near, np.clip(-sign * slope, 0, None) ** 2, 0.0)
         total = weight.sum(axis=1)
         edges.append(np.where(total > 0, (weight * offset).sum(axis=1)
-                              / np.where(total > 0, total, 1.0), at + side * width / 2))
+                              / np.where(total > 0, total, 1.0), at + sign * width / 2))
     return np.asarray(np.mean(edges, axis=0))
 
 
 def _placed(strip: FloatArray, offset: FloatArray, about: float, width: float, sign: float,
             ) -> tuple[tuple[float, float], float] | None:
     """Return where across a band is at either end, and the standard deviation; None if unclear."""
-    count = max(_LEAST_BLOCKS, round(len(strip) / _BLOCK))
+    # The place across is found in blocks along the band, and a straight line is fitted to them.
+    count = max(_LEAST_BLOCKS, round(len(strip) / _BLOCK_LENGTH))
     blocks = np.array_split(np.arange(len(strip)), count)
     means = np.stack([strip[block].mean(axis=0) for block in blocks])
     middles = np.array([block.mean() for block in blocks])
-    near = np.flatnonzero(np.abs(offset - about) <= _AROUND)
+    near = np.flatnonzero(np.abs(offset - about) <= _BAND_REACH)
     value = sign * _response(means, width)[:, near]
     clear = np.flatnonzero(np.isfinite(value).all(axis=1) & (value.max(axis=1) > 0))
     if len(clear) < _LEAST_BLOCKS:
         return None
+    # The centroid of what is above half of the largest response.
     weight = np.clip(value[clear] - 0.5 * value[clear].max(axis=1, keepdims=True), 0, None)
     at = (weight * offset[near]).sum(axis=1) / weight.sum(axis=1)
     s = middles[clear]
     at = _between_edges(sign * means[clear], offset, at, width)
-    kept = np.ones(len(s), dtype=bool)
+    used = np.ones(len(s), dtype=bool)
     for _ in range(4):
-        line = np.polynomial.Polynomial.fit(s[kept], at[kept], 1).convert()
+        line = np.polynomial.Polynomial.fit(s[used], at[used], 1).convert()
         away = np.abs(at - line(s))
-        spread = 1.4826 * float(np.median(away[kept]))
-        again = away <= max(3 * spread, 0.3)
-        if again.sum() < _LEAST_BLOCKS:
+        spread = 1.4826 * float(np.median(away[used]))
+        near_line = away <= max(3 * spread, 0.3)
+        if near_line.sum() < _LEAST_BLOCKS:
             return None
-        if np.array_equal(again, kept):
+        if np.array_equal(near_line, used):
             break
-        kept = again
-    if kept.sum() < 0.5 * count:
+        used = near_line
+    if used.sum() < 0.5 * count:
         return None
-    rms = float(np.sqrt((away[kept] ** 2).sum() / max(1, kept.sum() - 2)))
+    # Standard deviation of the mean of the blocks, with two parameters of the line.
+    rms = float(np.sqrt((away[used] ** 2).sum() / max(1, used.sum() - 2)))
     return ((float(line(0.0)), float(line(len(strip) - 1.0))),
-            max(rms / float(np.sqrt(kept.sum())), _LEAST_SIGMA))
+            max(rms / float(np.sqrt(used.sum())), _MIN_BAND_SIGMA))

@@ -24,13 +24,20 @@ from termsel_match.lines.problem import MatchedLines
 from termsel_match.lines.tracing import Tracing, left_by_tracing
 from termsel_match.searching import searched
 
-_MOST = 6  # rounds
-_NARROWER = 4.0  # the search of a round is that of the last by this
-_NARROWEST = 8.0  # px
-_HALF_AT = 2.0, 1.0  # px at which a piece counts half, in the first round and later
-_SETTLED = 0.1  # px by which the last round moves the image
-_PROOF, _AT = 40.0, 3.0  # px: in the end the clearest band within the one must be within the other
-_LEAST_SHARE = 0.5  # for this part of the pieces: at least 0.68 of true models in ten scenes, and
+# Rounds.
+_MAX_ROUNDS = 6
+# The search of a round is that of the last by this.
+_NARROWER = 4.0
+# In px.
+_NARROWEST = 8.0
+# In px at which a piece counts half, in the first round and later.
+_HALF_AT = 2.0, 1.0
+# In px by which the last round moves the image.
+_SETTLED_MOVE = 0.1
+# In px: in the end the clearest band within the one must be within the other.
+_PROOF, _AT = 40.0, 3.0
+# For this part of the pieces: at least 0.68 of true models in ten scenes, and.
+_LEAST_SHARE = 0.5
 # at most 0.12 of models that are 20 px off (docs/evidence/matching.md)
 
 
@@ -96,9 +103,9 @@ class Matched:
     def text(self) -> str:
         """Return a table of the rounds, and what the lines leave undetermined."""
         table = ["round  search  pieces  candidates  agree    rms  moved"]
-        table += [f"{i + 1:5d} {each.search:7.0f} {each.pieces:7d} {each.candidates:11d} "
-                  f"{each.agreeing:6d} {each.rms:6.2f} {each.moved:6.2f}"
-                  for i, each in enumerate(self.rounds)]
+        table += [f"{i + 1:5d} {round_.search:7.0f} {round_.pieces:7d} {round_.candidates:11d} "
+                  f"{round_.agreeing:6d} {round_.rms:6.2f} {round_.moved:6.2f}"
+                  for i, round_ in enumerate(self.rounds)]
         if not self.settled:
             table.append("The last round still changed the model.")
         table += [undetermined(self.lines), self.decisive.text()]
@@ -118,7 +125,7 @@ def iterate_lines(
     search: float = 60.0,
     band: int | None = None,
     seed: int = 1,
-    out: Path | str | None = None,
+    folder: Path | str | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Matched:
     """Match lines, select those that agree, and match again from their model until it stays.
@@ -132,7 +139,7 @@ def iterate_lines(
         Options of the model.
     seed : int
         Of each selection.
-    out : path-like, optional
+    folder : path-like, optional
         Folder for the last result.
     progress : callable, optional
         Called with the fraction of the round that is done.
@@ -155,53 +162,59 @@ def iterate_lines(
                               image_size=candidates.image_size)
 
         half_at = _HALF_AT[bool(rounds)]
-        chosen = candidates.lines.take(np.isin(candidates.lines.ids, searched(
+        selected = candidates.lines.take(np.isin(candidates.lines.ids, searched(
             "matched-lines", features, model, {**options, "half_at": half_at}, seed=seed)))
+        # All lines weigh alike at first: what their bands state is not how far vectors are off.
         used, fitted = fitted_to(
-            features.with_(lines=replace(chosen, sigma=np.ones(len(chosen)))), model, options, at,
+            features.with_(lines=replace(selected, sigma=np.ones(len(selected)))), model, options,
+            at,
             search)
-        chosen = used.lines
-        pieces = len(set(candidates.lines.attributes["piece"]))
-        rms = rms_distance(fitted, chosen)
-        there = chosen.ground.reshape(-1, 3)
-        now = fitted.project(there)
-        before = at.project(np.column_stack([turned(there[:, :2], candidates.crs, at.crs),
-                                             there[:, 2]]))
-        moved = float(np.sqrt(((now - before) ** 2).sum(axis=1).mean()))
-        rounds.append(Round(search, pieces, len(candidates.lines), len(chosen), rms, moved))
-        settled = moved < _SETTLED
-        if settled or len(rounds) == _MOST:
+        selected = used.lines
+        n_pieces = len(set(candidates.lines.attributes["piece"]))
+        rms = rms_distance(fitted, selected)
+        vertices = selected.ground.reshape(-1, 3)
+        position = fitted.project(vertices)
+        position_before = at.project(np.column_stack([turned(vertices[:, :2], candidates.crs,
+                                                             at.crs),
+                                                      vertices[:, 2]]))
+        moved = float(np.sqrt(((position - position_before) ** 2).sum(axis=1).mean()))
+        rounds.append(Round(search, n_pieces, len(candidates.lines), len(selected), rms, moved))
+        settled = moved < _SETTLED_MOVE
+        if settled or len(rounds) == _MAX_ROUNDS:
             break
+        # The model is nearer now, and a narrow search finds fewer wrong bands.
         search = min(search, max(_NARROWEST, search / _NARROWER))
-        at = _start(fitted, candidates.crs, chosen)
-    seen = in_place(image, vectors, _start(fitted, candidates.crs, chosen), dem=dem,
-                    search=max(_PROOF, first), band=band)
-    if seen.mean() < _LEAST_SHARE:
+        at = _start(fitted, candidates.crs, selected)
+    # Whether the model is right is asked of the image again, in a wide search from it.
+    in_place_ = in_place(image, vectors, _start(fitted, candidates.crs, selected), dem=dem,
+                         search=max(_PROOF, first), band=band)
+    if in_place_.mean() < _LEAST_SHARE:
         raise TermselError(
-            f"not enough lines agree: for {int(seen.sum())} of {len(seen)} pieces of vectors the "
-            f"clearest band of the image is at its place", file=Path(image),
+            f"not enough lines agree: for {int(in_place_.sum())} of {len(in_place_)} pieces of "
+            f"vectors the clearest band of the image is at its place", file=Path(image),
             hint="Is the start off by more than --search? Do the vectors show what can be seen?")
-    lines = replace(chosen, sigma=np.full(len(chosen), rms))
+    lines = replace(selected, sigma=np.full(len(selected), rms))
     used = used.with_(lines=lines)
     mixed = {"mixed": True} if len(used.points) else {}
     result = termsel.run("owdis-lines", features=used, model=model, solver="all-terms",
-                         criterion="press", options={**options, **mixed}, seed=seed, out=out)
+                         criterion="press", options={**options, **mixed}, seed=seed, out=folder)
     tracing = Tracing()
     if not (isinstance(start, Start) or len(used.points)):
         problem = termsel.prepare("matched-lines", features=features, model=model,
                                   options={**options, "half_at": half_at}).problem
         assert isinstance(problem, MatchedLines)
-        tracing = left_by_tracing(problem, chosen.ids, seed)
-    return Matched(candidates, lines, result, tuple(rounds), settled,
-                   most_decisive(used, model, options), tracing)
+        tracing = left_by_tracing(problem, selected.ids, seed)
+    return Matched(candidates=candidates, lines=lines, result=result, rounds=tuple(rounds),
+                   settled=settled, decisive=most_decisive(used, model, options), tracing=tracing)
 
 
 def in_place(image: Path | str, vectors: Path | str, at: Start, *, dem: Path | str | None,
              search: float = _PROOF, band: int | None = None) -> NDArray[np.bool_]:
     """Return for each piece whether its clearest band is within 3 px of where a model sees it."""
-    seen = match_lines(image, vectors, dem=dem, start=at, search=search, band=band).lines
-    clearest = np.array([name.endswith(".1") for name in seen.ids])
-    return np.asarray(np.abs(seen.attributes["offset"][clearest].astype(float)) <= _AT)
+    lines = match_lines(image, vectors, dem=dem, start=at, search=search, band=band).lines
+    # Candidates of a piece are numbered from the clearest on.
+    clearest = np.array([name.endswith(".1") for name in lines.ids])
+    return np.asarray(np.abs(lines.attributes["offset"][clearest].astype(float)) <= _AT)
 
 
 def _start(fitted: Fit, crs: str, lines: Lines) -> Start:

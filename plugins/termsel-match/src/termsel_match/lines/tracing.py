@@ -12,9 +12,11 @@ from termsel_match.lines.problem import MatchedLines
 
 FEW = 6
 """Vectors; of fewer, an error that a whole one has does not show."""
-_STRETCHES, _FEWEST = 8, 4  # of fewer vectors, that are drawn together
+# Of fewer vectors, that are drawn together.
+_STRETCHES, _MIN_STRETCHES = 8, 4
 _DRAWS = 60
-_LEVEL = 0.7  # of the draws; the mean square is as large for normal errors, and not robust
+# Of the draws; the mean square is as large for normal errors, and not robust.
+_LEVEL = 0.7
 
 
 @dataclass(frozen=True)
@@ -34,15 +36,15 @@ class Tracing:
 
     def text(self) -> str:
         """Return what a user must know of it."""
-        left = ("cannot be told by so few pieces of vectors." if np.isnan(self.sigma) else
-                f"{self.sigma:.2f} px.")
+        remaining = ("cannot be told by so few pieces of vectors." if np.isnan(self.sigma) else
+                     f"{self.sigma:.2f} px.")
         if self.vectors < FEW and not np.isnan(self.sigma):
-            left = (f"{self.sigma:.2f} px, apart from errors that a whole vector has. Fewer than "
-                    f"{FEW} vectors do not show those.")
-        return f"Standard deviation in the image that errors of the vectors leave: {left}"
+            remaining = (f"{self.sigma:.2f} px, apart from errors that a whole vector has. Fewer "
+                         f"than {FEW} vectors do not show those.")
+        return f"Standard deviation in the image that errors of the vectors leave: {remaining}"
 
 
-def left_by_tracing(problem: MatchedLines, chosen: Sequence[str], seed: int) -> Tracing:
+def left_by_tracing(problem: MatchedLines, selected: Sequence[str], seed: int) -> Tracing:
     """Return what errors of the vectors leave in the image.
 
     Errors of tracing are common to a vector, so that its pieces do not average them out; and lines
@@ -54,7 +56,7 @@ def left_by_tracing(problem: MatchedLines, chosen: Sequence[str], seed: int) -> 
     ----------
     problem : MatchedLines
         Of all candidates.
-    chosen : sequence of str
+    selected : sequence of str
         The lines that the model is fitted to.
     seed : int
         Of the draws.
@@ -67,18 +69,21 @@ def left_by_tracing(problem: MatchedLines, chosen: Sequence[str], seed: int) -> 
     vectors = int(problem.vector.max()) + 1
     of = _drawn_together(problem.vector)
     count = int(of.max()) + 1
-    if count < _FEWEST:
+    if count < _MIN_STRETCHES:
         return Tracing(vectors=vectors)
     rng = np.random.default_rng([seed, 6])
-    begin = problem.fitted(np.flatnonzero(np.isin(problem.inputs.control.ids, chosen)))
-    ones = np.ones(len(of))
-    own = problem.seen(problem.fitted(problem.agreeing(problem.refined(begin, ones), ones)))
+    # The model by the selected lines, refined by all that agree: the draws begin there.
+    begin = problem.fitted(np.flatnonzero(np.isin(problem.inputs.control.ids, selected)))
+    once = np.ones(len(of))
+    positions = problem.seen(problem.fitted(problem.agreeing(problem.refined(begin, once), once)))
     moves = []
     for _ in range(_DRAWS):
+        # How often each group is drawn, and with it all of its pieces.
         times = np.bincount(rng.integers(0, count, count), minlength=count)[of].astype(float)
         lines = problem.agreeing(problem.refined(begin, times), times)
         if len(lines):
-            moves.append(((problem.seen(problem.fitted(lines)) - own) ** 2).sum(axis=1).mean())
+            away = problem.seen(problem.fitted(lines)) - positions
+            moves.append((away**2).sum(axis=1).mean())
     # A few draws hardly determine the model, which says nothing of all vectors together.
     return Tracing(float(np.sqrt(np.quantile(moves, _LEVEL))) if moves else float("nan"), vectors)
 
@@ -88,9 +93,10 @@ def _drawn_together(vector: NDArray[np.intp]) -> NDArray[np.intp]:
     count = int(vector.max()) + 1
     if count >= FEW:
         return vector
-    parts = -(-_STRETCHES // count)
+    n_stretches = -(-_STRETCHES // count)
     stretch = np.empty_like(vector)
     for number in range(count):
-        own = np.flatnonzero(vector == number)
-        stretch[own] = number * parts + np.arange(len(own)) * parts // len(own)
+        of_vector = np.flatnonzero(vector == number)
+        share = np.arange(len(of_vector)) * n_stretches // len(of_vector)
+        stretch[of_vector] = number * n_stretches + share
     return np.asarray(np.unique(stretch, return_inverse=True)[1].ravel())

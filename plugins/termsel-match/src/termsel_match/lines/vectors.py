@@ -18,12 +18,18 @@ from termsel_match.images.rasters import FloatArray
 from termsel_match.images.starts import Start
 
 _KINDS = ("LineString", "MultiLineString", "Polygon", "MultiPolygon")
-_STRAIGHT = 0.5  # px by which a vector may bend within a piece
-SHORTEST, _LONGEST = 40.0, 150.0  # px of a piece
-_STEP = 16.0  # px between vertices that are projected
-_AROUND = 0.5  # of the image, around it, where vectors may be that it shows
-MOST = 400  # pieces; more would take time and tell next to nothing
-_CELLS, _DIRECTIONS = 6, 4  # of the image along either side, and of pieces, from which they are
+# In px by which a vector may bend within a piece.
+_STRAIGHT = 0.5
+# In px of a piece.
+SHORTEST, _LONGEST = 40.0, 150.0
+# In px between vertices that are projected.
+_VERTEX_STEP = 16.0
+# Of the image, around it, where vectors may be that it shows.
+_MARGIN = 0.5
+# Pieces; more would take time and tell next to nothing.
+MOST_PIECES = 400
+# Of the image along either side, and of pieces, from which they are.
+_IMAGE_CELLS, _PIECE_DIRECTIONS = 6, 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +82,8 @@ def pieces_of(path: Path | str, start: Start, dem: Path | str | None, size: tupl
     to_start = Transformer.from_crs(CRS.from_user_input(crs).to_2d(),
                                     CRS.from_user_input(start.crs).to_2d(), always_xy=True)
     nowhere = TermselError(
-        f"no straight piece of {SHORTEST:.0f} px of the vectors is in the image, by {start.what}",
+        f"no straight piece of {SHORTEST:.0f} px of the vectors is in the image, by "
+        f"{start.description}",
         file=path, hint="Give vectors of the same place.")
     lines, vector_of = _dense(lines, _place(start, to_start, size), size)
     if not lines:
@@ -89,19 +96,20 @@ def pieces_of(path: Path | str, start: Start, dem: Path | str | None, size: tupl
     if not np.isfinite(heights).any():
         raise TermselError("the DEM does not cover any of the vectors", file=dem,
                            hint="Give a DEM of the place. Vectors may be in another CRS.")
+    # Where the start sees every vertex; what has no height is nowhere.
     x, y = to_start.transform(*plane.T)
-    seen = start.project(np.column_stack([x, y, heights]))
+    at_image = start.project(np.column_stack([x, y, heights]))
     ground = np.column_stack([plane, heights])
     vector = []
     ends = []
     image = []
     for i in range(len(lines)):
-        known = np.flatnonzero((owner == i) & np.isfinite(seen).all(axis=1))
+        finite = np.flatnonzero((owner == i) & np.isfinite(at_image).all(axis=1))
         # Without the vertices that have no height the line is not one.
-        for own in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):
-            for first, last in _straight(seen[own]):
-                of_image = seen[own[[first, last]]]
-                of_ground = ground[own[[first, last]]]
+        for run in np.split(finite, np.flatnonzero(np.diff(finite) > 1) + 1):
+            for first, last in _straight(at_image[run]):
+                of_image = at_image[run[[first, last]]]
+                of_ground = ground[run[[first, last]]]
                 for share in _shares(of_image, size):
                     vector.append(str(vector_of[i] + 1))
                     image.append(of_image[0] + share[:, None] * (of_image[1] - of_image[0]))
@@ -109,9 +117,11 @@ def pieces_of(path: Path | str, start: Start, dem: Path | str | None, size: tupl
     if not vector:
         raise nowhere
     measured = np.array(image)
-    places = np.array(ends)
-    kept = _spread(measured, size)
-    return Pieces(tuple(vector[i] for i in kept), places[kept], measured[kept], crs)
+    ground_ends = np.array(ends)
+    # Not all pieces, but long ones in all parts of the image and in all directions.
+    taken_pieces = _spread(measured, size)
+    return Pieces(tuple(vector[i] for i in taken_pieces), ground_ends[taken_pieces],
+                  measured[taken_pieces], crs)
 
 
 def _place(start: Start, to_start: Any, size: tuple[int, int]) -> FloatArray:
@@ -120,26 +130,28 @@ def _place(start: Start, to_start: Any, size: tuple[int, int]) -> FloatArray:
     image = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 2)
     ground = start.locate(image, start.height)
     plane = to_start.transform(ground[:, 0], ground[:, 1], direction="INVERSE")
-    places = np.column_stack(plane)
-    places[~np.isfinite(places).all(axis=1)] = np.nan
-    return places.reshape(7, 7, 2)
+    plane_positions = np.column_stack(plane)
+    plane_positions[~np.isfinite(plane_positions).all(axis=1)] = np.nan
+    return plane_positions.reshape(7, 7, 2)
 
 
-def _dense(lines: list[FloatArray], place: FloatArray, size: tuple[int, int],
+def _dense(lines: list[FloatArray], plane_mesh: FloatArray, size: tuple[int, int],
            ) -> tuple[list[FloatArray], list[int]]:
     """Return the parts of vectors near an image, and which vector each is of.
 
     They get vertices every 16 px, as the terrain bends where a map has none.
     """
-    low, high = (limit(place, axis=(0, 1)) for limit in (np.nanmin, np.nanmax))
+    low, high = (limit(plane_mesh, axis=(0, 1)) for limit in (np.nanmin, np.nanmax))
     if not np.isfinite([low, high]).all():
+        # Vectors around the image count too: a start may be off by half an image.
         return [], []
-    around = _AROUND * (high - low)
+    around = _MARGIN * (high - low)
     near = shapely.clip_by_rect([shapely.LineString(line) for line in lines],
                                 *(low - around), *(high + around))
-    parts, vector = shapely.get_parts(near, return_index=True)
-    steps = np.linalg.norm(np.diff(place, axis=0), axis=2) / (size[0] / 6)
-    dense = shapely.segmentize(parts, _STEP * float(np.nanmedian(steps)))
+    clipped, vector = shapely.get_parts(near, return_index=True)
+    # How many units of the map a pixel is, from steps of the mesh.
+    steps = np.linalg.norm(np.diff(plane_mesh, axis=0), axis=2) / (size[0] / 6)
+    dense = shapely.segmentize(clipped, _VERTEX_STEP * float(np.nanmedian(steps)))
     return [shapely.get_coordinates(line) for line in dense], vector.tolist()
 
 
@@ -158,11 +170,12 @@ def read_vectors(path: Path) -> tuple[list[FloatArray], str]:
         raise TermselError("the vectors have no CRS", file=path,
                            hint="Assign the CRS in a GIS and save them again.")
     shapes = shapely.force_2d(shapes)
+    # The boundary of an area is a line, as that of a field or a lake.
     areal = shapely.get_dimensions(shapes) == 2
     shapes = np.where(areal, shapely.boundary(shapes), shapes)
-    parts = shapely.get_parts(shapely.line_merge(shapes[~shapely.is_empty(shapes)]))
-    lines = [shapely.get_coordinates(part) for part in parts
-             if shapely.get_dimensions(part) == 1 and len(shapely.get_coordinates(part)) > 1]
+    merged = shapely.get_parts(shapely.line_merge(shapes[~shapely.is_empty(shapes)]))
+    lines = [shapely.get_coordinates(line) for line in merged
+             if shapely.get_dimensions(line) == 1 and len(shapely.get_coordinates(line)) > 1]
     if not lines:
         raise TermselError("the file has no lines", file=path,
                            hint="Give a file of lines, such as roads.")
@@ -172,28 +185,33 @@ def read_vectors(path: Path) -> tuple[list[FloatArray], str]:
 def _spread(image: FloatArray, size: tuple[int, int]) -> NDArray[np.intp]:
     """Return which pieces to take: of each cell and direction the longest, in turn."""
     run = image[:, 1] - image[:, 0]
-    cell = np.clip(image.mean(axis=1) / size * _CELLS, 0, _CELLS - 1).astype(np.intp)
+    cell = np.clip(image.mean(axis=1) / size * _IMAGE_CELLS, 0, _IMAGE_CELLS - 1).astype(np.intp)
+    # A direction has no sense: half a turn is the same one.
     turn = np.arctan2(run[:, 0], run[:, 1]) % np.pi
-    direction = np.minimum((turn / np.pi * _DIRECTIONS).astype(np.intp), _DIRECTIONS - 1)
-    group = (cell[:, 0] * _CELLS + cell[:, 1]) * _DIRECTIONS + direction
+    direction = np.minimum((turn / np.pi * _PIECE_DIRECTIONS).astype(np.intp),
+                           _PIECE_DIRECTIONS - 1)
+    group = (cell[:, 0] * _IMAGE_CELLS + cell[:, 1]) * _PIECE_DIRECTIONS + direction
     order = np.lexsort((-np.linalg.norm(run, axis=1), group))
+    # The rank within its group: first the longest of all groups, then the second of all.
     first = np.searchsorted(group[order], group[order])
-    rank = np.arange(len(order)) - first  # within its group
-    return np.sort(order[np.argsort(rank, kind="stable")[:MOST]])
+    # Within its group.
+    rank = np.arange(len(order)) - first
+    return np.sort(order[np.argsort(rank, kind="stable")[:MOST_PIECES]])
 
 
 def _straight(image: FloatArray) -> list[tuple[int, int]]:
     """Return first and last vertex of the straight pieces of a polyline in the image."""
     if len(image) < 2:
         return []
-    kept = shapely.get_coordinates(shapely.simplify(shapely.LineString(image), _STRAIGHT))
+    # Douglas and Peucker: what bends by less than half a pixel is straight.
+    vertices = shapely.get_coordinates(shapely.simplify(shapely.LineString(image), _STRAIGHT))
     # Vertices that are kept are those of the polyline, in its order.
     at = 0
-    places = []
-    for vertex in kept:
+    numbers = []
+    for vertex in vertices:
         at += int(np.argmin(np.abs(image[at:] - vertex).sum(axis=1)))
-        places.append(at)
-    return list(pairwise(places))
+        numbers.append(at)
+    return list(pairwise(numbers))
 
 
 def _shares(image: FloatArray, size: tuple[int, int]) -> list[FloatArray]:
@@ -203,6 +221,7 @@ def _shares(image: FloatArray, size: tuple[int, int]) -> list[FloatArray]:
     if length < SHORTEST:
         return []
     with np.errstate(divide="ignore", invalid="ignore"):
+        # Shares at which the line meets the four edges of the image.
         low = (0 - image[0]) / run
         high = (np.array(size) - 1 - image[0]) / run
     enter = np.nanmax(np.minimum(low, high), initial=0.0)

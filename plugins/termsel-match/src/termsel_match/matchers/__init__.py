@@ -64,26 +64,27 @@ class Matches:
     score: FloatArray
     sigma: FloatArray | None = None
 
-    def take(self, which: NDArray[np.intp]) -> Matches:
+    def take(self, numbers: NDArray[np.intp]) -> Matches:
         """Return some of them, by their numbers."""
-        return Matches(self.first[which], self.second[which], self.score[which],
-                       None if self.sigma is None else self.sigma[which])
+        return Matches(self.first[numbers], self.second[numbers], self.score[numbers],
+                       None if self.sigma is None else self.sigma[numbers])
 
 
 def fault(matcher: Matcher, value: Any, *_windows: Any) -> str | None:
     """Return what is wrong with matches, if anything; far ones are only left out."""
     if not isinstance(value, Matches):
         return f"returned {type(value).__name__}; expected Matches"
+    # The number of rows, -1 where the array has none: then every shape below is wrong.
     count = np.shape(value.first)[0] if np.ndim(value.first) else -1
     if matcher.places_exactly and value.sigma is None:
         return "returned no standard deviations, and the class says places_exactly"
     for name, shape in (("first", (count, 2)), ("second", (count, 2)), ("score", (count,)),
                         *((("sigma", (count, 2)),) if value.sigma is not None else ())):
-        own = np.asarray(getattr(value, name))
-        if own.shape != shape or own.dtype.kind not in "fi":
-            return (f"returned {name} of shape {own.shape} and type {own.dtype}; expected numbers "
-                    f"of shape {'(n, 2)' if count < 0 else shape}")
-        if not np.isfinite(own).all():
+        values = np.asarray(getattr(value, name))
+        if values.shape != shape or values.dtype.kind not in "fi":
+            return (f"returned {name} of shape {values.shape} and type {values.dtype}; expected "
+                    f"numbers of shape {'(n, 2)' if count < 0 else shape}")
+        if not np.isfinite(values).all():
             return f"returned {name} with values that are not finite"
     if (np.asarray(value.score) > 1 + 1e-6).any():
         return "returned scores above 1"

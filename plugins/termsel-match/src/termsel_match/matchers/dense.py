@@ -17,10 +17,14 @@ HALF = 20
 """Px: parts have 41 px along either side."""
 REACH = 6
 """Px by which the shift of a part may differ from that of the window."""
-_APART = 9  # px between places that are tried
-_AREA = 900  # px for each place, the most distinct
-_DISTINCT = 5.0  # standard deviations of all shifts by which the best must exceed their mean
-_ALIKE = 3  # px around the best shift that are not another one
+# In px between places that are tried.
+_PLACE_DISTANCE = 9
+# In px for each place, the most distinct.
+_PLACE_AREA = 900
+# Standard deviations of all shifts by which the best must exceed their mean.
+_DISTINCT = 5.0
+# In px around the best shift that are not another one.
+_ALIKE = 3
 
 
 def common_shift(first: Grey, second: Grey, expected: FloatArray, search: float, *,
@@ -38,17 +42,21 @@ def common_shift(first: Grey, second: Grey, expected: FloatArray, search: float,
     whitened : bool
         Whether all frequencies count alike (phase correlation).
     """
+    # Padded to the sum of both sizes, so that no shift comes round; sizes that are fast to
+    # transform.
     shape = [next_fast_len(a + b, real=True)
              for a, b in zip(first.shape[1:], second.shape[1:], strict=True)]
     product = np.zeros((shape[0], shape[1] // 2 + 1), dtype=np.complex64)
-    for one, other in zip(first, second, strict=True):
-        product += np.conj(rfft2(one, shape)) * rfft2(other, shape)
+    for layer, layer_second in zip(first, second, strict=True):
+        product += np.conj(rfft2(layer, shape)) * rfft2(layer_second, shape)
+    # Phase correlation: the amplitude of each frequency is divided out.
     if whitened:
         product /= np.maximum(np.abs(product), 1e-6 * max(float(np.abs(product).max()), 1e-30))
     surface = irfft2(product, shape)
     reach = int(np.ceil(search))
     middle = np.round(expected).astype(int)
     steps = np.arange(-reach, reach + 1)
+    # Shifts within the search around the expected one, of a surface that is periodic.
     values = surface[np.ix_((middle[0] + steps) % shape[0], (middle[1] + steps) % shape[1])]
     values = np.where(np.hypot(steps[:, None], steps) <= search, values, -np.inf)
     top = np.unravel_index(int(values.argmax()), values.shape)
@@ -61,34 +69,37 @@ def common_shift(first: Grey, second: Grey, expected: FloatArray, search: float,
 def distinct_places(window: Window) -> FloatArray:
     """Return whole pixels with structure in both directions, (n, 2), the most distinct first."""
     picture = stretched(window.pixels, window.known)
-    side = 2 * (HALF + 1) + 1
-    inner = cv2.erode(window.known.astype(np.uint8), np.ones((side, side), dtype=np.uint8),
+    width = 2 * (HALF + 1) + 1
+    # Windows of places must be known as a whole.
+    inner = cv2.erode(window.known.astype(np.uint8), np.ones((width, width), dtype=np.uint8),
                       borderValue=0)
     if picture is None or not inner.any():
         return np.empty((0, 2))
     corners = cv2.goodFeaturesToTrack(
-        cv2.GaussianBlur(picture, (0, 0), 1.5), maxCorners=1 + window.pixels.size // _AREA,
-        qualityLevel=0.001, minDistance=_APART, mask=inner, blockSize=9)
+        cv2.GaussianBlur(picture, (0, 0), 1.5), maxCorners=1 + window.pixels.size // _PLACE_AREA,
+        qualityLevel=0.001, minDistance=_PLACE_DISTANCE, mask=inner, blockSize=9)
     if corners is None:
         return np.empty((0, 2))
     return np.asarray(np.round(corners[:, 0, ::-1]), dtype=np.float64)
 
 
-def inside(places: FloatArray, known: Mask, reach: int) -> Mask:
+def inside(positions: FloatArray, is_known: Mask, reach: int) -> Mask:
     """Return whether all pixels around places are known."""
-    side = 2 * reach + 1
-    there = cv2.erode(known.astype(np.uint8), np.ones((side, side), dtype=np.uint8), borderValue=0)
-    at = np.round(places).astype(int)
-    within = np.asarray(((at >= 0) & (at < known.shape)).all(axis=1))
-    within[within] = there[tuple(at[within].T)] > 0
-    return within
+    width = 2 * reach + 1
+    surroundings_known = cv2.erode(is_known.astype(np.uint8),
+                                   np.ones((width, width), dtype=np.uint8), borderValue=0)
+    at = np.round(positions).astype(int)
+    is_inside = np.asarray(((at >= 0) & (at < is_known.shape)).all(axis=1))
+    is_inside[is_inside] = surroundings_known[tuple(at[is_inside].T)] > 0
+    return is_inside
 
 
 def peak(surface: FloatArray) -> tuple[FloatArray, float, float]:
     """Return the place of the largest value from the middle [px], it, and the next largest."""
     top = np.array(np.unravel_index(int(surface.argmax()), surface.shape))
     best = float(surface[tuple(top)])
+    # The next largest value away from the best tells how clear that one is.
     low = np.maximum(top - _ALIKE, 0)
-    others = surface.copy()
-    others[low[0]:top[0] + _ALIKE + 1, low[1]:top[1] + _ALIKE + 1] = -np.inf
-    return top - (np.array(surface.shape) - 1) / 2, best, float(others.max())
+    rest_of_surface = surface.copy()
+    rest_of_surface[low[0]:top[0] + _ALIKE + 1, low[1]:top[1] + _ALIKE + 1] = -np.inf
+    return top - (np.array(surface.shape) - 1) / 2, best, float(rest_of_surface.max())

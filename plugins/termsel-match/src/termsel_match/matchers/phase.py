@@ -40,25 +40,26 @@ class Phase(Matcher):
         """Return distinct places and where they are in the second (see `Matcher.match`)."""
         none = Matches(np.empty((0, 2)), np.empty((0, 2)), np.empty(0))
         expected = np.subtract(first.origin, second.origin)
-        own = _centred(first)
-        other = _centred(second)
-        shift = common_shift(own[None], other[None], expected, search, whitened=True)
+        grey = _centred(first)
+        grey_second = _centred(second)
+        shift = common_shift(grey[None], grey_second[None], expected, search, whitened=True)
         if shift is None:
             return none
-        places = distinct_places(first)
-        places = places[inside(places + shift, second.known, HALF)]
-        if not len(places):
+        positions = distinct_places(first)
+        positions = positions[inside(positions + shift, second.known, HALF)]
+        if not len(positions):
             return none
         steps = np.arange(-HALF, HALF + 1)
+        # Tapered to zero at the edges, whose jumps would be structure of their own.
         taper = np.outer(hann(2 * HALF + 1), hann(2 * HALF + 1))
         moved = []
         clear = []
         score = []
-        for place in places.astype(int):
-            at = place + shift.astype(int)
-            a, b = (taper * (part - part.mean()) for part in (
-                own[np.ix_(place[0] + steps, place[1] + steps)],
-                other[np.ix_(at[0] + steps, at[1] + steps)]))
+        for position in positions.astype(int):
+            at = position + shift.astype(int)
+            a, b = (taper * (window - window.mean()) for window in (
+                grey[np.ix_(position[0] + steps, position[1] + steps)],
+                grey_second[np.ix_(at[0] + steps, at[1] + steps)]))
             product = np.conj(rfft2(a)) * rfft2(b)
             surface = irfft2(product / np.maximum(np.abs(product), 1e-9), a.shape)
             away, best, next_best = peak(np.fft.fftshift(surface))
@@ -66,9 +67,10 @@ class Phase(Matcher):
             clear.append(next_best / best if best > 0 else 1.0)
             score.append(best)
         near = np.abs(moved).max(axis=1) <= REACH
+        # The clearest first: the next peak is small beside the best.
         order = np.argsort(clear, kind="stable")
         order = order[near[order]]
-        return Matches(places[order], (places + shift + moved)[order], np.array(score)[order])
+        return Matches(positions[order], (positions + shift + moved)[order], np.array(score)[order])
 
 
 def _centred(window: Window) -> Grey:

@@ -16,12 +16,17 @@ from scipy.ndimage import map_coordinates, spline_filter
 from termsel_match.images.rasters import FloatArray, Grey, Mask
 from termsel_match.matchers import Matches
 
-_HALF = 10  # px: windows that are compared have 21 px along either side
-_ROUNDS = 15
-_SETTLED = 1e-3  # px
-_FARTHEST = 2.5  # px between the keypoints and the refined place
-LEAST_SCORE = 0.5  # correlation
-_LEAST_SIGMA = 0.05  # px; models of noise are no better
+# In px: windows that are compared have 21 px along either side.
+_HALF = 10
+_MAX_STEPS = 15
+# In px.
+_SETTLED_STEP = 1e-3
+# In px between the keypoints and the refined place.
+_FARTHEST = 2.5
+# Correlation.
+LEAST_SCORE = 0.5
+# In px; models of noise are no better.
+_MIN_MATCH_SIGMA = 0.05
 HELD = _HALF + 4
 """Px around a keypoint that must be known."""
 
@@ -41,7 +46,7 @@ class Layers:
 
 
 def refined(first: Layers, second: Layers, at_first: FloatArray, at_second: FloatArray,
-            least: float = LEAST_SCORE) -> Matches:
+            min_score: float = LEAST_SCORE) -> Matches:
     """Return matches at whole pixels of the first picture, their places in the second refined.
 
     The window of the first is compared with that of the second, shifted, by least squares for
@@ -54,7 +59,7 @@ def refined(first: Layers, second: Layers, at_first: FloatArray, at_second: Floa
         Of the same scale and direction.
     at_first, at_second : ndarray, shape (n, 2)
         Line and sample of the keypoints [px].
-    least : float
+    min_score : float
         Least correlation.
 
     Returns
@@ -62,69 +67,78 @@ def refined(first: Layers, second: Layers, at_first: FloatArray, at_second: Floa
     Matches
         With standard deviations, without those that leave their window or do not look alike.
     """
-    whole = np.round(at_first)
-    inside = _inside(first.known, whole) & _inside(second.known, np.round(at_second), 3)
-    kept = np.flatnonzero(inside)
-    if not len(kept):
+    pixels = np.round(at_first)
+    inside = _inside(first.known, pixels) & _inside(second.known, np.round(at_second), 3)
+    usable = np.flatnonzero(inside)
+    if not len(usable):
         none = np.empty((0, 2))
         return Matches(none, none, np.empty(0), none)
-    whole = whole[kept]
-    begin = at_second[kept] + whole - at_first[kept]
+    pixels = pixels[usable]
+    # Whole pixels in the first need no interpolation; the second follows by as much.
+    begin = at_second[usable] + pixels - at_first[usable]
     offset = np.arange(-_HALF, _HALF + 1.0)
     window = np.stack(np.meshgrid(offset, offset, indexing="ij"), axis=-1).reshape(-1, 2)
-    there = tuple((whole[:, None] + window).astype(np.intp).reshape(-1, 2).T)
-    template = np.stack([layer[there].reshape(len(kept), -1) for layer in first.values],
+    rows_and_columns = tuple((pixels[:, None] + window).astype(np.intp).reshape(-1, 2).T)
+    template = np.stack([layer[rows_and_columns].reshape(len(usable), -1)
+                         for layer in first.values],
                         axis=1).astype(np.float64)
     smooth = [spline_filter(layer.astype(np.float64)) for layer in second.values]
-    place = begin.copy()
-    active = np.arange(len(kept))
-    for _ in range(_ROUNDS):
-        step = _solved(smooth, template[active], place[active], window)[0]
-        place[active] += np.clip(step, -1, 1)
-        gone = np.linalg.norm(place - begin, axis=1) > _FARTHEST
-        active = active[(np.abs(step).max(axis=1) > _SETTLED) & ~gone[active]]
+    position = begin.copy()
+    active = np.arange(len(usable))
+    # Steps of at most a pixel, until none moves by more than a thousandth.
+    for _ in range(_MAX_STEPS):
+        step = _solved(smooth, template[active], position[active], window)[0]
+        position[active] += np.clip(step, -1, 1)
+        has_left = np.linalg.norm(position - begin, axis=1) > _FARTHEST
+        active = active[(np.abs(step).max(axis=1) > _SETTLED_STEP) & ~has_left[active]]
         if not len(active):
             break
-    _, sigma, score = _solved(smooth, template, place, window)
-    settled = np.ones(len(kept), dtype=bool)
+    _, sigma, score = _solved(smooth, template, position, window)
+    settled = np.ones(len(usable), dtype=bool)
     settled[active] = False
-    good = (settled & (np.linalg.norm(place - begin, axis=1) <= _FARTHEST)
-            & (score >= least) & np.isfinite(sigma).all(axis=1))
-    return Matches(whole[good], place[good], score[good], np.maximum(sigma[good], _LEAST_SIGMA))
+    is_good = (settled & (np.linalg.norm(position - begin, axis=1) <= _FARTHEST)
+               & (score >= min_score) & np.isfinite(sigma).all(axis=1))
+    return Matches(pixels[is_good], position[is_good], score[is_good],
+                   np.maximum(sigma[is_good], _MIN_MATCH_SIGMA))
 
 
-def _inside(known: Mask, at: FloatArray, more: int = 0) -> Mask:
+def _inside(is_known: Mask, at: FloatArray, margin: int = 0) -> Mask:
     """Return whether all pixels of windows are known."""
-    reach = _HALF + 1 + more
+    reach = _HALF + 1 + margin
     low = at.astype(np.intp) - reach
     high = at.astype(np.intp) + reach
-    fits = ((low >= 0) & (high < known.shape)).all(axis=1)
-    total = np.pad(np.cumsum(np.cumsum(~known, axis=0), axis=1), ((1, 0), (1, 0)))
-    (top, left) = low[fits].T
-    (bottom, right) = high[fits].T + 1
-    holes = total[bottom, right] - total[top, right] - total[bottom, left] + total[top, left]
+    fits = ((low >= 0) & (high < is_known.shape)).all(axis=1)
+    # Sums of unknown pixels over rectangles from a corner: any window is four of them.
+    total = np.pad(np.cumsum(np.cumsum(~is_known, axis=0), axis=1), ((1, 0), (1, 0)))
+    (top_edge, left_edge) = low[fits].T
+    (bottom_edge, right_edge) = high[fits].T + 1
+    holes = total[bottom_edge, right_edge] - total[top_edge, right_edge] - total[bottom_edge,
+        left_edge] + total[top_edge, left_edge]
     inside = np.zeros(len(at), dtype=bool)
     inside[np.flatnonzero(fits)[holes == 0]] = True
     return inside
 
 
-def _solved(smooth: list[FloatArray], template: FloatArray, place: FloatArray,
+def _solved(smooth: list[FloatArray], template: FloatArray, position: FloatArray,
             window: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return steps (n, 2), standard deviations (n, 2) and correlations (n,) at places.
 
     Templates have the shape (n, c, p): p pixels of c layers.
     """
     count, layers, size = template.shape
-    side = round(size ** 0.5)
+    width = round(size ** 0.5)
 
     def at(shift: tuple[float, float]) -> FloatArray:
-        where = (place[:, None] + window + shift).reshape(-1, 2).T
-        return np.stack([map_coordinates(layer, where, order=3, prefilter=False
+        samples_at = (position[:, None] + window + shift).reshape(-1, 2).T
+        return np.stack([map_coordinates(layer, samples_at, order=3, prefilter=False
                                          ).reshape(count, size) for layer in smooth], axis=1)
 
-    seen = at((0, 0))
-    down, right = (at((0.5, 0)) - at((-0.5, 0))), (at((0, 0.5)) - at((0, -0.5)))
-    flat_seen, flat = (values - values.mean(axis=2, keepdims=True) for values in (seen, template))
+    grey = at((0, 0))
+    # Derivatives over half a pixel to either side.
+    down = at((0.5, 0)) - at((-0.5, 0))
+    right = at((0, 0.5)) - at((0, -0.5))
+    # The constant of each layer, c0, is eliminated by subtracting the means.
+    flat_seen, flat = (values - values.mean(axis=2, keepdims=True) for values in (grey, template))
     power = np.sqrt((flat_seen ** 2).sum(axis=(1, 2)) * (flat ** 2).sum(axis=(1, 2)))
     score = (flat_seen * flat).sum(axis=(1, 2)) / np.maximum(power, 1e-12)
     # template = c0 + c1 (seen + down dl + right ds): linear in c1, c1 dl and c1 ds, and c0 of each
@@ -138,10 +152,14 @@ def _solved(smooth: list[FloatArray], template: FloatArray, place: FloatArray,
     residuals = flat - np.einsum("ncpi,ni->ncp", columns, solution)
     contrast = np.where(np.abs(solution[:, 0]) < 1e-6, 1e-6, solution[:, 0])
     step = solution[:, 1:] / contrast[:, None]
-    grid = residuals.reshape(count, layers, side, side)
+    grid = residuals.reshape(count, layers, width, width)
     spread = np.maximum((grid ** 2).sum(axis=(1, 2, 3)), 1e-12)
-    alike = np.clip(((grid[..., 1:, :] * grid[..., :-1, :]).sum(axis=(1, 2, 3))
-                     + (grid[..., 1:] * grid[..., :-1]).sum(axis=(1, 2, 3))) / (2 * spread), 0, 0.9)
-    variance = spread / (layers * (size - 1) - 3) * ((1 + alike) / (1 - alike)) ** 2
+    # Correlation of neighbouring residuals: of a process of first order n (1 - a)^2 / (1 + a)^2
+    # count.
+    autocorrelation = np.clip(((grid[..., 1:, :] * grid[..., :-1, :]).sum(axis=(1, 2, 3))
+                               + (grid[..., 1:] * grid[..., :-1]).sum(axis=(1, 2, 3))) / (2
+                                   * spread), 0, 0.9)
+    variance = spread / (layers * (size - 1) - 3) * ((1
+        + autocorrelation) / (1 - autocorrelation)) ** 2
     sigma = np.sqrt(variance[:, None] * np.diagonal(inverse, axis1=1, axis2=2)[:, 1:])
     return step, sigma / np.abs(contrast)[:, None], score

@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 from termsel_match.images.rasters import FloatArray, Grey, Mask, stretched
 from termsel_match.matchers import Matcher, Matches, Window
 
-RATIO = 0.9  # of the distances to the nearest and the second nearest descriptor
-_AREA = 60  # px for each keypoint, the strongest
+# Of the distances to the nearest and the second nearest descriptor.
+RATIO = 0.9
+# In px for each keypoint, the strongest.
+_KEYPOINT_AREA = 60
 _CONTRAST = 0.015
 
 
@@ -36,24 +38,27 @@ class Sift(Matcher):
 
     def match(self, first: Window, second: Window, search: float) -> Matches:
         """Return keypoints that are each other's nearest (see `Matcher.match`)."""
-        own, own_vectors = described(first.pixels, first.known)
-        other, vectors = described(second.pixels, second.known)
-        number, other_number = alike(own_vectors, vectors)
-        likeness = np.einsum("ij,ij->i", own_vectors[number], vectors[other_number])
-        return Matches(own[number], other[other_number], likeness.astype(np.float64))
+        keypoints, vectors = described(first.pixels, first.known)
+        keypoints_second, vectors_second = described(second.pixels, second.known)
+        number, other_number = alike(vectors, vectors_second)
+        likeness = np.einsum("ij,ij->i", vectors[number], vectors_second[other_number])
+        return Matches(keypoints[number], keypoints_second[other_number],
+                       likeness.astype(np.float64))
 
 
-def described(pixels: Grey, known: Mask) -> tuple[FloatArray, Grey]:
+def described(pixels: Grey, is_known: Mask) -> tuple[FloatArray, Grey]:
     """Return keypoints, line and sample, shape (n, 2), and RootSIFT descriptors, (n, 128)."""
-    picture = stretched(pixels, known)
+    picture = stretched(pixels, is_known)
     if picture is None:
         return np.empty((0, 2)), np.empty((0, 128), dtype=np.float32)
     # Edges of the data are no texture.
-    inner = cv2.erode(known.astype(np.uint8), np.ones((9, 9), dtype=np.uint8), borderValue=0)
-    detector = cv2.SIFT_create(nfeatures=1 + pixels.size // _AREA, contrastThreshold=_CONTRAST)
+    inner = cv2.erode(is_known.astype(np.uint8), np.ones((9, 9), dtype=np.uint8), borderValue=0)
+    detector = cv2.SIFT_create(nfeatures=1 + pixels.size // _KEYPOINT_AREA,
+                               contrastThreshold=_CONTRAST)
     keypoints, vectors = detector.detectAndCompute(picture, inner)
     if not keypoints:
         return np.empty((0, 2)), np.empty((0, 128), dtype=np.float32)
+    # RootSIFT: distances of square roots are those of Hellinger.
     vectors = np.sqrt(vectors / np.maximum(vectors.sum(axis=1, keepdims=True), 1e-9))
     return np.array([keypoint.pt[::-1] for keypoint in keypoints]), vectors
 
@@ -70,15 +75,18 @@ def alike(first: Grey, second: Grey, ratio: float = RATIO,
     """
     if len(first) < 2 or len(second) < 2:
         return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
-    likeness = first @ second.T  # of unit vectors: distance^2 = 2 - 2 likeness
+    # Of unit vectors: distance^2 = 2 - 2 likeness.
+    likeness = first @ second.T
     at = likeness.argmax(axis=1)
     n = np.arange(len(first))
     best = likeness[n, at]
     likeness[n, at] = -1.0
     second_best = likeness.max(axis=1)
     likeness[n, at] = best
+    # Lowe's ratio: clear is what is much nearer than the second nearest.
     near, next_near = (np.sqrt(np.maximum(2 - 2 * value, 0)) for value in (best, second_best))
     relative = near / np.maximum(next_near, 1e-9)
     order = np.argsort(relative, kind="stable")
+    # And each must be the nearest of the other.
     order = order[(relative[order] < ratio) & (likeness.argmax(axis=0)[at[order]] == order)]
     return order, at[order]

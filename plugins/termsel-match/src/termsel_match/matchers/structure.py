@@ -25,11 +25,16 @@ from termsel_match.matchers.dense import (
 )
 from termsel_match.matchers.refinement import Layers, refined
 
-_DIRECTIONS = 6  # of edges, over half a turn
-_FINE, _WIDE = 1.0, 1.5  # px: grey is smoothed before its gradient, and each layer after
-_EDGE = 5  # px from unknown pixels, whose edges are none of the ground
-_LEAST = 0.35  # correlation of layers
-_WEAK = 0.5  # times the median strength, below which an edge counts less
+# Of edges, over half a turn.
+_EDGE_DIRECTIONS = 6
+# In px: grey is smoothed before its gradient, and each layer after.
+_GREY_BLUR, _LAYER_BLUR = 1.0, 1.5
+# In px from unknown pixels, whose edges are none of the ground.
+_UNKNOWN_EDGE = 5
+# Correlation of layers.
+_MIN_CORRELATION = 0.35
+# Times the median strength, below which an edge counts less.
+_WEAK_EDGE = 0.5
 
 
 class Structure(Matcher):
@@ -51,21 +56,23 @@ class Structure(Matcher):
         """Return distinct places and where they are in the second (see `Matcher.match`)."""
         none = np.empty((0, 2))
         nothing = Matches(none, none, np.empty(0), none)
-        own = layers(first)
-        other = layers(second)
-        if own is None or other is None:
+        image_layers = layers(first)
+        reference_layers = layers(second)
+        if image_layers is None or reference_layers is None:
             return nothing
-        shift = common_shift(own.values, other.values, np.subtract(first.origin, second.origin),
+        shift = common_shift(image_layers.values, reference_layers.values,
+                             np.subtract(first.origin, second.origin),
                              search, whitened=False)
         if shift is None:
             return nothing
-        places = distinct_places(Window(first.pixels, own.known))
-        places = places[inside(places + shift, other.known, HALF + REACH)]
-        if not len(places):
+        positions = distinct_places(Window(first.pixels, image_layers.known))
+        positions = positions[inside(positions + shift, reference_layers.known, HALF + REACH)]
+        if not len(positions):
             return nothing
-        moved, clear = _near(own.values, other.values, places, shift)
+        moved, clear = _near(image_layers.values, reference_layers.values, positions, shift)
         order = np.argsort(clear, kind="stable")
-        return refined(own, other, places[order], (places + shift + moved)[order], _LEAST)
+        return refined(image_layers, reference_layers, positions[order],
+                       (positions + shift + moved)[order], _MIN_CORRELATION)
 
 
 def layers(window: Window) -> Layers | None:
@@ -73,36 +80,42 @@ def layers(window: Window) -> Layers | None:
     picture = stretched(window.pixels, window.known)
     if picture is None:
         return None
-    smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), _FINE)
+    smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), _GREY_BLUR)
     right, down = (cv2.Sobel(smooth, cv2.CV_32F, *axis, ksize=3) for axis in ((1, 0), (0, 1)))
-    side = 2 * _EDGE + 1
-    known = cv2.erode(window.known.astype(np.uint8), np.ones((side, side), dtype=np.uint8),
-                      borderValue=0) > 0
-    if not known.any():
+    width = 2 * _UNKNOWN_EDGE + 1
+    is_known = cv2.erode(window.known.astype(np.uint8), np.ones((width, width), dtype=np.uint8),
+                         borderValue=0) > 0
+    if not is_known.any():
         return None
-    turns = np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS
+    turns = np.arange(_EDGE_DIRECTIONS) * np.pi / _EDGE_DIRECTIONS
+    # |gx cos t + gy sin t|: the strength of edges of each direction, whichever side is bright.
     values = np.stack([cv2.GaussianBlur(np.abs(right * np.cos(turn) + down * np.sin(turn)), (0, 0),
-                                        _WIDE) for turn in turns])
+                                        _LAYER_BLUR) for turn in turns])
     strength = np.sqrt((values**2).sum(axis=0))
-    values /= strength + max(_WEAK * float(np.median(strength[known])), 1e-6)
-    values -= values[:, known].mean(axis=1)[:, None, None]
-    return Layers(np.where(known, values, 0).astype(np.float32), known)
+    # Relative to the strength of all directions, so that contrast does not count.
+    values /= strength + max(_WEAK_EDGE * float(np.median(strength[is_known])), 1e-6)
+    values -= values[:, is_known].mean(axis=1)[:, None, None]
+    return Layers(np.where(is_known, values, 0).astype(np.float32), is_known)
 
 
-def _near(own: Grey, other: Grey, places: FloatArray, shift: FloatArray,
+def _near(image_layers: Grey, reference_layers: Grey, positions: FloatArray, shift: FloatArray,
           ) -> tuple[FloatArray, FloatArray]:
     """Return by how much places are off the shift, (n, 2) [px], and how unclear that is, (n,)."""
-    energy = cv2.boxFilter((other**2).sum(axis=0), -1, (2 * HALF + 1,) * 2, normalize=False)
-    moved = np.empty_like(places)
-    clear = np.empty(len(places))
-    for i, place in enumerate(places.astype(int)):
-        at = place + shift.astype(int)
-        template = own[:, place[0] - HALF:place[0] + HALF + 1, place[1] - HALF:place[1] + HALF + 1]
+    # Squares of the second under each window, by which the correlation is normalised.
+    energy = cv2.boxFilter((reference_layers**2).sum(axis=0), -1, (2 * HALF + 1,) * 2,
+                           normalize=False)
+    moved = np.empty_like(positions)
+    clear = np.empty(len(positions))
+    for i, position in enumerate(positions.astype(int)):
+        at = position + shift.astype(int)
+        template = image_layers[:, position[0] - HALF:position[0] + HALF + 1,
+                                position[1] - HALF:position[1] + HALF + 1]
         rows, columns = (slice(middle - HALF - REACH, middle + HALF + REACH + 1) for middle in at)
-        found = sum(cv2.matchTemplate(layer[rows, columns], part, cv2.TM_CCORR)
-                    for layer, part in zip(other, np.ascontiguousarray(template), strict=True))
+        correlation = sum(cv2.matchTemplate(layer[rows, columns], window, cv2.TM_CCORR)
+                          for layer, window in zip(reference_layers, np.ascontiguousarray(template),
+                                                   strict=True))
         around = energy[at[0] - REACH:at[0] + REACH + 1, at[1] - REACH:at[1] + REACH + 1]
-        likeness = found / np.sqrt(np.maximum(around * (template**2).sum(), 1e-12))
+        likeness = correlation / np.sqrt(np.maximum(around * (template**2).sum(), 1e-12))
         moved[i], best, next_best = peak(np.asarray(likeness, dtype=np.float64))
         clear[i] = max(next_best, 0.0) / best if best > 0 else 1.0
     return moved, clear

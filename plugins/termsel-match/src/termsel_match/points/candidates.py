@@ -5,7 +5,9 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from time import monotonic
 
@@ -33,8 +35,10 @@ from termsel_match.points.cells import (
 log = logging.getLogger("termsel.match")
 
 _USUAL = ("sift", "structure")
-LEAST = 8  # candidates; fewer cannot be selected from
-_FEW = 8  # part of those wanted, below which another matcher may find more
+# Candidates; fewer cannot be selected from.
+LEAST_CANDIDATES = 8
+# Part of those wanted, below which another matcher may find more.
+_SMALL_PART = 8
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
@@ -135,38 +139,42 @@ def match_points(
     """
     image = Path(image)
     until = None if seconds is None else monotonic() + seconds
-    known = start_of(start, image)
+    rough = start_of(start, image)
     files = references_of(reference)
     tell_of_idle(masks, [image], files)
     with open_masked(image, band, masks) as picture:
-        if known is None:
+        if rough is None:
             if len(files) > 1:
                 raise TermselError("a folder of references requires a start", file=image,
                                    hint="Give --start with an RPC, a result or points.")
-            known = start_by_overview(picture, files[0], reference_band)
-        known.say_dem(dem)
-        tried = []
+            rough = start_by_overview(picture, files[0], reference_band)
+        rough.say_dem(dem)
+        attempts = []
         for name in _USUAL if matcher is None else (matcher,):
-            chosen = get("matchers", name)
-            looking = Looking(chosen() if isinstance(chosen, type) else chosen, search, count,
-                              until, progress)
-            tried.append(_of_files(picture, files, known, dem, reference_band, masks, looking))
-            found = len(tried[-1][0])
-            if found >= max(LEAST, count / _FEW) or looking.is_over:
+            matcher_class = get("matchers", name)
+            looking = Looking(matcher_class() if isinstance(matcher_class, type) else matcher_class,
+                              search, count, until, progress)
+            with_start = partial(open_reference, start=rough, dem=dem, size=picture.size,
+                                 band=reference_band, masks=masks)
+            attempts.append(_of_files(picture, files, with_start, looking))
+            n_found = len(attempts[-1][0])
+            if n_found >= max(LEAST_CANDIDATES, count / _SMALL_PART) or looking.is_over:
                 break
-            log.info("Note: the matcher %s finds %d candidates.", chosen.name, found)
-        points, crs, cells = max(tried, key=lambda one: len(one[0]))
+            log.info("Note: the matcher %s finds %d candidates.", matcher_class.name, n_found)
+        # Of both matchers the one that finds more.
+        points, crs, cells = max(attempts, key=lambda attempt: len(attempt[0]))
         size = picture.size
-    if len(points) < LEAST:
-        raise TermselError(f"not enough candidates: {len(points)} found, at least {LEAST} "
-                           "needed", file=image, hint=_why(cells, search, dem))
+    if len(points) < LEAST_CANDIDATES:
+        raise TermselError(f"not enough candidates: {len(points)} found, at least "
+                           f"{LEAST_CANDIDATES} needed", file=image, hint=_why(cells, search, dem))
     if dem is None:
         log.info("Note: the heights are unknown. Give --dem FILE for RPCs and 3D models.")
-    return Candidates(_calibrated(points, known, crs), crs, size, dict(cells), known.what, known)
+    return Candidates(_calibrated(points, rough, crs), crs, size, dict(cells), rough.description,
+                      rough)
 
 
-def _of_files(picture: GreyRaster, files: list[Path], known: Start, dem: Path | str | None,
-              band: int | None, masks: Sequence[Path | str], looking: Looking,
+def _of_files(picture: GreyRaster, files: list[Path],
+              opened: Callable[[Path], AbstractContextManager[Reference]], looking: Looking,
               ) -> tuple[Points, str, Counter[str]]:
     """Return the points by all references, the CRS of the first, and how cells ended."""
     several = []
@@ -179,19 +187,22 @@ def _of_files(picture: GreyRaster, files: list[Path], known: Start, dem: Path | 
                 looking.progress((i + share) / len(files))
 
         try:
-            with open_reference(file, known, dem, picture.size, band, masks) as other:
-                area = None if len(files) == 1 else other.footprint(picture.size)
+            with opened(file) as seen_reference:
+                area = None if len(files) == 1 else seen_reference.footprint(picture.size)
                 if len(files) > 1 and area is None:
                     continue
-                found, ends = in_cells(picture, other, replace(looking, progress=progress), area)
-                points = _points(found, other)
-                own = other.crs
-        except NotShown as error:  # a tile beyond the image
+                matches, ends = in_cells(picture, seen_reference,
+                                         replace(looking, progress=progress), area)
+                points = _points(matches, seen_reference)
+                own_crs = seen_reference.crs
+        except NotShown as error:
+            # A tile beyond the image.
             missed = error
             continue
-        crs = crs or own
-        if own != crs:
-            plane = turned(points.ground[:, :2], own, crs)
+        crs = crs or own_crs
+        if own_crs != crs:
+            # Tiles may be in two zones: all points are in the CRS of the first.
+            plane = turned(points.ground[:, :2], own_crs, crs)
             points = replace(points, ground=np.column_stack([plane, points.ground[:, 2]]))
         several.append(points)
         cells += ends
@@ -201,15 +212,15 @@ def _of_files(picture: GreyRaster, files: list[Path], known: Start, dem: Path | 
     return _numbered(several), crs, cells
 
 
-def _calibrated(points: Points, known: Start, crs: str) -> Points:
+def _calibrated(points: Points, rough: Start, crs: str) -> Points:
     """Return points with standard deviations by which those that agree differ from others."""
     assert points.sigma is not None
     z = points.ground[:, 2]
-    ground = np.column_stack([turned(points.ground[:, :2], crs, known.crs),
-                              np.where(np.isfinite(z), z, known.height)])
-    moved = points.image - known.project(ground)
-    seen = np.isfinite(moved).all(axis=1)
-    if not seen.all():
+    ground = np.column_stack([turned(points.ground[:, :2], crs, rough.crs),
+                              np.where(np.isfinite(z), z, rough.height)])
+    moved = points.image - rough.project(ground)
+    is_finite = np.isfinite(moved).all(axis=1)
+    if not is_finite.all():
         return points
     return replace(points, sigma=calibrated(points.image, moved, points.sigma))
 
@@ -219,35 +230,37 @@ def _numbered(several: list[Points]) -> Points:
     if len(several) == 1:
         return several[0]
     count = sum(map(len, several))
-    image, ground, sigma = (np.concatenate([getattr(points, name) for points in several])
-                            for name in ("image", "ground", "sigma"))
+    image = np.concatenate([points.image for points in several])
+    ground = np.concatenate([points.ground for points in several])
+    sigma = np.concatenate([points.sigma for points in several if points.sigma is not None])
     score = np.concatenate([points.attributes["score"] for points in several])
     return Points(tuple(f"M{i + 1:03d}" for i in range(count)), image, ground, sigma,
                   attributes={"score": score})
 
 
-def _points(found: Matches, reference: Reference) -> Points:
+def _points(matches: Matches, reference: Reference) -> Points:
     """Return matches as points, those with a height if there is a DEM."""
-    assert found.sigma is not None
-    ground = reference.ground(found.second)
-    kept = np.isfinite(ground[:, 2]) if callable(reference.map_heights) \
+    assert matches.sigma is not None
+    ground = reference.ground(matches.second)
+    has_height = np.isfinite(ground[:, 2]) if callable(reference.map_heights) \
         else np.ones(len(ground), dtype=bool)
-    ids = tuple(f"M{i + 1:03d}" for i in range(int(kept.sum())))
-    shown = np.array([f"{value:.3f}" for value in found.score[kept]], dtype=object)
-    return Points(ids, found.first[kept], ground[kept], found.sigma[kept],
-                  attributes={"score": shown})
+    ids = tuple(f"M{i + 1:03d}" for i in range(int(has_height.sum())))
+    scores = np.array([f"{value:.3f}" for value in matches.score[has_height]], dtype=object)
+    return Points(ids, matches.first[has_height], ground[has_height], matches.sigma[has_height],
+                  attributes={"score": scores})
 
 
 def _why(cells: Counter[str], search: float, dem: Path | str | None) -> str:
     """Return what to do where there are too few candidates."""
     total = sum(cells.values())
+    # The reason that most cells have.
     worst = max((name for name in cells if name != FOUND), key=cells.__getitem__, default=UNLIKE)
-    where = f"{cells.get(worst, 0)} of {total} cells"
+    cells_at_fault = f"{cells.get(worst, 0)} of {total} cells"
     heights = " or heights" if dem is not None else ""
     return {
-        NO_TIME: f"For {where} there was no time. Give more --seconds.",
-        NO_DATA: f"In {where} the image has no data.",
-        OUTSIDE: f"For {where} there is no reference{heights}. Give larger ones.",
-        NO_TEXTURE: f"In {where} there is no texture, as on sea or in clouds.",
-        UNLIKE: f"In {where} nothing looks alike. Are there clouds or sea, or another band? Is "
-                f"the start off by more than --search {search:g} px?"}[worst]
+        NO_TIME: f"For {cells_at_fault} there was no time. Give more --seconds.",
+        NO_DATA: f"In {cells_at_fault} the image has no data.",
+        OUTSIDE: f"For {cells_at_fault} there is no reference{heights}. Give larger ones.",
+        NO_TEXTURE: f"In {cells_at_fault} there is no texture, as on sea or in clouds.",
+        UNLIKE: f"In {cells_at_fault} nothing looks alike. Are there clouds or sea, or another "
+                f"band? Is the start off by more than --search {search:g} px?"}[worst]

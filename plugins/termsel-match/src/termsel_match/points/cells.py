@@ -6,7 +6,7 @@ import logging
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import product
+from itertools import chain, product
 from time import monotonic
 
 import numpy as np
@@ -19,13 +19,20 @@ from termsel_match.matchers.refinement import Layers, refined
 
 log = logging.getLogger("termsel.match")
 
-_EACH = 3  # candidates wanted in a cell
-_TRIED = 8  # keypoints of a cell that are refined
-_APART = 12.0  # px, reduced, between candidates
-_WINDOW = 480  # px, reduced: the largest block of cells that is looked at once
-_PART = 256  # px, reduced: of a cell that is larger, the part that is looked at once
-_BORDER = 24  # px, reduced, around a window, where keypoints have no descriptor
-_TRIES = ((0.5, 0.5), (0.0, 0.0), (1.0, 1.0), (0.0, 1.0), (1.0, 0.0))  # where in such a cell
+# Candidates wanted in a cell.
+_EACH = 3
+# Keypoints of a cell that are refined.
+_TRIED = 8
+# In px, reduced, between candidates.
+_MATCH_DISTANCE = 12.0
+# In px, reduced: the largest block of cells that is looked at once.
+_WINDOW = 480
+# In px, reduced: of a cell that is larger, the part that is looked at once.
+_PART = 256
+# In px, reduced, around a window, where keypoints have no descriptor.
+_BORDER = 24
+# Where in such a cell.
+_WINDOW_PLACES = ((0.5, 0.5), (0.0, 0.0), (1.0, 1.0), (0.0, 1.0), (1.0, 0.0))
 
 FOUND, NO_DATA, OUTSIDE, NO_TEXTURE, UNLIKE, NO_TIME = (
     "found", "no data", "outside", "no texture", "unlike", "no time")
@@ -80,14 +87,17 @@ def in_cells(picture: GreyRaster, reference: Reference, looking: Looking, area: 
     if step > 1:
         log.info("Note: the image is matched at 1/%d of its resolution, that of the reference.",
                  step)
-    top, left, *sides = area or (0, 0, *picture.size)
-    share = sides[0] * sides[1] / (picture.size[0] * picture.size[1])
+    first_line, first_sample, *extents = area or (0, 0, *picture.size)
+    share = extents[0] * extents[1] / (picture.size[0] * picture.size[1])
+    # As many cells as wanted matches, a few each; blocks of them are not larger than a window.
     across = max(2 if area is None else 1, round((share * looking.count / _EACH) ** 0.5))
-    blocks = min(across, -(-max(sides) // (_WINDOW * step)))
-    inner = -(-across // blocks)  # several small cells are looked at together
+    blocks = min(across, -(-max(extents) // (_WINDOW * step)))
+    # Several small cells are looked at together.
+    inner = -(-across // blocks)
     all_blocks = list(product(range(blocks), range(blocks)))
     order = np.arange(len(all_blocks))
-    if looking.until is not None:  # what there is no time for is all over the image
+    # What there is no time for is all over the image.
+    if looking.until is not None:
         order = np.random.default_rng(0).permutation(order)
     of_cells: dict[int, list[Matches]] = {}
     ends = Counter[str]()
@@ -95,43 +105,50 @@ def in_cells(picture: GreyRaster, reference: Reference, looking: Looking, area: 
         if looking.is_over:
             ends[NO_TIME] += inner**2 * (len(order) - done)
             break
-        parts: list[Matches] = []
-        for window in _windows((sides[0], sides[1]), blocks, all_blocks[number], step):
-            here = (window[0] + top, window[1] + left, *window[2:])
-            more, end = _in_window(picture, reference, looking, here, inner, step)
-            parts = max(parts, more, key=_count)
-            if _count(parts) >= _EACH:
+        matches_of_cells: list[Matches] = []
+        # A large block is looked at in several places, until one has enough.
+        for window in _windows((extents[0], extents[1]), blocks, all_blocks[number], step):
+            in_image = (window[0] + first_line, window[1] + first_sample, *window[2:])
+            matches, end = _in_window(picture, reference, looking, in_image, inner, step)
+            matches_of_cells = max(matches_of_cells, matches, key=_count)
+            if _count(matches_of_cells) >= _EACH:
                 break
-        of_cells[number] = parts
-        ends[FOUND] += len(parts)
-        ends[end] += inner**2 - len(parts)
+        of_cells[number] = matches_of_cells
+        of_cells[number] = matches_of_cells
+        ends[FOUND] += len(matches_of_cells)
+        ends[end] += inner**2 - len(matches_of_cells)
         if looking.progress is not None:
             looking.progress((done + 1) / blocks**2)
-    return joined([part for number in sorted(of_cells) for part in of_cells[number]]), ends
+    in_order = chain.from_iterable(of_cells[number] for number in sorted(of_cells))
+    return joined(list(in_order)), ends
 
 
-def joined(parts: list[Matches]) -> Matches:
+def joined(several: list[Matches]) -> Matches:
     """Return all matches of several parts, which have standard deviations."""
     none = np.empty((0, 2))
-    first, second, sigma = (np.concatenate([none, *(getattr(part, name) for part in parts)])
-                            for name in ("first", "second", "sigma"))
-    return Matches(first, second, np.concatenate([np.empty(0), *(part.score for part in parts)]),
-                   sigma)
+    none = np.empty((0, 2))
+    first = np.concatenate([none, *(matches.first for matches in several)])
+    second = np.concatenate([none, *(matches.second for matches in several)])
+    sigma = np.concatenate([none, *(matches.sigma for matches in several
+                                    if matches.sigma is not None)])
+    score = np.concatenate([np.empty(0), *(matches.score for matches in several)])
+    return Matches(first, second, score, sigma)
 
 
 def _windows(size: tuple[int, int], across: int, block: tuple[int, int], step: int,
              ) -> list[tuple[int, int, int, int]]:
     """Return line, sample, lines and samples of the parts of a block to look at, in turn."""
-    low = [extent * i // across for extent, i in zip(size, block, strict=True)]
-    sides = [extent * (i + 1) // across - start
-             for extent, i, start in zip(size, block, low, strict=True)]
-    largest = (_WINDOW if max(sides) <= _WINDOW * step else _PART) * step
-    wanted = [min(side, largest) for side in sides]
+    low = [total * i // across for total, i in zip(size, block, strict=True)]
+    extents = [total * (i + 1) // across - start
+               for total, i, start in zip(size, block, low, strict=True)]
+    largest = (_WINDOW if max(extents) <= _WINDOW * step else _PART) * step
+    window_size = [min(extent, largest) for extent in extents]
     windows = []
-    for share in _TRIES if sides != wanted else _TRIES[:1]:
-        top, left = (start + int((side - want) * part)
-                     for start, side, want, part in zip(low, sides, wanted, share, strict=True))
-        windows.append((top, left, wanted[0], wanted[1]))
+    for share in _WINDOW_PLACES if extents != window_size else _WINDOW_PLACES[:1]:
+        first_line, first_sample = (start + int((extent - size_) * share_)
+                                    for start, extent, size_,
+                                    share_ in zip(low, extents, window_size, share, strict=True))
+        windows.append((first_line, first_sample, window_size[0], window_size[1]))
     return windows
 
 
@@ -141,60 +158,68 @@ def _in_window(picture: GreyRaster, reference: Reference, looking: Looking, wind
 
     And why the other cells have none.
     """
-    (top, left, lines, samples) = window
+    (first_line, first_sample, lines, samples) = window
     search = looking.search / step
+    # The window of the reference is larger by the search, in which a match may be.
     border = _BORDER * step
     reach = (_BORDER + int(np.ceil(search))) * step
-    own = picture.read(top - border, left - border, lines + 2 * border, samples + 2 * border, step)
-    if not own[1].any():
+    grey = picture.read(first_line - border, first_sample - border, lines + 2 * border,
+                        samples + 2 * border, step)
+    if not grey[1].any():
         return [], NO_DATA
-    if stretched(*own) is None:
+    if stretched(*grey) is None:
         return [], NO_TEXTURE
     shape = (lines + 2 * reach) // step, (samples + 2 * reach) // step
-    patch = reference.patch(top - reach, left - reach, shape, step)
+    patch = reference.patch(first_line - reach, first_sample - reach, shape, step)
     if not patch.known.any():
         return [], OUTSIDE
-    moved = (reach - border) // step  # between the origins of the two
-    first = Window(*own)
+    # Between the origins of the two.
+    moved = (reach - border) // step
+    first = Window(*grey)
     second = Window(patch.pixels, patch.known, (-moved, -moved))
-    found = looking.matcher.match(first, second, search)
-    if not len(found.first):
+    matches = looking.matcher.match(first, second, search)
+    if not len(matches.first):
         return [], UNLIKE
-    sides = np.array(own[0].shape) - 2 * _BORDER
-    cell = np.floor((found.first - _BORDER) / sides * inner).astype(int)
-    away = np.linalg.norm(found.second - moved - found.first, axis=1)
+    inner_size = np.array(grey[0].shape) - 2 * _BORDER
+    # Which cell each match is in; those in the border are of no cell.
+    cell = np.floor((matches.first - _BORDER) / inner_size * inner).astype(int)
+    away = np.linalg.norm(matches.second - moved - matches.first, axis=1)
     used = ((cell >= 0) & (cell < inner)).all(axis=1) & (away <= search)
-    parts = []
-    for wanted in product(range(inner), repeat=2):
-        some = np.flatnonzero(used & (cell == wanted).all(axis=1))[:_TRIED]
-        matches = _apart(_placed(looking.matcher, found, some, first, second))
-        if matches.sigma is not None and len(matches.score):
-            parts.append(Matches((matches.first + 0.5) * step - 0.5 + [top - border, left - border],
-                                 patch.in_reference(matches.second), matches.score,
-                                 matches.sigma * step))
-    return parts, UNLIKE
+    of_cells = []
+    for number in product(range(inner), repeat=2):
+        in_cell = np.flatnonzero(used & (cell == number).all(axis=1))[:_TRIED]
+        best = _apart(_placed(looking.matcher, matches, in_cell, first, second))
+        if best.sigma is not None and len(best.score):
+            # From reduced pixels of the window to pixels of the image, and to those of the
+            # reference.
+            of_cells.append(Matches((best.first + 0.5) * step - 0.5
+                                    + [first_line - border, first_sample - border],
+                                    patch.in_reference(best.second), best.score,
+                                    best.sigma * step))
+    return of_cells, UNLIKE
 
 
-def _placed(matcher: Matcher, found: Matches, some: NDArray[np.intp], first: Window,
+def _placed(matcher: Matcher, matches: Matches, numbers: NDArray[np.intp], first: Window,
             second: Window) -> Matches:
     """Return some matches with their standard deviations."""
     if matcher.places_exactly:
-        return found.take(some)
+        return matches.take(numbers)
     return refined(Layers(first.pixels[None], first.known), Layers(second.pixels[None],
-                   second.known), found.first[some], found.second[some])
+                   second.known), matches.first[numbers], matches.second[numbers])
 
 
-def _count(parts: list[Matches]) -> int:
-    return sum(len(part.score) for part in parts)
+def _count(several: list[Matches]) -> int:
+    return sum(len(matches.score) for matches in several)
 
 
 def _apart(matches: Matches) -> Matches:
     """Return the matches with the best scores that are apart, at most those wanted in a cell."""
     best: list[int] = []
+    # From the best on; a match too near to a better one says the same again.
     for i in np.argsort(-matches.score, kind="stable"):
         if len(best) < _EACH and all(
                 min(np.linalg.norm(matches.first[i] - matches.first[j]),
-                    np.linalg.norm(matches.second[i] - matches.second[j])) >= _APART
+                    np.linalg.norm(matches.second[i] - matches.second[j])) >= _MATCH_DISTANCE
                 for j in best):
             best.append(int(i))
     return matches.take(np.array(best, dtype=np.intp))

@@ -14,12 +14,13 @@ from termsel_match.asp import AspMatches
 from termsel_match.images.rasters import open_picture
 from termsel_match.images.starts import start_of
 from termsel_match.images.warps import crs_of, references_of
-from termsel_match.points.candidates import LEAST, Candidates
+from termsel_match.points.candidates import LEAST_CANDIDATES, Candidates
 from termsel_match.points.readers import NEEDS_REFERENCE, MatchesCsv
 
 log = logging.getLogger("termsel.match")
 
-_HEAD = 4096  # bytes by which readers recognise a file
+# bytes by which readers recognise a file.
+_HEAD = 4096
 
 
 def read_candidates(path: Path | str, image: Path | str, reference: Path | str | None, *,
@@ -47,6 +48,7 @@ def read_candidates(path: Path | str, image: Path | str, reference: Path | str |
     path = Path(path)
     options = {}
     crs = None
+    # Pixels of two images become ground by the reference; other files have ground of their own.
     if reference is not None:
         if _in_pixels(path):
             options["reference"] = str(reference)
@@ -62,6 +64,7 @@ def read_candidates(path: Path | str, image: Path | str, reference: Path | str |
         if crs is None or not unplaced:
             raise
         features = read(path, dem=dem, crs=crs, **options)
+    # The start is only told: candidates are there already.
     rough = start_of(start, Path(image))
     if rough is not None:
         rough.say_dem(dem)
@@ -71,14 +74,14 @@ def read_candidates(path: Path | str, image: Path | str, reference: Path | str |
     points = features.points
     points = points.take(np.isfinite(points.ground).all(axis=1)
                          & np.array([role != "off" for role in points.roles], dtype=bool))
-    if len(points) < LEAST:
+    if len(points) < LEAST_CANDIDATES:
         raise TermselError(f"not enough candidates: {len(points)} of them have a place and a "
-                           f"height, at least {LEAST} needed", file=path,
+                           f"height, at least {LEAST_CANDIDATES} needed", file=path,
                            hint="Give a table with more points, and a --dem that covers them.")
     with open_raster(Path(image)) as raster:
         size = int(raster.height), int(raster.width)
     return Candidates(_named(points), features.crs, size, {},
-                      "none" if rough is None else rough.what, rough)
+                      "none" if rough is None else rough.description, rough)
 
 
 def _in_pixels(path: Path) -> bool:
@@ -87,7 +90,8 @@ def _in_pixels(path: Path) -> bool:
         require_regular(path)
         with path.open("rb") as file:
             head = file.read(_HEAD)
-    except OSError:  # which `read` says
+    except OSError:
+        # Which `read` says.
         return False
     return any(reader().sniff(path, head) for reader in (AspMatches, MatchesCsv))
 

@@ -18,9 +18,10 @@ REFERENCE = Option("reference", "", "Required: the georeferenced image in which 
                                     "were matched.")
 
 _AROSICS = ("POINT_ID", "X_IM", "Y_IM", "X_MAP", "Y_MAP", "X_SHIFT_M", "Y_SHIFT_M")
-_NO_MATCH = -9999.0  # AROSICS' fill value
+# AROSICS' fill value.
+_NO_MATCH = -9999.0
 NEEDS_REFERENCE = "the matches are pixels of two images, so the reference is needed"
-_PLACES = (("image_line", "image_sample", "reference_line", "reference_sample"),
+_POSITION_COLUMNS = (("image_line", "image_sample", "reference_line", "reference_sample"),
            ("y1", "x1", "y2", "x2"))
 
 
@@ -57,6 +58,7 @@ class ArosicsTable(Reader):
             raise TermselError("the table has no point with a match", file=path,
                                hint="Was AROSICS successful?")
         x, y, east, north, right, up = np.array(rows).T
+        # AROSICS shifts the position on the map; its image positions count from the corner.
         ground = np.column_stack([east + right, north + up, np.full(len(rows), np.nan)])
         return FeatureSet(Points(tuple(ids), np.column_stack([y, x]) - 0.5, ground, None,
                                  tuple(roles)), crs="")
@@ -78,12 +80,14 @@ class MatchesCsv(Reader):
         """Return True if the header names lines and samples of both images."""
         header = set(_header(head))
         # Tables of lines of termsel have columns of these names, too.
-        return any(set(names) <= header for names in _PLACES) and not {"line1", "z1"} & header
+        return any(set(names) <= header for names in _POSITION_COLUMNS) and not {"line1",
+                                                                                 "z1"} & header
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file, line and column."""
         header = _header(text_of(path).encode())
-        names = next((names for names in _PLACES if set(names) <= set(header)), _PLACES[0])
+        names = next((names for names in _POSITION_COLUMNS if set(names) <= set(header)),
+                     _POSITION_COLUMNS[0])
         ids = []
         rows = []
         sigma = []
@@ -92,8 +96,8 @@ class MatchesCsv(Reader):
             ids.append((cells.get("id") or "").strip() or f"M{len(rows):03d}")
             if "sigma" in cells:
                 sigma.append(_number(cells, "sigma", path, line))
-        places = np.array(rows).reshape(-1, 4)
-        return with_ground(path, ids, places[:, :2], places[:, 2:], self.options["reference"],
+        positions = np.array(rows).reshape(-1, 4)
+        return with_ground(path, ids, positions[:, :2], positions[:, 2:], self.options["reference"],
                             np.repeat(sigma, 2).reshape(-1, 2) if sigma else None)
 
 
@@ -107,13 +111,15 @@ def with_ground(path: Path, ids: Sequence[str], image: FloatArray, at: FloatArra
         raise TermselError("the table has no matches", file=path, hint="Add one row per match.")
     with open_picture(reference) as picture:
         crs = crs_of(picture)
+        # Centres of pixels are at half a pixel from the corner, which the geotransform counts.
         x, y = picture.raster.transform @ (at[:, 1] + 0.5, at[:, 0] + 0.5)
     ground = np.column_stack([x, y, np.full(len(at), np.nan)])
     # A keypoint may have two directions, and then comes twice.
     _, first = np.unique(np.column_stack([ground[:, :2]]), axis=0, return_index=True)
-    kept = np.sort(first)
-    return FeatureSet(Points(tuple(ids[i] for i in kept), image[kept], ground[kept],
-                             None if sigma is None else sigma[kept]), crs=crs)
+    first_rows = np.sort(first)
+    return FeatureSet(Points(tuple(ids[i] for i in first_rows), image[first_rows],
+                             ground[first_rows],
+                             None if sigma is None else sigma[first_rows]), crs=crs)
 
 
 def text_of(path: Path) -> str:
@@ -140,16 +146,16 @@ def _header(head: bytes) -> list[str]:
     return [cell.strip().strip('"') for cell in first.split(",")]
 
 
-def _rows(path: Path, needed: Sequence[str]) -> Iterator[tuple[int, dict[str, str]]]:
+def _rows(path: Path, columns: Sequence[str]) -> Iterator[tuple[int, dict[str, str]]]:
     """Yield the number and the cells of each row of a table that has the columns needed."""
     reader = csv.DictReader(text_of(path).splitlines(), skipinitialspace=True)
     try:
         names = [name.strip() for name in reader.fieldnames or []]
         reader.fieldnames = names
-        lacking = [name for name in needed if name not in names]
+        lacking = [name for name in columns if name not in names]
         if lacking:
             raise TermselError(f"the table has no column {lacking[0]}", file=path, line=1,
-                               hint=f"Expected the columns {','.join(needed)}.")
+                               hint=f"Expected the columns {','.join(columns)}.")
         for cells in reader:
             yield reader.line_num, cells
     except csv.Error as error:

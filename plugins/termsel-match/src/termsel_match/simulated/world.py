@@ -18,20 +18,30 @@ from termsel_match.simulated.scenery import Bytes, FloatArray, Scenery, scenery
 Shakes = tuple[tuple[tuple[float, float, float], ...], ...]
 
 CRS = "EPSG:32633"
-SMALLEST, LARGEST = 200, 4000  # px along either side of an image
+# In px along either side of an image.
+SMALLEST, LARGEST = 200, 4000
 
 _LON, _LAT = 14.2, 47.2
-_HEIGHT, _RELIEF = 520.0, 35.0  # mean height of the ground and size of its hills [m]
-_TALLEST = 11.0  # houses [m]
-_STEP = 0.6  # of height, along a ray that may meet a house [m]
-_MESH = 16  # px between rays that are computed; those between are interpolated by splines
-_ROWS = 200  # lines rendered at once
-_CELLS = 2  # cells of the ground along a pixel
-_MARGIN = 0.12  # of the ground beyond the image, on either side
-_TERRAIN = 4.0  # m between the heights that are interpolated
+# Mean height of the ground and size of its hills [m].
+_HEIGHT, _RELIEF = 520.0, 35.0
+# Houses [m].
+_TALLEST = 11.0
+# Of height, along a ray that may meet a house [m].
+_RAY_STEP = 0.6
+# In px between rays that are computed; those between are interpolated by splines.
+_RAY_MESH = 16
+# lines rendered at once.
+_RENDERED_LINES = 200
+# Cells of the ground along a pixel.
+_CELLS_PER_PIXEL = 2
+# Of the ground beyond the image, on either side.
+_MARGIN = 0.12
+# In m between the heights that are interpolated.
+_TERRAIN = 4.0
 SPACING = 2 * _TERRAIN
 """Distance of the heights of the DEM [m]."""
-_NOISE = 10.0  # of the image, of 11 bits
+# Of the image, of 11 bits.
+_NOISE = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +100,7 @@ class World:
     @property
     def cell(self) -> float:
         """Size of a cell of the scenery [m]."""
-        return self.gsd / _CELLS
+        return self.gsd / _CELLS_PER_PIXEL
 
     @property
     def corner(self) -> FloatArray:
@@ -101,18 +111,19 @@ class World:
     @cached_property
     def camera(self) -> Pushbroom:
         """The exact scanner."""
-        still = pushbroom_at(
+        steady = pushbroom_at(
             _LON, _LAT, height=_HEIGHT, off_nadir=self.off_nadir, look_azimuth=70.0, gsd=self.gsd,
             image_size=(self.size, self.size), altitude=681e3, inclination=98.1)
-        end = still.centre[0] * still.line_period
-        shake: Shakes = (((0.12 * still.ifov, 1.1 / end, 0.4),),
-                         ((0.15 * still.ifov, 0.8 / end, 2.0),))
+        end = steady.centre[0] * steady.line_period
+        shake: Shakes = (((0.12 * steady.ifov, 1.1 / end, 0.4),),
+                         ((0.15 * steady.ifov, 0.8 / end, 2.0),))
         if self.jitter:
-            size = self.jitter * still.ifov
+            # A vibration of either angle that no RPC has.
+            size = self.jitter * steady.ifov
             shake = ((*shake[0], (size, 2.0 / end, 1.0)), (*shake[1], (0.8 * size, 1.6 / end, 0.3)))
         return replace(
-            still, roll=Angle((*still.roll.drift, 0.8 * still.ifov / end), shake[0]),
-            pitch=Angle((*still.pitch.drift, -0.6 * still.ifov / end), shake[1]))
+            steady, roll=Angle((*steady.roll.drift, 0.8 * steady.ifov / end), shake[0]),
+            pitch=Angle((*steady.pitch.drift, -0.6 * steady.ifov / end), shake[1]))
 
     @cached_property
     def rpc(self) -> Rpc:
@@ -120,6 +131,7 @@ class World:
         rng = self._rng(1)
         true = self.camera
         turn = rng.uniform(0, 2 * np.pi)
+        # The attitude that the vendor believes in is off by a constant, and drifts.
         share = rng.choice([-1, 1], 2) * rng.uniform(0.03, 0.08, 2)
         wrong = self.off * true.ifov * np.array([np.sin(turn), np.cos(turn)])
         drift = self.off * true.ifov * share / (true.centre[0] * true.line_period)
@@ -127,6 +139,7 @@ class World:
                        for angle, constant, slope in zip((true.roll, true.pitch), wrong, drift,
                                                          strict=True))
         nominal = replace(true, roll=roll, pitch=pitch)
+        # An RPC is fitted to a grid in the image at several heights, as vendors do.
         steps = np.linspace(0, self.size - 1, 9)
         grid = np.stack(np.meshgrid(steps, steps, _HEIGHT + 2.5 * _RELIEF * np.linspace(-1, 1, 5)),
                         axis=-1).reshape(-1, 3)
@@ -146,9 +159,10 @@ class World:
                                   waves * np.sin(turns), rng.uniform(0, 2 * np.pi, 6)])
         hills = [(rise, float(rng.uniform(-0.6, 0.6)), float(rng.uniform(-0.6, 0.6)), 0.6)
                  for rise in (1.0, -0.8, 0.6)]
-        return Terrain(_LON, _LAT, (float(half / np.cos(np.radians(_LAT))), float(half)), _HEIGHT,
-                       _RELIEF, (0.3, -0.2), tuple(hills),
-                       tuple((float(a), float(b), float(c), float(d)) for a, b, c, d in relief))
+        half_widths = (float(half / np.cos(np.radians(_LAT))), float(half))
+        waves_of_relief = tuple((float(a), float(b), float(c), float(d)) for a, b, c, d in relief)
+        return Terrain(_LON, _LAT, half_widths, _HEIGHT, _RELIEF, (0.3, -0.2), hills=tuple(hills),
+                       relief=waves_of_relief)
 
     @cached_property
     def heights(self) -> FloatArray:
@@ -173,11 +187,12 @@ class World:
         at_low = self._rays(low)
         at_high = self._rays(high)
         rows = []
-        for top in range(0, self.size, _ROWS):
-            lines = np.arange(top, min(top + _ROWS, self.size), dtype=np.float64)
+        for top in range(0, self.size, _RENDERED_LINES):
+            lines = np.arange(top, min(top + _RENDERED_LINES, self.size), dtype=np.float64)
             start, end = (_between(mesh, lines, self.size) for mesh in (at_low, at_high))
-            place = self._met(start, (end - start) / (high - low), low)
-            rows.append(cv2.remap(day, *place, cv2.INTER_LINEAR))
+            # A ray is straight between the lowest ground and the tallest roof.
+            cells = self._met(start, (end - start) / (high - low), low)
+            rows.append(cv2.remap(day, *cells, cv2.INTER_LINEAR))
         bright = np.concatenate(rows).astype(np.float32)
         noise = self._rng(4).standard_normal(bright.shape, dtype=np.float32) * _NOISE
         return np.clip(np.round(150 + 6 * bright + noise), 1, 2047).astype(np.uint16)
@@ -185,8 +200,10 @@ class World:
     def ortho(self) -> Bytes:
         """Return the orthoimage of the other day, of the whole square, 8 bits."""
         bright = self._lit(1).astype(np.float32)
-        n = len(bright) // _CELLS
-        mean = cv2.resize(bright[:n * _CELLS, :n * _CELLS], (n, n), interpolation=cv2.INTER_AREA)
+        n = len(bright) // _CELLS_PER_PIXEL
+        mean = cv2.resize(bright[:n * _CELLS_PER_PIXEL, :n * _CELLS_PER_PIXEL], (n, n),
+                          interpolation=cv2.INTER_AREA)
+        # 11 bits, as of most satellites.
         noise = self._rng(5).standard_normal(mean.shape, dtype=np.float32) * 3
         return np.asarray(np.clip(np.round(25 + 0.8 * mean + noise), 1, 255), dtype=np.uint8)
 
@@ -199,11 +216,12 @@ class World:
         """Return places all over the image and where the exact scanner sees them, in the plane."""
         image = self._rng(7).uniform(0.02, 0.98, (count, 2)) * (self.size - 1)
         height = np.full(count, _HEIGHT)
+        # A ray meets the terrain where its height is that of the ground: slopes are gentle.
         for _ in range(12):
-            place = self.camera.locate(image, height)
-            height = self.terrain(place)
-        east, north = _to_plane().transform(*place.T)
-        image = self.camera.project(np.column_stack([place, height]))
+            lonlat = self.camera.locate(image, height)
+            height = self.terrain(lonlat)
+        east, north = _to_plane().transform(*lonlat.T)
+        image = self.camera.project(np.column_stack([lonlat, height]))
         return Points(tuple(f"T{i + 1:03d}" for i in range(count)), image,
                       np.column_stack([east, north, height]), None, ("independent",) * count)
 
@@ -214,6 +232,7 @@ class World:
         """
         rng = self._rng(8)
         mapped = []
+        # Of each 20 roads 0 to 2 are missing, and 3 to 5 are moved.
         fates = rng.permutation(np.tile(np.arange(20), len(self.ground.roads) // 20 + 1))
         for road, fate in zip(self.ground.roads, fates, strict=False):
             if fate < 3:
@@ -230,16 +249,18 @@ class World:
         bright = self.ground.days[day]
         south, east = np.gradient(self.heights, _TERRAIN)
         slope = (-0.7, 0.5) if day == 0 else (0.6, 0.4)
+        # Brighter towards the sun, darker away from it.
         lit = np.clip(1 + slope[0] * east + slope[1] * south, 0.4, 1.8).astype(np.float32)
         n = len(bright)
         step = _TERRAIN / self.cell
-        wanted = (np.arange(n, dtype=np.float32) + 0.5) / np.float32(step)
-        out = np.empty_like(bright)
+        cells = (np.arange(n, dtype=np.float32) + 0.5) / np.float32(step)
+        lit_image = np.empty_like(bright)
         for top in range(0, n, 1024):
-            where = np.meshgrid(wanted, wanted[top:top + 1024])
-            out[top:top + 1024] = np.clip(
-                bright[top:top + 1024] * cv2.remap(lit, *where, cv2.INTER_LINEAR), 0, 255)
-        return np.asarray(cv2.GaussianBlur(out, (0, 0), 0.5 * _CELLS), dtype=np.uint8)
+            at = np.meshgrid(cells, cells[top:top + 1024])
+            lit_image[top:top + 1024] = np.clip(
+                bright[top:top + 1024] * cv2.remap(lit, *at, cv2.INTER_LINEAR), 0, 255)
+        return np.asarray(cv2.GaussianBlur(lit_image, (0, 0), 0.5 * _CELLS_PER_PIXEL),
+                          dtype=np.uint8)
 
     def _rays(self, height: float) -> tuple[FloatArray, FloatArray]:
         """Return where a mesh of rays reaches a height: east and south of the corner [m]."""
@@ -264,12 +285,13 @@ class World:
                                         (south / _TERRAIN).astype(np.float32), cv2.INTER_LINEAR))
 
         height = np.full(start.shape[1:], _HEIGHT)
-        for _ in range(8):  # slopes are gentle: each round leaves a tenth of the error
+        # Slopes are gentle: each round leaves a tenth of the error.
+        for _ in range(8):
             height = surface(height)
         base = height
         # From the tallest house down to the terrain: the first cell that is high enough.
         free = np.ones(base.shape, dtype=bool)
-        for above in np.arange(_TALLEST, 0, -_STEP):
+        for above in np.arange(_TALLEST, 0, -_RAY_STEP):
             at = self._cells(start + rise * (base + above - low))
             tall = cv2.remap(self.ground.buildings, *at, cv2.INTER_NEAREST)
             hit = free & (tall >= 10 * above)
@@ -277,13 +299,13 @@ class World:
             free &= ~hit
         return self._cells(start + rise * (height - low))
 
-    def _cells(self, place: FloatArray,
+    def _cells(self, metres: FloatArray,
                ) -> list[NDArray[np.float32]]:
-        return [(axis / self.cell - 0.5).astype(np.float32) for axis in place]
+        return [(axis / self.cell - 0.5).astype(np.float32) for axis in metres]
 
 
 def _mesh(size: int) -> FloatArray:
-    return np.arange(-2, -(-size // _MESH) + 3, dtype=np.float64) * _MESH
+    return np.arange(-2, -(-size // _RAY_MESH) + 3, dtype=np.float64) * _RAY_MESH
 
 
 def _between(mesh: tuple[FloatArray, FloatArray], lines: FloatArray, size: int) -> FloatArray:

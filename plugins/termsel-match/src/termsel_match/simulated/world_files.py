@@ -37,8 +37,8 @@ def write_world(world: World, folder: Path | str) -> None:
     TermselError
         If the folder exists or cannot be written.
     """
-    with new_folder(Path(folder)) as made:
-        _write(world, made)
+    with new_folder(Path(folder)) as new_files:
+        _write(world, new_files)
 
 
 def _write(world: World, folder: Path) -> None:

@@ -29,15 +29,15 @@ log = logging.getLogger("termsel.match")
 class RawReference(Reference):
     """A raw image, seen by the start of another one."""
 
-    own: Start
+    own_start: Start
 
     def seen(self, image: FloatArray) -> FloatArray:
         """Return where places of the other image, (n, 2), are in this one; NaN for none."""
         ground = self.start.locate(image, self.heights)
-        plane = turned(ground[:, :2], self.start.crs, self.own.crs)
-        places = np.array(self.own.project(np.column_stack([plane, ground[:, 2]])))
-        places[~np.isfinite(places).all(axis=1)] = np.nan
-        return places
+        plane = turned(ground[:, :2], self.start.crs, self.own_start.crs)
+        positions = np.array(self.own_start.project(np.column_stack([plane, ground[:, 2]])))
+        positions[~np.isfinite(positions).all(axis=1)] = np.nan
+        return positions
 
 
 @dataclass(frozen=True)
@@ -47,13 +47,13 @@ class PairOfImages:
     Parameters
     ----------
     first, second : str
-    found, agree : int
+    n_matches, agree : int
         Matches, and those that agree with their neighbours, which are ties.
     """
 
     first: str
     second: str
-    found: int
+    n_matches: int
     agree: int
 
 
@@ -84,9 +84,10 @@ class MatchedTies:
 
     def text(self) -> str:
         """Return a table of the pairs."""
-        wide = max(len(name) for pair in self.pairs for name in (pair.first, pair.second))
+        names = [pair.first for pair in self.pairs] + [pair.second for pair in self.pairs]
+        wide = max(map(len, names))
         lines = [f"{'image':{wide}}  {'image':{wide}}  matches  ties"]
-        lines += [f"{pair.first:{wide}}  {pair.second:{wide}}  {pair.found:7d}  {pair.agree:4d}"
+        lines += [f"{pair.first:{wide}}  {pair.second:{wide}}  {pair.n_matches:7d}  {pair.agree:4d}"
                   for pair in self.pairs]
         several = len(self.rows) - 2 * self.count
         return "\n".join([*lines, f"{self.count} ties; {several} more measurements in third "
@@ -139,39 +140,44 @@ def match_ties(
                                hint="Give files of different names, as a table of ties has them.")
     starts = [_start(path) for path in paths]
     tell_of_idle(masks, paths, [])
-    chosen = get("matchers", matcher or "sift")
+    matcher_class = get("matchers", matcher or "sift")
     until = None if seconds is None else monotonic() + seconds
     all_pairs = list(combinations(range(len(paths)), 2))
+    # A keypoint of an image by its position: its matches in several others are one tie.
     members: dict[tuple[int, float, float], list[tuple[int, float, float]]] = {}
     pairs = []
-    seen = False
+    any_overlap = False
     for done, (i, j) in enumerate(all_pairs):
         def tell(share: float, done: int = done) -> None:
             if progress is not None:
                 progress((done + share) / len(all_pairs))
 
-        looking = Looking(chosen() if isinstance(chosen, type) else chosen, search, count, until,
+        looking = Looking(matcher_class() if isinstance(matcher_class, type) else matcher_class,
+                          search, count, until,
                           tell)
         with open_masked(paths[i], band, masks) as picture, \
-                _seen_by(paths[j], starts[j], starts[i], dem, band, masks) as other:
-            there = other.seen(grid(picture.size, (COVERS, COVERS)))
-            seen |= bool(np.isfinite(there).any())
-            if not _overlap(other, there):
+                _seen_by(paths[j], starts[j], starts[i], dem, band, masks) as seen_image:
+            in_second = seen_image.seen(grid(picture.size, (COVERS, COVERS)))
+            any_overlap |= bool(np.isfinite(in_second).any())
+            if not _overlap(seen_image, in_second):
                 pairs.append(PairOfImages(names[i], names[j], 0, 0))
                 continue
-            found = in_cells(picture, other, looking)[0]
-            moved = found.second - other.seen(found.first)
-        known = np.flatnonzero(np.isfinite(moved).all(axis=1))
-        smooth = smooth_part(found.first[known], moved[known])
-        agree = known[smooth[1]] if smooth is not None else known[:0]
+            matches = in_cells(picture, seen_image, looking)[0]
+            moved = matches.second - seen_image.seen(matches.first)
+        finite = np.flatnonzero(np.isfinite(moved).all(axis=1))
+        # Matches that agree with a smooth surface of displacements, as those of a true pair do.
+        smooth = smooth_part(matches.first[finite], moved[finite])
+        agree = finite[smooth[1]] if smooth is not None else finite[:0]
         pairs.append(PairOfImages(names[i], names[j], len(moved), len(agree)))
-        for place, there in zip(found.first[agree].tolist(), found.second[agree].tolist(),
-                                strict=True):
-            members.setdefault((i, place[0], place[1]), []).append((j, there[0], there[1]))
-    rows = [(f"T{number:04d}", names[image], line, sample)
-            for number, (first, others) in enumerate(members.items(), 1)
-            for image, line, sample in (first, *others)]
-    if not seen:
+        for in_first, in_second in zip(matches.first[agree].tolist(),
+                                       matches.second[agree].tolist(), strict=True):
+            members.setdefault((i, in_first[0], in_first[1]), []).append(
+                (j, in_second[0], in_second[1]))
+    rows = []
+    for number, (first, further) in enumerate(members.items(), 1):
+        rows += [(f"T{number:04d}", names[image], line, sample)
+                 for image, line, sample in (first, *further)]
+    if not any_overlap:
         raise TermselError("this raster has no heights where the images are", file=Path(dem),
                            hint="Give heights of the place by --dem.")
     if not rows:
@@ -192,14 +198,17 @@ def _start(path: Path) -> Start:
 
 
 @contextmanager
-def _seen_by(path: Path, own: Start, start: Start, dem: Path | str, band: int | None,
+def _seen_by(path: Path, own_start: Start, start: Start, dem: Path | str, band: int | None,
              masks: Sequence[Path | str]) -> Iterator[RawReference]:
     """Open an image as another one, of a start, sees it."""
     with open_masked(path, band, masks) as picture, open_dem(Path(dem), start.crs) as heights:
-        yield RawReference(picture, own.crs, start, heights, own.height, None, own)
+        yield RawReference(picture, own_start.crs, start, heights, own_start.height, to_map=None,
+                           own_start=own_start)
 
 
-def _overlap(other: RawReference, seen: FloatArray) -> bool:
+def _overlap(seen_image: RawReference, positions: FloatArray) -> bool:
+    last = np.array(seen_image.picture.size) - 1
+    # Comparisons with nan are false: what has no position is not inside.
     with np.errstate(invalid="ignore"):
-        inside = ((seen >= 0) & (seen <= np.array(other.picture.size) - 1)).all(axis=1)
+        inside = ((positions >= 0) & (positions <= last)).all(axis=1)
     return bool(inside.any())
