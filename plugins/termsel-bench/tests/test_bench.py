@@ -83,7 +83,7 @@ def test_a_set_is_the_frozen_one(name: str) -> None:
     assert len(one.independent) == INDEPENDENT
     assert set(one.features.points.roles) == {"control", "check"}
     assert set(one.independent.roles) == {"independent"}
-    assert len(one.features.lines) == asked.more.get("n_lines", 0)
+    assert len(one.features.lines) == asked.settings.get("n_lines", 0)
     assert (one.features.rpc is not None) == (one.kind == "vendor-rpc")
 
 

@@ -98,7 +98,7 @@ def test_the_best_of_all_selections_is_proven_and_no_other(
 def test_a_tree_of_few_steps_says_what_is_open(proof: tuple[dict[str, Any], Path]) -> None:
     content, folder = proof
     axis = {key: value for key, value in content["axes"][0].items() if key != "nodes"}
-    lines, open_ = _checked(certificate.content_of([axis], most=3), folder)
+    lines, open_ = _checked(certificate.content_of([axis], max_steps=3), folder)
     assert open_ > 0
     assert not any(line.startswith("no selection") for line in lines)
 

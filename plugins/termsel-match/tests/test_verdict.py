@@ -354,16 +354,20 @@ def test_another_place_is_told_from_chance(seed: int) -> None:
     ({"rmse": 2.1}, ("The RMSE of those that agree is 2.10 px; accepted are 2 px.",)),
     ({"sigma": np.nan}, ("The predicted standard deviation",)),
     ({"agrees": np.arange(60) < 3}, ("Only 3 of 60 independent candidates agree",)),
-    ({"along": Along(1.0, 581.0, (-4.0, -5.0)), "other": OtherPlace(13, (4.5, 5.5), "the middle")},
+    ({"along_lines": Along(1.0, 581.0, (-4.0, -5.0)),
+      "other_place": OtherPlace(13, (4.5, 5.5), "the middle")},
      ("Near line 581 the correction changes by (-4.0, -5.0) px in line and sample, and",)),
-    ({"along": Along(1.0, 581.0, (-4.0, -5.0)), "other": OtherPlace(13, (30, 5), "the middle")},
+    ({"along_lines": Along(1.0, 581.0, (-4.0, -5.0)),
+      "other_place": OtherPlace(13, (30, 5), "the middle")},
      ()),
-    ({"along": Along(1.0, 581.0, (-1.0, -1.5)), "other": OtherPlace(13, (1, 1.5), "the middle")},
+    ({"along_lines": Along(1.0, 581.0, (-1.0, -1.5)),
+      "other_place": OtherPlace(13, (1, 1.5), "the middle")},
      ())])
 def test_each_limit_is_a_reason(change: dict[str, Any], said: tuple[str, ...]) -> None:
     found: Any = SimpleNamespace(**{
         "independent": np.ones(60, dtype=bool), "agrees": np.ones(60, dtype=bool), "median": 2.0,
-        "rmse": 2.0, "sigma": 2.0, "structure": None, "other": None, "along": Along(), **change})
+        "rmse": 2.0, "sigma": 2.0, "structure": None, "other_place": None, "along_lines": Along(),
+        **change})
     refused = reasons(found, found, 2.0)
     assert len(refused) == len(said)
     assert all(reason.startswith(word) for reason, word in zip(refused, said, strict=True))

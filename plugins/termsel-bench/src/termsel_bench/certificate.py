@@ -41,9 +41,12 @@ TIE = 1e-9
 MOST_NODES = 50_000
 """Steps of a tree at most; a larger one leaves the rest open, and says so."""
 
-_STEPS = 8  # of limits at one node
-_GAIN = 0.9  # limits that fall to less than this share are worth a step
-_DEEP = 20.0  # decades, by a factor, of all limits together at which a node mostly closes
+# Of limits at one node.
+_STEPS = 8
+# Limits that fall to less than this share are worth a step.
+_GAIN = 0.9
+# Decades, by a factor, of all limits together at which a node mostly closes.
+_DEEP = 20.0
 
 
 def certifier(problem: Problem, rooms: Sequence[int],
@@ -54,18 +57,23 @@ def certifier(problem: Problem, rooms: Sequence[int],
     problem that has no certificate, or numbers that none can hold. What is made, the checker has
     verified. Where it refuses, there is a warning, and None: the search is made by then.
     """
-    parts = problem.parts()
-    if not parts or any(part.score != "check" or part.system.target.shape[1] != 1
-                        or part.system.parents is not None for part in parts):
+    axis_parts = problem.parts()
+    if not axis_parts or any(
+            axis_part.score != "check" or axis_part.system.target.shape[1] != 1
+            or axis_part.system.parents is not None for axis_part in axis_parts):
         raise TermselError(
             "there is no certificate of this problem: it is one of check errors, by axis and "
             "without parents", hint="Choose --criterion check-rmse and --set mask=per-axis.")
     names = list(problem.decode(np.ones(problem.genome.size, dtype=bool)).terms)
 
     def axes_of(genes: NDArray[np.bool_]) -> list[dict[str, Any]]:
-        return [axis_of(names[part.genes[0]].partition(".")[0], [names[j] for j in part.genes],
-                        part.system, np.flatnonzero(genes[part.genes]).tolist(), room, part.pixels)
-                for part, room in zip(parts, rooms, strict=True)]
+        axes = []
+        for axis_part, room in zip(axis_parts, rooms, strict=True):
+            terms = [names[j] for j in axis_part.genes]
+            name = names[axis_part.genes[0]].partition(".")[0]
+            selection = np.flatnonzero(genes[axis_part.genes]).tolist()
+            axes.append(axis_of(name, terms, axis_part.system, selection, room, axis_part.pixels))
+        return axes
 
     # All but the selection and its limit is known before a search that may take long.
     try:
@@ -83,9 +91,9 @@ def certifier(problem: Problem, rooms: Sequence[int],
         try:
             text = json.dumps(content_of(axes_of(genes), MOST_NODES))
             with TemporaryDirectory() as folder:
-                made = Path(folder) / "certificate.json"
-                made.write_text(text, encoding="utf-8")
-                _, open_ = check(made)
+                file = Path(folder) / "certificate.json"
+                file.write_text(text, encoding="utf-8")
+                _, open_ = check(file)
         except (Refused, ValueError, OSError, TermselError) as error:
             log.warning("no certificate is written: %s. The search has its proof in floating-point "
                         "numbers", str(error).rstrip("."))
@@ -94,19 +102,20 @@ def certifier(problem: Problem, rooms: Sequence[int],
             log.warning("the tree of the certificate is full, and %s selections are left open; it "
                         "does not prove the optimum", f"{open_:,}")
         content: dict[str, Any] = json.loads(text)
-        del content["sha256"]  # the result adds of which data it is, and the checksum
+        # The result adds of which data it is, and the checksum.
+        del content["sha256"]
         return content
 
     return certificate_of
 
 
-def content_of(axes: Sequence[dict[str, Any]], most: int = MOST_NODES) -> dict[str, Any]:
+def content_of(axes: Sequence[dict[str, Any]], max_steps: int = MOST_NODES) -> dict[str, Any]:
     """Return a certificate, given the axes without their trees (see `axis_of`).
 
     All trees together have about `most` steps at most; what is not decided by then is open.
     """
     content: dict[str, Any] = {"schema": SCHEMA, "axes": [
-        {**axis, "nodes": tree_of(axis, most // len(axes))} for axis in axes]}
+        {**axis, "nodes": tree_of(axis, max_steps // len(axes))} for axis in axes]}
     # As read again: the checksum is of what the file says.
     return {**content, "sha256": checksum(json.loads(json.dumps(content)))}
 
@@ -114,22 +123,26 @@ def content_of(axes: Sequence[dict[str, Any]], most: int = MOST_NODES) -> dict[s
 def axis_of(name: str, terms: Sequence[str], system: Any, selection: Sequence[int],
             room: int, pixels: float) -> dict[str, Any]:
     """Return the system of one axis, its best selection and the limit that none is below."""
-    kept = np.flatnonzero(~system.forbidden) if system.forbidden is not None else \
+    allowed = np.flatnonzero(~system.forbidden) if system.forbidden is not None else \
         np.arange(len(terms))
 
     def joined(design: FloatArray | None, target: FloatArray) -> list[list[float]]:
-        return [] if design is None else np.column_stack([design[:, kept], target]).tolist()
+        return [] if design is None else np.column_stack([design[:, allowed], target]).tolist()
 
     checks = len(system.check_target)
-    chosen = list(map(int, selection))
-    x = np.linalg.lstsq(system.design[:, chosen], system.target[:, 0])[0]
-    errors = system.check_target[:, 0] - system.check_design[:, chosen] @ x
+    selected = list(map(int, selection))
+    # The best selection again, by least squares: its sum of squares is the limit, less a tie.
+    x = np.linalg.lstsq(system.design[:, selected], system.target[:, 0])[0]
+    errors = system.check_target[:, 0] - system.check_design[:, selected] @ x
+    # A rational function: errors of the numerator over the denominator.
     if system.check_denominator is not None:
-        errors /= 1.0 + system.check_denominator[:, chosen] @ x
-    forced = np.flatnonzero(system.forced) if system.forced is not None else kept[:0]
-    return {"axis": name, "terms": [terms[j] for j in kept.tolist()],
-            "room": min(int(room), len(kept)), "selection": np.searchsorted(kept, chosen).tolist(),
-            "forced": np.searchsorted(kept, forced).tolist(),
+        errors /= 1.0 + system.check_denominator[:, selected] @ x
+    forced = np.flatnonzero(system.forced) if system.forced is not None else allowed[:0]
+    # Terms that no selection may have are left out, so that all are numbered again.
+    return {"axis": name, "terms": [terms[j] for j in allowed.tolist()],
+            "room": min(int(room), len(allowed)),
+            "selection": np.searchsorted(allowed, selected).tolist(),
+            "forced": np.searchsorted(allowed, forced).tolist(),
             "limit": float(errors @ errors) * (1.0 - TIE),
             "margin": float(system.margin), "pixels": float(pixels),
             "control": joined(system.design, system.target[:, 0]),
@@ -137,7 +150,8 @@ def axis_of(name: str, terms: Sequence[str], system: Any, selection: Sequence[in
             "denominators": joined(system.check_denominator, -np.ones(checks))}
 
 
-def tree_of(axis: dict[str, Any], most: int, path: Sequence[tuple[int, bool]] = ()) -> list[Step]:
+def tree_of(axis: dict[str, Any], max_steps: int,
+            path: Sequence[tuple[int, bool]] = ()) -> list[Step]:
     """Return the steps of the proof for one axis, in the order in which the checker takes them.
 
     With a path only the selections that have a term or have it not, as each pair of it says, are
@@ -147,25 +161,29 @@ def tree_of(axis: dict[str, Any], most: int, path: Sequence[tuple[int, bool]] = 
     columns = _columns_of(axis)
     node = checker.root()
     steps: list[Step] = []
-    aside = ((-1, False),)  # of the half that a path does not take
+    # Of the half that a path does not take.
+    aside = ((-1, False),)
     todo = [(columns, node, tuple(path))]
     while todo:
         columns, node, way = todo.pop()
-        if way == aside or len(steps) >= most:
+        if way == aside or len(steps) >= max_steps:
             steps.append(["open"])
             continue
         if not node.rest or len(node.used) >= checker.room:
             steps.append(["one"])
             continue
+        # At a node of the path nothing is bounded: it only leads to the part that is decided.
         if not way:
-            made, columns, node, closed = _bounded(columns, node, checker)
-            steps += made
+            bound_steps, columns, node, closed = _bounded(columns, node, checker)
+            steps += bound_steps
             if closed:
                 continue
+        # Beyond the path the column that leaves least open.
         j = way[0][0] if way else columns.names[_branch(columns, checker.room - len(node.used))]
         i = columns.names.index(j)
         steps.append(["split", j])
         without, using = checker.halves(node, j)
+        # Depth first: the half that uses the term is taken next, as the checker takes it.
         todo += [(columns.using(i), using, way[1:] if not way or way[0][1] else aside),
                  (columns.without(i), without, way[1:] if not way or not way[0][1] else aside)]
     return steps
@@ -177,9 +195,12 @@ def _columns_of(axis: dict[str, Any]) -> Columns:
     k = len(axis["terms"])
     upper = np.ones(c + 1)
     denominators = np.array(axis["denominators"]).reshape(-1, k + 1)
+    # The last entry is the limit of t = 1 / denominator.
     if len(denominators):
         upper[c] /= axis["margin"] * c
     columns = Columns(np.array(axis["control"]).T.copy(),
+                      # In units of the limit, so that a selection below it has a sum of squares
+                      # below 1.
                       np.array(axis["errors"]).T / np.sqrt(axis["limit"]),
                       denominators.T.copy(), tuple(range(k)), upper, None)
     for j in sorted(axis["forced"]):
@@ -195,6 +216,7 @@ def _bounded(columns: Columns, node: Node,
     """
     steps: list[Step] = []
     for _ in range(_STEPS):
+        # Multipliers of the node before are a good start, and a bound often falls below 1 at once.
         bound = bounded(columns)
         if bound is None:
             break
@@ -206,6 +228,7 @@ def _bounded(columns: Columns, node: Node,
             break
         if not checker.rational:
             break
+        # Limits of denominators, and of t in the last place.
         largest = bound.largest(columns)
         k = int(np.argmin(largest[:-1]))
         if largest[k] < 0.0 and checker.is_closed(node, alphas, k):
@@ -234,11 +257,13 @@ def _short(node: Node, names: Sequence[int], alphas: FloatArray) -> list[float]:
 def _branch(columns: Columns, room: int) -> int:
     """Return the column whose halves have the lowest limits, as far as one bound says."""
     best = 0
-    least = np.inf
+    least_open = np.inf
     for i in range(len(columns.names)):
         total = 0.0
+        # Both halves are bounded; what is closed adds nothing to what is left open.
         for half in (columns.without(i), columns.using(i) if room > 1 else None):
-            if half is None or not half.names:  # a single selection
+            # A single selection.
+            if half is None or not half.names:
                 continue
             bound = bounded(half, tune=False)
             if bound is None:
@@ -249,8 +274,8 @@ def _branch(columns: Columns, room: int) -> int:
                     lower = np.minimum(half.upper, largest) / half.upper
                     total += float(np.exp(np.log(lower).sum() / _DEEP))
             elif not bound.closes:
-                total += float(np.exp(-bound.least))
-        if total < least:
+                total += float(np.exp(-bound.minimum))
+        if total < least_open:
             best = i
-            least = total
+            least_open = total
     return best

@@ -30,7 +30,7 @@ REFUTED = 2
                    "that results may be of.")
 @click.option("--set", "settings", multiple=True, metavar="KEY=VALUE",
               help="Option of the solvers and models.")
-@click.option("--alone", is_flag=True, help="Without auto and other packages.")
+@click.option("--alone", "without_others", is_flag=True, help="Without auto and other packages.")
 @click.option("--quick", is_flag=True, help="One set of each kind: about a minute.")
 @click.option("--sets", "pattern", default="", metavar="TEXT",
               help="Only sets whose name contains this.")
@@ -39,7 +39,7 @@ REFUTED = 2
 @click.option("--processes", type=click.IntRange(1, 256), default=1, show_default=True,
               help="Processes on this machine.")
 @click.option("--scheduler", default="", metavar="ADDRESS", help="A dask scheduler.")
-@click.option("--out", metavar="DIR", type=click.Path(file_okay=False, path_type=Path),
+@click.option("--out", "folder", metavar="DIR", type=click.Path(file_okay=False, path_type=Path),
               help="Folder for table.csv, index.html and a file of results of each method.")
 @click.option("--check", "checked", metavar="DIR", help="Repeat the results in a folder; those of "
               "packages where --package names them.",
@@ -48,8 +48,8 @@ REFUTED = 2
               help="Write the sets as files, with their description, and run nothing.")
 @click.option("--overwrite", is_flag=True, help="Replace files that are there.")
 def bench(solvers: tuple[str, ...], problem: str | None, models: tuple[str, ...],
-          packages: tuple[str, ...], settings: tuple[str, ...], alone: bool, quick: bool,
-          pattern: str, real: Path | None, processes: int, scheduler: str, out: Path | None,
+          packages: tuple[str, ...], settings: tuple[str, ...], without_others: bool, quick: bool,
+          pattern: str, real: Path | None, processes: int, scheduler: str, folder: Path | None,
           checked: Path | None, files: Path | None, overwrite: bool) -> None:
     """Compare methods of georeferencing on forty simulated sets.
 
@@ -65,13 +65,16 @@ def bench(solvers: tuple[str, ...], problem: str | None, models: tuple[str, ...]
       termsel bench --check mine
     """
     show_messages()
-    chosen = {"--check": checked, "--files": files}
-    methods = _methods(solvers, problem, models, packages, parse_settings(settings), alone=alone)
-    given = [name for name, value in chosen.items() if value is not None]
+    tasks = {"--check": checked, "--files": files}
+    # All options are looked at before any set is simulated.
+    methods = _methods(solvers, problem, models, packages, parse_settings(settings),
+                       without_others=without_others)
+    named = [name for name, value in tasks.items() if value is not None]
     trusted = packages if checked is not None else ()
-    others = solvers or models or (packages and not trusted) or alone or out or real
-    if len(given) == 2 or (given and others):
-        raise TermselError(f"{given[0]} goes with no method and no other task",
+    other_options = solvers or models or (packages
+                                          and not trusted) or without_others or folder or real
+    if len(named) == 2 or (named and other_options):
+        raise TermselError(f"{named[0]} goes with no method and no other task",
                            hint="Give it with --sets or --quick alone; --check also with "
                                 "--package, which says what code of the results may run.")
     names = _sets(pattern, quick=quick)
@@ -80,24 +83,26 @@ def bench(solvers: tuple[str, ...], problem: str | None, models: tuple[str, ...]
     elif checked is not None:
         sys.exit(_check(checked, pattern, processes, trusted))
     else:
-        _run(methods, names, real, processes, scheduler, out, overwrite=overwrite)
+        _run(methods, names, real, processes, scheduler, folder, overwrite=overwrite)
 
 
 def _methods(solvers: Sequence[str], problem: str | None, models: Sequence[str],
-             packages: Sequence[str], options: dict[str, str], *, alone: bool) -> list[Method]:
+             packages: Sequence[str], options: dict[str, str], *,
+             without_others: bool) -> list[Method]:
     from termsel_bench.methods.base import AUTO, PEERS, Method
 
     if options and not solvers and not models:
         raise TermselError("--set is an option of no method", hint="Add --solver or --model.")
     if problem and not solvers:
         raise TermselError("--problem is for solvers", hint="Add --solver NAME.")
-    mine = [*(Method("solver", name, options, problem or "") for name in solvers),
-            *(Method("model", name, options) for name in models),
-            *(Method("package", name) for name in packages)]
-    if alone and not mine:
+    own_methods = [*(Method("solver", name, options, problem or "") for name in solvers),
+                   *(Method("model", name, options) for name in models),
+                   *(Method("package", name) for name in packages)]
+    if without_others and not own_methods:
         raise TermselError("there is no method to run",
                            hint="Add --solver, --model or --package, or leave --alone out.")
-    return mine if alone else [AUTO, *mine, *(Method("peer", name) for name in PEERS)]
+    return own_methods if without_others else [AUTO, *own_methods,
+                                               *(Method("peer", name) for name in PEERS)]
 
 
 def _sets(pattern: str, *, quick: bool) -> list[str]:
@@ -110,50 +115,53 @@ def _sets(pattern: str, *, quick: bool) -> list[str]:
 
 
 def _run(methods: Sequence[Method], names: Sequence[str], real: Path | None, processes: int,
-         scheduler: str, out: Path | None, *, overwrite: bool) -> None:
+         scheduler: str, folder: Path | None, *, overwrite: bool) -> None:
     from termsel import require_replaceable
     from termsel_bench.protocol import scores
     from termsel_bench.scenes.real import real_folders
     from termsel_bench.tables import by_kind, losses
 
-    if out is not None:
-        require_replaceable([out / "table.csv", out / "index.html"], reads=[],
+    if folder is not None:
+        require_replaceable([folder / "table.csv", folder / "index.html"], reads=[],
                             overwrite=overwrite, makes_folder=True)
     folders = [] if real is None else real_folders(real)
-    found: list[Score] = []
+    scored: list[Score] = []
     total = (len(names) + len(folders)) * len(methods)
-    for one in scores(methods, names, folders, processes=processes, scheduler=scheduler):
-        found.append(one)
-        if len(found) % len(methods) == 0:
-            echo(f"{len(found)} of {total}: {one.set_name}", err=True)
-    header, rows = by_kind(found)
+    for score in scores(methods, names, folders, processes=processes, scheduler=scheduler):
+        scored.append(score)
+        if len(scored) % len(methods) == 0:
+            # A line for each set, as methods of one set come one after the other.
+            echo(f"{len(scored)} of {total}: {score.set_name}", err=True)
+    header, rows = by_kind(scored)
     print_table(header, rows)
     echo("\nMedian ratio of the RMSE of independent points to the least of each set.")
-    lost = losses(found, methods[0].title)
+    lost_sets = losses(scored, methods[0].title)
     if len(methods) > 1:
-        echo(f"{methods[0].title} loses on {len(lost)} of {len(names) + len(folders)} sets"
-             + (": " + ", ".join(mine.set_name for mine, _ in lost) if lost else "") + ".")
-    for title in dict.fromkeys(one.method.title for one in found):
-        mine = [one for one in found if one.method.title == title]
-        if all(one.why for one in mine):
-            echo(f"{title} has no result on any set: {mine[0].why}.")
-    if out is not None:
-        _write(found, out, methods[0].title)
+        names_of_lost = ", ".join(loss.set_name for loss, _ in lost_sets)
+        echo(f"{methods[0].title} loses on {len(lost_sets)} of {len(names) + len(folders)} sets"
+             + (f": {names_of_lost}" if lost_sets else "") + ".")
+    for title in dict.fromkeys(score.method.title for score in scored):
+        of_method = [score for score in scored if score.method.title == title]
+        # A method that fails everywhere says why, once.
+        if all(score.why for score in of_method):
+            echo(f"{title} has no result on any set: {of_method[0].why}.")
+    if folder is not None:
+        _write(scored, folder, methods[0].title)
 
 
-def _write(found: Sequence[Score], out: Path, title: str) -> None:
+def _write(scored: Sequence[Score], folder: Path, title: str) -> None:
     from termsel.toolkit import page, refuse_links, write_text
     from termsel_bench.page import document
     from termsel_bench.submitted import texts_of
     from termsel_bench.tables import csv_text
 
-    out.mkdir(parents=True, exist_ok=True)
-    refuse_links(out)
-    texts = {"table.csv": csv_text(found), "index.html": page(document(found, title)),
-             **texts_of(found)}
+    folder.mkdir(parents=True, exist_ok=True)
+    refuse_links(folder)
+    texts = {"table.csv": csv_text(scored), "index.html": page(document(scored, title)),
+             **texts_of(scored)}
     for name, text in texts.items():
-        write_text(out / name, text)
-    say_written([out / name for name in texts])
+        write_text(folder / name, text)
+    say_written([folder / name for name in texts])
 
 
 def _write_files(folder: Path, names: Sequence[str], *, overwrite: bool) -> None:
@@ -166,8 +174,8 @@ def _write_files(folder: Path, names: Sequence[str], *, overwrite: bool) -> None
     sets = [simulated(name) for name in names]
     folder.mkdir(parents=True, exist_ok=True)
     refuse_links(folder)
-    for one in sets:
-        for file, text in one.files().items():
+    for bench_set in sets:
+        for file, text in bench_set.files().items():
             write_text(folder / file, text)
     write_text(folder / METADATA, json_text(described(sets)) + "\n")
     say_written([folder / METADATA])
@@ -177,9 +185,11 @@ def _write_files(folder: Path, names: Sequence[str], *, overwrite: bool) -> None
 def _check(folder: Path, pattern: str, processes: int, packages: Sequence[str]) -> int:
     from termsel_bench.submitted import check, read_submitted
 
-    found = [check(one, pattern, processes=processes) for one in read_submitted(folder, packages)]
+    checks = [check(checked, pattern, processes=processes)
+              for checked in read_submitted(folder, packages)]
     print_table(("file", "method", "sets", "largest difference", "verdict"), [
-        (one.submitted.path.name, one.submitted.method.title, str(one.repeated),
-         f"{one.worst:.2%}", "refuted: " + ", ".join(one.refuted) if one.refuted else "confirmed")
-        for one in found])
-    return REFUTED if any(one.refuted for one in found) else 0
+        (checked.submitted.path.name, checked.submitted.method.title, str(checked.repeated),
+         f"{checked.worst:.2%}", "refuted: " + ", ".join(checked.refuted) if checked.refuted
+         else "confirmed")
+        for checked in checks])
+    return REFUTED if any(checked.refuted for checked in checks) else 0

@@ -14,24 +14,36 @@ from numpy.typing import NDArray
 
 FloatArray: TypeAlias = NDArray[np.float64]
 
-SLACK = 1e-6  # of what is claimed, for the rounding of floating-point numbers
-_SHARE = 1 / 16  # weight of the fact on t, as in the checker
-_SPHERES = (0.6, 2.0, 8.0)  # first multipliers, over (tau |r|)^2
-_BARRIER = 0.3  # of the determinant: it keeps the ellipsoid small all round
-_NEWTON = 8  # steps of the multipliers at one node
-_PIVOT = 1e-6  # no digits are left below this root of a pivot
+# Of what is claimed, for the rounding of floating-point numbers.
+SLACK = 1e-6
+# Weight of the fact on t, as in the checker.
+_FACT_WEIGHT = 1 / 16
+# First multipliers, over (tau |r|)^2.
+_SPHERES = (0.6, 2.0, 8.0)
+# Of the determinant: it keeps the ellipsoid small all round.
+_BARRIER = 0.3
+# Steps of the multipliers at one node.
+_NEWTON = 8
+# No digits are left below this root of a pivot.
+_PIVOT = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Columns:
     """Columns and target of an axis with those in use removed: one row each, the target's last."""
 
-    control: FloatArray  # (n + 1, m)
-    errors: FloatArray  # (n + 1, c), over the root of the limit
-    denominators: FloatArray  # (n + 1, c); (n + 1, 0) without any
-    names: tuple[int, ...]  # (n,): the number of each column
-    upper: FloatArray  # (c + 1,): limits of the denominators and of t
-    alphas: FloatArray | None  # (n,): multipliers that are good for a start
+    # (n + 1, m).
+    control: FloatArray
+    # (n + 1, c), over the root of the limit.
+    errors: FloatArray
+    # (n + 1, c); (n + 1, 0) without any.
+    denominators: FloatArray
+    # (n,): the number of each column.
+    names: tuple[int, ...]
+    # (c + 1,): limits of the denominators and of t.
+    upper: FloatArray
+    # (n,): multipliers that are good for a start.
+    alphas: FloatArray | None
 
     def without(self, i: int) -> Columns:
         """Return them without column i."""
@@ -45,6 +57,7 @@ class Columns:
         """Return the others with column i removed from them."""
         a = self.control[i]
         square = float(a @ a)
+        # Least squares of one column: its share of all others is removed from them.
         share = self.control @ a / square if square > 0 else np.zeros(len(self.control))
         return replace(self, control=self.control - np.outer(share, a),
                        errors=self.errors - np.outer(share, self.errors[i]),
@@ -56,34 +69,43 @@ class Columns:
 class Bound:
     """What some multipliers prove of columns."""
 
-    alphas: FloatArray  # (n,)
-    least: float  # of z'Qz where s'z = 1
-    inverse: FloatArray  # L^-1 of Q = L L'
-    h: FloatArray  # L^-1 s
+    # (n,).
+    alphas: FloatArray
+    # Of z'Qz where s'z = 1.
+    minimum: float
+    # L^-1 of Q = L L'.
+    inverse: FloatArray
+    # L^-1 s.
+    h: FloatArray
 
     @property
     def closes(self) -> bool:
         """Whether no selection is below the limit: it would have at most 1 and the share of t."""
-        return self.least > (1.0 + _SHARE) * (1.0 + SLACK)
+        return self.minimum > (1.0 + _FACT_WEIGHT) * (1.0 + SLACK)
 
     def largest(self, columns: Columns) -> FloatArray:
         """Return the largest value of each denominator, and of t."""
         lines = np.vstack([columns.denominators.T, np.append(np.zeros(len(columns.names)), -1.0)])
         rows = lines @ self.inverse.T
-        along = rows @ self.h * self.least
+        # The ellipsoid z^T Q z <= room about the minimum: a value is at most middle + sqrt(room *
+        # square).
+        along_h = rows @ self.h * self.minimum
         squares = (rows**2).sum(axis=1)
-        across = np.maximum(0.0, squares - along**2 / self.least) + SLACK * squares
-        room = max(0.0, 1.0 + _SHARE - self.least) + SLACK
-        return np.asarray(along + np.sqrt(room * across))
+        across = np.maximum(0.0, squares - along_h**2 / self.minimum) + SLACK * squares
+        room = max(0.0, 1.0 + _FACT_WEIGHT - self.minimum) + SLACK
+        return np.asarray(along_h + np.sqrt(room * across))
 
 
 @dataclass(frozen=True, eq=False)
 class _Form:
     """The quadratic form Q of columns, but for the multipliers."""
 
-    base: FloatArray  # (n + 1, n + 1)
-    gram: FloatArray  # (n + 1, n + 1): products in the control rows
-    s: FloatArray  # (n + 1,)
+    # (n + 1, n + 1).
+    base: FloatArray
+    # (n + 1, n + 1): products in the control rows.
+    gram: FloatArray
+    # (n + 1,).
+    s: FloatArray
 
     def bound(self, alphas: FloatArray) -> Bound | None:
         """Return what multipliers prove; None if Q is not positive definite, or nearly so."""
@@ -92,6 +114,7 @@ class _Form:
         diagonal = np.diag(form)
         if not (diagonal > 0.0).all():
             return None
+        # Scaled to a diagonal of ones, as the columns are of different size.
         lengths = np.sqrt(diagonal)
         try:
             triangle = np.linalg.cholesky(form / np.outer(lengths, lengths))
@@ -101,17 +124,20 @@ class _Form:
             return None
         inverse = np.linalg.inv(triangle) / lengths
         h = inverse @ self.s
+        # The least value of z^T Q z where s^T z = 1 is 1 / (s^T Q^-1 s), and h = L^-1 s.
         return Bound(alphas, float(1.0 / (h @ h)), inverse, h)
 
 
 def _form_of(columns: Columns) -> _Form:
     c = columns.errors.shape[1]
     n = len(columns.names)
+    # Errors by the limits of the denominators: a quotient is at most 1 in each row.
     weighted = columns.errors / columns.upper[:c]
     base = weighted @ weighted.T
     s = np.append(np.zeros(n), -1.0)
+    # The fact on t, weighed as in the checker.
     if columns.denominators.shape[1]:
-        base[n, n] += _SHARE / columns.upper[c]**2
+        base[n, n] += _FACT_WEIGHT / columns.upper[c]**2
         s = columns.denominators.sum(axis=1)
     return _Form(base, columns.control @ columns.control.T, s)
 
@@ -128,8 +154,8 @@ def bounded(columns: Columns, *, tune: bool = True) -> Bound | None:
     if tune or not starts:
         scale = columns.upper[-1]**2 * form.gram[n, n]
         starts += [np.full(n, weight / scale if scale > 0.0 else 0.0) for weight in _SPHERES]
-    found = [bound for bound in map(form.bound, starts) if bound is not None]
-    best = max(found, key=lambda bound: bound.least, default=None)
+    bounds = [bound for bound in map(form.bound, starts) if bound is not None]
+    best = max(bounds, key=lambda bound: bound.minimum, default=None)
     if best is None or not tune or not n or form.gram[n, n] <= 0.0:
         return best
     return _tuned(form, best)
@@ -146,36 +172,41 @@ def _tuned(form: _Form, at: Bound) -> Bound:
         if at.closes:
             break
         inverse = at.inverse.T @ at.inverse
-        z = at.least * (at.inverse.T @ at.h)
+        # The minimum z = Q^-1 s / (s^T Q^-1 s).
+        z = at.minimum * (at.inverse.T @ at.h)
         products = form.gram @ z
-        weight = _BARRIER * at.least / (n + 1)
-        moved = (np.diag(products)[:, :n] + form.gram[:, :n] * z[:n]) / 2  # N_j z
-        both = inverse @ form.gram
-        slope = z[:n] * products[:n] + weight * np.diag(both)[:n]
-        bend = 2.0 * moved.T @ (inverse - np.outer(z, z) / at.least) @ moved + weight / 2 * (
-            both[:n, :n] * both[:n, :n].T + inverse[:n, :n] * (form.gram @ both)[:n, :n])
+        weight = _BARRIER * at.minimum / (n + 1)
+        # N_j z.
+        moved = (np.diag(products)[:, :n] + form.gram[:, :n] * z[:n]) / 2
+        spread = inverse @ form.gram
+        # Gradient by the multipliers, then the matrix of second derivatives, both with the barrier.
+        slope = z[:n] * products[:n] + weight * np.diag(spread)[:n]
+        bend = 2.0 * moved.T @ (inverse - np.outer(z, z) / at.minimum) @ moved + weight / 2 * (
+            spread[:n, :n] * spread[:n, :n].T + inverse[:n, :n] * (form.gram @ spread)[:n, :n])
         try:
+            # A small number on the diagonal keeps the system regular where multipliers depend on
+            # others.
             step = np.linalg.solve(bend + 1e-12 * np.trace(bend) / n * np.eye(n), slope)
         except np.linalg.LinAlgError:
             break
-        now = _height(at, weight)
+        height = _height(at, weight)
         size = 1.0
         reached = None
         while size > 0.01:
             reached = form.bound(at.alphas + size * step)
-            if reached is not None and _height(reached, weight) > now:
+            if reached is not None and _height(reached, weight) > height:
                 break
             reached = None
             size = size / 2
         if reached is None:
             break
-        gained = reached.least - at.least
+        gained = reached.minimum - at.minimum
         at = reached
-        if gained < 0.01 * at.least:
+        if gained < 0.01 * at.minimum:
             break
     return at
 
 
 def _height(bound: Bound, weight: float) -> float:
     """Return what is maximised; the determinant of Q is that of L^-1, inverted and squared."""
-    return bound.least - 2.0 * weight * float(np.log(np.abs(np.diag(bound.inverse))).sum())
+    return bound.minimum - 2.0 * weight * float(np.log(np.abs(np.diag(bound.inverse))).sum())

@@ -16,6 +16,7 @@ from termsel_bench.tables import NEAR, best_of, by_kind, losses, ratio
 def document(scores: Sequence[Score], title: str = AUTO.title) -> Document:
     """Return what is shown of scores; `title` is the method whose losses are listed."""
     header, rows = by_kind(scores)
+    # Ratios are to the least RMSE of each set.
     best = best_of(scores)
     sets = dict.fromkeys(score.set_name for score in scores)
     worse = losses(scores, title)
@@ -25,10 +26,10 @@ def document(scores: Sequence[Score], title: str = AUTO.title) -> Document:
     lost = TableBlock(
         f"Sets where {title} loses by more than {100 * (NEAR - 1):.0f} %",
         ("set", "points", f"{title} [px]", "95 %", "best method", "best [px]", "95 %", "ratio"),
-        [(mine.set_name, str(mine.control), _px(mine.rmse), _interval(mine), other.method.title,
-          _px(other.rmse), _interval(other), f"{mine.rmse / other.rmse:.2f}")
-         for mine, other in worse])
-    every = TableBlock(
+        [(loss.set_name, str(loss.control), _px(loss.rmse), _interval(loss), winner.method.title,
+          _px(winner.rmse), _interval(winner), f"{loss.rmse / winner.rmse:.2f}")
+         for loss, winner in worse])
+    all_scores = TableBlock(
         "All scores", ("set", "method", "points", "RMSE [px]", "95 %", "ratio", "why no result"),
         [(score.set_name, score.method.title, str(score.control), _px(score.rmse), _interval(score),
           _px(ratio(score, best)), score.why) for score in scores], folded=True)
@@ -42,12 +43,12 @@ def document(scores: Sequence[Score], title: str = AUTO.title) -> Document:
          *([Section(f"Where does {title} lose?", (
              f"It loses on {len(worse)} of {len(sets)} sets.", *([lost] if worse else [])))]
            if named else []),
-         Section("All scores", (every,))))
+         Section("All scores", (all_scores,))))
 
 
 def _px(value: float) -> str:
     return f"{value:.3f}" if math.isfinite(value) else "-"
 
 
-def _interval(one: Score) -> str:
-    return f"{one.low:.3f} to {one.high:.3f}" if math.isfinite(one.rmse) else "-"
+def _interval(score: Score) -> str:
+    return f"{score.low:.3f} to {score.high:.3f}" if math.isfinite(score.rmse) else "-"

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -87,22 +88,24 @@ def score(work: Work) -> Score:
     TermselError
         If the set is not the frozen one, or its files are not those it declares.
     """
-    one = set_of(work)
+    bench_set = set_of(work)
     method = work.method
-    asked = (method, one.name, one.kind, len(one.features.points), len(one.independent))
+    of_score = (method, bench_set.name, bench_set.kind, len(bench_set.features.points),
+                len(bench_set.independent))
     start = time.process_time()
     try:
         with quieted("termsel", logging.CRITICAL):
-            seen = method.positions(one.features, one.independent, SEED)
+            positions = method.positions(bench_set.features, bench_set.independent, SEED)
     except TermselError as error:
-        return Score(*asked, seconds=time.process_time() - start, why=str(error).split("\n")[0])
+        return Score(*of_score, seconds=time.process_time() - start, why=str(error).split("\n")[0])
     seconds = time.process_time() - start
-    squares = ((seen - one.independent.image) ** 2).sum(axis=1)
+    squares = ((positions - bench_set.independent.image) ** 2).sum(axis=1)
+    # Points are drawn with replacement, so that the interval is of sets like this one.
     rng = np.random.default_rng(SEED)
     means = [squares[rng.integers(len(squares), size=len(squares))].mean()
              for _ in range(_RESAMPLES)]
     low, high = np.sqrt(np.quantile(means, [(1 - _LEVEL) / 2, (1 + _LEVEL) / 2]))
-    return Score(*asked, float(np.sqrt(squares.mean())), float(low), float(high), seconds)
+    return Score(*of_score, float(np.sqrt(squares.mean())), float(low), float(high), seconds)
 
 
 def scores(methods: Sequence[Method], sets: Iterable[str], real: Sequence[Path] = (), *,
@@ -128,18 +131,22 @@ def scores(methods: Sequence[Method], sets: Iterable[str], real: Sequence[Path] 
     """
     for method in methods:
         method.require()
-    work = [Work(method, name) for name in sets for method in methods]
-    work += [Work(method, folder.name, folder) for folder in real for method in methods]
+    works: list[tuple[str, Path | None]] = [(name, None) for name in sets] + [(folder.name, folder)
+                                                                              for folder in real]
+    work = [Work(method, name, folder) for (name, folder), method in product(works, methods)]
     if scheduler:
         yield from _on_cluster(work, scheduler)
     elif processes == 1:
         yield from map(score, work)
     else:
         # No fork: threads of numba and BLAS do not survive it.
-        with safe_start():  # its locks have a process of their own
+        # Its locks have a process of their own.
+        with safe_start():
             executor = ProcessPoolExecutor(processes, get_context("spawn"))
         with executor as pool:
-            with safe_start():  # map submits all, and so starts the processes
+            # Map submits all, and so starts the processes.
+            with safe_start():
+                # All methods of a set go to one process, which then simulates it once.
                 scored = pool.map(score, work, chunksize=len(methods))
             yield from scored
 

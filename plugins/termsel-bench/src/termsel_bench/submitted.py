@@ -12,7 +12,7 @@ from typing import Any
 
 from termsel import TermselError, __version__
 from termsel.toolkit import raised, read_text
-from termsel_bench.methods.base import KINDS, Method
+from termsel_bench.methods.base import METHOD_KINDS, Method
 from termsel_bench.protocol import Score, scores
 from termsel_bench.scenes.catalogue import SETS, checksums
 
@@ -41,23 +41,24 @@ class Checked:
     worst: float
 
 
-def texts_of(found: Sequence[Score]) -> dict[str, str]:
+def texts_of(scored: Sequence[Score]) -> dict[str, str]:
     """Return the file of each method by its name; real sets are no part of it."""
-    known = checksums()
+    frozen = checksums()
     files = {}
-    for method in dict.fromkeys(one.method.title for one in found):
-        mine = [one for one in found if one.method.title == method and one.set_name in SETS]
-        if not mine:
+    for method in dict.fromkeys(score.method.title for score in scored):
+        of_method = [score for score in scored if score.method.title == method
+                     and score.set_name in SETS]
+        if not of_method:
             continue
-        asked = mine[0].method
+        method_ = of_method[0].method
         content = {
             "schema": SCHEMA, "termsel": __version__,
-            "method": {"kind": asked.kind, "name": asked.name, "options": dict(asked.options),
-                       "problem": asked.problem},
-            "sets": {one.set_name: {
-                "sha256": known[f"{one.set_name}.csv"],
-                "rmse": round(one.rmse, 6) if math.isfinite(one.rmse) else None}
-                for one in mine}}
+            "method": {"kind": method_.kind, "name": method_.name, "options": dict(method_.options),
+                       "problem": method_.problem},
+            "sets": {score.set_name: {
+                "sha256": frozen[f"{score.set_name}.csv"],
+                "rmse": round(score.rmse, 6) if math.isfinite(score.rmse) else None}
+                for score in of_method}}
         name = re.sub(r"[^A-Za-z0-9]+", "-", method).strip("-")
         files[f"{name}.json"] = json.dumps(content, indent=1) + "\n"
     return files
@@ -85,34 +86,36 @@ def read_submitted(folder: Path, packages: Sequence[str] = ()) -> list[Submitted
 
 
 def _read(path: Path, packages: Sequence[str]) -> Submitted:
-    def refused(what: str) -> TermselError:
-        return TermselError(f"{path} {what}", hint="Write it again with `termsel bench --out DIR`.")
+    def refused(problem: str) -> TermselError:
+        return TermselError(f"{path} {problem}",
+                            hint="Write it again with `termsel bench --out DIR`.")
 
     try:
-        said: Any = json.loads(read_text(path))
-        if said["schema"] != SCHEMA:
-            raise refused(f"has the schema {said['schema']!r}, expected {SCHEMA!r}")
-        asked = said["method"]
-        sets = said["sets"]
-        method = Method(str(asked["kind"]), str(asked["name"]),
-                        {str(key): str(value) for key, value in asked["options"].items()},
-                        str(asked["problem"]), file=str(path))
-        rmse = {str(name): None if one["rmse"] is None else float(one["rmse"])
-                for name, one in sets.items()}
-        sums = {str(name): one["sha256"] for name, one in sets.items()}
+        content: Any = json.loads(read_text(path))
+        if content["schema"] != SCHEMA:
+            raise refused(f"has the schema {content['schema']!r}, expected {SCHEMA!r}")
+        stated = content["method"]
+        sets = content["sets"]
+        method = Method(str(stated["kind"]), str(stated["name"]),
+                        {str(key): str(value) for key, value in stated["options"].items()},
+                        str(stated["problem"]), file=str(path))
+        rmse = {str(name): None if of_set["rmse"] is None else float(of_set["rmse"])
+                for name, of_set in sets.items()}
+        sums = {str(name): of_set["sha256"] for name, of_set in sets.items()}
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise refused(f"is no file of results: {raised(error)}") from error
-    if method.kind not in KINDS:
+    if method.kind not in METHOD_KINDS:
         raise refused(f"names a method of the kind {method.kind!r}")
     if method.kind == "package" and method.name not in packages:
         raise TermselError(f"{path} names code to run: {method.name!r:.100}",
                            hint="If you trust it, name it yourself: --package MODULE:FUNCTION.")
     method.require()
-    known = checksums()
+    frozen = checksums()
     for name in rmse:
         if name not in SETS:
             raise refused(f"names the set {name!r}, which there is not")
-        if sums[name] != known[f"{name}.csv"]:
+        # The checksum of the points says of which version of the set a result is.
+        if sums[name] != frozen[f"{name}.csv"]:
             raise refused(f"is of another version of the set {name}")
     if not rmse:
         raise refused("has no sets")
@@ -132,17 +135,19 @@ def check(submitted: Submitted, pattern: str = "", *, processes: int = 1) -> Che
         raise TermselError(f"{submitted.path} has no set {pattern!r}", hint="Name another.")
     refuted = []
     worst = 0.0
-    for one in scores([submitted.method], names, processes=processes):
-        said = submitted.rmse[one.set_name]
-        if said is not None and "not installed" in one.why:
-            raise TermselError(f"{submitted.path.name} cannot be repeated here: {one.why}",
+    for repeated_score in scores([submitted.method], names, processes=processes):
+        submitted_rmse = submitted.rmse[repeated_score.set_name]
+        if submitted_rmse is not None and "not installed" in repeated_score.why:
+            raise TermselError(f"{submitted.path.name} cannot be repeated here: "
+                               f"{repeated_score.why}",
                                hint="Install it, or move the file out of the folder.")
-        here = one.rmse if math.isfinite(one.rmse) else None
-        if said is None or here is None:
-            difference = 0.0 if said is here else math.inf
+        repeated_rmse = repeated_score.rmse if math.isfinite(repeated_score.rmse) else None
+        # No result must stay none; a result of zero can only be repeated as zero.
+        if submitted_rmse is None or repeated_rmse is None:
+            difference = 0.0 if submitted_rmse is repeated_rmse else math.inf
         else:
-            difference = abs(here / said - 1) if said > 0 else math.inf
+            difference = abs(repeated_rmse / submitted_rmse - 1) if submitted_rmse > 0 else math.inf
         worst = max(worst, difference)
         if not difference <= TOLERANCE:
-            refuted.append(one.set_name)
+            refuted.append(repeated_score.set_name)
     return Checked(submitted, len(names), tuple(refuted), worst)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import chain
 from statistics import median
 
 from termsel.toolkit import csv_table
@@ -20,26 +21,27 @@ NEAR = 1.02
 def best_of(scores: Sequence[Score]) -> dict[str, float]:
     """Return the least RMSE of each set."""
     best: dict[str, float] = {}
-    for one in scores:
-        best[one.set_name] = min(best.get(one.set_name, math.inf), one.rmse)
+    for score in scores:
+        best[score.set_name] = min(best.get(score.set_name, math.inf), score.rmse)
     return best
 
 
-def ratio(one: Score, best: dict[str, float]) -> float:
+def ratio(score: Score, best: dict[str, float]) -> float:
     """Return the ratio to the least RMSE of the set; infinite without a result."""
-    least = best[one.set_name]
-    return one.rmse / least if math.isfinite(one.rmse) else math.inf
+    best_rmse = best[score.set_name]
+    return score.rmse / best_rmse if math.isfinite(score.rmse) else math.inf
 
 
 def csv_text(scores: Sequence[Score]) -> str:
     """Return table.csv."""
     best = best_of(scores)
     rows: list[Sequence[object]] = [COLUMNS]
-    for one in scores:
+    for score in scores:
         figures = [f"{value:.4f}" if math.isfinite(value) else "" for value in (
-            one.rmse, one.low, one.high, ratio(one, best))]
-        rows.append([one.set_name, one.kind, one.method.title, one.control, one.independent,
-                         *figures, f"{one.seconds:.2f}", one.why])
+            score.rmse, score.low, score.high, ratio(score, best))]
+        rows.append([score.set_name, score.kind, score.method.title, score.control,
+                     score.independent,
+                         *figures, f"{score.seconds:.2f}", score.why])
     return csv_table(rows)
 
 
@@ -50,30 +52,32 @@ def by_kind(scores: Sequence[Score]) -> tuple[list[str], list[list[str]]]:
     titles = dict.fromkeys(score.method.title for score in scores)
     rows = []
     for title in titles:
-        mine = [score for score in scores if score.method.title == title]
-        ratios = {kind: [ratio(one, best) for one in mine if one.kind == kind] for kind in kinds}
-        every = [value for values in ratios.values() for value in values]
-        rows.append((median(every), [title, *(_shown(median(values) if values else math.inf)
-                                              for values in ratios.values()),
-                                     _shown(median(every)),
-                                     str(sum(value <= NEAR for value in every)),
-                                     str(sum(math.isinf(value) for value in every)),
-                                     f"{median(one.seconds for one in mine):.2f}"]))
+        of_title = [score for score in scores if score.method.title == title]
+        ratios: dict[str, list[float]] = {kind: [] for kind in kinds}
+        for score in of_title:
+            ratios[score.kind].append(ratio(score, best))
+        all_ratios = list(chain.from_iterable(ratios.values()))
+        rows.append((median(all_ratios), [title, *(_shown(median(values) if values else math.inf)
+                                                   for values in ratios.values()),
+                                          _shown(median(all_ratios)),
+                                          str(sum(value <= NEAR for value in all_ratios)),
+                                          str(sum(math.isinf(value) for value in all_ratios)),
+                                          f"{median(score.seconds for score in of_title):.2f}"]))
     header = ["method", *kinds, "all", f"within {100 * (NEAR - 1):.0f} %", "no result", "seconds"]
     return header, [row for _, row in sorted(rows, key=lambda pair: pair[0])]
 
 
 def losses(scores: Sequence[Score], title: str) -> list[tuple[Score, Score]]:
     """Return the sets on which a method loses: its score and the best, worst loss first."""
-    found = []
-    for mine in scores:
-        rivals = [score for score in scores
-                  if score.set_name == mine.set_name and score.method.title != title]
-        winner = min(rivals, key=lambda one: one.rmse, default=None)
-        if mine.method.title == title and winner is not None \
-                and mine.rmse > NEAR * winner.rmse:
-            found.append((mine, winner))
-    return sorted(found, key=lambda pair: -pair[0].rmse / pair[1].rmse)
+    lost = []
+    for score in scores:
+        rivals = [rival for rival in scores
+                  if rival.set_name == score.set_name and rival.method.title != title]
+        winner = min(rivals, key=lambda rival: rival.rmse, default=None)
+        if score.method.title == title and winner is not None \
+                and score.rmse > NEAR * winner.rmse:
+            lost.append((score, winner))
+    return sorted(lost, key=lambda pair: -pair[0].rmse / pair[1].rmse)
 
 
 def _shown(value: float) -> str:

@@ -63,28 +63,37 @@ NEVER = 50.0
 class Grid:
     """Solutions before anything is measured: standard deviations of coefficients, and of noise."""
 
-    kind: FloatArray  # (c,): number in KINDS
-    scales: FloatArray  # (c, 6): of line, then of sample [px]
-    noise: FloatArray  # (c,) [px]
-    log: FloatArray  # (c,): logarithm of the prior probability
+    # (c,): number in KINDS.
+    kind: FloatArray
+    # (c, 6): of line, then of sample [px].
+    scales: FloatArray
+    # (c,) [px].
+    noise: FloatArray
+    # (c,): logarithm of the prior probability.
+    log: FloatArray
 
 
 def grid(kinds: Iterable[int], usual: float = USUAL) -> Grid:
     """Return the solutions of some kinds, for a usual noise [px]."""
-    parts = []
+    of_kinds = []
+    # Normal in the logarithm of the noise, and normalised over the grid.
     of_noise = -0.5 * (np.log(NOISES) / SPREAD) ** 2
     of_noise -= np.logaddexp.reduce(of_noise)
     for kind in kinds:
         sizes = SIZES if kind else np.zeros(1)
         shares = SHARES if kind > 1 else np.zeros(1)
+        # All combinations of size, share and noise; a kind without a size has the noise alone.
         size, share, noise = (axis.ravel() for axis in np.meshgrid(
             sizes, shares, np.arange(len(NOISES)), indexing="ij"))
+        # Coefficients are normalised to the edge of the image: b1 and b2 are share times size
+        # there.
         drift = size * share
+        # The kind of number 3, affine, alone has a term of the sample.
         axis = np.stack([size, drift, drift * (kind > 2)], axis=1)
-        parts.append((np.full(len(size), float(kind)), np.tile(axis, 2),
-                      NOISES[noise] * usual,
-                      of_noise[noise] + np.log(PRIOR[kind] / len(sizes) / len(shares))))
-    return Grid(*(np.concatenate(one) for one in zip(*parts, strict=True)))
+        of_kinds.append((np.full(len(size), float(kind)), np.tile(axis, 2),
+                         NOISES[noise] * usual,
+                         of_noise[noise] + np.log(PRIOR[kind] / len(sizes) / len(shares))))
+    return Grid(*(np.concatenate(values) for values in zip(*of_kinds, strict=True)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,21 +119,25 @@ class Belief:
     def _cells(self) -> tuple[Grid, FloatArray, FloatArray, float]:
         """Solutions that matter: the grid, probabilities, and covariances (c, 6, 6) by the noise's
         variance; and the logarithm of the evidence of all."""
+        # With x = S u and u ~ N(0, I): the posterior of u has the precision I + S A^T A S / s^2.
         of = self.grid
         by_noise = of.scales / of.noise[:, None]
         gram = by_noise[:, :, None] * (self.rows.T @ self.rows) * by_noise[:, None, :]
-        whole = gram + np.eye(gram.shape[1])
-        along = by_noise * (self.rows.T @ self.right)
-        solved = np.linalg.solve(whole, along[..., None])[..., 0]
-        square = (self.right @ self.right - np.einsum("ck,ck->c", along, solved)) / of.noise**2
-        log = of.log - 0.5 * (np.linalg.slogdet(whole)[1] + square) \
+        precision = gram + np.eye(gram.shape[1])
+        projected = by_noise * (self.rows.T @ self.right)
+        solved = np.linalg.solve(precision, projected[..., None])[..., 0]
+        # Residual sum of squares of the posterior mean, with the prior's part: b^T b - p^T M^-1 p.
+        square = (self.right @ self.right - np.einsum("ck,ck->c", projected, solved)) / of.noise**2
+        # Evidence of each solution: log p - (log det M + square) / 2 - m log s.
+        log = of.log - 0.5 * (np.linalg.slogdet(precision)[1] + square) \
             - len(self.right) * np.log(of.noise)
-        kept = log > log.max() - NEVER
-        some = Grid(*(value[kept] for value in vars(of).values()))
-        scaled = by_noise[kept]
-        covariance = scaled[:, :, None] * np.linalg.inv(whole[kept]) * scaled[:, None, :]
-        total = np.logaddexp.reduce(log[kept])
-        return some, np.exp(log[kept] - total), covariance, total
+        # Solutions less likely than e^-50 times the best change no figure.
+        matters = log > log.max() - NEVER
+        kept_grid = Grid(*(value[matters] for value in vars(of).values()))
+        scaled = by_noise[matters]
+        covariance = scaled[:, :, None] * np.linalg.inv(precision[matters]) * scaled[:, None, :]
+        total = np.logaddexp.reduce(log[matters])
+        return kept_grid, np.exp(log[matters] - total), covariance, total
 
     @property
     def log(self) -> float:
@@ -152,9 +165,10 @@ class Belief:
         """Covariance of the coefficients [px^2], shape (6, 6), doubts between solutions included.
         """
         of, share, covariance, _ = self._cells
+        # Law of total variance: mean of covariances plus covariance of means.
         away = self._solutions - self.coefficients
-        within = np.einsum("c,cjk->jk", share * of.noise**2, covariance)
-        return np.asarray(within + (share[:, None] * away).T @ away)
+        mean_covariance = np.einsum("c,cjk->jk", share * of.noise**2, covariance)
+        return np.asarray(mean_covariance + (share[:, None] * away).T @ away)
 
     @cached_property
     def noise(self) -> float:
@@ -180,15 +194,18 @@ class Belief:
         of, share, covariance, _ = self._cells
         errors = np.empty(len(self.right))
         density = np.empty(int(self.feature.max()) + 1)
-        left = self.right - self._solutions @ self.rows.T
-        for one in range(len(density)):
-            mine = np.flatnonzero(self.feature == one)
-            keep = np.eye(len(mine)) - self.rows[mine] @ covariance @ self.rows[mine].T
-            away = np.linalg.solve(keep, left[:, mine, None])[..., 0]
-            square = np.einsum("cm,cm->c", left[:, mine], away) / of.noise**2
+        residuals = self.right - self._solutions @ self.rows.T
+        for number in range(len(density)):
+            rows = np.flatnonzero(self.feature == number)
+            # Errors without a feature: (I - A C A^T)^-1 r, in closed form for each solution.
+            keep = np.eye(len(rows)) - self.rows[rows] @ covariance @ self.rows[rows].T
+            away = np.linalg.solve(keep, residuals[:, rows, None])[..., 0]
+            # Density of the feature given the others, by which each solution is weighed without it.
+            square = np.einsum("cm,cm->c", residuals[:, rows], away) / of.noise**2
             log = 0.5 * (np.linalg.slogdet(keep)[1] - square) \
-                - len(mine) * (np.log(of.noise) + 0.5 * np.log(2 * np.pi))
-            others = np.log(share) - log
-            density[one] = -np.logaddexp.reduce(others)
-            errors[mine] = np.exp(others + density[one]) @ away
+                - len(rows) * (np.log(of.noise) + 0.5 * np.log(2 * np.pi))
+            log_weight = np.log(share) - log
+            density[number] = -np.logaddexp.reduce(log_weight)
+            # The average of all solutions, with the weights that they have without the feature.
+            errors[rows] = np.exp(log_weight + density[number]) @ away
         return errors, density

@@ -75,18 +75,15 @@ class Correction(Estimator):
             used: BoolArray) -> Fit:
         """Fit the correction (see `Estimator.fit`) with all its terms, by features in use."""
         ready = model.prepared(scaling, control.crs)
-        mine = control.take(used)
-        believed, unit = belief(ready, mine, scaling, self.kinds)
+        in_use = control.take(used)
+        believed, unit = belief(ready, in_use, scaling, self.kinds)
         coefficients = to_terms(ready, scaling) @ believed.coefficients
+        # Rows were weighed; errors of held-out features are in px again.
         held_out = HeldOut.of(
-            _vectors(believed.without_each[0] / unit, scaling.features(mine)), mine)
-        unknown = np.full(len(coefficients), np.nan)
-        effective = round(believed.effective)
-        return Fit(ready, scaling, control, np.ones(len(coefficients), dtype=bool), used,
-                   Adjustment(coefficients, unknown, effective, len(believed.right),
-                              effective, float("nan"),
-                              float(np.sqrt(believed.noise)) / scaling.image_scale),
-                   self, believed.effective, held_out)
+            _vectors(believed.without_each[0] / unit, scaling.features(in_use)), in_use)
+        solution = Solution(coefficients, believed.effective, len(believed.right),
+                            float(np.sqrt(believed.noise)) / scaling.image_scale, held_out)
+        return fit_of(ready, scaling, control, used, self, solution)
 
     def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
         """Return the mean square errors at scaled places (see `Estimator.spread`)."""
@@ -94,10 +91,48 @@ class Correction(Estimator):
         scale = fitted.scaling.image_scale
         assert isinstance(model, RpcAffine)
         believed, _ = belief(model, fitted.control.take(fitted.used), fitted.scaling, self.kinds)
+        # C = F F^T by its eigenvectors; rounding may leave eigenvalues just below zero.
         values, vectors = np.linalg.eigh(believed.covariance)
         root = to_terms(model, fitted.scaling) @ vectors * np.sqrt(np.maximum(values, 0.0))
         factors = model.known(ground)[1] @ root
         return Spread((factors**2).sum(axis=2), np.full(2, believed.noise / scale**2), factors)
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """What a procedure found for a refinement of an RPC.
+
+    Parameters
+    ----------
+    coefficients : ndarray, shape (k,)
+        Of the model's terms.
+    effective : float
+        Effective parameters of both axes.
+    n_equations : int
+    sigma0 : float
+        Standard deviation of a measurement, scaled; nan where it is not one for all.
+    held_out : HeldOut
+        Errors of features under the procedure without them.
+    """
+
+    coefficients: FloatArray
+    effective: float
+    n_equations: int
+    sigma0: float
+    held_out: HeldOut
+
+
+def fit_of(model: Any, scaling: Scaling, control: FeatureSet, used: BoolArray,
+           estimator: Estimator, solution: Solution) -> Fit:
+    """Return the fit of a solution, whose terms have no standard deviations of their own."""
+    count = len(solution.coefficients)
+    effective = round(solution.effective)
+    adjustment = Adjustment(
+        solution.coefficients, np.full(count, np.nan), n_terms=effective,
+        n_equations=solution.n_equations, rank=effective, condition=float("nan"),
+        sigma0=solution.sigma0)
+    return Fit(model, scaling, control, np.ones(count, dtype=bool), used, adjustment, estimator,
+               solution.effective, solution.held_out)
 
 
 def to_terms(model: RpcAffine, scaling: Scaling) -> FloatArray:
@@ -105,6 +140,7 @@ def to_terms(model: RpcAffine, scaling: Scaling) -> FloatArray:
     rpc = model.rpc
     half = np.abs(rpc.image_scale)
     middle = (np.array(scaling.image_offset) - rpc.image_offset) / half
+    # Unit of a position: half images of the RPC there, scaled coordinates here.
     of_axis = np.array([[1 / scaling.image_scale, *middle / scaling.image_scale],
                         [0.0, 1 / half[0], 0.0], [0.0, 0.0, 1 / half[1]]])
     return np.kron(np.eye(2), of_axis)
@@ -123,6 +159,7 @@ def belief(model: RpcAffine, features: FeatureSet, scaling: Scaling,
 
 
 def _vectors(errors: FloatArray, scaled: FeatureSet) -> FloatArray:
+    # Normals of lines: errors of lines have no direction along them.
     """Return errors of rows [px] as vectors of points, then of vertices of lines, shape (m, 2)."""
     count = 2 * len(scaled.points)
     normals = np.repeat(line_normals(scaled.lines)[0], 2, axis=0)
@@ -152,6 +189,7 @@ class CorrectedRpc(Candidate):
         except TermselError as error:
             return error.what
         features = control.features
+        # A correction moves an image by some px to hundreds; half an image is another image.
         away = np.linalg.norm(
             rpc.project(model.geographic(control.scaling.ground(features.ground_vertices())))
             - features.image_vertices(), axis=1)
@@ -187,14 +225,15 @@ class CorrectedRpc(Candidate):
                              tuple(range(len(KINDS))))
         rpc = fitted.model.rpc
         chances = [f"{name} {share:.2f}" for name, share in zip(KINDS, believed.kinds, strict=True)]
-        most = int(np.argmax(believed.kinds))
+        likeliest = int(np.argmax(believed.kinds))
         shift = believed.coefficients[[0, 3]]
-        corners = np.array([[1.0, line, sample] for line in (-1, 1) for sample in (-1, 1)])
+        corners = np.array([[1.0, -1, -1], [1.0, -1, 1], [1.0, 1, -1], [1.0, 1, 1]])
         rows = np.einsum("ab,nc->nabc", np.eye(2), corners).reshape(8, 6)
+        # The mean variance of both axes together at the four corners, without noise.
         sigma = np.sqrt((believed.variance(rows).sum() - 8 * believed.noise) / 4)
         return (f"The vendor's RPC{f' {rpc.source}' if rpc.source else ''} is corrected by "
                 f"{shift[0]:+.2f} px in line and {shift[1]:+.2f} px in sample, in the middle of "
-                f"its image. The points call for {_WORDS[most]} (probabilities: "
+                f"its image. The points call for {_WORDS[likeliest]} (probabilities: "
                 f"{', '.join(chances)}). At the corners the correction is known to {sigma:.2g} "
                 "px.")
 
@@ -219,42 +258,47 @@ def _suspects(control: Control, model: RpcAffine) -> Suspects | None:
     one feature of all is believed to be one.
     """
     n = len(control)
-    most = int(MOST * len(control))
-    if not most:
+    max_blunders = int(MOST * len(control))
+    if not max_blunders:
         return None
-    whole, _ = belief(model, control.features, control.scaling, tuple(range(len(KINDS))))
+    full, _ = belief(model, control.features, control.scaling, tuple(range(len(KINDS))))
     reach = np.log(np.linalg.norm(model.rpc.image_scale) / NEAREST)
-    logs: dict[tuple[int, ...], float] = {(): whole.log}
+    logs: dict[tuple[int, ...], float] = {(): full.log}
 
-    def without(out: tuple[int, ...]) -> Belief:
-        kept = ~np.isin(whole.feature, out)
-        number = np.cumsum(~np.isin(np.arange(n), out)) - 1
-        return Belief(whole.rows[kept], whole.right[kept], number[whole.feature[kept]], whole.grid)
+    def without(hypothesis: tuple[int, ...]) -> Belief:
+        is_kept = ~np.isin(full.feature, hypothesis)
+        number = np.cumsum(~np.isin(np.arange(n), hypothesis)) - 1
+        return Belief(full.rows[is_kept], full.right[is_kept], number[full.feature[is_kept]],
+                      full.grid)
 
-    def away(one: int, others: Belief) -> float:
-        mine = whole.feature == one
-        return float(np.abs(whole.right[mine] - whole.rows[mine] @ others.coefficients).max())
+    def away(feature: int, belief_: Belief) -> float:
+        rows = full.feature == feature
+        return float(np.abs(full.right[rows] - full.rows[rows] @ belief_.coefficients).max())
 
-    def tried(*out: int) -> None:
-        others = without(out)
-        logs[out] = others.log - sum(
-            np.log((n - 1) * 2 * np.pi * reach) + 2 * np.log(max(away(one, others), NEAREST))
-            for one in out)
+    def weigh(*hypothesis: int) -> None:
+        belief_ = without(hypothesis)
+        # A blunder is anywhere: its distance is log-uniform, and its direction uniform.
+        anywhere = [np.log((n - 1) * 2 * np.pi * reach)
+                    + 2 * np.log(max(away(feature, belief_), NEAREST)) for feature in hypothesis]
+        logs[hypothesis] = belief_.log - sum(anywhere)
 
-    for one in range(n):
-        tried(one)
-    likeliest = sorted(range(n), key=lambda one: -logs[one,])[:LOOKED_AT]
-    for pair in combinations(range(n), 2) if most > 1 else ():
+    for feature in range(n):
+        weigh(feature)
+    likeliest = sorted(range(n), key=lambda feature: -logs[feature,])[:LOOKED_AT]
+    for pair in combinations(range(n), 2) if max_blunders > 1 else ():
         if set(pair) & set(likeliest):
-            tried(*pair)
-    best = max(logs, key=lambda out: logs[out])
+            weigh(*pair)
+    best = max(logs, key=lambda hypothesis: logs[hypothesis])
     total = np.logaddexp.reduce(list(logs.values()))
-    chance = np.array([np.exp(np.logaddexp.reduce(
-        [log for out, log in logs.items() if one in out]) - total) for one in range(n)])
-    others = without(best)
-    errors = np.array([away(one, others) for one in range(n)])
-    sigma = np.sqrt(np.array([others.variance(whole.rows[whole.feature == one]).max()
-                              for one in range(n)]))
+    # A feature is a blunder with the probability of all hypotheses that name it.
+    chance = np.zeros(n)
+    for feature in range(n):
+        named = [log for hypothesis, log in logs.items() if feature in hypothesis]
+        chance[feature] = np.exp(np.logaddexp.reduce(named) - total)
+    by_others = without(best)
+    errors = np.array([away(feature, by_others) for feature in range(n)])
+    sigma = np.sqrt(np.array([by_others.variance(full.rows[full.feature == feature]).max()
+                              for feature in range(n)]))
     blunders = chance > LIKELY
     return Suspects(blunders, blunders & (chance <= SURE), (chance > 0.5) & ~blunders, errors,
                     _limits(sigma, n, float(reach)))
@@ -262,8 +306,10 @@ def _suspects(control: Control, model: RpcAffine) -> Suspects | None:
 
 def _limits(sigma: FloatArray, n: int, reach: float) -> FloatArray:
     """Return the errors [px] that would be left out for certain, of predictions with a sigma."""
+    # The odds of a blunder against a normal error, solved for the error: a fixed point.
     errors = 4 * sigma
-    for _ in range(20):  # converges as errors enter by their logarithms
+    # Converges as errors enter by their logarithms.
+    for _ in range(20):
         errors = sigma * np.sqrt(2 * (np.log(SURE / (1 - SURE) * (n - 1) * reach)
                                       + 2 * np.log(np.maximum(errors, NEAREST) / sigma)))
     return np.asarray(errors)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, replace
+from itertools import product
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -66,6 +67,7 @@ class RpcShift(Refinement):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
+        # A name of the data set, the JSON of a result, or a file.
         named = self.options["rpc"]
         self._rpc = None
         self._file = named
@@ -97,7 +99,7 @@ class RpcShift(Refinement):
     @property
     def terms(self) -> tuple[str, ...]:
         """Names of the terms: image axis and column, such as "line.bias:sample"."""
-        return tuple(_name(axis, column) for axis in _AXES for column in self.columns)
+        return tuple(_name(axis, column) for axis, column in product(_AXES, self.columns))
 
     @property
     def axis(self) -> NDArray[np.intp]:
@@ -117,11 +119,13 @@ class RpcShift(Refinement):
 
     def first_order(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the RPC positions of ground points, and the polynomial's columns there."""
-        places = self.geographic(ground)
-        assert self.scaling is not None  # required by geographic
-        image = self.scaling.image(self.rpc.project(places))
+        geographic = self.geographic(ground)
+        # Required by geographic.
+        assert self.scaling is not None
+        image = self.scaling.image(self.rpc.project(geographic))
         values = {"1": np.ones(len(image)), "line": image[:, 0], "sample": image[:, 1]}
         columns = np.stack([values[name] for name in self.columns], axis=1)
+        # The same columns for both axes, each with its own terms: a block diagonal of two.
         of_both = np.einsum("ab,nc->nabc", np.eye(2), columns)
         return image, of_both.reshape(len(image), 2, len(self.terms))
 
@@ -139,6 +143,7 @@ class RpcShift(Refinement):
         A, b = along_lines(features, (image + columns @ coefficients).reshape(-1, 2, 2),
                            columns.reshape(-1, 2, 2, len(self.terms)))
         vector = super().equations(features)
+        # Rows of points stay as they are; those of lines are replaced by the parametric form.
         points = slice(0, 2 * len(features.points))
         return Equations(np.concatenate([vector.A[points], A]),
                          np.concatenate([vector.b[points], b + A @ coefficients]), vector.feature)
@@ -157,19 +162,23 @@ class RpcShift(Refinement):
         assert self.scaling is not None
         values = dict(zip(self.terms, coefficients.tolist(), strict=True))
         constant = np.array([values[_name(axis, "1")] for axis in _AXES])
-        linear = np.eye(2) + [[values.get(_name(axis, column), 0.0) for column in _AXES]
-                              for axis in _AXES]
+        linear = np.eye(2)
+        for i, j in product(range(2), repeat=2):
+            linear[i, j] += values.get(_name(_AXES[i], _AXES[j]), 0.0)
         rpc = self.rpc
+        # Positions are scaled about the middle of the control, those of the RPC about its offset.
         middle = np.array(self.scaling.image_offset)
         offset = (middle + self.scaling.image_scale * constant
                   + linear @ (np.array(rpc.image_offset) - middle))
         refined = replace(rpc, image_offset=tuple(offset), error_bias=None)
-        scale = linear * rpc.image_scale  # px per unit of the quotients of line and sample
+        # In px per unit of the quotients of line and sample.
+        scale = linear * rpc.image_scale
         if not (linear * (1 - np.eye(2))).any():
             return replace(refined, image_scale=tuple(np.diag(scale)))
         if rpc.line_denominator != rpc.sample_denominator:
             return _absorbed(rpc, linear, refined)
         above = np.array([rpc.line_numerator, rpc.sample_numerator])
+        # Numerators of both axes mixed: exact, as the denominator is the same.
         line, sample = scale / np.array(rpc.image_scale)[:, None] @ above
         return replace(refined, line_numerator=tuple(line), sample_numerator=tuple(sample))
 
@@ -188,29 +197,32 @@ def _absorbed(rpc: Rpc, linear: FloatArray, shifted: Rpc) -> Rpc | None:
         away = unit[:, :2] * half * (1.0 + _MARGIN)
         ground = rpc.locate(away + rpc.image_offset,
                             unit[:, 2] * rpc.ground_scale[2] + rpc.ground_offset[2])
-        known = np.isfinite(ground).all(axis=1)
-        return ground[known], away[known] @ linear.T
+        is_finite = np.isfinite(ground).all(axis=1)
+        return ground[is_finite], away[is_finite] @ linear.T
 
-    ground, wanted = places(_ACROSS)
+    ground, targets = places(_ACROSS)
     columns = _monomials(rpc, ground)
     if len(ground) < 4 * len(columns.T):
         return None
     numerators = []
     for axis, below in enumerate((rpc.line_denominator, rpc.sample_denominator)):
+        # P / D is linear in P: rows of monomials over the denominator, in px.
         weights = half[axis] / (columns @ below)
         numerators.append(tuple(np.linalg.lstsq(
-            columns * weights[:, None], wanted[:, axis], rcond=None)[0]))
-    found = replace(shifted, line_numerator=numerators[0], sample_numerator=numerators[1])
-    between, there = places(_ACROSS - 1)
-    lost = np.abs(found.project(between) - shifted.image_offset - there)
-    return found if lost.size and lost.max() <= _LOST else None
+            columns * weights[:, None], targets[:, axis], rcond=None)[0]))
+    refined = replace(shifted, line_numerator=numerators[0], sample_numerator=numerators[1])
+    # Between the places of the fit, where nothing was adjusted, it has to agree, too.
+    between, targets_between = places(_ACROSS - 1)
+    lost = np.abs(refined.project(between) - shifted.image_offset - targets_between)
+    return refined if lost.size and lost.max() <= _LOST else None
 
 
 def _monomials(rpc: Rpc, ground: FloatArray) -> FloatArray:
     """Return the 20 columns of an RPC's numerators, shape (n, 20)."""
-    one = tuple(np.eye(1, 20)[0])
-    columns = [replace(rpc, image_offset=(0.0, 0.0), image_scale=(1.0, 1.0), line_denominator=one,
-                       line_numerator=tuple(row)).project(ground)[:, 0] for row in np.eye(20)]
+    constant = tuple(np.eye(1, 20)[0])
+    # With a denominator of 1 the quotient is the numerator, here one monomial at a time.
+    bare = replace(rpc, image_offset=(0.0, 0.0), image_scale=(1.0, 1.0), line_denominator=constant)
+    columns = [replace(bare, line_numerator=tuple(row)).project(ground)[:, 0] for row in np.eye(20)]
     return np.stack(columns, axis=1)
 
 
@@ -223,7 +235,8 @@ def _from_record(text: str) -> tuple[Rpc, str]:
     try:
         values: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value
                                   for name, value in json.loads(text).items()}
-        file = str(values.pop("file", values.get("source", "")))  # 0.2 wrote "file"
+        # 0.2 wrote "file".
+        file = str(values.pop("file", values.get("source", "")))
         return Rpc(**{**values, "source": file}), file or "that is given"
     except (AttributeError, RecursionError, TypeError, ValueError) as error:
         raise TermselError(f"option 'rpc' is not the RPC of a result: {error}",

@@ -14,7 +14,8 @@ from termsel_rpc.image_space import RPC, RpcShift
 from termsel_rpc.refinement import FloatArray
 
 _DEGREE = 3
-_LEAST = 3  # features for each interval
+# Features for each interval.
+_LEAST = 3
 _MOST_LEVERAGE = 0.999
 
 INTERVALS = Option("intervals", 8, "Intervals of the spline over the lines of the RPC's image.",
@@ -47,19 +48,20 @@ class RpcJitter(RpcShift):
     def columns(self) -> tuple[str, ...]:  # type: ignore[override]
         """Names of the columns: one for each spline, and that across the lines."""
         names = [f"spline{i + 1}" for i in range(int(self.options["intervals"]) + _DEGREE)]
-        return (*names, *("across",) * bool(self.options["across"]))
+        return (*names, "across") if self.options["across"] else tuple(names)
 
     def first_order(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the RPC positions of ground points, and the splines' values there."""
-        places = self.geographic(ground)
-        assert self.scaling is not None  # required by geographic
-        seen = self.rpc.project(places)
-        values = splines(seen[:, 0], self.rpc, int(self.options["intervals"]))
+        geographic = self.geographic(ground)
+        # Required by geographic.
+        assert self.scaling is not None
+        positions = self.rpc.project(geographic)
+        values = splines(positions[:, 0], self.rpc, int(self.options["intervals"]))
         if self.options["across"]:
-            sample = (seen[:, 1] - self.rpc.image_offset[1]) / abs(self.rpc.image_scale[1])
+            sample = (positions[:, 1] - self.rpc.image_offset[1]) / abs(self.rpc.image_scale[1])
             values = np.column_stack([values, sample])
         of_both = np.einsum("ab,nc->nabc", np.eye(2), values)
-        return self.scaling.image(seen), of_both.reshape(len(seen), 2, len(self.terms))
+        return self.scaling.image(positions), of_both.reshape(len(positions), 2, len(self.terms))
 
     def as_rpc(self, coefficients: FloatArray) -> Rpc | None:
         """Return None: no RPC has such a correction."""
@@ -71,8 +73,10 @@ def splines(lines: FloatArray, rpc: Rpc, intervals: int) -> FloatArray:
 
     They add up to 1. Beyond the lines of the RPC's image they are those of its edge.
     """
-    from scipy.interpolate import BSpline  # takes long, and few fit splines
+    # Takes long, and few fit splines.
+    from scipy.interpolate import BSpline
 
+    # Uniform knots from 3 intervals before the image to 3 behind it: cubic splines of de Boor.
     step = 2 / intervals
     knots = -1 + step * np.arange(-_DEGREE, intervals + _DEGREE + 1)
     unit = np.clip((lines - rpc.image_offset[0]) / abs(rpc.image_scale[0]), -1, 1 - 1e-12)
@@ -88,7 +92,7 @@ class JitteredRpc(CorrectedRpc):
         rpc = control.features.rpc
         if not isinstance(rpc, Rpc):
             raise Undetermined("no RPC is given", hint="Give it with --rpc FILE.")
-        tried: list[tuple[Any, FloatArray]] = []
+        errors_of: list[tuple[Any, FloatArray]] = []
         for intervals in TRIED:
             if _LEAST * intervals > len(control):
                 break
@@ -96,12 +100,13 @@ class JitteredRpc(CorrectedRpc):
                 control.scaling, control.features.crs)
             squares = _left_out(model, control)
             if squares is not None:
-                tried.append((model, squares))
-        if not tried:
+                errors_of.append((model, squares))
+        if not errors_of:
             raise Undetermined("the features do not determine a correction along the lines",
                                hint="Give more points, all along the lines.")
-        best = min(tried, key=lambda one: float(one[1].mean()))[1]
-        model = next(model for model, squares in tried if (squares - best).mean()
+        best = min((squares for _, squares in errors_of), key=np.mean)
+        # The plainest within one standard error of the best.
+        model = next(model for model, squares in errors_of if (squares - best).mean()
                      <= (squares - best).std() / np.sqrt(len(squares)))
         return self.estimator.fit(
             model, control.features, control.scaling, np.ones(len(model.terms), dtype=bool),
@@ -124,7 +129,9 @@ def _left_out(model: RpcJitter, control: Control) -> FloatArray | None:
         return None
     leverage = (u**2).sum(axis=1)
     if leverage.max() > _MOST_LEVERAGE:
+        # A row that alone determines a term has no error without itself.
         return None
+    # Leave-one-out in closed form: r / (1 - h), by the leverage h of each row.
     residuals = equations.b - u @ (u.T @ equations.b)
     return np.asarray((residuals / (1 - leverage)) ** 2)
 

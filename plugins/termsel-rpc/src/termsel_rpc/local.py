@@ -9,7 +9,6 @@ from typing import Any, Protocol
 import numpy as np
 
 from termsel import (
-    Adjustment,
     Control,
     Estimator,
     FeatureSet,
@@ -20,7 +19,7 @@ from termsel import (
     Scaling,
     Undetermined,
 )
-from termsel_rpc.correction import BoolArray, CorrectedRpc, Correction
+from termsel_rpc.correction import BoolArray, CorrectedRpc, Correction, Solution, fit_of
 from termsel_rpc.image_space import RpcAffine
 from termsel_rpc.refinement import FloatArray
 
@@ -102,17 +101,17 @@ class RpcField(RpcAffine):
     def interpolation(self, control: FeatureSet) -> FieldOverRpc | None:
         """Return the collocation (see `SensorModel.interpolation`)."""
         points = control.points
-        found: Any = Field().interpolation(
+        field: Any = Field().interpolation(
             replace(control, points=replace(points, ground=self.plane(points.ground))))
-        return None if found is None else FieldOverRpc(self, found)
+        return None if field is None else FieldOverRpc(self, field)
 
     def predict(self, coefficients: FloatArray, control: FeatureSet,
                 ground: FloatArray) -> FloatArray:
         """Return image positions by the control points (see `SensorModel.predict`)."""
-        found = None if len(control.lines) else self.interpolation(control)
-        if found is None:
+        field = None if len(control.lines) else self.interpolation(control)
+        if field is None:
             return self.project(coefficients, ground)
-        image = found.predict(ground)
+        image = field.predict(ground)
         return np.broadcast_to(image, (*coefficients.shape[:-1], *image.shape)).copy()
 
     def as_rpc(self, coefficients: FloatArray) -> Rpc | None:
@@ -128,26 +127,23 @@ class Local(Estimator):
     def fit(self, model: Any, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
         """Fit the field (see `Estimator.fit`) by points in use."""
-        mine = control.take(used)
-        if len(mine.lines):
+        in_use = control.take(used)
+        if len(in_use.lines):
             raise Undetermined("a random field takes control points alone, and there are control "
                                "lines", hint="Leave the lines out, or choose rpc-affine.")
         ready = model.prepared(scaling, control.crs)
-        found = ready.interpolation(scaling.features(mine))
-        if found is None:
+        field = ready.interpolation(scaling.features(in_use))
+        if field is None:
             raise Undetermined(f"{used.sum()} control points are too few for a random field",
                                hint="Measure more control, spread over the area.")
-        if found.probability <= LIKELY:
+        if field.probability <= LIKELY:
             raise Undetermined("the points do not call for a random field over the RPC: its "
-                               f"probability is {found.probability:.2g}",
+                               f"probability is {field.probability:.2g}",
                                hint="Choose rpc-affine, or --strategy auto.")
-        count = len(ready.terms)
-        effective = round(found.effective)
-        errors = found.errors * scaling.image_scale
-        return Fit(ready, scaling, control, np.ones(count, dtype=bool), used,
-                   Adjustment(np.zeros(count), np.full(count, np.nan), effective,
-                              2 * len(mine.points), effective, float("nan"), float("nan")),
-                   self, found.effective, HeldOut.of(errors, mine))
+        solution = Solution(
+            np.zeros(len(ready.terms)), field.effective, 2 * len(in_use.points), float("nan"),
+            HeldOut.of(field.errors * scaling.image_scale, in_use))
+        return fit_of(ready, scaling, control, used, self, solution)
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,16 +156,18 @@ class LocalRpc(CorrectedRpc):
         rpc = control.features.rpc
         if not isinstance(rpc, Rpc):
             raise Undetermined("no RPC is given", hint="Give it with --rpc FILE.")
-        every = np.ones(len(control), dtype=bool)
+        all_features = np.ones(len(control), dtype=bool)
         model = RpcField(rpc=json.dumps(asdict(rpc)))
         with_field, without = (
-            one.fit(kind, control.features, control.scaling,
-                    np.ones(len(kind.terms), dtype=bool), every)
-            for one, kind in ((self.estimator, model),
-                              (Correction(), RpcAffine(rpc=model.options["rpc"]))))
-        assert with_field.held_out is not None  # both estimators find them
+            estimator.fit(kind, control.features, control.scaling,
+                          np.ones(len(kind.terms), dtype=bool), all_features)
+            for estimator, kind in ((self.estimator, model),
+                                    (Correction(), RpcAffine(rpc=model.options["rpc"]))))
+        # Both estimators find them.
+        assert with_field.held_out is not None
         assert without.held_out is not None
         tiny = np.finfo(float).tiny
+        # Mean of the logarithm of the ratio of squares: no single point decides.
         gain = np.log(np.maximum(without.held_out.squares, tiny)
                       / np.maximum(with_field.held_out.squares, tiny)).mean()
         if gain <= 0:
@@ -179,10 +177,10 @@ class LocalRpc(CorrectedRpc):
 
     def describe(self, fitted: Fit) -> str:
         """Return how likely the field is."""
-        found = fitted.interpolation
-        assert isinstance(found, FieldOverRpc)
+        field = fitted.interpolation
+        assert isinstance(field, FieldOverRpc)
         return (f"The points call for local corrections of the vendor's RPC: the probability of a "
-                f"random field is {found.probability:.3g}; it must exceed {LIKELY:g}.")
+                f"random field is {field.probability:.3g}; it must exceed {LIKELY:g}.")
 
     def suspects(self, control: Control) -> None:
         """Return None: the corrections with a prior look for blunders."""

@@ -21,12 +21,15 @@ def along_lines(features: FeatureSet, ends: FloatArray, columns: FloatArray,
     line is taken to be straight, as in the vector form.
     """
     lines = features.lines
+    # P + t (Q - P) is nearest to a measured end at t = (m - P) (Q - P) / |Q - P|^2.
     run = (ends[:, 1] - ends[:, 0])[:, None]
     # A line seen end on has no direction; the least length leaves its equations finite.
     square = np.maximum((run**2).sum(axis=2), np.finfo(float).tiny)
     t = (((lines.image - ends[:, :1]) * run).sum(axis=2) / square)[..., None]
+    # The normal of the projected line: along it lies the unknown t, across it the equation.
     normal = np.stack([-run[..., 1], run[..., 0]], axis=2) / np.sqrt(square)[..., None]
     away = ((lines.image - ends[:, :1] - t * run) * normal).sum(axis=2)
+    # A term moves the place by that of P and Q, as far as t says.
     moved = (1 - t)[..., None] * columns[:, :1] + t[..., None] * columns[:, 1:]
     rows = np.einsum("iea,ieak->iek", np.broadcast_to(normal, lines.image.shape), moved)
     weight = _weights(features)[:, None]
@@ -38,5 +41,5 @@ def _weights(features: FeatureSet) -> FloatArray:
     lines = features.lines
     if lines.sigma is None:
         return np.ones(len(lines))
-    known = [one.ravel() for one in (features.points.sigma, lines.sigma) if one is not None]
-    return np.asarray(np.median(np.concatenate(known)) / lines.sigma)
+    stated = [sigma.ravel() for sigma in (features.points.sigma, lines.sigma) if sigma is not None]
+    return np.asarray(np.median(np.concatenate(stated)) / lines.sigma)

@@ -47,6 +47,7 @@ class Ce90(Criterion):
 def select_gcps(inputs: Inputs) -> Problem:
     """Return the selection of control points, judged by those of the option `judged_by`."""
     if inputs.options["judged_by"] == "all":
+        # All points judge, those that a chromosome selects as well.
         control = inputs.control.points
         check = inputs.check
         inputs = replace(inputs, check=Points(

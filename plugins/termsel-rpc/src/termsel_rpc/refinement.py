@@ -67,21 +67,23 @@ class Refinement(SensorModel):
 
     def _require_seen(self) -> None:
         corners = np.array(list(product((-1.0, 1.0), repeat=3)))
-        places = self.geographic(corners)[:, :2]
+        geographic = self.geographic(corners)[:, :2]
         low, high = self.footprint()
         # Longitudes are periodic.
-        places[:, 0] += 360 * np.round(((low + high)[0] / 2 - places[:, 0].mean()) / 360)
+        geographic[:, 0] += 360 * np.round(((low + high)[0] / 2 - geographic[:, 0].mean()) / 360)
+        # Half the area on each side: control may be beyond the image, but not in another country.
         margin = (high - low) / 2
-        least = places.min(axis=0)
-        greatest = places.max(axis=0)
-        if ((greatest < low - margin) | (least > high + margin)).any():
+        lowest = geographic.min(axis=0)
+        greatest = geographic.max(axis=0)
+        if ((greatest < low - margin) | (lowest > high + margin)).any():
             raise TermselError(
                 f"{self.source} covers {_range(low, high)}, but the control is in "
-                f"{_range(least, greatest)}",
+                f"{_range(lowest, greatest)}",
                 hint="Give the geometry of this image; x must be longitude or easting.")
 
     def known(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return `first_order`; a search needs the same places many times."""
+        # By content: a search asks for the same few arrays again and again.
         key = ground.tobytes()
         if key not in self._known:
             if len(self._known) >= _KEPT:

@@ -27,7 +27,8 @@ EMBEDDED = (*NOMINAL, *SCENES)
 POSITION = ("ahead", "starboard", "down")
 ATTITUDE = ("roll", "pitch", "yaw")
 
-_STEP = 1e-3  # of the scaled image unit: some px
+# Of the scaled image unit: some px.
+_STEP = 1e-3
 
 
 class PushbroomRefine(Refinement):
@@ -63,6 +64,7 @@ class PushbroomRefine(Refinement):
         named = self.options["geometry"]
         self._sensor = None
         self._file = named
+        # An embedded data set, the JSON of a result, or a file.
         if named in EMBEDDED:
             self._sensor = (nominal_sensor(named) if named in NOMINAL
                             else scene_truth(named).sensor)
@@ -114,34 +116,38 @@ class PushbroomRefine(Refinement):
 
     def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations:
         """Return the equations about a solution (see `SensorModel.linearised`)."""
-        parts = []
+        blocks = []
         for ground in (features.points.ground, features.lines.ground.reshape(-1, 3)):
             columns = self._derivatives(coefficients, ground)
-            parts += [columns, self.project(coefficients, ground) - columns @ coefficients]
-        return image_equations(features, *parts[::2], *parts[1::2])
+            blocks += [columns, self.project(coefficients, ground) - columns @ coefficients]
+        return image_equations(features, *blocks[::2], *blocks[1::2])
 
     def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
         """Return image positions, shape (..., n, 2), by the rigorous model with these biases."""
-        places = self.geographic(ground)
-        assert self.scaling is not None  # required by geographic
+        geographic = self.geographic(ground)
+        # Required by geographic.
+        assert self.scaling is not None
         sets = coefficients.reshape(-1, len(self.terms))
-        if not len(places):
+        if not len(geographic):
             return np.zeros((*coefficients.shape[:-1], 0, 2))
         # All sets at once: a point for every set and place.
-        image = self._biased(np.repeat(sets, len(places), axis=0)).project(
-            np.tile(places, (len(sets), 1)))
-        return self.scaling.image(image).reshape(*coefficients.shape[:-1], len(places), 2)
+        image = self._biased(np.repeat(sets, len(geographic), axis=0)).project(
+            np.tile(geographic, (len(sets), 1)))
+        return self.scaling.image(image).reshape(*coefficients.shape[:-1], len(geographic), 2)
 
     def _derivatives(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
         """Return the derivatives of image positions by the coefficients, shape (n, 2, k)."""
+        # Central differences, all terms at once.
         steps = _STEP * np.eye(len(coefficients))
-        ahead, back = (self.project(coefficients + sign * steps, ground) for sign in (1, -1))
-        return np.asarray(np.moveaxis(ahead - back, 0, -1) / (2 * _STEP))
+        ahead, behind = (self.project(coefficients + sign * steps, ground) for sign in (1, -1))
+        return np.asarray(np.moveaxis(ahead - behind, 0, -1) / (2 * _STEP))
 
     def _biased(self, coefficients: FloatArray) -> Pushbroom:
         """Return the scanner with separate biases for each point, shape (n, k)."""
         assert self.scaling is not None
-        sensor, angle = self.sensor, self.scaling.image_scale * self.sensor.ifov
+        sensor = self.sensor
+        # From scaled units to radians: one image unit is so many detectors.
+        angle = self.scaling.image_scale * sensor.ifov
         bias = dict.fromkeys((*ATTITUDE, *POSITION), np.zeros(len(coefficients)))
         bias |= dict(zip(self.terms, coefficients.T, strict=True))
         away = np.stack([bias[name] for name in POSITION], axis=1)

@@ -32,6 +32,7 @@ _NEAREST, _FARTHEST = 5.0, 40.0
 def nominal_sensor(data_set: str = CANDIDATES) -> Pushbroom:
     """Return the scanner as its vendor knows it: with attitude errors, and without jitter."""
     true = scene_truth(NOMINAL[data_set]).sensor
+    # Time from the middle of the scene to its end [s].
     end = true.centre[0] * true.line_period
     roll = -ROLL * true.ifov, -ROLL_DRIFT * true.ifov / end
     return replace(true, roll=_changed(true.roll, roll),
@@ -91,9 +92,11 @@ def matches(wrong: float = 0.3, seed: int = 0) -> FeatureSet:
 def _measured(scene: FeatureSet, kind: np.ndarray[tuple[int], np.dtype[np.str_]],
               rng: np.random.Generator) -> FeatureSet:
     """Return a scene without noise, with its points measured well, inexactly or wrongly."""
-    points, n = scene.points, len(scene.points)
+    points = scene.points
+    n = len(points)
     noise = rng.standard_normal((n, 2)) * np.where(
         kind == "inexact", _INEXACT_NOISE, _GOOD_NOISE)[:, None]
+    # Mismatches lie anywhere within a ring around the true position.
     turn = rng.uniform(0, 2 * np.pi, n)
     far = rng.uniform(_NEAREST, _FARTHEST, n)
     astray = np.column_stack([np.sin(turn), np.cos(turn)]) * far[:, None]

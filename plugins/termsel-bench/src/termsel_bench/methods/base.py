@@ -17,7 +17,7 @@ from termsel_bench.methods import peers, scripts
 Projection = Callable[[FloatArray], FloatArray]
 """Image positions [px], shape (n, 2), of ground positions, shape (n, 3)."""
 
-KINDS = ("auto", "solver", "model", "package", "peer")
+METHOD_KINDS = ("auto", "solver", "model", "package", "peer")
 
 FUNCTION = "georeference"
 """Function of a package that is called where none is named."""
@@ -55,20 +55,20 @@ class Method:
     @property
     def title(self) -> str:
         """What tables call it."""
-        more = [*filter(None, [self.problem]),
-                *(f"{name}={value}" for name, value in self.options.items())]
-        called = "auto" if self.kind == "auto" else self.name if self.kind == "peer" else \
+        suffixes = [*filter(None, [self.problem]),
+                    *(f"{name}={value}" for name, value in self.options.items())]
+        name_ = "auto" if self.kind == "auto" else self.name if self.kind == "peer" else \
             f"{self.kind} {self.name}"
-        return " ".join([called, *more])
+        return " ".join([name_, *suffixes])
 
     def require(self) -> None:
         """Raise TermselError for an unknown solver, model, package or peer, or refused options."""
-        if self.kind not in KINDS:
-            raise unknown_name("kind of method", self.kind, KINDS)
+        if self.kind not in METHOD_KINDS:
+            raise unknown_name("kind of method", self.kind, METHOD_KINDS)
         if self.kind in ("solver", "model"):
-            thing = termsel.get(f"{self.kind}s", self.name)
+            extension = termsel.get(f"{self.kind}s", self.name)
             with options_of_file(self.file):
-                for option in thing.declared_options:
+                for option in extension.declared_options:
                     for key in (option.name, f"{self.kind}.{option.name}"):
                         if key in self.options:
                             option.parse(self.options[key])
@@ -92,6 +92,7 @@ class Method:
         if self.kind == "auto":
             return termsel.run(features=features, seed=seed).project
         if self.kind == "solver":
+            # What is asked of a solver is what the features allow: lines, a plane, or space.
             problem = self.problem or ("owdis-lines" if len(features.lines) else "poly-terms"
                                        if features.without_height() else "rfm-terms")
             return termsel.run(problem, features=features, solver=self.name, seed=seed,
@@ -104,8 +105,8 @@ class Method:
             return PEERS[self.name](features, seed)
         function = function_of(self.name)
         with blamed(function, FUNCTION, "Correct the function, then repeat the command."):
-            given = function(features)
-        return _projection(given, self.name)
+            returned = function(features)
+        return _projection(returned, self.name)
 
     def positions(self, features: FeatureSet, points: Points, seed: int) -> FloatArray:
         """Return where the method sees points of which it knows the ground, (n, 2) [px].
@@ -116,16 +117,17 @@ class Method:
             As `applied`; if positions are missing or not finite.
         """
         project = self.applied(features, seed)
+        # What a package returns is not trusted: shape and numbers are looked at.
         with blamed(project, "project", "Correct the function, then repeat the command."):
-            seen = np.asarray(project(points.ground.copy()), dtype=np.float64)
-        if seen.shape != (len(points), 2):
-            raise TermselError(f"{self.title} returned positions of the shape {seen.shape}, "
+            positions_ = np.asarray(project(points.ground.copy()), dtype=np.float64)
+        if positions_.shape != (len(points), 2):
+            raise TermselError(f"{self.title} returned positions of the shape {positions_.shape}, "
                                f"expected {(len(points), 2)}",
                                hint="Return line and sample of each place.")
-        if missing := int((~np.isfinite(seen).all(axis=1)).sum()):
+        if missing := int((~np.isfinite(positions_).all(axis=1)).sum()):
             raise TermselError(f"{self.title} has no position for {missing} of {len(points)} "
                                "places")
-        return seen
+        return positions_
 
 
 AUTO = Method("auto", "auto")
@@ -143,22 +145,23 @@ def function_of(name: str) -> Callable[[FeatureSet], Any]:
     module, _, function = name.partition(":")
     try:
         with modules_here():
-            found = getattr(import_module(module), function or FUNCTION)
+            function_ = getattr(import_module(module), function or FUNCTION)
     except ImportError as error:
         raise TermselError(f"the package {module!r} cannot be imported: {error}",
                            hint="Install it, or run the command in its folder.") from error
     except AttributeError as error:
         raise TermselError(f"the package {module!r} has no function {function or FUNCTION!r}",
                            hint="Name it: --package MODULE:FUNCTION.") from error
-    if not callable(found):
+    if not callable(function_):
         raise TermselError(f"{name} is no function", hint="Name one: --package MODULE:FUNCTION.")
-    return found  # type: ignore[no-any-return]
+    return function_  # type: ignore[no-any-return]
 
 
-def _projection(given: Any, name: str) -> Projection:
-    project = getattr(given, "project", given)
+def _projection(returned: Any, name: str) -> Projection:
+    # An object with a method `project`, or the function itself.
+    project = getattr(returned, "project", returned)
     if not callable(project):
-        raise TermselError(f"{name} returned {type(given).__name__}, which projects nothing",
+        raise TermselError(f"{name} returned {type(returned).__name__}, which projects nothing",
                            hint="Return a function of ground positions, or an object with such a "
                                 "method `project`.")
     return project  # type: ignore[no-any-return]

@@ -35,17 +35,19 @@ def _gdal(features: FeatureSet, *, spline: bool) -> Projection:
         from rasterio.control import GroundControlPoint
         from rasterio.errors import TransformError
         from rasterio.transform import GCPTransformer
-    given = [GroundControlPoint(row=line + 0.5, col=sample + 0.5, x=x, y=y)  # from the corner
-             for (line, sample), (x, y) in zip(features.points.image.tolist(),
-                                               features.points.ground[:, :2].tolist(),
-                                               strict=True)]
+    # From the corner.
+    gcps = [GroundControlPoint(row=line + 0.5, col=sample + 0.5, x=x, y=y)
+            for (line, sample), (x, y) in zip(features.points.image.tolist(),
+                                              features.points.ground[:, :2].tolist(),
+                                              strict=True)]
 
     def project(ground: FloatArray) -> FloatArray:
         with ExitStack() as stack:
             try:
-                transformer = stack.enter_context(GCPTransformer(given, tps=spline))
+                transformer = stack.enter_context(GCPTransformer(gcps, tps=spline))
             except (TransformError, ValueError) as error:
                 raise TermselError(f"GDAL fits nothing: {error}") from error
+            # GDAL counts from the corner of the first pixel, too; op leaves positions as they are.
             return np.column_stack(transformer.rowcol(
                 ground[:, 0], ground[:, 1], op=lambda value: value)) - 0.5
 
@@ -62,7 +64,7 @@ def orthority(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG001
         from orthority.fit import refine_rpc
     (line_off, sample_off) = rpc.image_offset
     (line_scale, sample_scale) = rpc.image_scale
-    known = {
+    camera_rpc = {
         "line_off": line_off, "samp_off": sample_off, "line_scale": line_scale,
         "samp_scale": sample_scale, "height_off": rpc.ground_offset[2],
         "height_scale": rpc.ground_scale[2], "lat_off": rpc.ground_offset[1],
@@ -71,10 +73,10 @@ def orthority(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG001
         "line_den_coeff": list(rpc.line_denominator),
         "samp_num_coeff": list(rpc.sample_numerator),
         "samp_den_coeff": list(rpc.sample_denominator), "err_bias": None, "err_rand": None}
-    given = [{"ji": (sample, line), "xyz": tuple(place)} for (line, sample), place in zip(
+    gcps = [{"ji": (sample, line), "xyz": tuple(ground)} for (line, sample), ground in zip(
         features.points.image.tolist(), features.points.ground.tolist(), strict=True)]
     # Its documentation asks for more points than terms for the drift.
-    refined = refine_rpc(known, given, "shift-drift" if len(given) > 2 else "shift")
+    refined = refine_rpc(camera_rpc, gcps, "shift-drift" if len(gcps) > 2 else "shift")
     size = features.image_size or (1, 1)
     camera = RpcCamera((size[1], size[0]), refined)
     return lambda ground: np.asarray(camera.world_to_pixel(ground.T))[::-1].T
@@ -86,15 +88,17 @@ def ransac(features: FeatureSet, seed: int) -> Projection:
         from sklearn.linear_model import LinearRegression, RANSACRegressor
         from sklearn.pipeline import make_pipeline
         from sklearn.preprocessing import PolynomialFeatures, StandardScaler
-    places = _places(features)
+    positions = _places(features)
+    # As few points as a quadratic model has terms leave nothing to vote.
     degree = 1 if len(features.points) < 20 else 2
     terms = PolynomialFeatures(degree)
-    count = terms.fit_transform(places[:1]).shape[1]
-    _require(len(places) > count, "RANSAC", len(places))
+    count = terms.fit_transform(positions[:1]).shape[1]
+    _require(len(positions) > count, "RANSAC", len(positions))
     model = make_pipeline(StandardScaler(), terms, RANSACRegressor(
         LinearRegression(fit_intercept=False), min_samples=count, max_trials=500,
-        residual_threshold=2 * _RANSAC_PIXELS, random_state=seed))  # of both axes together
-    return _fitted(model, features, places)
+        # Of both axes together.
+        residual_threshold=2 * _RANSAC_PIXELS, random_state=seed))
+    return _fitted(model, features, positions)
 
 
 def ridge(features: FeatureSet, seed: int) -> Projection:
@@ -104,33 +108,34 @@ def ridge(features: FeatureSet, seed: int) -> Projection:
         from sklearn.model_selection import GridSearchCV, KFold
         from sklearn.pipeline import make_pipeline
         from sklearn.preprocessing import PolynomialFeatures, StandardScaler
-    places = _places(features)
-    _require(len(places) >= 5, "scikit-learn", len(places))
+    positions = _places(features)
+    _require(len(positions) >= 5, "scikit-learn", len(positions))
     model = GridSearchCV(
         make_pipeline(StandardScaler(), PolynomialFeatures(include_bias=False), Ridge()),
         {"polynomialfeatures__degree": [1, 2, 3], "ridge__alpha": _ALPHAS},
         scoring="neg_mean_squared_error", cv=KFold(5, shuffle=True, random_state=seed))
-    return _fitted(model, features, places)
+    return _fitted(model, features, positions)
 
 
 def _sklearn() -> Any:
     return requires("the peer requires", "scikit-learn", "scikit-learn")
 
 
-def _fitted(model: Any, features: FeatureSet, places: FloatArray) -> Projection:
+def _fitted(model: Any, features: FeatureSet, positions: FloatArray) -> Projection:
     try:
-        model.fit(places, features.points.image)
+        model.fit(positions, features.points.image)
     except ValueError as error:
         raise TermselError(f"scikit-learn fits nothing: {error}") from error
-    width = places.shape[1]
+    width = positions.shape[1]
     return lambda ground: np.asarray(model.predict(ground[:, :width]))
 
 
 def _places(features: FeatureSet) -> FloatArray:
     ground = features.points.ground
+    # Without heights the plane is all there is.
     return ground[:, :2] if np.isnan(ground).any() else ground
 
 
-def _require(enough: bool, what: str, count: int) -> None:
-    if not enough:
-        raise TermselError(f"{what} requires more than {count} points")
+def _require(is_enough: bool, method_name: str, count: int) -> None:
+    if not is_enough:
+        raise TermselError(f"{method_name} requires more than {count} points")

@@ -30,14 +30,17 @@ class Cubic:
         flat = np.isnan(points.ground).any()
         self.width = 2 if flat else 3
         ground = points.ground[:, :self.width]
+        # From -1 to 1 over the points, so that powers are of one size.
         self.middle = ground.mean(axis=0)
         self.scale = np.ptp(ground, axis=0) / 2
+        # All monomials to degree 3.
         self.powers = np.array([powers for powers in product(range(4), repeat=self.width)
                                 if sum(powers) <= 3])
         control = np.array(points.roles) == "control"
         self.control, self.check = (self.columns(points.ground[mask])
                                     for mask in (control, ~control))
-        self.image, self.check_image = points.image[control], points.image[~control]
+        self.image = points.image[control]
+        self.check_image = points.image[~control]
         if control.sum() < 3 or not len(self.check):
             raise TermselError(f"a search of terms requires more than {len(points)} points")
 
@@ -53,14 +56,15 @@ class Cubic:
 
     def solved(self, genes: BoolArray) -> FloatArray:
         """Return coefficients, 0 for terms that are off, shape (terms, 2)."""
-        found = np.zeros((len(self.powers), 2))
+        coefficients = np.zeros((len(self.powers), 2))
         for axis, on in enumerate(genes.reshape(2, -1)):
-            found[on, axis] = np.linalg.lstsq(self.control[:, on], self.image[:, axis],
-                                              rcond=None)[0]
-        return found
+            coefficients[on, axis] = np.linalg.lstsq(self.control[:, on], self.image[:, axis],
+                                                     rcond=None)[0]
+        return coefficients
 
     def fitness(self, genes: BoolArray) -> float:
         """Return the check RMSE [px]; many where there are more terms than control points."""
+        # A fit with as many terms as points is exact, and its fitness means nothing.
         if (genes.reshape(2, -1).sum(axis=1) >= len(self.image)).any():
             return 1e6
         errors = self.check @ self.solved(genes) - self.check_image
@@ -68,8 +72,8 @@ class Cubic:
 
     def projection(self, genes: BoolArray) -> Projection:
         """Return what the terms that are on project."""
-        found = self.solved(genes)
-        return lambda ground: self.columns(ground) @ found
+        coefficients = self.solved(genes)
+        return lambda ground: self.columns(ground) @ coefficients
 
 
 def by_deap(features: FeatureSet, seed: int) -> Projection:
@@ -91,9 +95,11 @@ def by_deap(features: FeatureSet, seed: int) -> Projection:
     random.seed(seed)
     try:
         box = base.Toolbox()
-        box.register("population", lambda n: [
-            Chromosome(random.randint(0, 1) for _ in range(problem.size)) for _ in range(n)])
-        box.register("evaluate", lambda one: (problem.fitness(np.array(one, dtype=bool)),))
+        box.register("chromosome", lambda: Chromosome(
+            random.randint(0, 1) for _ in range(problem.size)))
+        box.register("population", lambda n: [box.chromosome() for _ in range(n)])
+        box.register("evaluate", lambda chromosome: (problem.fitness(np.array(chromosome,
+                                                                              dtype=bool)),))
         box.register("mate", tools.cxUniform, indpb=0.5)
         box.register("mutate", tools.mutFlipBit, indpb=1 / problem.size)
         box.register("select", tools.selTournament, tournsize=3)
@@ -120,11 +126,11 @@ def by_pymoo(features: FeatureSet, seed: int) -> Projection:
         def __init__(self) -> None:
             super().__init__(n_var=problem.size, n_obj=1, xl=0, xu=1, vtype=bool)
 
-        def _evaluate(self, x: Any, out: dict[str, Any], *_: Any, **__: Any) -> None:
-            out["F"] = problem.fitness(np.asarray(x, dtype=bool))
+        def _evaluate(self, x: Any, values: dict[str, Any], *_: Any, **__: Any) -> None:
+            values["F"] = problem.fitness(np.asarray(x, dtype=bool))
 
-    found = minimize(Terms(), GA(pop_size=POPULATION, sampling=BinaryRandomSampling(),
-                                 crossover=UniformCrossover(), mutation=BitflipMutation(),
-                                 eliminate_duplicates=True), ("n_gen", GENERATIONS), seed=seed,
-                     verbose=False)
-    return problem.projection(np.asarray(found.X, dtype=bool))
+    result = minimize(Terms(), GA(pop_size=POPULATION, sampling=BinaryRandomSampling(),
+                                  crossover=UniformCrossover(), mutation=BitflipMutation(),
+                                  eliminate_duplicates=True), ("n_gen", GENERATIONS), seed=seed,
+                      verbose=False)
+    return problem.projection(np.asarray(result.X, dtype=bool))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -51,12 +52,12 @@ class BenchSet:
             [*_rows(self.features.points, self), *_rows(self.independent, self, "independent")])}
         lines = self.features.lines
         if len(lines):
+            rows = []
+            for name, image, ground in zip(lines.ids, lines.image, lines.ground, strict=True):
+                vertices = chain.from_iterable(_place(vertex, self) for vertex in ground)
+                rows.append((name, *_numbers(image.ravel(), PIXELS), *vertices))
             named[f"{self.name}-lines.csv"] = _text(
-                self.features.crs, "id,line1,sample1,line2,sample2,x1,y1,z1,x2,y2,z2",
-                [(name, *_numbers(image.ravel(), PIXELS),
-                  *(text for vertex in ground for text in _place(vertex, self)))
-                 for name, image, ground in zip(lines.ids, lines.image, lines.ground,
-                                                strict=True)])
+                self.features.crs, "id,line1,sample1,line2,sample2,x1,y1,z1,x2,y2,z2", rows)
         if isinstance(self.features.rpc, Rpc):
             named[f"{self.name}_RPC.TXT"] = rpc_txt_text(self.features.rpc)
         return named
@@ -79,28 +80,31 @@ def means_of(text: str) -> tuple[list[float], list[float]]:
     """
     if not text.startswith("#"):
         return [float(np.mean([float(row.split()[1]) for row in text.splitlines()]))], [1e-5]
+    # The first line says the CRS, the second names the columns; numbers begin at that of the line.
     header, *rows = [row.split(",") for row in text.splitlines()[1:]]
     first = [name.startswith("line") for name in header].index(True)
-    values = np.array([[float(cell or 0.0) for cell in row[first:]] for row in rows])
+    cells = np.array([row[first:] for row in rows])
+    values = np.where(cells == "", "0", cells).astype(float)
     return values.mean(axis=0).tolist(), [
         10.0 ** -len(cell.partition(".")[2]) for cell in rows[0][first:]]
 
 
-def rounded(one: BenchSet) -> BenchSet:
+def rounded(bench_set: BenchSet) -> BenchSet:
     """Return the set with the decimals of its files, so that machines agree on it."""
+    # Degrees have more decimals than metres, and heights are metres in either case.
     def place(ground: FloatArray) -> FloatArray:
-        plane = DEGREES if one.geographic else METRES
+        plane = DEGREES if bench_set.geographic else METRES
         return np.concatenate([ground[..., :2].round(plane), ground[..., 2:].round(METRES)], -1)
 
-    def points(some: Points) -> Points:
-        return replace(some, image=some.image.round(PIXELS), ground=place(some.ground))
+    def points(measured: Points) -> Points:
+        return replace(measured, image=measured.image.round(PIXELS), ground=place(measured.ground))
 
-    lines = one.features.lines
-    features = replace(one.features, points=points(one.features.points), lines=Lines(
+    lines = bench_set.features.lines
+    features = replace(bench_set.features, points=points(bench_set.features.points), lines=Lines(
         lines.ids, lines.image.round(PIXELS), place(lines.ground)))
-    if isinstance(one.features.rpc, Rpc):
-        features = replace(features, rpc=_rounded_rpc(one.features.rpc))
-    return replace(one, features=features, independent=points(one.independent))
+    if isinstance(bench_set.features.rpc, Rpc):
+        features = replace(features, rpc=_rounded_rpc(bench_set.features.rpc))
+    return replace(bench_set, features=features, independent=points(bench_set.independent))
 
 
 def _rounded_rpc(rpc: Rpc) -> Rpc:
@@ -117,14 +121,14 @@ def _text(crs: str, header: str, rows: list[tuple[str, ...]]) -> str:
     return "\n".join([f"# crs: {crs}", header, *(",".join(row) for row in rows)]) + "\n"
 
 
-def _rows(points: Points, one: BenchSet, role: str = "") -> Iterator[tuple[str, ...]]:
-    for name, given, image, ground in zip(points.ids, points.roles, points.image, points.ground,
-                                          strict=True):
-        yield (name, role or given, *_numbers(image, PIXELS), *_place(ground, one))
+def _rows(points: Points, bench_set: BenchSet, role: str = "") -> Iterator[tuple[str, ...]]:
+    for name, own_role, image, ground in zip(points.ids, points.roles, points.image, points.ground,
+                                             strict=True):
+        yield (name, role or own_role, *_numbers(image, PIXELS), *_place(ground, bench_set))
 
 
-def _place(ground: FloatArray, one: BenchSet) -> tuple[str, ...]:
-    return (*_numbers(ground[:2], DEGREES if one.geographic else METRES),
+def _place(ground: FloatArray, bench_set: BenchSet) -> tuple[str, ...]:
+    return (*_numbers(ground[:2], DEGREES if bench_set.geographic else METRES),
             *("" if np.isnan(z) else f"{z:.{METRES}f}" for z in ground[2:]))
 
 

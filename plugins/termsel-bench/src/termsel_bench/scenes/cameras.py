@@ -29,31 +29,45 @@ CRS = "EPSG:4979"
 class Ranges:
     """Ranges that sizes are drawn from."""
 
-    number: int  # part of the seeds
-    altitude: tuple[float, float]  # of orbits [m]
-    incline: tuple[float, float]  # orbit [deg]
-    tilt: tuple[float, float]  # off nadir [deg]
-    pixel: tuple[float, float]  # on the ground from orbit [m]
-    size: tuple[int, int]  # lines and samples [px]
-    relief: tuple[float, float]  # of the scene's width
-    noise: tuple[float, float]  # of measurements [px]
+    # Part of the seeds.
+    number: int
+    # Of orbits [m].
+    altitude: tuple[float, float]
+    # Orbit [deg].
+    incline: tuple[float, float]
+    # Off nadir [deg].
+    tilt: tuple[float, float]
+    # On the ground from orbit [m].
+    pixel: tuple[float, float]
+    # lines and samples [px].
+    size: tuple[int, int]
+    # Of the scene's width.
+    relief: tuple[float, float]
+    # Of measurements [px].
+    noise: tuple[float, float]
     latitude: tuple[float, float]
-    waves: int  # of the terrain
+    # Of the terrain.
+    waves: int
 
 
-CHOSEN = Ranges(1, (480e3, 830e3), (97.0, 99.0), (0.0, 28.0), (2.0, 20.0), (4000, 9000),
-                (0.002, 0.03), (0.3, 0.7), (5.0, 60.0), 6)
-FRESH = Ranges(2, (440e3, 915e3), (80.0, 100.0), (0.0, 33.0), (0.7, 30.0), (3000, 12000),
-               (0.001, 0.05), (0.2, 1.0), (-55.0, 55.0), 10)
+CHOSEN = Ranges(
+    number=1, altitude=(480e3, 830e3), incline=(97.0, 99.0), tilt=(0.0, 28.0), pixel=(2.0, 20.0),
+    size=(4000, 9000), relief=(0.002, 0.03), noise=(0.3, 0.7), latitude=(5.0, 60.0), waves=6)
+FRESH = Ranges(
+    number=2, altitude=(440e3, 915e3), incline=(80.0, 100.0), tilt=(0.0, 33.0), pixel=(0.7, 30.0),
+    size=(3000, 12000), relief=(0.001, 0.05), noise=(0.2, 1.0), latitude=(-55.0, 55.0), waves=10)
 
 
 @dataclass(frozen=True)
 class Turning(Pushbroom):
     """A satellite that turns so that its view moves over the ground in any direction."""
 
-    aim: tuple[float, float, float] = (0.0, 0.0, 0.0)  # Earth-fixed [m], in the middle of the scene
-    course: tuple[float, float, float] = (1.0, 0.0, 0.0)  # Earth-fixed, of length 1
-    speed: float = 7000.0  # of the view on the ground [m/s]
+    # Earth-fixed [m], in the middle of the scene.
+    aim: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    # Earth-fixed, of length 1.
+    course: tuple[float, float, float] = (1.0, 0.0, 0.0)
+    # Of the view on the ground [m/s].
+    speed: float = 7000.0
 
     def exposure(self, time: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return exposure stations and rotations (see `Pushbroom.exposure`)."""
@@ -64,9 +78,11 @@ class Turning(Pushbroom):
     def _looking(self, station: FloatArray, time: FloatArray) -> FloatArray:
         aim = np.array(self.aim)
         course = np.array(self.course)
+        # The angle at the Earth's centre by which the view has moved on.
         way = (self.speed * time / np.linalg.norm(aim))[:, None]
         up = aim / np.linalg.norm(aim)
         target = np.linalg.norm(aim) * (np.cos(way) * up + np.sin(way) * course)
+        # The axes of the camera: towards the target, along the course, and across both.
         z = _unit(target - station)
         ahead = np.cos(way) * course - np.sin(way) * up
         x = _unit(ahead - z * (ahead * z).sum(axis=1, keepdims=True))
@@ -78,7 +94,8 @@ class Turning(Pushbroom):
 class Flying(Turning):
     """An aircraft that flies straight on, but for turbulence, and looks down."""
 
-    sway: tuple[Angle, ...] = (Angle(), Angle(), Angle())  # off the course [m]
+    # Off the course [m].
+    sway: tuple[Angle, ...] = (Angle(), Angle(), Angle())
 
     def exposure(self, time: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return exposure stations and rotations (see `Pushbroom.exposure`)."""
@@ -86,7 +103,8 @@ class Flying(Turning):
         aim = np.array(self.aim)
         course = np.array(self.course)
         up = vertical(from_ecef(aim[None]))[0]
-        off = np.stack([one(time) for one in self.sway], axis=1)
+        off = np.stack([angle(time) for angle in self.sway], axis=1)
+        # Straight on along the course, and off it by the sway.
         station = aim + up * self.altitude + course * (self.speed * time)[:, None] \
             + off @ np.stack([course, np.cross(up, course), up])
         axes = np.stack([course, np.cross(-up, course), -up], axis=1)
@@ -101,10 +119,12 @@ def image_of(kind: str, seed: int, ranges: Ranges, count: int,
     Ground below `level`, between -1 and 1 of the hills' heights, is a plain at the height 0.
     """
     for attempt in range(20):
+        # A new attempt draws all again, from a generator of its own.
         rng = np.random.default_rng([ranges.number, ALL_KINDS.index(kind), seed, attempt])
         try:
             return _image_of(kind, rng, ranges, count, measured, level)
-        except TermselError:  # drawn so that the place is not in view
+        except TermselError:
+            # Drawn so that the place is not in view.
             continue
     raise RuntimeError(f"no image of the kind {kind} was found")
 
@@ -114,22 +134,29 @@ def _image_of(kind: str, rng: Generator, ranges: Ranges, count: int,
     lines, samples = (int(n) for n in rng.integers(*ranges.size, 2))
     lon = rng.uniform(-170, 170)
     lat = rng.uniform(*ranges.latitude)
+    # Sizes of pixels are log-uniform, and those of aircraft smaller by a factor.
     pixel = float(np.exp(rng.uniform(*np.log(ranges.pixel))))
     pixel *= {"airborne": 0.05, "frame": 0.06, "panoramic": 0.15}.get(kind, 1.0)
     width = pixel * max(lines, samples)
     relief = width * float(np.exp(rng.uniform(*np.log(ranges.relief))))
     middle = to_ecef(np.array([[lon, lat, 0.0]]))[0]
-    up = vertical(np.array([[lon, lat, 0.0]]))[0]
-    east = _unit(np.array([-middle[1], middle[0], 0.0]))
-    axes = np.stack([east, np.cross(up, east), up])
-    tried = (40 if measured is None else 16) * count
-    plan = rng.uniform(-0.8, 0.8, (tried, 2)) * width
+    axes = _axes_at(lon, lat)
+    n_tried = (40 if measured is None else 16) * count
+    # More places than points, as some are not in view.
+    plan = rng.uniform(-0.8, 0.8, (n_tried, 2)) * width
     ground = from_ecef(middle + np.pad(plan, ((0, 0), (0, 1))) @ axes)
     height = _heights(rng, plan / width, ranges.waves)
     ground[:, 2] = (1.0 + height) * relief if level == -1.0 else (
         2.0 * np.maximum(height - level, 0.0) * relief)
-    image = _seen(kind, rng, ranges, (lines, samples), pixel, (lon, lat, relief), axes, ground,
-                  (to_ecef(ground) - middle) @ axes.T)
+    scene = (lon, lat, relief)
+    if kind in ("frame", "panoramic"):
+        local = (to_ecef(ground) - middle) @ axes.T
+        image = _photo(kind, rng, (lines, samples), pixel, local)
+    elif kind == "radar":
+        image = _radar(rng, ranges, (lines, samples), pixel, scene, ground)
+    else:
+        sensor = _scanner(kind, rng, ranges, (lines, samples), pixel, scene)
+        image = sensor.project(ground)
     inside = ((image > 0.02 * np.array([lines, samples]))
               & (image < 0.98 * np.array([lines, samples]))).all(axis=1)
     if inside.sum() < count:
@@ -144,15 +171,10 @@ def _image_of(kind: str, rng: Generator, ranges: Ranges, count: int,
                       image_size=(lines, samples), noise=noise)
 
 
-def _seen(kind: str, rng: Generator, ranges: Ranges, size: tuple[int, int], pixel: float,
-          place: tuple[float, float, float], axes: FloatArray, ground: FloatArray,
-          local: FloatArray) -> FloatArray:
-    """Return where ground points are seen, (n, 2) [px]; `local` is from the middle [m], (n, 3)."""
-    if kind in ("frame", "panoramic"):
-        return _photo(kind, rng, size, pixel, local)
-    if kind == "radar":
-        return _radar(rng, ranges, size, pixel, place, ground)
-    lon, lat, height = place
+def _scanner(kind: str, rng: Generator, ranges: Ranges, size: tuple[int, int], pixel: float,
+             scene: tuple[float, float, float]) -> Pushbroom:
+    """Return the line scanner of a scene: longitude, latitude [deg] and height [m]."""
+    lon, lat, height = scene
     tilt = rng.uniform(*ranges.tilt)
     turn = rng.choice([90.0, 270.0]) + rng.normal(0.0, 3.0)
     if kind == "agile":
@@ -170,9 +192,10 @@ def _seen(kind: str, rng: Generator, ranges: Ranges, size: tuple[int, int], pixe
         angles = [_shaken(rng, sensor.ifov, half, large, (half / 2, 0.15 if kind == "steady"
                                                           else 1.0), lever)
                   for lever in (1.0, 1.0, 2.0 / size[1])]
-        return _replaced(sensor, angles).project(ground)
+        return _replaced(sensor, angles)
     course = rng.uniform(0.0, 2 * np.pi) if kind == "airborne" or rng.random() < 0.6 else np.pi
     middle = to_ecef(np.array([[lon, lat, height]]))[0]
+    axes = _axes_at(lon, lat)
     ahead = (
         np.sin(course) * axes[0] + np.cos(course) * axes[1])
     speed = 70.0 if kind == "airborne" else 7000.0 * rng.uniform(0.3, 1.1)
@@ -188,20 +211,20 @@ def _seen(kind: str, rng: Generator, ranges: Ranges, size: tuple[int, int], pixe
         angles = [_shaken(rng, pixel / above, half, (20.0, 10.0, 5.0), (5.0, 4.0), lever)
                   for lever in (1.0, 1.0, 2.0 / size[1])]
         return Flying(altitude=above, ifov=pixel / above, roll=angles[0], pitch=angles[1],
-                      yaw=angles[2], sway=sway, **common).project(ground)
+                      yaw=angles[2], sway=sway, **common)
     station = sensor.exposure(np.zeros(1))[0][0]
     ray = station - middle
     distance = float(np.linalg.norm(ray))
     angles = [_shaken(rng, pixel / distance, half, (2.0, 1.0, 0.3), (half / 2, 0.15), lever)
               for lever in (1.0, 1.0, 2.0 / size[1])]
     return Turning(altitude=altitude, ifov=pixel / distance, roll=angles[0], pitch=angles[1],
-                   yaw=angles[2], **common).project(ground)
+                   yaw=angles[2], **common)
 
 
 def _radar(rng: Generator, ranges: Ranges, size: tuple[int, int], pixel: float,
-           place: tuple[float, float, float], ground: FloatArray) -> FloatArray:
+           scene: tuple[float, float, float], ground: FloatArray) -> FloatArray:
     """Return lines of zero Doppler and samples of slant range [px]; not on the ground's range."""
-    lon, lat, height = place
+    lon, lat, height = scene
     tilt = rng.uniform(20.0, 42.0)
     orbit = pushbroom_at(lon, lat, height=height, off_nadir=tilt,
                          look_azimuth=rng.choice([90.0, 270.0]), gsd=pixel, image_size=size,
@@ -216,10 +239,11 @@ def _radar(rng: Generator, ranges: Ranges, size: tuple[int, int], pixel: float,
         velocity = (after - before) / 2e-2
         time += ((target - station) * velocity).sum(axis=1) / (velocity**2).sum(axis=1)
     distance = np.linalg.norm(target - orbit.exposure(time)[0], axis=1)
-    middle = np.linalg.norm(to_ecef(np.array([place]))[0] - orbit.exposure(np.zeros(1))[0][0])
-    seen = np.column_stack([time / orbit.line_period,
-                            (distance - middle) / (pixel * np.sin(np.radians(tilt)))])
-    return np.asarray(seen + np.array(size) / 2)
+    middle = np.linalg.norm(to_ecef(np.array([scene]))[0] - orbit.exposure(np.zeros(1))[0][0])
+    # Lines by the time of zero Doppler, samples by the slant range on the ground.
+    positions = np.column_stack([time / orbit.line_period,
+                                 (distance - middle) / (pixel * np.sin(np.radians(tilt)))])
+    return np.asarray(positions + np.array(size) / 2)
 
 
 def _photo(kind: str, rng: Generator, size: tuple[int, int], pixel: float,
@@ -227,16 +251,19 @@ def _photo(kind: str, rng: Generator, size: tuple[int, int], pixel: float,
     """Return where a frame or a panoramic camera sees places; film and scan deform a little."""
     extent = pixel * max(size)
     above = extent / (2 * np.tan(rng.uniform(0.2, 0.7)))
+    # The focal length in px, for the pixel that the middle of the image has.
     focal = above / pixel
     roll, pitch = rng.normal(0.0, 0.03, (2, 1))
     turned = _small(roll, pitch, np.array([rng.uniform(-np.pi, np.pi)]))[0]
     x, y, z = ((local - [0.0, 0.0, above]) @ turned).T
     if kind == "frame":
         ideal = focal * np.column_stack([y / z, -x / z])
+        # Film and lens deform by a few px towards the corners.
         radius = np.linalg.norm(ideal, axis=1, keepdims=True) / (max(size) / 2)
         ideal *= 1.0 + rng.normal(0.0, 3.0 / max(size)) * radius**2
     else:
-        angle = np.arctan2(x, -z)  # across; the film is a cylinder
+        # Across; the film is a cylinder.
+        angle = np.arctan2(x, -z)
         motion = rng.normal(0.0, 0.01) * focal * np.sin(angle)
         ideal = focal * np.column_stack([y / np.hypot(x, z) + 0.0, angle])
         ideal[:, 0] += motion
@@ -252,11 +279,11 @@ def _shaken(rng: Generator, unit: float, half: float, drift: tuple[float, ...],
 
 
 def _replaced(sensor: Pushbroom, angles: list[Angle]) -> Pushbroom:
-    def joined(before: Angle, more: Angle) -> Angle:
-        drift = np.zeros(max(len(before.drift), len(more.drift)))
+    def joined(before: Angle, added: Angle) -> Angle:
+        drift = np.zeros(max(len(before.drift), len(added.drift)))
         drift[:len(before.drift)] += before.drift
-        drift[:len(more.drift)] += more.drift
-        return Angle(tuple(drift), more.jitter)
+        drift[:len(added.drift)] += added.drift
+        return Angle(tuple(drift), added.jitter)
 
     return replace(sensor, roll=joined(sensor.roll, angles[0]),
                    pitch=joined(sensor.pitch, angles[1]), yaw=joined(sensor.yaw, angles[2]))
@@ -266,8 +293,8 @@ def _heights(rng: Generator, plan: FloatArray, waves: int) -> FloatArray:
     """Return smooth heights between about -1 and 1."""
     total = np.zeros(len(plan))
     for _ in range(waves):
-        along = rng.normal(0.0, 4.0, 2)
-        total += np.sin(plan @ along + rng.uniform(0, 2 * np.pi)) * rng.uniform(0.3, 1.0)
+        wave_vector = rng.normal(0.0, 4.0, 2)
+        total += np.sin(plan @ wave_vector + rng.uniform(0, 2 * np.pi)) * rng.uniform(0.3, 1.0)
     return np.asarray(total / np.abs(total).max())
 
 
@@ -275,14 +302,23 @@ def _small(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> FloatArray:
     """Return rotations about three axes, (n, 3, 3)."""
     (sr, cr), (sp, cp), (sy, cy) = ((np.sin(a), np.cos(a)) for a in (roll, pitch, yaw))
     none = np.zeros_like(sr)
-    one = np.ones_like(sr)
+    ones = np.ones_like(sr)
 
     def matrix(*rows: list[FloatArray]) -> FloatArray:
         return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
-    return matrix([one, none, none], [none, cr, -sr], [none, sr, cr]) \
-        @ matrix([cp, none, sp], [none, one, none], [-sp, none, cp]) \
-        @ matrix([cy, -sy, none], [sy, cy, none], [none, none, one])
+    # Rotations about x, y and z, in this order.
+    return matrix([ones, none, none], [none, cr, -sr], [none, sr, cr]) \
+        @ matrix([cp, none, sp], [none, ones, none], [-sp, none, cp]) \
+        @ matrix([cy, -sy, none], [sy, cy, none], [none, none, ones])
+
+
+def _axes_at(lon: float, lat: float) -> FloatArray:
+    """Return rows east, north and up at the height 0, (3, 3)."""
+    middle = to_ecef(np.array([[lon, lat, 0.0]]))[0]
+    up = vertical(np.array([[lon, lat, 0.0]]))[0]
+    east = _unit(np.array([-middle[1], middle[0], 0.0]))
+    return np.stack([east, np.cross(up, east), up])
 
 
 def _unit(vectors: FloatArray) -> FloatArray:

@@ -21,30 +21,37 @@ from termsel_bench.scenes.cameras import FRESH, image_of
 METADATA, MEANS = "croissant.json", "means.json"
 """Files of the package with the description of all sets and their checksums, and with means."""
 
-_SEED = 7000  # the first; no constant of termsel was chosen on these
-_VENDOR = 400  # places that the vendor's RPC is fitted to
-_BIAS = (2.0, 60.0)  # px
-_NEAREST, _FARTHEST = 5.0, 60.0  # displacement of blunders [px]
+# The first; no constant of termsel was chosen on these.
+_SEED = 7000
+# Places that the vendor's RPC is fitted to.
+_VENDOR = 400
+# In px.
+_BIAS = (2.0, 60.0)
+# Displacement of blunders [px].
+_NEAREST, _FARTHEST = 5.0, 60.0
 
 
 @dataclass(frozen=True)
-class Asked:
+class SetSettings:
     """Settings of a simulated set: number of control and check points together, and what else."""
 
     name: str
     kind: str
     seed: int
     count: int
-    more: Mapping[str, Any]
+    settings: Mapping[str, Any]
 
 
-def _some(kind: str, counts: tuple[int, ...], **more: tuple[Any, ...]) -> tuple[Asked, ...]:
-    return tuple(Asked(f"{kind}-{i + 1}", kind, _SEED + i, count,
-                       {name: values[i] for name, values in more.items()})
-                 for i, count in enumerate(counts))
+def _some(kind: str, counts: tuple[int, ...], **settings: tuple[Any, ...]) -> tuple[SetSettings,
+                                                                                    ...]:
+    sets = []
+    for i, count in enumerate(counts):
+        of_set = {name: values[i] for name, values in settings.items()}
+        sets.append(SetSettings(f"{kind}-{i + 1}", kind, _SEED + i, count, of_set))
+    return tuple(sets)
 
 
-SETS: Mapping[str, Asked] = {one.name: one for one in (
+_ALL_SETS = (
     *_some("steady", (10, 14, 20, 30, 44, 64)),
     *_some("agile", (12, 18, 26, 40, 60)),
     *_some("frame", (10, 16, 28, 50)),
@@ -57,7 +64,8 @@ SETS: Mapping[str, Asked] = {one.name: one for one in (
     *_some("lines", (6, 6, 8, 8), scene=("ikonos-hamedan", "geoeye-tehran", "spot-isfahan",
                                          "cartosat-hyderabad"),
            n_lines=(24, 40, 60, 100), wrong_lines=(0, 3, 0, 10)),
-)}
+)
+SETS: Mapping[str, SetSettings] = {bench_set.name: bench_set for bench_set in _ALL_SETS}
 """Settings of all sets by name."""
 
 QUICK = ("steady-3", "agile-2", "frame-2", "panoramic-2", "radar-2", "old-map-2", "vendor-rpc-3",
@@ -90,18 +98,18 @@ def simulated(name: str) -> BenchSet:
     """
     if name not in SETS:
         raise unknown_name("set", name, set(SETS))
-    one = made(name)
-    known = checksums()
-    for file, checksum in one.checksums().items():
-        if known.get(file) != checksum and not _differs_by_rounding(one, file):
+    bench_set = made(name)
+    frozen = checksums()
+    for file, checksum in bench_set.checksums().items():
+        if frozen.get(file) != checksum and not _differs_by_rounding(bench_set, file):
             raise TermselError(
                 f"the set {name}, simulated here, is not the frozen one: {file} "
                 "differs", hint="Figures of other sets cannot be compared. Install the version of "
                                 "termsel that this termsel-bench was published with.")
-    return one
+    return bench_set
 
 
-_SHARE = 0.1
+_MEANS_SHARE = 0.1
 """Of the unit of the last decimal, by which means may differ.
 
 Sines and inverses of other processors end in another bit, so that of some thousand numbers a few,
@@ -109,31 +117,32 @@ which lie where rounding changes, have another last decimal. Other noise changes
 """
 
 
-def _differs_by_rounding(one: BenchSet, file: str) -> bool:
+def _differs_by_rounding(bench_set: BenchSet, file: str) -> bool:
     """Return whether a file is the frozen one but for last decimals of few numbers."""
     frozen = json.loads(files("termsel_bench").joinpath(MEANS).read_text("utf-8"))
-    means, units = means_of(one.files()[file])
+    means, units = means_of(bench_set.files()[file])
     return len(frozen.get(file, ())) == len(means) and bool(np.all(
-        np.abs(np.subtract(means, frozen[file])) <= _SHARE * np.array(units)))
+        np.abs(np.subtract(means, frozen[file])) <= _MEANS_SHARE * np.array(units)))
 
 
 def checksums() -> dict[str, str]:
     """Return the frozen SHA-256 of each file by its name."""
     described = json.loads(files("termsel_bench").joinpath(METADATA).read_text("utf-8"))
-    return {one["name"]: one["sha256"] for one in described["distribution"]}
+    return {file["name"]: file["sha256"] for file in described["distribution"]}
 
 
 def made(name: str) -> BenchSet:
     """Return a set as it is simulated here, whether it is the frozen one or not."""
-    asked = SETS[name]
-    features, independent = _MAKERS.get(asked.kind, _camera)(asked)
+    settings = SETS[name]
+    features, independent = _MAKERS.get(settings.kind, _camera)(settings)
+    # Control and check points by turns, so that both are all over the image.
     roles = tuple("control" if i % 2 == 0 else "check" for i in range(len(features.points)))
     points = replace(features.points, roles=roles,
                      ids=tuple(f"P{i + 1}" for i in range(len(roles))))
     independent = replace(independent, roles=("independent",) * len(independent),
                           ids=tuple(f"I{i + 1}" for i in range(len(independent))))
     # How exact the measurements are is not known to a method.
-    return rounded(BenchSet(name, asked.kind, replace(features, points=points, noise=None),
+    return rounded(BenchSet(name, settings.kind, replace(features, points=points, noise=None),
                             independent))
 
 
@@ -143,57 +152,64 @@ def _split(scene: FeatureSet, count: int) -> tuple[FeatureSet, Points]:
             scene.points.take((order >= count) & (order < count + INDEPENDENT)))
 
 
-def _camera(asked: Asked) -> tuple[FeatureSet, Points]:
-    return _split(image_of(asked.kind, asked.seed, FRESH, asked.count + INDEPENDENT, asked.count),
-                  asked.count)
+def _camera(settings: SetSettings) -> tuple[FeatureSet, Points]:
+    return _split(image_of(settings.kind, settings.seed, FRESH, settings.count + INDEPENDENT,
+                           settings.count),
+                  settings.count)
 
 
-def _map(asked: Asked) -> tuple[FeatureSet, Points]:
+def _map(settings: SetSettings) -> tuple[FeatureSet, Points]:
     with requires("sets of old maps require", "termsel_photos", "./plugins/termsel-photos"):
         from termsel_photos import simulate_map
 
-    settings = {"seed": asked.seed, "n_points": asked.count + INDEPENDENT, **asked.more}
+    arguments = {"seed": settings.seed, "n_points": settings.count + INDEPENDENT,
+                 **settings.settings}
     # The places are spread out in their order: which of them are control is drawn.
-    order = np.random.default_rng(asked.seed).permutation(asked.count + INDEPENDENT)
-    measured = simulate_map(**settings)
-    exact = simulate_map(**settings, noise=0.0)
-    return (measured.with_(points=measured.points.take(order[:asked.count])),
-            exact.points.take(order[asked.count:]))
+    order = np.random.default_rng(settings.seed).permutation(settings.count + INDEPENDENT)
+    # The same map twice: with noise for what a method sees, without it for what judges.
+    measured = simulate_map(**arguments)
+    exact = simulate_map(**arguments, noise=0.0)
+    return (measured.with_(points=measured.points.take(order[:settings.count])),
+            exact.points.take(order[settings.count:]))
 
 
-def _lines(asked: Asked) -> tuple[FeatureSet, Points]:
-    settings = {"seed": asked.seed, "roles": (asked.count, 0, INDEPENDENT),
-                **{name: value for name, value in asked.more.items() if name != "scene"}}
-    measured = simulate_scene(asked.more["scene"], **settings)
-    exact = simulate_scene(asked.more["scene"], **settings, noise=0.0)
+def _lines(settings: SetSettings) -> tuple[FeatureSet, Points]:
+    arguments = {"seed": settings.seed, "roles": (settings.count, 0, INDEPENDENT),
+                 **{name: value for name, value in settings.settings.items() if name != "scene"}}
+    measured = simulate_scene(settings.settings["scene"], **arguments)
+    exact = simulate_scene(settings.settings["scene"], **arguments, noise=0.0)
     control = np.array(measured.points.roles) == "control"
     return (measured.with_(points=measured.points.take(control)), exact.points.take(~control))
 
 
-def _matches(asked: Asked) -> tuple[FeatureSet, Points]:
-    scene = image_of("steady", asked.seed + 100, FRESH, asked.count + INDEPENDENT, asked.count)
-    features, independent = _split(scene, asked.count)
-    rng = np.random.default_rng([asked.seed, 1])
-    wrong = rng.permutation(asked.count)[:round(asked.more["wrong"] * asked.count)]
+def _matches(settings: SetSettings) -> tuple[FeatureSet, Points]:
+    scene = image_of("steady", settings.seed + 100, FRESH, settings.count + INDEPENDENT,
+                     settings.count)
+    features, independent = _split(scene, settings.count)
+    rng = np.random.default_rng([settings.seed, 1])
+    # Blunders lie in any direction, 5 to 60 px off.
+    wrong = rng.permutation(settings.count)[:round(settings.settings["wrong"] * settings.count)]
     image = features.points.image.copy()
     image[wrong] += _anywhere(rng, len(wrong)) * rng.uniform(_NEAREST, _FARTHEST, (len(wrong), 1))
     return features.with_(points=replace(features.points, image=image)), independent
 
 
-def _vendor(asked: Asked) -> tuple[FeatureSet, Points]:
-    count = asked.count
-    scene = image_of("steady", asked.seed + 200, FRESH, count + INDEPENDENT + _VENDOR, count)
+def _vendor(settings: SetSettings) -> tuple[FeatureSet, Points]:
+    count = settings.count
+    scene = image_of("steady", settings.seed + 200, FRESH, count + INDEPENDENT + _VENDOR, count)
     features, independent = _split(scene, count)
     assert scene.image_size is not None
-    rng = np.random.default_rng([asked.seed, 2])
+    rng = np.random.default_rng([settings.seed, 2])
     vendor = scene.points.take(np.arange(len(scene.points)) >= count + INDEPENDENT)
+    # The size of the vendor's error, log-uniform.
     size = float(np.exp(rng.uniform(*np.log(_BIAS))))
-    seen = vendor.image / (np.array(scene.image_size) / 2) - 1
+    from_middle = vendor.image / (np.array(scene.image_size) / 2) - 1
+    # In the middle of the image, and with a drift or an affine change more towards its edges.
     bias = np.tile(_anywhere(rng, 1), (_VENDOR, 1))
-    if asked.more["error"] == "drift":
-        bias = bias / 2 + seen[:, :1] * _anywhere(rng, 1) / 2
-    elif asked.more["error"] == "affine":
-        bias = (bias + seen @ rng.normal(0.0, 1.0, (2, 2))) / 2
+    if settings.settings["error"] == "drift":
+        bias = bias / 2 + from_middle[:, :1] * _anywhere(rng, 1) / 2
+    elif settings.settings["error"] == "affine":
+        bias = (bias + from_middle @ rng.normal(0.0, 1.0, (2, 2))) / 2
     biased = Points(vendor.ids, vendor.image + size * bias, vendor.ground)
     rpc = rpc_of(termsel.fit(FeatureSet(biased, crs=scene.crs), "poly3d", degree=3)).rpc
     return replace(features, rpc=rpc), independent
@@ -205,5 +221,5 @@ def _anywhere(rng: Generator, count: int) -> np.ndarray[tuple[int, int], np.dtyp
     return np.column_stack([np.sin(turn), np.cos(turn)])
 
 
-_MAKERS: Mapping[str, Callable[[Asked], tuple[FeatureSet, Points]]] = {
+_MAKERS: Mapping[str, Callable[[SetSettings], tuple[FeatureSet, Points]]] = {
     "old-map": _map, "vendor-rpc": _vendor, "matches": _matches, "lines": _lines}

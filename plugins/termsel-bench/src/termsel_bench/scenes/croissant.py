@@ -34,7 +34,7 @@ CONTEXT: dict[str, Any] = {
     "source": "cr:source", "subField": "cr:subField", "transform": "cr:transform"}
 """The context of Croissant 1.0."""
 
-COLUMNS = {
+POINT_COLUMNS = {
     "id": ("sc:Text", "name of the point"),
     "role": ("sc:Text", "control and check are what a method sees, independent judges it"),
     "line": ("sc:Float", "image line [px]; 0 is the centre of the first"),
@@ -47,7 +47,12 @@ COLUMNS = {
 
 def described(sets: Iterable[BenchSet]) -> dict[str, Any]:
     """Return the metadata of some sets."""
-    found = list(sets)
+    described_sets = list(sets)
+    files: list[dict[str, Any]] = []
+    for bench_set in described_sets:
+        files += [{"@type": "cr:FileObject", "@id": file, "name": file, "contentUrl": file,
+                   "encodingFormat": "text/plain" if file.endswith(".TXT") else "text/csv",
+                   "sha256": checksum} for file, checksum in bench_set.checksums().items()]
     return {
         "@context": CONTEXT, "@type": "sc:Dataset", "conformsTo":
         "http://mlcommons.org/croissant/1.0", "name": "termsel-bench", "version": VERSION,
@@ -59,26 +64,29 @@ def described(sets: Iterable[BenchSet]) -> dict[str, Any]:
         "keywords": ["georeferencing", "ground control points", "sensor models"],
         "rai:dataCollection": "Simulated from seeds; `termsel bench --files DIR` writes the files.",
         "rai:dataLimitations": "No set has measurements of the real world.",
-        "distribution": [
-            {"@type": "cr:FileObject", "@id": file, "name": file, "contentUrl": file,
-             "encodingFormat": "text/plain" if file.endswith(".TXT") else "text/csv",
-             "sha256": checksum} for one in found for file, checksum in one.checksums().items()],
-        "recordSet": [
-            {"@type": "cr:RecordSet", "@id": f"{one.name}/points", "name": f"{one.name}/points",
-             "description": f"Points of the set {one.name} of the kind {one.kind}.",
-             "field": [
-                 {"@type": "cr:Field", "@id": f"{one.name}/{column}", "name": column,
-                  "description": meaning, "dataType": kind,
-                  "source": {"fileObject": {"@id": f"{one.name}.csv"},
-                             "extract": {"column": column}}}
-                 for column, (kind, meaning) in COLUMNS.items()]} for one in found]}
+        "distribution": files,
+        "recordSet": [_points_of(bench_set) for bench_set in described_sets]}
+
+
+def _points_of(bench_set: BenchSet) -> dict[str, Any]:
+    """Return the record set of the points of a set, a field for each column."""
+    name = bench_set.name
+    fields = [{"@type": "cr:Field", "@id": f"{name}/{column}", "name": column,
+               "description": meaning, "dataType": kind,
+               "source": {"fileObject": {"@id": f"{name}.csv"}, "extract": {"column": column}}}
+              for column, (kind, meaning) in POINT_COLUMNS.items()]
+    return {"@type": "cr:RecordSet", "@id": f"{name}/points", "name": f"{name}/points",
+            "description": f"Points of the set {name} of the kind {bench_set.kind}.",
+            "field": fields}
 
 
 def freeze(folder: Path) -> None:
     """Write the metadata and the means of all sets as they are simulated here."""
     sets = [made(name) for name in SETS]
     write_text(folder / METADATA, json.dumps(described(sets), indent=1) + "\n")
-    means = {file: means_of(text)[0] for one in sets for file, text in one.files().items()}
+    means: dict[str, list[float]] = {}
+    for bench_set in sets:
+        means |= {file: means_of(text)[0] for file, text in bench_set.files().items()}
     write_text(folder / MEANS, json.dumps(means, indent=0) + "\n")
 
 

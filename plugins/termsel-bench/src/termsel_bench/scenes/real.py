@@ -31,7 +31,8 @@ DECLARATION = "set.json"
 NEEDED = ("title", "kind", "crs", "points", "sha256", "licence", "licence_file", "source", "commit")
 """What the declaration says, a text each."""
 
-_LEAST_LICENCE = 100  # characters: a name is no text of a licence
+# Characters: a name is no text of a licence.
+_LEAST_LICENCE = 100
 
 
 def real_folders(folder: Path) -> list[Path]:
@@ -42,13 +43,13 @@ def real_folders(folder: Path) -> list[Path]:
     TermselError
         If there is none, or one is refused.
     """
-    found = sorted(path.parent for path in folder.glob(f"*/{DECLARATION}"))
-    if not found:
+    folders = sorted(path.parent for path in folder.glob(f"*/{DECLARATION}"))
+    if not folders:
         raise TermselError(f"{folder} has no folder with a file {DECLARATION}",
                            hint="Name the folder that holds a folder for each set.")
-    for one in found:
-        real_set(one)
-    return found
+    for set_folder in folders:
+        real_set(set_folder)
+    return folders
 
 
 def real_set(folder: Path) -> BenchSet:
@@ -60,48 +61,54 @@ def real_set(folder: Path) -> BenchSet:
         If licence, source, commit or checksum are missing or not true, or no point judges.
     """
     file = folder / DECLARATION
-    said = _declared(file)
-    licence = _inside(folder, said["licence_file"], file)
+    # Licence, source and commit first: without them nobody may use the points.
+    declared = _declared(file)
+    licence = _inside(folder, declared["licence_file"], file)
     if len(licence.decode("utf-8", "replace").strip()) < _LEAST_LICENCE:
-        raise TermselError(f"{said['licence_file']} is not the text of a licence", file=str(file),
+        raise TermselError(f"{declared['licence_file']} is not the text of a licence",
+                           file=str(file),
                            hint="Put the whole text of the licence into the folder.")
-    if not re.fullmatch(r"https?://\S+", said["source"]):
-        raise TermselError(f"the source {said['source']!r} is no address", file=str(file),
+    if not re.fullmatch(r"https?://\S+", declared["source"]):
+        raise TermselError(f"the source {declared['source']!r} is no address", file=str(file),
                            hint="Say where the data come from, as https://...")
-    if not re.fullmatch(r"[0-9a-f]{40}|[0-9a-f]{64}", said["commit"]):
-        raise TermselError(f"the commit {said['commit']!r} is none", file=str(file),
+    if not re.fullmatch(r"[0-9a-f]{40}|[0-9a-f]{64}", declared["commit"]):
+        raise TermselError(f"the commit {declared['commit']!r} is none", file=str(file),
                            hint="Give all 40 or 64 hexadecimal digits.")
-    checksum = hashlib.sha256(_inside(folder, said["points"], file)).hexdigest()
-    if checksum != said["sha256"]:
-        raise TermselError(f"the SHA-256 of {said['points']} is {checksum}, not the declared one",
+    checksum = hashlib.sha256(_inside(folder, declared["points"], file)).hexdigest()
+    if checksum != declared["sha256"]:
+        raise TermselError(f"the SHA-256 of {declared['points']} is {checksum}, not the declared "
+                           "one",
                            file=str(file), hint="Take the file that was declared, or declare this.")
-    features = termsel.read(folder / said["points"], crs=said["crs"])
+    features = termsel.read(folder / declared["points"], crs=declared["crs"])
     roles = np.array(features.points.roles)
     judging = roles == "independent"
-    mine = (roles == "control") | (roles == "check")
-    if judging.sum() < 2 or not mine.any():
-        raise TermselError(f"{said['points']} has {judging.sum()} independent points and "
-                           f"{mine.sum()} others", file=str(file),
+    is_seen = (roles == "control") | (roles == "check")
+    if judging.sum() < 2 or not is_seen.any():
+        raise TermselError(f"{declared['points']} has {judging.sum()} independent points and "
+                           f"{is_seen.sum()} others", file=str(file),
                            hint="Give points the roles control, check and independent.")
     points: Points = features.points
-    return BenchSet(folder.name, said["kind"], replace(features, points=points.take(mine)),
-                    points.take(judging), said["licence"], f"{said['source']} {said['commit']}")
+    return BenchSet(folder.name, declared["kind"], replace(features, points=points.take(is_seen)),
+                    points.take(judging), declared["licence"],
+                    f"{declared['source']} {declared['commit']}")
 
 
 def _declared(file: Path) -> dict[str, str]:
     try:
-        said: Any = json.loads(read_text(file))
+        declared: Any = json.loads(read_text(file))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
         raise TermselError(f"{file} cannot be read: {error}", hint="It has to be JSON.") from error
     for name in NEEDED:
-        if not isinstance(said, dict) or not isinstance(said.get(name), str) or not said[name]:
+        if not isinstance(declared, dict) or not isinstance(declared.get(name),
+                                                            str) or not declared[name]:
             raise TermselError(f"the set {file.parent.name} does not say its {name}",
                                file=str(file), hint=f"Say all of {', '.join(NEEDED)}.")
-    return said  # type: ignore[no-any-return]
+    return declared  # type: ignore[no-any-return]
 
 
 def _inside(folder: Path, name: str, file: Path) -> bytes:
     path = folder / name
+    # A declaration cannot name a file outside of its folder.
     if not path.resolve().is_relative_to(folder.resolve()) or not path.is_file():
         raise TermselError(f"there is no file {name} in the folder of the set", file=str(file),
                            hint="Put it there.")
