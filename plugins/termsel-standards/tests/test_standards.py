@@ -71,7 +71,7 @@ def test_the_example_of_the_asprs_standards(tmp_path: Path) -> None:
     many = read_errors(path)
     stated = statements_of(replace(
         many, ids=many.ids * 6, errors=np.tile(many.errors, (6, 1)),
-        survey=np.tile(many.survey, (6, 1)), places=np.tile(many.places, (6, 1))))
+        survey=np.tile(many.survey, (6, 1)), positions=np.tile(many.positions, (6, 1))))
     by_name = {one.standard: one for one in stated.statements}
     assert round(by_name["NSSDA horizontal"].value or 0, 3) == 0.255
     assert round(by_name["NSSDA vertical"].value or 0, 3) == 0.160

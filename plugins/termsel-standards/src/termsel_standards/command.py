@@ -48,6 +48,7 @@ def accuracy(source: Path, survey_sigma: float | None, survey_sigma_z: float | N
     from termsel_standards.errors import errors_of, read_errors
     from termsel_standards.statement import statements_of
 
+    # A folder with a result is not a table, nor is its result.json.
     table = source.is_file() and source.suffix != ".json"
     errors = read_errors(source) if table else errors_of(read_result(source))
     stated = statements_of(errors.surveyed(survey_sigma, survey_sigma_z), horizontal, vertical)
@@ -63,10 +64,11 @@ def _text(stated: Statements, took: str) -> Iterator[str]:
     yield f"{stated.source}: {points} check points, {took} no part in any choice"
     yield ""
     yield f"{'':8}{'mean':>10}{'std':>10}{'RMSE':>10}{'95 %':>10}{'largest':>10}  normal"
-    for one in stated.components:
-        yield f"{one.name:8}{one.mean:10.3f}{_or(one.deviation)}{one.rmse:10.3f}" \
-              f"{one.percentile95:10.3f}{one.maximum:10.3f}  " \
-              + ("-" if one.normal is None else f"p = {one.normal:.2g}")
+    for component in stated.components:
+        normal = "-" if component.normal is None else f"p = {component.normal:.2g}"
+        yield f"{component.name:8}{component.mean:10.3f}{_or(component.deviation)}" \
+              f"{component.rmse:10.3f}{component.percentile95:10.3f}{component.maximum:10.3f}  " \
+              + normal
     yield ""
     yield f"Horizontal RMSE {stated.horizontal:.3f} m, CE90 {stated.ce90:.3f} m, " \
           f"CE95 {stated.ce95:.3f} m" + _survey(stated.survey_horizontal)
@@ -74,12 +76,13 @@ def _text(stated: Statements, took: str) -> Iterator[str]:
         yield f"Vertical RMSE {stated.vertical:.3f} m, LE90 {stated.le90:.3f} m" \
               + _survey(stated.survey_vertical)
         yield f"Three-dimensional RMSE {stated.three_dimensional:.3f} m"
-    where = stated.distribution
-    area = "" if where.area is None else f" for {where.area:.3g} km2"
-    yield f"Check points: {points}; ASPRS asks for {where.required}{area}." + (
-        "" if where.quadrants is None else
-        f" In the quadrants SW, SE, NW, NE: {', '.join(map(str, where.quadrants))}.")
+    distribution = stated.distribution
+    area = "" if distribution.area is None else f" for {distribution.area:.3g} km2"
+    yield f"Check points: {points}; ASPRS asks for {distribution.required}{area}." + (
+        "" if distribution.quadrants is None else
+        f" In the quadrants SW, SE, NW, NE: {', '.join(map(str, distribution.quadrants))}.")
     yield ""
+    # The statements are long sentences in the words of the standards.
     for statement in stated.statements:
         yield fill(f"{statement.standard}: {statement.words}.", 90, subsequent_indent="    ")
     yield from (fill(f"Note: {note}", 90, subsequent_indent="    ") for note in stated.notes)

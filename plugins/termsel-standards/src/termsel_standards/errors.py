@@ -30,7 +30,7 @@ class GroundErrors:
         Computed minus surveyed position, to east, to north and up [m].
     survey : array_like, shape (n, 2) or (n, 3)
         Standard deviations of the survey [m]; NaN where they are not known.
-    places : array_like, shape (n, 2)
+    positions : array_like, shape (n, 2)
         Where the points are, to east and to north of any origin [m]; NaN where that is not known.
     area : array_like, shape (k, 2), optional
         Corners of what the points stand for, with the same origin [m]. By default the rectangle
@@ -44,7 +44,7 @@ class GroundErrors:
     ids: tuple[str, ...]
     errors: FloatArray
     survey: FloatArray
-    places: FloatArray
+    positions: FloatArray
     area: FloatArray | None = None
     source: str = ""
     blunders: tuple[str, ...] = ()
@@ -57,9 +57,10 @@ class GroundErrors:
         horizontal, vertical : float, optional
             Of each horizontal coordinate, and of the height [m].
         """
-        given = [np.nan if one is None else one for one in (horizontal, horizontal, vertical)]
-        rest = np.array(given[:self.errors.shape[1]])
-        return replace(self, survey=np.where(np.isnan(self.survey), rest, self.survey))
+        stated = [np.nan if sigma is None else sigma
+                  for sigma in (horizontal, horizontal, vertical)]
+        default = np.array(stated[:self.errors.shape[1]])
+        return replace(self, survey=np.where(np.isnan(self.survey), default, self.survey))
 
 
 def errors_of(result: Result) -> GroundErrors:
@@ -87,45 +88,52 @@ def errors_of(result: Result) -> GroundErrors:
                            hint="Measure further points and give them the role independent.")
     fitted = result.fit
     ground = points.ground
+    # A plane model needs no heights: those of its points may be unknown.
     heights = ground[:, 2] if fitted.model.uses_height else np.nan_to_num(ground[:, 2])
+    # Computed from the image at the surveyed heights, as a map has them.
     offsets = (fitted.locate(points.image, heights) - ground)[:, :2]
     crs = result.features.crs
     metres = in_metres(crs, ground, offsets)
     if metres is None or not np.isfinite(metres).all():
         raise TermselError("the errors on the ground are not known in metres",
                            hint="State the CRS of the ground coordinates when you run termsel.")
-    known = result.accuracy.ground if result.accuracy else None
-    if known and not isclose(known.total, distances(OnGround, metres).total, rel_tol=1e-6):
+    # An exported fit may use the independent points: then the errors are other than those recorded.
+    recorded = result.accuracy.ground if result.accuracy else None
+    if recorded and not isclose(recorded.total, distances(OnGround, metres).total, rel_tol=1e-6):
         raise TermselError("the fit has used the independent points, so they do not test it",
                            hint="Give the result as it was run, not as it is exported.")
     origin = ground[0, :2]
-    places = in_metres(crs, ground, ground[:, :2] - origin)
+    positions = in_metres(crs, ground, ground[:, :2] - origin)
     area = None
     if result.features.image_size is not None:
-        lines, samples = (float(side) - 1.0 for side in result.features.image_size)
+        # The corners of the image, at the mean height of the points.
+        lines, samples = (float(extent) - 1.0 for extent in result.features.image_size)
         corners = np.array([[0.0, 0.0], [0.0, samples], [lines, samples], [lines, 0.0]])
-        seen = fitted.locate(corners, np.full(4, float(np.nan_to_num(heights).mean())))
-        area = in_metres(crs, seen, seen[:, :2] - origin)
+        corner_ground = fitted.locate(corners, np.full(4, float(np.nan_to_num(heights).mean())))
+        area = in_metres(crs, corner_ground, corner_ground[:, :2] - origin)
         area = area if area is not None and np.isfinite(area).all() else None
-    return GroundErrors(
-        points.ids, metres, _survey_of(points), np.full_like(metres, np.nan)
-        if places is None else places, area, result.data.source,
-        tuple(outlier.id for outlier in result.outliers if outlier.role == "independent"))
+    if positions is None:
+        positions = np.full_like(metres, np.nan)
+    blunders = tuple(outlier.id for outlier in result.outliers if outlier.role == "independent")
+    return GroundErrors(points.ids, metres, _survey_of(points), positions, area,
+                        source=result.data.source, blunders=blunders)
 
 
 def _survey_of(points: Points) -> FloatArray:
-    given = [_sigmas(points.attributes.get(name, [""] * len(points)), name, points.ids)
-             for name in SIGMAS[:2]]
-    return np.column_stack(given)
+    columns = [_sigmas(points.attributes.get(name, [""] * len(points)), name, points.ids)
+               for name in SIGMAS[:2]]
+    # Points have the columns only where their survey is known; blank cells are unknown, too.
+    return np.column_stack(columns)
 
 
 def _sigmas(cells: Iterable[Any], name: str, ids: Sequence[str], file: Path | None = None,
             ) -> FloatArray:
     """Return standard deviations, with NaN for blank cells."""
+    # Rows of a table are counted from 1, and the first is the header.
     sigma = np.array([_number(str(cell), name, file, line) for line, cell in enumerate(cells, 2)])
-    for value, one in zip(sigma.tolist(), ids, strict=True):
+    for value, point in zip(sigma.tolist(), ids, strict=True):
         if value < 0:
-            raise TermselError(f"{name} of {one} is {value:g}", file=file,
+            raise TermselError(f"{name} of {point} is {value:g}", file=file,
                                hint="A standard deviation is a positive number of metres.")
     return sigma
 
@@ -179,12 +187,16 @@ def read_errors(path: Path | str) -> GroundErrors:
         raise TermselError("this cell is blank", file=path, line=row + 2,
                            column=f"d{axes[column]}",
                            hint="Give every point all its errors, or leave out its row.")
-    survey = np.column_stack([
-        _sigmas([row.get(f"sigma_{axis}", "") for row in rows], f"sigma_{axis}", ids, path)
-        for axis in axes])
-    return GroundErrors(ids, errors, survey, _columns(path, rows, ["x", "y"]), None, str(path))
+    survey = []
+    for axis in axes:
+        name = f"sigma_{axis}"
+        survey.append(_sigmas([row.get(name, "") for row in rows], name, ids, path))
+    return GroundErrors(ids, errors, np.column_stack(survey), _columns(path, rows, ["x", "y"]),
+                        source=str(path))
 
 
 def _columns(path: Path, rows: Sequence[Mapping[str, str]], names: Sequence[str]) -> FloatArray:
-    return np.array([[_number(row.get(name, ""), name, path, line) for name in names]
-                     for line, row in enumerate(rows, 2)])
+    values = []
+    for line, row in enumerate(rows, 2):
+        values.append([_number(row.get(name, ""), name, path, line) for name in names])
+    return np.array(values)

@@ -8,7 +8,8 @@ from scipy.spatial import ConvexHull
 from termsel import Fit, Result
 from termsel.toolkit import FloatArray, ground_where_held, image_places, to_wgs84
 
-_SIDE = 9  # places along either side of the image
+# Places along either side of the image.
+_SIDE = 9
 
 
 def outline_of(result: Result) -> FloatArray:
@@ -19,35 +20,40 @@ def outline_of(result: Result) -> FloatArray:
     """
     features = result.features
     fitted = result.exported
-    seen = features.image_vertices()
-    low = seen.min(axis=0)
-    high = seen.max(axis=0)
+    measured = features.image_vertices()
+    low = measured.min(axis=0)
+    high = measured.max(axis=0)
     if features.image_size is not None:
         low = np.zeros(2)
         high = np.array(features.image_size) - 1.0
+    # Around the four edges of the image, some places along each.
     share = np.linspace(0.0, 1.0, _SIDE)[:-1]
     zero = np.zeros(_SIDE - 1)
-    one = np.ones(_SIDE - 1)
+    end = np.ones(_SIDE - 1)
     around = np.concatenate([np.column_stack(pair) for pair in (
-        (zero, share), (share, one), (one, 1 - share), (1 - share, zero))])
+        (zero, share), (share, end), (end, 1 - share), (1 - share, zero))])
     height = float(fitted.ground_box()[0][2])
     ground = fitted.locate(low + around * (high - low), np.full(len(around), height))
     if fitted.view is not None and not fitted.holds(ground).all():
         ground = _held(fitted, height)
-    places = to_wgs84(features.crs)(ground)[:, :2]
-    if not np.isfinite(places).all():
-        known = to_wgs84(features.crs)(np.nan_to_num(result.residuals.ground))[:, :2]
-        least = known.min(axis=0)
-        most = known.max(axis=0)
-        places = np.array([least, [most[0], least[1]], most, [least[0], most[1]]])
-    x, y = places.T
+    lonlat = to_wgs84(features.crs)(ground)[:, :2]
+    # Beyond the horizon there is no ground: then the rectangle around the features.
+    if not np.isfinite(lonlat).all():
+        control_lonlat = to_wgs84(features.crs)(np.nan_to_num(result.residuals.ground))[:, :2]
+        low_corner = control_lonlat.min(axis=0)
+        high_corner = control_lonlat.max(axis=0)
+        lonlat = np.array([low_corner, [high_corner[0], low_corner[1]], high_corner,
+                           [low_corner[0], high_corner[1]]])
+    x, y = lonlat.T
+    # The shoelace formula: a negative area runs clockwise.
     if x @ np.roll(y, -1) - y @ np.roll(x, -1) < 0:
-        places = places[::-1]
-    return np.asarray(np.round(np.concatenate([places, places[:1]]), 9))
+        lonlat = lonlat[::-1]
+    return np.asarray(np.round(np.concatenate([lonlat, lonlat[:1]]), 9))
 
 
 def _held(fitted: Fit, height: float) -> FloatArray:
     """Return the hull of the ground where a model holds, at a height (n, 3)."""
     ground = ground_where_held(fitted, image_places(fitted), height)
+    # Places beyond the horizon have no ground; the hull goes around the others.
     ground = ground[np.isfinite(ground).all(axis=1)]
     return np.asarray(ground[ConvexHull(ground[:, :2]).vertices])

@@ -41,13 +41,20 @@ TOLERANCE = 0.01
 _INCLUDED = ("the model's coefficients and of what it does not fit, without the errors of heights "
              "and of control on the ground")
 
-_FIRST, _FINEST = 9, 129  # intervals along either side
-_LEVELS = 12  # intervals between the least and the largest height
-_AROUND = 4  # further nodes on each side: at its ends a spline is less exact
-_TESTED = 400  # places where a grid is tested
-_USUAL = 500  # pixels along the longer side
-_LARGEST = 2e4  # pixels along either side
-_STEP = 1e-4  # of the extent of the control: differences for the moves on the ground
+# Intervals along either side.
+_FIRST, _FINEST = 9, 129
+# Intervals between the least and the largest height.
+_LEVELS = 12
+# Further nodes on each side: at its ends a spline is less exact.
+_AROUND = 4
+# Places where a grid is tested.
+_TESTED = 400
+# pixels along the longer side.
+_USUAL = 500
+# pixels along either side.
+_LARGEST = 2e4
+# Of the extent of the control: differences for the moves on the ground.
+_STEP = 1e-4
 
 
 def write_sigma(
@@ -115,22 +122,25 @@ def write_sigma(
         raise TermselError(f"the height of a map cannot be {height}", hint="Give a number.")
     tags = accuracy_tags(result)
     result = result.as_exported(final)
+    # Without a size of the image the raster covers what the image shows.
     if image is not None:
         result = result.of_image(picture_for(result, image).size)
     level = float(result.fit.ground_box()[0][2]) if height is None else height
-    grid = _grid(result, like_map, bounds, resolution, crs, dem, level)
+    grid = _grid(result, like_map, bounds, resolution, crs, heights=(dem, level))
     with surface_of(dem, result.features.crs, level) as surface:
         say_difference(result.features, result.project, surface)
         nodes = _Nodes.of(result, grid, surface)
-        told = f"interpolated, within {100 * nodes.error:.2g} % of the model at {_TESTED} places"
-        log.info("Uncertainty: %d lines and %d samples of %g %s in %s, %s.", grid.lines,
-                 grid.samples, grid.transform.a, grid.unit, grid.crs, told)
+        precision = (f"interpolated, within {100 * nodes.error:.2g} % of the model at {_TESTED} "
+                     "places")
+        log.info("Uncertainty: %d lines and %d samples of %g %s in %s, %s.",
+                 *(grid.lines, grid.samples, grid.transform.a, grid.unit, grid.crs, precision))
         if nodes.error > TOLERANCE:
             log.warning("Warning: between the nodes of the finest grid the uncertainty differs by "
                         "up to %.0f %%. Give smaller --bounds.", 100 * nodes.error)
 
         def describe(raster: Any) -> None:
-            raster.update_tags(**tags, UNCERTAINTY=f"standard deviations of {_INCLUDED}; {told}")
+            raster.update_tags(**tags,
+                               UNCERTAINTY=f"standard deviations of {_INCLUDED}; {precision}")
             for band, (name, unit) in enumerate(BANDS, 1):
                 raster.set_band_description(band, name)
                 raster.set_band_unit(band, unit)
@@ -143,8 +153,8 @@ def write_sigma(
 
 
 def _grid(result: Result, like_map: Path | str | None, bounds: Sequence[float] | None,
-          resolution: float | None, crs: str | None, dem: Path | str | None, height: float,
-          ) -> MapGrid:
+          resolution: float | None, crs: str | None,
+          heights: tuple[Path | str | None, float]) -> MapGrid:
     """Return the pixels of the raster."""
     from affine import Affine
 
@@ -156,19 +166,22 @@ def _grid(result: Result, like_map: Path | str | None, bounds: Sequence[float] |
             if raster.crs is None or raster.transform.b or raster.transform.d:
                 raise TermselError("this raster is no map with north up", file=like_map,
                                    hint="Give a map that termsel rectify wrote.")
-            target, bounds = raster.crs.to_wkt(), tuple(raster.bounds)
+            target = raster.crs.to_wkt()
+            bounds = tuple(raster.bounds)
     else:
         target = map_crs(result, crs)
     if bounds is None:
-        seen = grid_of_image(result, target, dem=dem, height=height)[0]
-        bounds = seen.bounds
+        dem, height = heights
+        image_grid = grid_of_image(result, target, dem=dem, height=height)[0]
+        bounds = image_grid.bounds
     west, south, east, north = bounds
     if not (all(map(isfinite, bounds)) and west < east and south < north):
-        raise TermselError(f"the bounds {' '.join(f'{one:g}' for one in bounds)} enclose no area",
+        raise TermselError(f"the bounds {' '.join(f'{bound:g}' for bound in bounds)} enclose no "
+                           "area",
                            hint="Give west, south, east and north in the CRS of the raster.")
     if resolution is None:
         resolution = float(f"{max(east - west, north - south) / _USUAL:.1g}")
-    samples, lines = (max(round(side / resolution), 1) for side in (east - west, north - south))
+    samples, lines = (max(round(extent / resolution), 1) for extent in (east - west, north - south))
     if max(samples, lines) > _LARGEST:
         raise TermselError(f"with pixels of {resolution:g} the raster would have {lines} lines and "
                            f"{samples} samples", hint="Give a larger --res, or smaller --bounds.")
@@ -200,59 +213,75 @@ class _Nodes:
         from scipy.ndimage import spline_filter
 
         flat = not result.fit.model.uses_height
-        made = result.fit.made or result.fit
-        control = made.control.take(made.used).ground_vertices()
+        # The raster is of the fit that is exported; how far control reaches is that of the run.
+        as_made = result.fit.made or result.fit
+        control = as_made.control.take(as_made.used).ground_vertices()
         to_ground = _to_ground(grid.crs, result.features.crs, control)
         heights = surface if callable(surface) else lambda xy: np.full(len(xy), float(surface))
-        west, north = grid.transform.c, grid.transform.f
-        east, south = west + grid.samples * grid.transform.a, north + grid.lines * grid.transform.e
-        rng = np.random.default_rng(0)  # of where the grid is tested
+        west = grid.transform.c
+        north = grid.transform.f
+        east = west + grid.samples * grid.transform.a
+        south = north + grid.lines * grid.transform.e
+        # Of where the grid is tested.
+        rng = np.random.default_rng(0)
         tested = np.column_stack([rng.uniform(west, east, _TESTED),
                                   rng.uniform(south, north, _TESTED)])
-        there = to_ground(tested)
-        there[:, 2] = heights(there[:, :2])
-        known = there[np.isfinite(there[:, 2]), 2]
-        if not len(known):
+        tested_ground = to_ground(tested)
+        tested_ground[:, 2] = heights(tested_ground[:, :2])
+        known_heights = tested_ground[np.isfinite(tested_ground[:, 2]), 2]
+        if not len(known_heights):
             raise TermselError("the raster of heights has none on this map",
                                hint="Give a raster that covers the map.")
-        low, high = known.min(), known.max()
+        low = known_heights.min()
+        high = known_heights.max()
         levels = np.array([low]) if flat or low == high else _axis(low, high, _LEVELS)
-        truth = _sigma(result, there)
+        truth = _sigma(result, tested_ground)
         if not np.isfinite(truth).any():
             raise TermselError("the uncertainty of this model is not known anywhere on this map",
                                hint="The control determines the model without redundancy, or the "
                                     "map is elsewhere. Give more control, or other --bounds.")
-        side = _FIRST
+        intervals = _FIRST
         while True:
-            x, y = _axis(west, east, side), _axis(south, north, side)
+            x = _axis(west, east, intervals)
+            y = _axis(south, north, intervals)
             mesh = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
             ground = np.repeat(to_ground(mesh), len(levels), axis=0)
             ground[:, 2] = np.tile(levels, len(mesh))
             # Squares are the smoother: those of polynomials are polynomials.
             squares = _sigma(result, ground).T.reshape(4, len(x), len(y), len(levels)) ** 2
             order = 3 if np.isfinite(squares).all() else 1
-            table = np.stack([spline_filter(one, order=3, mode="mirror") for one in squares]) \
-                if order == 3 else squares
-            nodes = cls((x, y, levels), table, order, 0.0, control, to_ground, heights, flat)
-            found = nodes.looked_up(tested, there)
+            # Splines need all nodes; where some have no value, a line between two does.
+            table = squares
+            if order == 3:
+                table = np.stack([spline_filter(square, order=3, mode="mirror")
+                                  for square in squares])
+            nodes = cls((x, y, levels), table, order, error=0.0, control=control,
+                        to_ground=to_ground, surface=heights, flat=flat)
+            interpolated = nodes.looked_up(tested, tested_ground)
             with np.errstate(invalid="ignore", divide="ignore"):
-                error = np.abs(found / truth - 1.0)
+                error = np.abs(interpolated / truth - 1.0)
             largest = float(np.nanmax(error, initial=0.0))
-            if largest <= TOLERANCE or 2 * side > _FINEST:
+            if largest <= TOLERANCE or 2 * intervals > _FINEST:
                 return replace(nodes, error=largest)
-            side *= 2
+            # Halved spacing until the test places agree, or the finest grid is reached.
+            intervals *= 2
 
     def looked_up(self, xy: FloatArray, ground: FloatArray) -> FloatArray:
         """Return standard deviations (n, 4) of places on the map that are these on the ground."""
         from scipy.ndimage import map_coordinates
 
         # Positions in units of the nodes, those of heights beyond the nodes at the last of them.
-        places = np.stack([np.clip((one - axis[0]) / np.ptp(axis) * (len(axis) - 1), 0,
-                                   len(axis) - 1) if len(axis) > 1 else 0.0 * one
-                           for one, axis in zip((*xy.T, ground[:, 2]), self.axes, strict=True)])
-        unknown = ~np.isfinite(places).all(axis=0)
-        places[:, unknown] = 0.0
-        squares = np.stack([map_coordinates(table, places, order=self.order, mode="mirror",
+        positions = np.zeros((len(self.axes), len(xy)))
+        for position, values, axis in zip(positions, (*xy.T, ground[:, 2]), self.axes, strict=True):
+            if len(axis) > 1:
+                unit = (values - axis[0]) / np.ptp(axis) * (len(axis) - 1)
+                position[:] = np.clip(unit, 0, len(axis) - 1)
+            else:
+                # One node: every value is there, and what is unknown stays so.
+                position[:] = 0.0 * values
+        unknown = ~np.isfinite(positions).all(axis=0)
+        positions[:, unknown] = 0.0
+        squares = np.stack([map_coordinates(table, positions, order=self.order, mode="mirror",
                                             prefilter=False) for table in self.table], axis=1)
         squares[unknown] = np.nan
         return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
@@ -267,9 +296,10 @@ class _Nodes:
         bands = np.empty((len(BANDS), len(xy)), dtype=np.float32)
         bands[:4] = self.looked_up(xy, ground).T
         if self.flat:
-            ground[:, 2] = np.nan  # heights of the ground say nothing of a plane model
-        apart = outside(self.control, ground)
-        bands[4] = np.where(np.isfinite(apart), apart > 0, np.nan)
+            # Heights of the ground say nothing of a plane model.
+            ground[:, 2] = np.nan
+        distance = outside(self.control, ground)
+        bands[4] = np.where(np.isfinite(distance), distance > 0, np.nan)
         bands[:, ~np.isfinite(bands[:4]).all(axis=0)] = np.nan
         return bands.reshape(len(BANDS), window.height, window.width)
 
@@ -280,16 +310,19 @@ def _axis(low: float, high: float, intervals: int) -> FloatArray:
     return np.asarray(low + step * np.arange(-_AROUND, intervals + _AROUND + 1))
 
 
-def _to_ground(crs: str, own: str, control: FloatArray) -> Callable[[FloatArray], FloatArray]:
+def _to_ground(crs: str, control_crs: str, control: FloatArray) -> Callable[[FloatArray],
+                                                                            FloatArray]:
     """Return what turns x and y on the map (n, 2) into ground (n, 3), with heights of 0."""
     from pyproj import Transformer
 
-    turn = Transformer.from_crs(crs, horizontal(own), always_xy=True)
-    turns, middle = is_geographic(own), float(control[:, 0].min() + control[:, 0].max()) / 2
+    turn = Transformer.from_crs(crs, horizontal(control_crs), always_xy=True)
+    turns = is_geographic(control_crs)
+    middle = float(control[:, 0].min() + control[:, 0].max()) / 2
 
     def to_ground(xy: FloatArray) -> FloatArray:
         x, y = turn.transform(xy[:, 0], xy[:, 1])
-        x, y = (np.where(np.isfinite(one), one, np.nan) for one in (x, y))
+        x, y = (np.where(np.isfinite(values), values, np.nan) for values in (x, y))
+        # Longitudes are periodic: those next to the control are meant.
         return np.column_stack([nearest(x, middle) if turns else x, y, np.zeros(len(xy))])
 
     return to_ground
@@ -301,11 +334,13 @@ def _sigma(result: Result, ground: FloatArray) -> FloatArray:
         of_image = result.sigma(ground)
         scale = result.fit.ground_box()[1][:2]
         step = _STEP * np.where(scale > 0, scale, scale.max())
+        # Central differences of line and sample by east and north.
         (lx, sx), (ly, sy) = (
             ((result.project(ground + move) - result.project(ground - move)) / (2 * size)).T
             for move, size in zip(np.eye(2, 3) * step[:, None], step, strict=True))
         determinant = lx * sy - ly * sx
         # Moves on the ground for 1 px of line and of sample.
+        # The inverse of [lx ly; sx sy], with the errors of line and of sample independent.
         east = np.hypot(of_image[:, 0] * sy, of_image[:, 1] * ly) / np.abs(determinant)
         north = np.hypot(of_image[:, 0] * sx, of_image[:, 1] * lx) / np.abs(determinant)
         metres = in_metres(result.features.crs, ground, np.column_stack([east, north]))

@@ -17,27 +17,27 @@ from termsel.toolkit import (
     show_messages,
 )
 
-_PATH = click.Path(path_type=Path)
+_FILE = click.Path(path_type=Path)
 
 
 @click.command("sigma")
-@click.argument("folder", metavar="DIR", type=_PATH)
-@click.option("--output", "-o", metavar="FILE", required=True, type=_PATH,
+@click.argument("folder", metavar="DIR", type=_FILE)
+@click.option("--output", "-o", metavar="FILE", required=True, type=_FILE,
               help="The raster to write, a cloud-optimised GeoTIFF.")
-@click.option("--image", metavar="FILE", type=_PATH,
+@click.option("--image", metavar="FILE", type=_FILE,
               help="The image, where the result does not know its size; the raster covers what it "
                    "shows.")
 @click.option("--bounds", metavar="W S E N", type=float, nargs=4,
               help="West, south, east and north in the CRS of the raster, instead of what the "
                    "image shows.")
-@click.option("--map", "like_map", metavar="FILE", type=_PATH,
+@click.option("--map", "like_map", metavar="FILE", type=_FILE,
               help="A map whose extent and CRS the raster has, instead of --bounds and --crs.")
 @click.option("--res", "resolution", type=click.FloatRange(min=0, min_open=True),
               help="Pixel size in units of the CRS; by default some 500 px along the longer "
                    "side.")
 @click.option("--crs", metavar="CRS", help="CRS of the raster; by default that of the control if "
                                            "it is in metres, else UTM.")
-@click.option("--dem", metavar="FILE", type=_PATH,
+@click.option("--dem", metavar="FILE", type=_FILE,
               help="Raster of heights; converted where it declares another vertical datum.")
 @click.option("--height", type=float, help="Height of the ground, instead of a raster; by default "
                                            "that of the middle of the control.")
@@ -61,10 +61,12 @@ def sigma(folder: Path, output: Path, quiet: bool, **options: Any) -> None:
     from termsel import TermselError, read_result, require_replaceable
     from termsel_standards.sigma import write_sigma
 
-    for one, other in (("dem", "height"), ("like_map", "bounds"), ("like_map", "crs")):
-        if options[one] is not None and options[other] is not None:
-            raise TermselError(f"--{one.removeprefix('like_')} and --{other} exclude each other",
+    for option, excluded in (("dem", "height"), ("like_map", "bounds"), ("like_map", "crs")):
+        if options[option] is not None and options[excluded] is not None:
+            raise TermselError(f"--{option.removeprefix('like_')} and --{excluded} exclude each "
+                               "other",
                                hint="Give one of them.")
+    # A GeoTIFF needs a file that can be read back, which stdout is not.
     refuse_stdout(output)
     show_messages()
     require_replaceable([output], reads=[folder, *(options[name] for name in (

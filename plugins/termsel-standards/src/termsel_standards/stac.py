@@ -20,7 +20,8 @@ EXTENSIONS = {"proj": "https://stac-extensions.github.io/projection/v2.0.0/schem
               "file": "https://stac-extensions.github.io/file/v2.1.0/schema.json",
               "accuracy": "https://stac-extensions.github.io/accuracy/v1.0.0-beta.1/schema.json"}
 """Extensions by the prefix of their fields; an item declares those whose fields it has."""
-_SHA256 = "1220"  # of a multihash: the function is SHA-256, and 32 bytes follow
+# Of a multihash: the function is SHA-256, and 32 bytes follow.
+_SHA256 = "1220"
 _AUTHORITY = re.compile(r"[A-Z]+:\w+")
 
 
@@ -52,12 +53,13 @@ class StacItem(Writer):
         if not self.accepts(result):
             raise TermselError("a STAC item requires a CRS of the Earth",
                                hint="State the CRS of the ground coordinates when you run termsel.")
-        made = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+        created = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+        # A bbox of STAC is west, south, east and north.
         outline = outline_of(result)
         box = [*outline.min(axis=0).tolist(), *outline.max(axis=0).tolist()]
         code = horizontal(result.features.crs)
         properties: dict[str, Any] = {
-            "datetime": _time(self.options["date"]) or made, "created": made,
+            "datetime": _time(self.options["date"]) or created, "created": created,
             "proj:code": code if _AUTHORITY.fullmatch(code) else None,
             "processing:software": {"termsel": result.versions.get("termsel", "")},
             "processing:lineage": f"{result.model} by {result.solver}, fitted to "
@@ -68,8 +70,7 @@ class StacItem(Writer):
         asset = self._asset()
         item = {
             "type": "Feature", "stac_version": VERSION,
-            "stac_extensions": [uri for prefix, uri in EXTENSIONS.items() if any(
-                name.startswith(f"{prefix}:") for name in (*properties, *asset))],
+            "stac_extensions": _extensions_of([*properties, *asset]),
             "id": PurePath(asset.get("href", "") or result.data.source).stem or "scene",
             "geometry": {"type": "Polygon", "coordinates": [outline.tolist()]}, "bbox": box,
             "properties": properties, "links": [], "assets": {"image": asset} if asset else {}}
@@ -81,9 +82,16 @@ class StacItem(Writer):
         href = self.options["href"]
         if image is None:
             return {"href": href, "roles": ["data"]} if href else {}
+        # A multihash: which function, how many bytes, then the digest.
         path = Path(image)
         return {"href": href or path.name, "roles": ["data"],
                 "file:checksum": _SHA256 + file_sha256(path), "file:size": path.stat().st_size}
+
+
+def _extensions_of(fields: list[str]) -> list[str]:
+    """Return the addresses of the extensions whose fields an item has."""
+    prefixes = {field.partition(":")[0] for field in fields if ":" in field}
+    return [uri for prefix, uri in EXTENSIONS.items() if prefix in prefixes]
 
 
 def _time(date: str) -> str:
@@ -95,5 +103,6 @@ def _time(date: str) -> str:
     except ValueError:
         raise TermselError(f"the date {date!r:.40} cannot be read",
                            hint="Give it as 2024-05-31T10:20:30Z.") from None
+    # A date without a zone is taken for UTC.
     when = when if when.tzinfo else when.replace(tzinfo=UTC)
     return when.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")

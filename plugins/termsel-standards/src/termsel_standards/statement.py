@@ -30,7 +30,8 @@ MEAN = 0.25
 """ASPRS: largest mean error, as a share of the RMSE of the class."""
 QUADRANT, APART = 0.2, 0.1
 """NSSDA, appendix 3-C: least share of points in a quadrant, and distance over the diagonal."""
-_FEWEST = 3  # errors that a test of normality needs
+# Errors that a test of normality needs.
+_FEWEST = 3
 
 
 @dataclass(frozen=True)
@@ -101,12 +102,12 @@ class Distribution:
     @property
     def faults(self) -> tuple[str, ...]:
         """What the distribution lacks of the recommended one."""
-        some = []
+        faults = []
         if self.quadrants and min(self.quadrants) < QUADRANT * self.points:
-            some.append(f"a quadrant has fewer than {QUADRANT:.0%} of the points")
+            faults.append(f"a quadrant has fewer than {QUADRANT:.0%} of the points")
         if self.apart is not None and self.apart < APART:
-            some.append(f"two points are closer than {APART:.0%} of the diagonal")
-        return tuple(some)
+            faults.append(f"two points are closer than {APART:.0%} of the diagonal")
+        return tuple(faults)
 
 
 @dataclass(frozen=True)
@@ -147,13 +148,13 @@ class Statements:
     notes: tuple[str, ...]
 
 
-def statements_of(given: GroundErrors, horizontal_class: float | None = None,
+def statements_of(ground_errors: GroundErrors, horizontal_class: float | None = None,
                   vertical_class: float | None = None) -> Statements:
     """Return the figures of errors and the statements of ASPRS and NSSDA.
 
     Parameters
     ----------
-    given : GroundErrors
+    ground_errors : GroundErrors
     horizontal_class, vertical_class : float, optional
         RMSE of the accuracy class that the data were to meet [m]; by default the least class of two
         digits that they meet.
@@ -173,49 +174,58 @@ def statements_of(given: GroundErrors, horizontal_class: float | None = None,
     vertical one likewise. The three-dimensional accuracy is the root of the sum of the squares of
     both. NSSDA takes the survey as free of errors.
     """
-    errors = given.errors
+    errors = ground_errors.errors
     n, axes = errors.shape
     components = tuple(_component(name, errors[:, i])
                        for i, name in enumerate(("east", "north", "up")[:axes]))
     away = np.linalg.norm(errors[:, :2], axis=1)
     figures = distances(OnGround, errors[:, :2])
-    survey_horizontal = _survey(given.survey[:, :2])
-    survey_vertical = _survey(given.survey[:, 2:]) if axes > 2 else None
-    whole = hypot(figures.total, survey_horizontal or 0.0)
+    # ASPRS 2024: RMSE^2 against the check points plus RMSE^2 of their survey.
+    survey_horizontal = _survey(ground_errors.survey[:, :2])
+    survey_vertical = _survey(ground_errors.survey[:, 2:]) if axes > 2 else None
+    # Where the survey is not known it is left out, and a note says so.
+    with_survey = hypot(figures.total, survey_horizontal or 0.0)
     vertical = components[2].rmse if axes > 2 else None
     height = None if vertical is None else hypot(vertical, survey_vertical or 0.0)
-    distribution = distribution_of(given)
+    distribution = distribution_of(ground_errors)
+    # Every figure has a statement, or says why none can be made.
     flat = "not stated, as no heights were tested"
     by_nssda = nssda(n, figures)
-    few = f"{counted(n, 'independent point')}, at least {NSSDA_POINTS} needed"
+    too_few = f"{counted(n, 'independent point')}, at least {NSSDA_POINTS} needed"
+    statements = (
+        _asprs("horizontal", n, with_survey, horizontal_class),
+        _asprs("vertical", n, height, vertical_class),
+        _asprs("three-dimensional", n, None if height is None else hypot(with_survey, height),
+               None),
+        Statement("ASPRS vegetated vertical", None, flat if height is None else
+                  "not stated, as nothing says which check points are under vegetation"),
+        Statement("NSSDA horizontal", by_nssda.value,
+                  f"not stated: {by_nssda.reason}" if by_nssda.value is None else
+                  f"Tested {_size(by_nssda.value)} meters horizontal accuracy at 95% "
+                  "confidence level"),
+        _nssda_vertical(vertical, too_few if n < NSSDA_POINTS else None))
+    notes = _notes(ground_errors, figures.total, survey_horizontal, distribution, components,
+                   (horizontal_class, vertical_class))
     return Statements(
-        given.source, components, figures.total, figures.ce90, float(np.quantile(away, 0.95)),
-        vertical, float(np.quantile(np.abs(errors[:, 2]), 0.9)) if axes > 2 else None,
-        None if vertical is None else hypot(figures.total, vertical),
-        survey_horizontal, survey_vertical, distribution, (
-            _asprs("horizontal", n, whole, horizontal_class),
-            _asprs("vertical", n, height, vertical_class),
-            _asprs("three-dimensional", n, None if height is None else hypot(whole, height), None),
-            Statement("ASPRS vegetated vertical", None, flat if height is None else
-                      "not stated, as nothing says which check points are under vegetation"),
-            Statement("NSSDA horizontal", by_nssda.value,
-                      f"not stated: {by_nssda.reason}" if by_nssda.value is None else
-                      f"Tested {_size(by_nssda.value)} meters horizontal accuracy at 95% "
-                      "confidence level"),
-            _nssda_vertical(vertical, few if n < NSSDA_POINTS else None)),
-        tuple(_notes(given, figures.total, survey_horizontal, distribution, components,
-                     (horizontal_class, vertical_class))))
+        source=ground_errors.source, components=components, horizontal=figures.total,
+        ce90=figures.ce90, ce95=float(np.quantile(away, 0.95)), vertical=vertical,
+        le90=float(np.quantile(np.abs(errors[:, 2]), 0.9)) if axes > 2 else None,
+        three_dimensional=None if vertical is None else hypot(figures.total, vertical),
+        survey_horizontal=survey_horizontal, survey_vertical=survey_vertical,
+        distribution=distribution, statements=statements, notes=tuple(notes))
 
 
 def _component(name: str, errors: FloatArray) -> Component:
     n = len(errors)
     size = np.abs(errors)
+    # Shapiro and Wilk's test divides by the scatter, which equal errors have none of.
     normal = None
     if n >= _FEWEST and np.ptp(errors) > 0:
         normal = float(stats.shapiro(errors).pvalue)
-    return Component(name, float(errors.mean()), float(errors.std(ddof=1)) if n > 1 else None,
-                     float(np.sqrt((errors**2).mean())), float(np.quantile(size, 0.95)),
-                     float(size.max()), normal)
+    return Component(
+        name, mean=float(errors.mean()), deviation=float(errors.std(ddof=1)) if n > 1 else None,
+        rmse=float(np.sqrt((errors**2).mean())), percentile95=float(np.quantile(size, 0.95)),
+        maximum=float(size.max()), normal=normal)
 
 
 def _survey(sigma: FloatArray) -> float | None:
@@ -236,29 +246,33 @@ _WORDS = {
 """Class and figure in the statements of ASPRS."""
 
 
-def _asprs(what: str, points: int, value: float | None, wanted: float | None) -> Statement:
+def _asprs(direction: str, points: int, value: float | None,
+           stated_class: float | None) -> Statement:
     """Return the statement of ASPRS on an accuracy [m], tested or tested by a reduced number."""
-    name = f"ASPRS {what}"
+    # Without a stated class the data meet the least one that is not below their accuracy.
+    name = f"ASPRS {direction}"
     if value is None:
         return Statement(name, None, "not stated, as no heights were tested")
-    met = class_of(value) if wanted is None else wanted
-    kind, found = _WORDS[what]
-    if value > met:
+    class_ = class_of(value) if stated_class is None else stated_class
+    kind, figure_words = _WORDS[direction]
+    if value > class_:
         return Statement(name, value, f"not stated, as {_centimetres(value)} is above the "
-                         f"{_centimetres(met)} of the class")
-    figure = "The " + found.format(_centimetres(value))
+                         f"{_centimetres(class_)} of the class")
+    figure = "The " + figure_words.format(_centimetres(value))
+    # With 30 points or more the full statement, else the one for a reduced number.
     if points >= ASPRS_POINTS:
         return Statement(name, value, f"This data set was tested to meet {ASPRS} for a "
-                         f"{_centimetres(met)} {kind}. {figure}")
+                         f"{_centimetres(class_)} {kind}. {figure}")
     return Statement(
         name, value, f"This data set was tested as required by {ASPRS}. Although the Standards "
         f"call for a minimum of thirty (30) checkpoints, this test was performed using ONLY "
-        f"{points} checkpoints. This data set was produced to meet a {_centimetres(met)} {kind}. "
-        f"{figure} using the reduced number of checkpoints")
+        f"{points} checkpoints. This data set was produced to meet a {_centimetres(class_)} "
+        f"{kind}. {figure} using the reduced number of checkpoints")
 
 
 def class_of(value: float) -> float:
     """Return the least class [m], a number of two digits, that a RMSE [m] meets."""
+    # Errors that are all zero meet any class.
     if value <= 0:
         return 0.0
     unit = 10.0 ** (floor(log10(value)) - 1)
@@ -266,64 +280,70 @@ def class_of(value: float) -> float:
     return float(f"{ceil(value / unit - 1e-9) * unit:.10g}")
 
 
-def _nssda_vertical(vertical: float | None, few: str | None) -> Statement:
-    if vertical is None or few:
+def _nssda_vertical(vertical: float | None, too_few: str | None) -> Statement:
+    if vertical is None or too_few:
         return Statement("NSSDA vertical", None, "not stated, as no heights were tested"
-                         if vertical is None else f"not stated: {few}")
+                         if vertical is None else f"not stated: {too_few}")
     value = VERTICAL * vertical
     return Statement("NSSDA vertical", value, f"Tested {_size(value)} meters vertical accuracy "
                      "at 95% confidence level")
 
 
-def distribution_of(given: GroundErrors) -> Distribution:
+def distribution_of(ground_errors: GroundErrors) -> Distribution:
     """Return how many check points there are, how many ASPRS asks for, and where they are."""
-    n = len(given.ids)
-    places = given.places
-    if not np.isfinite(places).all():
+    n = len(ground_errors.ids)
+    positions = ground_errors.positions
+    if not np.isfinite(positions).all():
         return Distribution(n, ASPRS_POINTS, None, None, None)
-    low = places.min(axis=0)
-    high = places.max(axis=0)
-    corners = given.area
+    low = positions.min(axis=0)
+    high = positions.max(axis=0)
+    corners = ground_errors.area
     if corners is None:
         corners = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
     x, y = corners.T
+    # The shoelace formula, in km2.
     area = abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2e6
     required = ASPRS_POINTS + POINT_STEP * max(ceil(area / AREA_STEP) - 1, 0)
+    # Quadrants are those of the area, not of the points.
     middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
-    east, north = (places >= middle).T
-    quadrants = tuple(int(some.sum()) for some in (
+    east, north = (positions >= middle).T
+    quadrants = tuple(int(quadrant.sum()) for quadrant in (
         ~east & ~north, east & ~north, ~east & north, east & north))
     diagonal = float(np.linalg.norm(np.ptp(corners, axis=0)))
-    apart = np.linalg.norm(places[:, None] - places[None], axis=2)[np.triu_indices(n, 1)]
+    distances_ = np.linalg.norm(positions[:, None] - positions[None], axis=2)[np.triu_indices(n, 1)]
     return Distribution(n, min(required, MOST_POINTS), area,
                         (quadrants[0], quadrants[1], quadrants[2], quadrants[3]),
-                        float(apart.min()) / diagonal if n > 1 and diagonal > 0 else None)
+                        float(distances_.min()) / diagonal if n > 1 and diagonal > 0 else None)
 
 
-def _notes(given: GroundErrors, total: float, survey: float | None, distribution: Distribution,
+def _notes(ground_errors: GroundErrors, total: float, survey: float | None,
+           distribution: Distribution,
            components: tuple[Component, ...],
            classes: tuple[float | None, float | None]) -> list[str]:
     notes = []
-    if ASPRS_POINTS <= len(given.ids) < distribution.required:  # with fewer the statement says it
+    # With fewer the statement says it.
+    if ASPRS_POINTS <= len(ground_errors.ids) < distribution.required:
         notes.append(f"ASPRS asks for {distribution.required} check points for this area; this is "
-                     f"a test by {counted(len(given.ids), 'check point')}.")
-    if given.blunders:
-        notes.append(f"{', '.join(given.blunders)}: all other features contradict "
-                     f"{'it' if len(given.blunders) == 1 else 'them'}. Look at the image before "
-                     "you file these figures.")
+                     f"a test by {counted(len(ground_errors.ids), 'check point')}.")
+    if ground_errors.blunders:
+        notes.append(f"{', '.join(ground_errors.blunders)}: all other features contradict "
+                     f"{'it' if len(ground_errors.blunders) == 1 else 'them'}. Look at the image "
+                     "before you file these figures.")
     if survey is None:
         notes.append("The error of the survey is not known and not included: give columns sigma_x "
                      "and sigma_y, or --survey-sigma.")
     elif survey > total / 2:
         notes.append("The check points are not twice as accurate as what they test.")
     notes += [f"Check points: {fault}." for fault in distribution.faults]
-    for one in components:
-        if one.deviation and abs(one.mean) * len(given.ids) ** 0.5 > 3 * one.deviation:
-            notes.append(f"The mean error {one.name} is not chance: it is a shift.")
-        limit = classes[one.name == "up"]
-        if limit is not None and abs(one.mean) > MEAN * limit:
-            notes.append(f"The mean error {one.name} is above {MEAN:.0%} of the RMSE of the class, "
-                         "ASPRS's limit: look for its cause.")
+    for component in components:
+        # Three standard deviations of a mean: by chance one mean in 400 is as far off.
+        root_of_n = len(ground_errors.ids) ** 0.5
+        if component.deviation and abs(component.mean) * root_of_n > 3 * component.deviation:
+            notes.append(f"The mean error {component.name} is not chance: it is a shift.")
+        limit = classes[component.name == "up"]
+        if limit is not None and abs(component.mean) > MEAN * limit:
+            notes.append(f"The mean error {component.name} is above {MEAN:.0%} of the RMSE of the "
+                         "class, ASPRS's limit: look for its cause.")
     return notes
 
 

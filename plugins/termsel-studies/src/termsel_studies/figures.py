@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -43,9 +44,9 @@ def figures_of(study: Study) -> list[Figure]:
     if study.spec.strategies == ("auto",):
         return []
     groups = group(study.rows, study.records, study.spec.measure)
+    # Without a trace nothing is known of the time that a run took to its best value.
     figures = []
-    if any(record.trace for by_method in groups.instances.values()
-           for runs in by_method.values() for record in runs.records):
+    if any(record.trace for record in groups.records()):
         figures += [running_times(groups, 0), running_times(groups, 2), convergence(groups)]
     values = medians_of(groups)
     # Ratios to the best one require that it has a result, and that nothing is below zero.
@@ -63,15 +64,19 @@ def running_times(groups: Groups, column: int) -> Figure:
     rows = []
     last = 0.0
     for method in groups.methods:
-        hits = [hit(record.trace, target, column)
-                for by_method in groups.instances.values() if method in by_method
-                for target in targets_of(optimum_of(by_method.values(), groups.measure),
-                                         by_method.values())
-                for record in by_method[method].records]
+        hits = []
+        for by_method in groups.instances.values():
+            if method not in by_method:
+                continue
+            optimum = optimum_of(by_method.values(), groups.measure)
+            for target in targets_of(optimum, by_method.values()):
+                hits += [hit(record.trace, target, column) for record in by_method[method].records]
         budgets, shares = ecdf(hits)
+        # A logarithmic axis has no zero.
         rows += [{"method": method, "budget": max(budget, 1e-4), "share": share}
                  for budget, share in zip(budgets, shares, strict=True)]
         last = max([last, *budgets])
+    # All curves go on to the same end, so that they can be compared there.
     ends = {row["method"]: row["share"] for row in rows}
     rows += [{"method": method, "budget": last, "share": share} for method, share in ends.items()]
     unit = "CPU seconds" if column else "evaluations, with local refinement"
@@ -100,18 +105,20 @@ def convergence(groups: Groups) -> Figure:
     rows: list[dict[str, Any]] = []
     for instance in list(groups.instances)[:_MOST_PANELS]:
         runs_of = groups.instances[instance]
-        most = max(length(record.figures) for runs in runs_of.values()
-                   for record in runs.records)
+        records = chain.from_iterable(runs.records for runs in runs_of.values())
+        longest = max(length(record.figures) for record in records)
         for method, runs in runs_of.items():
             traces = [record.trace for record in runs.records]
-            first = min((trace[0][0] for trace in traces if trace), default=most)
-            budgets = np.unique(np.geomspace(max(first, 1), max(most, first, 1), _STEPS).round())
+            first = min((trace[0][0] for trace in traces if trace), default=longest)
+            # Budgets evenly in the logarithm: most improvements come early.
+            budgets = np.unique(np.geomspace(max(first, 1), max(longest, first, 1), _STEPS).round())
             rows += [{"instance": instance, "method": method, "evaluations": budget, "low": low,
                       "median": median, "high": high}
                      for budget, low, median, high in bands(traces, budgets.tolist())
                      if math.isfinite(high)]
     by_method = _by_method(groups.methods)
-    scale, kind = spread_scale([row[end] for row in rows for end in ("low", "high")], zero=False)
+    ends_of_bands = [row["low"] for row in rows] + [row["high"] for row in rows]
+    scale, kind = spread_scale(ends_of_bands, zero=False)
     base = alt.Chart(chart_rows(rows)).encode(color=by_method["color"], x=alt.X(
         "evaluations:Q", title="evaluations, logarithmic",
         scale=alt.Scale(type="log", nice=False)))
@@ -132,8 +139,10 @@ def profile(groups: Groups) -> Figure:
     values = medians_of(groups)
     ratios = np.geomspace(1, 10, 100)
     shares = performance_profile(values, ratios.tolist())
-    rows = [{"method": method, "ratio": float(ratio), "share": float(shares[i, j])}
-            for i, ratio in enumerate(ratios) for j, method in enumerate(groups.methods)]
+    rows = []
+    for ratio, of_methods in zip(ratios, shares, strict=True):
+        rows += [{"method": method, "ratio": float(ratio), "share": float(share)}
+                 for method, share in zip(groups.methods, of_methods, strict=True)]
     drawn = _shares(rows, groups.methods, "ratio:Q", "ratio to the best median of the instance",
                     "share of instances")
     return Figure("performance-profile", "Performance profile", "At the left end: how often a "
@@ -173,6 +182,8 @@ def critical_differences(comparison: Comparison) -> Figure:
 def alike(ranks: list[float], difference: float) -> list[tuple[float, float]]:
     """Return the longest runs of sorted ranks that differ by less than a critical difference."""
     runs: list[tuple[float, float]] = []
+    # From each rank on, the farthest that cannot be told apart from it; runs within runs are left
+    # out.
     for i, low in enumerate(ranks):
         high = max(rank for rank in ranks[i:] if rank - low < difference)
         if ranks.index(high) > i and not (runs and high <= runs[-1][1]):
@@ -185,7 +196,8 @@ def _by_method(methods: tuple[str, ...]) -> dict[str, Any]:
     alt = require_altair()
     number = len(METHODS)
     columns = alt.ExprRef("(containerSize()[0] || 560) < 480 ? 2 : 4")
-    legend = alt.Legend(columns=columns, symbolType="stroke", symbolOpacity=1)  # one for both
+    # One for both.
+    legend = alt.Legend(columns=columns, symbolType="stroke", symbolOpacity=1)
     return {
         "color": alt.Color("method:N", legend=legend, scale=alt.Scale(
             domain=list(methods), range=[METHODS[i % number] for i in range(len(methods))])),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
@@ -24,7 +25,8 @@ class FrontFigures:
     method: str
     hypervolume: float
     igd_plus: float
-    reference: str  # "proven", or "all runs": the front that they are measured against
+    # "proven", or "all runs": the front that they are measured against.
+    reference: str
 
 
 def front_figures(groups: Groups) -> list[FrontFigures]:
@@ -32,30 +34,37 @@ def front_figures(groups: Groups) -> list[FrontFigures]:
 
     A proven front is the reference where there is one; else the non-dominated members of all runs.
     """
-    found = []
+    figures_of_fronts = []
     for instance, by_method in groups.instances.items():
-        fronts = {method: [np.array(one.front, dtype=float) for one in runs.records
-                           if one.front] for method, runs in by_method.items()}
-        fronts = {method: several for method, several in fronts.items() if several}
-        widths = {front.shape[1] for several in fronts.values() for front in several}
-        if len(fronts) < 2 or len(widths) != 1:  # nothing to compare, or different objectives
+        fronts = {}
+        for method, runs in by_method.items():
+            several = [np.array(record.front, dtype=float) for record in runs.records
+                       if record.front]
+            if several:
+                fronts[method] = several
+        all_fronts = list(chain.from_iterable(fronts.values()))
+        # With one method there is nothing to compare, and other objectives cannot be.
+        if len(fronts) < 2 or len({front.shape[1] for front in all_fronts}) != 1:
             continue
-        exact = [np.array(record.front, dtype=float) for method in fronts
-                 for row, record in zip(by_method[method].rows, by_method[method].records,
-                                        strict=True) if row.get("proven") and record.front]
-        known = exact or [front for several in fronts.values() for front in several]
-        reference = non_dominated(np.vstack(known))
+        exact = []
+        for method in fronts:
+            runs = by_method[method]
+            exact += [np.array(record.front, dtype=float)
+                      for row, record in zip(runs.rows, runs.records, strict=True)
+                      if row.get("proven") and record.front]
+        reference = non_dominated(np.vstack(exact or all_fronts))
         for method, several in fronts.items():
             figures = np.array([indicators(front, reference) for front in several])
             volume, distance = np.median(figures, axis=0)
-            found.append(FrontFigures(instance, method, float(volume), float(distance),
-                                      "proven" if exact else "all runs"))
-    return found
+            figures_of_fronts.append(FrontFigures(instance, method, float(volume), float(distance),
+                                                  "proven" if exact else "all runs"))
+    return figures_of_fronts
 
 
 def non_dominated(points: FloatArray) -> FloatArray:
     """Return the points (n, objectives) that no other one dominates, each once; lower is better."""
     points = np.unique(points, axis=0)
+    # Another point is at most as large in all objectives, and smaller in one.
     better = (points[:, None] <= points[None]).all(axis=2) & (points[:, None] != points[None]
                                                               ).any(axis=2)
     return np.asarray(points[~better.any(axis=0)])
@@ -74,6 +83,7 @@ def indicators(front: FloatArray, reference: FloatArray) -> tuple[float, float]:
     # Nojima 2015, EMO, equation 18.
     low = reference.min(axis=0)
     span = np.ptp(reference, axis=0)
+    # An objective that is the same all over the reference is not scaled.
     span[span == 0] = 1.0
     scaled = (front - low) / span
     target = (reference - low) / span

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any
 
 from termsel.toolkit import WAITING, CellRecord, Row
@@ -27,7 +28,8 @@ class Runs:
 class Groups:
     """All runs by label of the instance, then by label of the method."""
 
-    measure: str  # "fitness", "check" or "independent"
+    # "fitness", "check" or "independent".
+    measure: str
     instances: Mapping[str, Mapping[str, Runs]]
     methods: tuple[str, ...]
 
@@ -37,12 +39,20 @@ class Groups:
         return [name for name, by_method in self.instances.items()
                 if set(by_method) == set(self.methods)]
 
+    def records(self) -> Iterator[CellRecord]:
+        """Yield the records of all runs."""
+        for by_method in self.instances.values():
+            for runs in by_method.values():
+                yield from runs.records
+
     @property
     def objectives(self) -> list[str]:
         """Names of what the searches minimised."""
-        return sorted({row["objective"] for by_method in self.instances.values()
-                       for runs in by_method.values() for row in runs.rows
-                       if row.get("objective")})
+        names = set()
+        for by_method in self.instances.values():
+            for runs in by_method.values():
+                names |= {row["objective"] for row in runs.rows if row.get("objective")}
+        return sorted(names)
 
 
 def group(rows: Sequence[Row], records: Mapping[str, CellRecord],
@@ -57,7 +67,8 @@ def group(rows: Sequence[Row], records: Mapping[str, CellRecord],
     instance = (*INSTANCE, *(("model", "criterion") if measure == "fitness" else ()))
     of_method = _varying(rows, method, INSTANCE)
     of_instance: list[str] = []
-    for label in instance:  # without what others tell already, as the model that a problem has
+    # Without what others tell already, as the model that a problem has.
+    for label in instance:
         if label in _varying(rows, instance, of_instance):
             of_instance.append(label)
     instances: dict[str, dict[str, Runs]] = {}
@@ -65,11 +76,12 @@ def group(rows: Sequence[Row], records: Mapping[str, CellRecord],
         name = ", ".join(_shown(row, label) for label in of_instance)
         runs = instances.setdefault(name, {}).setdefault(
             ", ".join(_shown(row, label) for label in of_method), Runs())
+        # Lower is better in all measures, and no result is the worst of all.
         value = row.get(measure)
         runs.rows.append(row)
         runs.values.append(math.inf if value is None else value)
         runs.records.append(records[row["cell"]])
-    methods = dict.fromkeys(name for by_method in instances.values() for name in by_method)
+    methods = dict.fromkeys(chain.from_iterable(instances.values()))
     return Groups(measure, instances, tuple(methods))
 
 
@@ -81,20 +93,28 @@ def length(figures: Mapping[str, Any]) -> float:
 def _measure(rows: Sequence[Row]) -> str:
     # Methods that differ in the solver alone minimise the same fitness, whatever model and
     # criterion each problem has.
-    alike = _varying(rows, METHOD, INSTANCE) == ["solver"]
-    return "fitness" if alike and all(row["strategy"] == "as-asked" for row in rows) \
+    only_solvers = _varying(rows, METHOD, INSTANCE) == ["solver"]
+    return "fitness" if only_solvers and all(row["strategy"] == "as-asked" for row in rows) \
         else "independent"
 
 
-def _varying(rows: Sequence[Row], labels: Sequence[str], within: Sequence[str] = ()) -> list[str]:
+def _varying(rows: Sequence[Row], labels: Sequence[str],
+             given_labels: Sequence[str] = ()) -> list[str]:
     """Return the labels that tell rows apart, of those rows that are alike in other labels.
 
     The first or last one where none does.
     """
-    alike = {tuple(row[label] for label in within) for row in rows}
-    found = [label for label in labels
-             if len({(*(row[name] for name in within), row[label]) for row in rows}) > len(alike)]
-    return found or [labels[-1] if labels[-1] == "solver" else labels[0]]
+    # A label varies where it splits rows that are alike in the other ones.
+    groups_of_rows = {_values(row, given_labels) for row in rows}
+    varying = []
+    for label in labels:
+        if len({_values(row, (*given_labels, label)) for row in rows}) > len(groups_of_rows):
+            varying.append(label)
+    return varying or [labels[-1] if labels[-1] == "solver" else labels[0]]
+
+
+def _values(row: Row, labels: Sequence[str]) -> tuple[Any, ...]:
+    return tuple(row[label] for label in labels)
 
 
 def _shown(row: Row, label: str) -> str:

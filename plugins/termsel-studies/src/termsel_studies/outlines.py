@@ -27,16 +27,20 @@ def map_of(study: Study) -> gpd.GeoDataFrame:
         import shapely
     folders = folders_of(study.cells)
     rows = study.rows
-    found: dict[str, tuple[str, Any]] = {}
+    hulls: dict[str, tuple[str, Any]] = {}
     for key in (row["cell"] for row in rows if row["state"] == "done" and row["cell"] in folders):
         features = read_result(study.folder / IMAGES / folders[key]).features
-        places = features.ground_vertices()[:, :2]
-        found[key] = horizontal(features.crs), shapely.multipoints(places).convex_hull
-    known = any(crs for crs, _ in found.values())
+        positions = features.ground_vertices()[:, :2]
+        hulls[key] = horizontal(features.crs), shapely.multipoints(positions).convex_hull
+    # Where some images have a CRS, those without one have no place on the map.
+    has_crs = any(crs for crs, _ in hulls.values())
     outlines = {key: gpd.GeoSeries([outline], crs=crs).to_crs(LONGITUDE_LATITUDE)[0]
-                if known else outline for key, (crs, outline) in found.items() if crs or not known}
-    there = [row for row in rows if row["cell"] in outlines]
+                if has_crs else outline for key,
+                (crs, outline) in hulls.items() if crs or not has_crs}
+    rows_with_outline = [row for row in rows if row["cell"] in outlines]
+    columns: dict[str, list[Any]] = {}
+    for name in study.columns:
+        columns[name] = [row[name] for row in rows_with_outline]
     return gpd.GeoDataFrame(
-        {name: [row[name] for row in there] for name in study.columns},
-        geometry=[outlines[row["cell"]] for row in there],
-        crs=LONGITUDE_LATITUDE if known else None)
+        columns, geometry=[outlines[row["cell"]] for row in rows_with_outline],
+        crs=LONGITUDE_LATITUDE if has_crs else None)

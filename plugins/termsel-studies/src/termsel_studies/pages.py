@@ -6,6 +6,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Container
+from itertools import chain
 from typing import Any
 
 from termsel import Study, TableBlock
@@ -29,7 +30,7 @@ def remarks_of(study: Study) -> list[str]:
 
 def usual_notes(images: list[Row]) -> dict[str, int]:
     """Return the notes that most images have, with the number of these."""
-    count = Counter(note for row in images for note in row["notes"] or ())
+    count = Counter(chain.from_iterable(row["notes"] or () for row in images))
     return {note: number for note, number in count.items()
             if number > 1 and number > USUAL * len(images)}
 
@@ -41,10 +42,12 @@ def tables_of(study: Study) -> tuple[list[TableBlock], list[str]]:
     if study.spec.strategies == ("auto",):
         return [table for table in tables if table.rows], []
     groups = group(rows, study.records, study.spec.measure)
+    # Tests are of medians, one a method and instance.
     comparison = compare_methods(groups.methods, medians_of(groups))
     figures = summaries(groups)
-    tables += [_of_instance(groups, name, [figure for figure in figures if figure.instance == name])
-               for name in groups.instances]
+    for name in groups.instances:
+        of_instance = [figure for figure in figures if figure.instance == name]
+        tables.append(_of_instance(groups, name, of_instance))
     # Fronts are compared where the objectives are the same: on one model, by one criterion.
     searched = group([row for row in rows if row["strategy"] != "auto"], study.records, "fitness")
     tables.append(TableBlock(
@@ -62,8 +65,9 @@ def tables_of(study: Study) -> tuple[list[TableBlock], list[str]]:
         tables.append(TableBlock(
             "Pairs", ("method", "compared with", "better on", "worse on", "p (Wilcoxon)",
                       "p (Holm)"),
-            [(pair.one, pair.other, str(pair.wins), str(pair.losses), f"{pair.p:.2g}",
+            [(pair.first, pair.second, str(pair.wins), str(pair.losses), f"{pair.p:.2g}",
               f"{pair.corrected:.2g}") for pair in comparison.pairs]))
+    # What failed is named with its reason: it counts as worst above.
     tables.append(TableBlock("Cells without a result", ("cell", "state", "reason"), [
         (_named(row), row["state"], row["reason"]) for row in rows
         if row["state"] in ("failed", "infeasible")]))
@@ -102,7 +106,7 @@ def _of_instance(groups: Groups, name: str, figures: list[Summary]) -> TableBloc
     """Return the figures of all methods on an instance; effect sizes are those of the best one."""
     runs_of = groups.instances[name]
     measure = groups.measure
-    best = min(figures, key=lambda one: one.quartiles[2]).method
+    best = min(figures, key=lambda figure: figure.quartiles[2]).method
     optimum = figures[0].optimum
     title = name if optimum is None else f"{name}: proven optimum {optimum:.4f}"
     header = ("method", "runs", "best", "lower quartile", "median", "upper quartile", "worst",
@@ -111,17 +115,18 @@ def _of_instance(groups: Groups, name: str, figures: list[Summary]) -> TableBloc
               *(() if measure == "independent" else ("independent [px]",)), "evaluations",
               "CPU s")
     rows = []
-    for one in figures:
+    for figure in figures:
         reached = () if optimum is None else (
-            f"{one.reached} of {one.runs}",
-            "{:.0f} to {:.0f} %".format(*(100 * end for end in one.interval)),
-            shown(one.expected, 0))
-        runs = str(one.runs) if one.finished == one.runs else f"{one.finished} of {one.runs}"
-        rows.append((one.method, runs, *(shown(value, 4) for value in one.quartiles),
-            "" if one.method == best else
-            f"{effect_size(runs_of[best].values, runs_of[one.method].values):.2f}", *reached,
-            *(() if measure == "independent" else (shown(one.independent, 3),)),
-            shown(one.evaluations, 0), shown(one.cpu_seconds, 2)))
+            f"{figure.reached} of {figure.runs}",
+            "{:.0f} to {:.0f} %".format(*(100 * end for end in figure.interval)),
+            shown(figure.expected, 0))
+        runs = (str(figure.runs) if figure.finished == figure.runs
+                else f"{figure.finished} of {figure.runs}")
+        rows.append((figure.method, runs, *(shown(value, 4) for value in figure.quartiles),
+            "" if figure.method == best else
+            f"{effect_size(runs_of[best].values, runs_of[figure.method].values):.2f}", *reached,
+            *(() if measure == "independent" else (shown(figure.independent, 3),)),
+            shown(figure.evaluations, 0), shown(figure.cpu_seconds, 2)))
     return TableBlock(title, header, rows)
 
 
@@ -139,20 +144,22 @@ def shown(value: float | None, digits: int) -> str:
 
 def markdown(study: Study) -> str:
     """Return all tables of a study, and what may be claimed, as Markdown."""
-    tables, said = tables_of(study)
+    tables, sentences = tables_of(study)
     remarks = [f"- {markdown_text(remark)}" for remark in remarks_of(study)]
-    parts = [f"# {markdown_text(study.spec.title or 'Study')}\n"]
+    paragraphs = [f"# {markdown_text(study.spec.title or 'Study')}\n"]
     if remarks:
-        parts.append("\n".join(remarks) + "\n")
-    parts += map(section, tables)
-    if said:
-        parts.append("## What may be claimed\n")
-        parts.append("\n".join(f"- {markdown_text(sentence)}" for sentence in said) + "\n")
-    return "\n".join(parts)
+        paragraphs.append("\n".join(remarks) + "\n")
+    paragraphs += map(section, tables)
+    if sentences:
+        paragraphs.append("## What may be claimed\n")
+        paragraphs.append("\n".join(f"- {markdown_text(sentence)}" for sentence in sentences)
+                          + "\n")
+    return "\n".join(paragraphs)
 
 
 def section(table: TableBlock, depth: int = 2) -> str:
     """Return a table with its heading as Markdown."""
+    # Numbers to the right, all else to the left; the first column is names.
     marks = ["---", *("---:" if _numeric(table, i) else "---"
                       for i in range(1, len(table.columns)))]
     lines = ["| " + " | ".join(map(markdown_text, row)) + " |"
@@ -173,18 +180,19 @@ _LATEX = {"\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"
 
 def latex(study: Study) -> str:
     """Return all tables of a study as LaTeX, for the package booktabs."""
-    parts = []
+    environments = []
     for table in tables_of(study)[0]:
         columns = "".join("r" if i and _numeric(table, i) else "l"
                           for i in range(len(table.columns)))
         lines = [" & ".join(map(_tex, row)) + r" \\" for row in (table.columns, *table.rows)]
-        parts.append("\n".join([
+        environments.append("\n".join([
             r"\begin{table}", rf"\caption{{{_tex(table.caption)}}}",
             rf"\begin{{tabular}}{{{columns}}}", r"\toprule", lines[0], r"\midrule", *lines[1:],
             r"\bottomrule", r"\end{tabular}", r"\end{table}", ""]))
-    return "\n".join(parts)
+    return "\n".join(environments)
 
 
 def _tex(text: Any) -> str:
     words = printable(" ".join(str(text).split()))
+    # Signs that LaTeX takes for commands; all white space is one blank.
     return "".join(_LATEX.get(sign, sign) for sign in words)

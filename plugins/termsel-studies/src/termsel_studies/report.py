@@ -56,18 +56,23 @@ def summary(study: Study) -> str:
 
 def _document(study: Study, charts: list[Figure], pictures: dict[str, str]) -> Document:
     """Return what is shown of a study; `pictures` are drawings of images by the key of the cell."""
-    tables, said = tables_of(study)
-    images = [replace(table, keys=(), pictures=[pictures.get(key, "") for key in table.keys]
-                      if pictures else ()) for table in tables if table.keys]
+    tables, sentences = tables_of(study)
+    images = []
+    for table in tables:
+        if table.keys:
+            drawn = [pictures.get(key, "") for key in table.keys] if pictures else ()
+            images.append(replace(table, keys=(), pictures=drawn))
+    legend = [_SMALL] if pictures and images else []
     sections = (
-        Section("What may be claimed", tuple(said)),
-        Section("Images", (*remarks_of(study), *[_SMALL] * bool(pictures and images), *images)),
+        Section("What may be claimed", tuple(sentences)),
+        Section("Images", (*remarks_of(study), *legend, *images)),
         Section("Tables", tuple(table for table in tables if not table.keys)),
         Section("Charts", tuple(charts)))
-    alike = study.spec.strategies == ("auto",)
+    only_images = study.spec.strategies == ("auto",)
     done = len(study.records)
-    number = counted(len(study.cells), "image" if alike else "cell")
+    number = counted(len(study.cells), "image" if only_images else "cell")
     return Document(study.spec.title or "Study",
+                    # A table or section without content is left out.
                     number if study.complete else f"{done} of {number} finished", (),
                     tuple(section for section in sections if section.blocks))
 
@@ -87,7 +92,7 @@ def thumbnails(study: Study) -> dict[str, str]:
     return drawings
 
 
-def write(study: Study, out: Path) -> list[Path]:
+def write(study: Study, folder: Path) -> list[Path]:
     """Write the tables and charts of a study into its folder, and return which files were written.
 
     summary.md and summary.tex are tables for people; report.html is a page of tables and charts,
@@ -96,23 +101,25 @@ def write(study: Study, out: Path) -> list[Path]:
     """
     written = []
     for name, text in {"summary.md": markdown(study), "summary.tex": latex(study)}.items():
-        write_text(out / name, text)
-        written.append(out / name)
+        write_text(folder / name, text)
+        written.append(folder / name)
     drawn = find_spec("altair") and find_spec("vl_convert")
     charts = figures_of(study) if drawn else []
     if drawn:
         try:
-            write_text(out / REPORT, report(study, charts))
-            written.append(out / REPORT)
+            write_text(folder / REPORT, report(study, charts))
+            written.append(folder / REPORT)
         except (TermselError, MemoryError) as error:
+            # Tables are written by now: what cannot be drawn takes nothing along.
             why = error.what if isinstance(error, TermselError) else "out of memory"
-            log.warning("Warning: %s is missing: %s.", out / REPORT, why.rstrip("."))
-    for one in charts:
-        path = out / "figures" / f"{one.name}.svg"
+            log.warning("Warning: %s is missing: %s.", folder / REPORT, why.rstrip("."))
+    for figure in charts:
+        path = folder / "figures" / f"{figure.name}.svg"
         path.parent.mkdir(exist_ok=True)
         try:
-            save(styled(one.chart, one.title, one.look), path)
-        except TermselError as error:  # no chart takes the tables along
+            save(styled(figure.chart, figure.title, figure.look), path)
+        except TermselError as error:
+            # No chart takes the tables along.
             log.warning("%s", error)
             continue
         written.append(path)

@@ -24,12 +24,16 @@ FEWEST = 5
 class Pair:
     """Two methods compared over all instances by medians."""
 
-    one: str
-    other: str
-    p: float  # of Wilcoxon's signed-rank test, two-sided
-    corrected: float  # by Holm, for all pairs
-    wins: int  # instances on which the one is lower
-    losses: int  # or higher
+    first: str
+    second: str
+    # Of Wilcoxon's signed-rank test, two-sided.
+    p: float
+    # By Holm, for all pairs.
+    corrected: float
+    # Instances on which the one is lower.
+    wins: int
+    # Or higher.
+    losses: int
     # By the ranks that the test sums, the one is lower: it may still lose on more instances, by
     # less.
     lower: bool
@@ -41,18 +45,23 @@ class Comparison:
 
     methods: tuple[str, ...]
     instances: int
-    ranks: tuple[float, ...]  # mean rank of each; 1 is best
-    statistic: float | None  # of Friedman's test, for three methods or more
+    # Mean rank of each; 1 is best.
+    ranks: tuple[float, ...]
+    # Of Friedman's test, for three methods or more.
+    statistic: float | None
     p: float | None
-    difference: float | None  # Nemenyi's critical one of mean ranks, likewise
+    # Nemenyi's critical one of mean ranks, likewise.
+    difference: float | None
     pairs: tuple[Pair, ...]
 
 
 def medians_of(groups: Groups) -> FloatArray:
     """Return medians (instances, methods) on every instance that all methods were run on."""
-    return np.array([[quantiles(groups.instances[name][method].values, (0.5,))[0]
-                      for method in groups.methods] for name in groups.common]
-                    ).reshape(len(groups.common), len(groups.methods))
+    medians = np.empty((len(groups.common), len(groups.methods)))
+    for i, name in enumerate(groups.common):
+        for j, method in enumerate(groups.methods):
+            medians[i, j] = quantiles(groups.instances[name][method].values, (0.5,))[0]
+    return medians
 
 
 def compare_methods(methods: Sequence[str], values: FloatArray) -> Comparison | None:
@@ -71,41 +80,47 @@ def compare_methods(methods: Sequence[str], values: FloatArray) -> Comparison | 
     statistic = p = difference = None
     if number > 2:
         # All alike on every instance: there is nothing to tell apart, and the test divides by zero.
-        alike = bool((values == values[:, :1]).all())
-        statistic, p = (0.0, 1.0) if alike else map(float, friedmanchisquare(
+        all_equal = bool((values == values[:, :1]).all())
+        statistic, p = (0.0, 1.0) if all_equal else map(float, friedmanchisquare(
             *rankdata(values, axis=1).T))
         difference = critical_difference(number, instances)
+    # Every pair of methods, by Wilcoxon's test over the instances.
     tested = [(i, j, *signed_rank(values[:, i], values[:, j]))
               for i, j in combinations(range(number), 2)]
     corrected = holm([p_value for _, _, p_value, _ in tested])
-    pairs = tuple(
-        Pair(methods[i], methods[j], p_value, after, int((values[:, i] < values[:, j]).sum()),
-             int((values[:, i] > values[:, j]).sum()), lower)
-        for (i, j, p_value, lower), after in zip(tested, corrected, strict=True))
-    return Comparison(tuple(methods), instances, tuple(map(float, ranks)), statistic, p,
-                      difference, pairs)
+    pairs = []
+    for (i, j, p_value, lower), after in zip(tested, corrected, strict=True):
+        wins = int((values[:, i] < values[:, j]).sum())
+        losses = int((values[:, i] > values[:, j]).sum())
+        pairs.append(Pair(methods[i], methods[j], p=p_value, corrected=after, wins=wins,
+                          losses=losses, lower=lower))
+    return Comparison(
+        methods=tuple(methods), instances=instances, ranks=tuple(map(float, ranks)),
+        statistic=statistic, p=p, difference=difference, pairs=tuple(pairs))
 
 
-def signed_rank(one: FloatArray, other: FloatArray) -> tuple[float, bool]:
+def signed_rank(first: FloatArray, second: FloatArray) -> tuple[float, bool]:
     """Return the two-sided p of Wilcoxon's test of values (n,), and whether the one is lower."""
     from scipy.stats import rankdata, wilcoxon
 
     # Differences of a method without a result count as larger than all others; two of them as none.
     with np.errstate(invalid="ignore"):
-        difference = np.where(one == other, 0.0, one - other)
+        difference = np.where(first == second, 0.0, first - second)
     finite = np.abs(difference[np.isfinite(difference)])
-    beyond = 2 * (finite.max() if len(finite) else 0.0) + 1.0
-    difference = np.clip(difference, -beyond, beyond)
+    largest = 2 * (finite.max() if len(finite) else 0.0) + 1.0
+    difference = np.clip(difference, -largest, largest)
     if not difference.any():
         return 1.0, False
-    told = difference[difference != 0]
-    lower = bool((rankdata(np.abs(told)) * np.sign(told)).sum() < 0)
+    differences = difference[difference != 0]
+    # The sum of signed ranks, as the test has it.
+    lower = bool((rankdata(np.abs(differences)) * np.sign(differences)).sum() < 0)
     return float(wilcoxon(difference).pvalue), lower
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
     """Return p-values corrected for their number (Holm 1979, Scand. J. Stat. 6(2))."""
     order = np.argsort(p_values, kind="stable")
+    # Holm: the smallest p times n, the next times n - 1, ..., never falling again.
     scaled = np.asarray(p_values)[order] * np.arange(len(p_values), 0, -1)
     corrected = np.empty(len(p_values))
     corrected[order] = np.minimum(np.maximum.accumulate(scaled), 1.0) if len(scaled) else scaled
@@ -120,12 +135,12 @@ def critical_difference(methods: int, instances: int, level: float = SIGNIFICANC
     return quantile * math.sqrt(methods * (methods + 1) / (6 * instances))
 
 
-def effect_size(one: Sequence[float], other: Sequence[float]) -> float:
+def effect_size(first: Sequence[float], second: Sequence[float]) -> float:
     """Return how probably a run of one method is lower than one of the other; 0.5 if alike."""
     # Ties count half: Vargha and Delaney 2000, J. Educ. Behav. Stat. 25(2), equation 2, for values
     # of which lower ones are better.
-    a = np.asarray(one)[:, None]
-    b = np.asarray(other)[None]
+    a = np.asarray(first)[:, None]
+    b = np.asarray(second)[None]
     return float((a < b).mean() + (a == b).mean() / 2)
 
 
@@ -135,9 +150,11 @@ def performance_profile(values: FloatArray, ratios: Sequence[float]) -> FloatArr
     Values, shape (instances, methods), are positive; ratios are from 1 on; shape (ratios, methods).
     """
     # Dolan and Moré 2002, Math. Program. 91, section 2.
-    least = values.min(axis=1, keepdims=True)
+    best = values.min(axis=1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore"):
-        relative = np.where(np.isfinite(values), values / least, np.inf)
-    relative[(values == least) & np.isfinite(values)] = 1.0  # also where the best is 0
+        relative = np.where(np.isfinite(values), values / best, np.inf)
+    # Also where the best is 0.
+    relative[(values == best) & np.isfinite(values)] = 1.0
+    # A ratio at the limit counts, whatever rounding says.
     return np.asarray((relative[None] <= np.asarray(ratios)[:, None, None] * (1 + 1e-12)
                        ).mean(axis=1))

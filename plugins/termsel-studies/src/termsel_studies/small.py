@@ -22,32 +22,34 @@ def small_map(view: View) -> str:
 
     Each drawing has a scale of its own, which a bar shows.
     """
-    top, left, bottom, right = view.image_box
-    across = max(right - left, 1.0)
-    down = max(bottom - top, 1.0)
+    first_line, first_sample, bottom, right = view.image_box
+    across = max(right - first_sample, 1.0)
+    down = max(bottom - first_line, 1.0)
     pixel = WIDE / max(across, down)
     wide = across * pixel
     high = down * pixel
     rows = sorted(view.in_image, key=lambda row: -row["distance"])
     lengths = [row["distance"] for row in rows]
     median = float(np.median(lengths)) if lengths else 0.0
+    # The median residual has a length that can be seen; a scale of its own for each image.
     longer = _LENGTH * WIDE / median if median > 0 else 0.0
     arrows: dict[str, list[str]] = {role: [] for role in ROLE_COLOURS}
     rings = []
     for row in rows[:MOST]:
-        x = (row["sample"] - left) * pixel
-        y = (row["line"] - top) * pixel
+        x = (row["sample"] - first_sample) * pixel
+        y = (row["line"] - first_line) * pixel
         arrows[row["role"]].append(_arrow(x, y, row, longer))
         if row["blunder"]:
             rings.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="5" fill="none" '
                          f'stroke="{BLUNDER}" stroke-width="1.4"/>')
-    drawn = "".join(f'<path d="{"".join(parts)}" fill="none" stroke="{ROLE_COLOURS[role]}"/>'
-                    for role, parts in arrows.items() if parts)
-    said = f"{counted(view.count, 'residual')}, the largest {max(lengths, default=0.0):.3g} px"
+    drawn = "".join(f'<path d="{"".join(paths)}" fill="none" stroke="{ROLE_COLOURS[role]}"/>'
+                    for role, paths in arrows.items() if paths)
+    description = (f"{counted(view.count, 'residual')}, the largest "
+                   f"{max(lengths, default=0.0):.3g} px")
     return ('<svg xmlns="http://www.w3.org/2000/svg" '
             f'width="{wide + 2:.0f}" height="{high + _BELOW:.0f}" '
             f'viewBox="-1 -1 {wide + 2:.0f} {high + _BELOW:.0f}" role="img" '
-            f'aria-label="{escape(said)}"><rect width="{wide:.1f}" height="{high:.1f}" '
+            f'aria-label="{escape(description)}"><rect width="{wide:.1f}" height="{high:.1f}" '
             # A drawing within a drawing clips what is longer.
             f'fill="none" stroke="{EDGE}"/><svg width="{wide:.1f}" height="{high:.1f}">'
             f'{drawn}{"".join(rings)}</svg>'
@@ -60,8 +62,8 @@ def _arrow(x: float, y: float, row: dict[str, Any], longer: float) -> str:
     dx = row["ds"] * longer
     dy = row["dl"] * longer
     turn = math.atan2(dy, dx)
-    head = "".join(f"M{x + dx:.1f} {y + dy:.1f}l{-_HEAD * math.cos(turn + side):.1f} "
-                   f"{-_HEAD * math.sin(turn + side):.1f}" for side in (-0.5, 0.5))
+    head = "".join(f"M{x + dx:.1f} {y + dy:.1f}l{-_HEAD * math.cos(turn + angle):.1f} "
+                   f"{-_HEAD * math.sin(turn + angle):.1f}" for angle in (-0.5, 0.5))
     return f"M{x:.1f} {y:.1f}l{dx:.1f} {dy:.1f}{head}"
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -23,28 +24,38 @@ class Summary:
     instance: str
     method: str
     runs: int
-    finished: int  # runs with a result
-    quartiles: list[float]  # least value, quartiles and greatest; infinite where runs had none
-    optimum: float | None  # proven, where it is known and the measure is the fitness
-    reached: int | None  # runs that reached it
-    interval: tuple[float, float]  # Wilson's 95 % of the share that reach it; zeros if unknown
-    expected: float | None  # evaluations until then (`expected_running_time`)
-    independent: float | None  # RMSE [px]
+    # Runs with a result.
+    finished: int
+    # Least value, quartiles and greatest; infinite where runs had none.
+    quartiles: list[float]
+    # Proven, where it is known and the measure is the fitness.
+    optimum: float | None
+    # Runs that reached it.
+    reached: int | None
+    # Wilson's 95 % of the share that reach it; zeros if unknown.
+    interval: tuple[float, float]
+    # Evaluations until then (`expected_running_time`).
+    expected: float | None
+    # RMSE [px].
+    independent: float | None
     evaluations: float | None
     cpu_seconds: float | None
 
 
 def summaries(groups: Groups) -> list[Summary]:
     """Return the figures of every method on every instance."""
-    return [_summary(instance, method, runs, optimum_of(by_method.values(), groups.measure))
-            for instance, by_method in groups.instances.items()
-            for method, runs in by_method.items()]
+    figures = []
+    for instance, by_method in groups.instances.items():
+        optimum = optimum_of(by_method.values(), groups.measure)
+        figures += [_summary(instance, method, runs, optimum) for method, runs in by_method.items()]
+    return figures
 
 
 def optimum_of(runs: Any, measure: str) -> float | None:
     """Return the proven optimum of an instance, if one of its runs knows it."""
-    known = [row["optimum"] for run in runs for row in run.rows if row.get("optimum") is not None]
-    return min(known) if known and measure == "fitness" else None
+    rows = chain.from_iterable(run.rows for run in runs)
+    optima = [row["optimum"] for row in rows if row.get("optimum") is not None]
+    return min(optima) if optima and measure == "fitness" else None
 
 
 def _summary(instance: str, method: str, runs: Runs, optimum: float | None) -> Summary:
@@ -55,13 +66,17 @@ def _summary(instance: str, method: str, runs: Runs, optimum: float | None) -> S
         target = reachable(optimum)
         reached = sum(value <= target for value in runs.values)
         interval = wilson(reached, len(runs.values))
-        hits = [hit(one.trace, target) if value <= target else math.inf
-                for one, value in zip(runs.records, runs.values, strict=True)]
+        hits = [hit(record.trace, target) if value <= target else math.inf
+                for record, value in zip(runs.records, runs.values, strict=True)]
         expected = expected_running_time(hits, [length(record.figures) for record in runs.records])
     return Summary(
-        instance, method, len(runs.values), sum(row["state"] == "done" for row in runs.rows),
-        quantiles(runs.values, (0, 0.25, 0.5, 0.75, 1)), optimum, reached, interval, expected,
-        *(_median(runs.rows, name) for name in ("independent", "evaluations", "cpu_seconds")))
+        instance=instance, method=method, runs=len(runs.values),
+        finished=sum(row["state"] == "done" for row in runs.rows),
+        quartiles=quantiles(runs.values, (0, 0.25, 0.5, 0.75, 1)), optimum=optimum,
+        reached=reached, interval=interval, expected=expected,
+        independent=_median(runs.rows, "independent"),
+        evaluations=_median(runs.rows, "evaluations"),
+        cpu_seconds=_median(runs.rows, "cpu_seconds"))
 
 
 def reachable(optimum: float) -> float:
@@ -70,13 +85,14 @@ def reachable(optimum: float) -> float:
 
 
 def _median(rows: Sequence[Mapping[str, Any]], name: str) -> float | None:
-    known = [row[name] for row in rows if row.get(name) is not None]
-    return float(np.median(known)) if known else None
+    values = [row[name] for row in rows if row.get(name) is not None]
+    return float(np.median(values)) if values else None
 
 
 def quantiles(values: Sequence[float], shares: Sequence[float]) -> list[float]:
     """Return quantiles of values among which some may be infinite."""
     finite = np.minimum(np.asarray(values, dtype=float), _HUGE)
+    # Interpolated between a value and infinity, which here is large but finite.
     return [math.inf if value > _HUGE * 1e-6 else float(value)
             for value in np.quantile(finite, shares)]
 
@@ -86,8 +102,8 @@ def wilson(successes: int, runs: int, level: float = 0.95) -> tuple[float, float
     from scipy.stats import binomtest
 
     # Wilson 1927, J. Am. Stat. Assoc. 22(158).
-    found = binomtest(successes, runs).proportion_ci(level, method="wilson")
-    return float(found.low), float(found.high)
+    interval = binomtest(successes, runs).proportion_ci(level, method="wilson")
+    return float(interval.low), float(interval.high)
 
 
 def hit(trace: Sequence[Sequence[float]], target: float, column: int = 0) -> float:
@@ -103,9 +119,9 @@ def expected_running_time(hits: Sequence[float], lengths: Sequence[float]) -> fl
     # The time spent in all runs, per run that reached it: Hansen, Auger, Finck and Ros 2009,
     # Real-parameter black-box optimization benchmarking: experimental setup.
     successes = sum(map(math.isfinite, hits))
-    spent = sum(at if math.isfinite(at) else whole
-                for at, whole in zip(hits, lengths, strict=True))
-    return spent / successes if successes else math.inf
+    total = sum(at if math.isfinite(at) else length_
+                for at, length_ in zip(hits, lengths, strict=True))
+    return total / successes if successes else math.inf
 
 
 def ecdf(hits: Sequence[float]) -> tuple[list[float], list[float]]:
@@ -120,11 +136,17 @@ def targets_of(optimum: float | None, runs: Iterable[Runs], number: int = 21) ->
     # Runtimes over many targets are of Hansen, Auger, Ros, Mersmann, Tušar and Brockhoff 2021,
     # COCO, Optim. Methods Softw. 36(1), section 5; these targets are termsel's own. Where the
     # optimum is not known, the best value of all runs stands for it.
-    found = [value for run in runs for value in run.values if math.isfinite(value)]
-    if optimum is None and not found:
+    values = [value for value in chain.from_iterable(run.values for run in runs)
+              if math.isfinite(value)]
+    if optimum is None and not values:
         return []
-    least = min(found) if optimum is None else optimum
-    return [least + float(gap) * abs(least) for gap in np.logspace(0, -4, number)]
+    best = min(values) if optimum is None else optimum
+    return [best + float(gap) * abs(best) for gap in np.logspace(0, -4, number)]
+
+
+def _best_within(trace: Sequence[Sequence[float]], budget: float) -> float:
+    """Return the best value of a run within a budget; infinite before its first one."""
+    return min((point[1] for point in trace if point[0] <= budget), default=math.inf)
 
 
 def bands(traces: Sequence[Sequence[Sequence[float]]], budgets: Sequence[float]
@@ -132,8 +154,7 @@ def bands(traces: Sequence[Sequence[Sequence[float]]], budgets: Sequence[float]
     """Return budgets [evaluations] with the quartiles of the best value of the runs within each."""
     rows = []
     for budget in budgets:
-        values = [min((point[1] for point in trace if point[0] <= budget), default=math.inf)
-                  for trace in traces]
+        values = [_best_within(trace, budget) for trace in traces]
         lower, median, upper = quantiles(values, (0.25, 0.5, 0.75))
         rows.append((float(budget), lower, median, upper))
     return rows

@@ -27,23 +27,26 @@ class Writing:
     def __call__(self, name: str, *content: Element | str | None,
                  attributes: Mapping[str, str] | None = None) -> Element:
         """Return an element of the name "prefix:name"; content of None is left out."""
-        made = Element(self._known(name), {self._known(key): value
-                                           for key, value in (attributes or {}).items()})
-        for part in content:
-            if isinstance(part, str):
-                made.text = _FORBIDDEN.sub("\ufffd", part)
-            elif part is not None:
-                made.append(part)
-        return made
+        element = Element(self._known(name), {self._known(key): value
+                                              for key, value in (attributes or {}).items()})
+        for child in content:
+            if isinstance(child, str):
+                # A character that no XML holds becomes a sign for it, as text of users may be any.
+                element.text = _FORBIDDEN.sub("\ufffd", child)
+            elif child is not None:
+                element.append(child)
+        return element
 
     def _known(self, name: str) -> str:
         prefix, colon, local = name.partition(":")
+        # ElementTree writes {uri}name for a prefix of its own.
         return f"{{{self.namespaces[prefix]}}}{local}" if colon else name
 
     def text(self, root: Element) -> str:
         """Return a document as text."""
         for prefix, uri in self.namespaces.items():
             ElementTree.register_namespace(prefix, uri)
+        # Indented, so that people can read it, too.
         ElementTree.indent(root)
         return f'<?xml version="1.0" encoding="UTF-8"?>\n' \
                f'{ElementTree.tostring(root, encoding="unicode")}\n'

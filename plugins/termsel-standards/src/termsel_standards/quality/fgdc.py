@@ -19,33 +19,40 @@ _x = Writing()
 
 def fgdc_xml(report: Quality) -> str:
     """Return the report as an XML document whose root is `metadata`."""
+    # Dates of the FGDC have no dashes.
     date = report.made[:10].replace("-", "")
     west, east, south, north = map(decimal, report.bounds)
-    return _x.text(_x(
-        "metadata",
-        _x("idinfo",
-           _x("citation", _citation(report.title, report.organisation, date)),
-           _x("descript", _x("abstract", f"Georeference of {report.title}"),
-              _x("purpose", _UNKNOWN)),
-           _x("timeperd", _when(_UNKNOWN), _x("current", _UNKNOWN)),
-           _x("status", _x("progress", "Complete"), _x("update", "None planned")),
-           _x("spdom", _x("bounding", _x("westbc", west), _x("eastbc", east),
-                          _x("northbc", north), _x("southbc", south))),
-           _x("keywords", _x("theme", _x("themekt", _NONE), _x("themekey", "imagery"))),
-           _x("accconst", _UNKNOWN), _x("useconst", _UNKNOWN)),
-        _x("dataqual",
-           _x("logic", "Not applicable to an image"), _x("complete", "Not applicable to an image"),
-           _x("posacc", _x(
-               "horizpa", _x("horizpar", ". ".join((report.method, *report.statements)) + "."),
-               *(_x("qhorizpa", _x("horizpav", decimal(measure.value)),
-                    _x("horizpae", f"{measure.name} [m]: {measure.description}"))
-                 for measure in report.measures if measure.unit == "m"))),
-           _x("lineage", *(_source(one, f"source {i}") for i, one in enumerate(report.sources, 1)),
-              _x("procstep", _x("procdesc", _process(report)),
-                 *(_x("srcused", f"source {i}") for i, _ in enumerate(report.sources, 1)),
-                 _x("procdate", date)))),
-        _x("metainfo", _x("metd", date), _x("metc", _contact(report.organisation)),
-           _x("metstdn", STANDARD[0]), _x("metstdv", STANDARD[1]))))
+    identification = _x(
+        "idinfo", _x("citation", _citation(report.title, report.organisation, date)),
+        _x("descript", _x("abstract", f"Georeference of {report.title}"), _x("purpose", _UNKNOWN)),
+        _x("timeperd", _when(_UNKNOWN), _x("current", _UNKNOWN)),
+        _x("status", _x("progress", "Complete"), _x("update", "None planned")),
+        *_bounds_and_use(west, east, south, north))
+    # Only figures on the ground are of positional accuracy; those in px have no place here.
+    figures = [_x("qhorizpa", _x("horizpav", decimal(measure.value)),
+                  _x("horizpae", f"{measure.name} [m]: {measure.description}"))
+               for measure in report.measures if measure.unit == "m"]
+    sources = [_source(source, f"source {i}") for i, source in enumerate(report.sources, 1)]
+    sources_used = [_x("srcused", f"source {i}") for i, _ in enumerate(report.sources, 1)]
+    quality = _x(
+        "dataqual",
+        _x("logic", "Not applicable to an image"), _x("complete", "Not applicable to an image"),
+        _x("posacc", _x(
+            "horizpa", _x("horizpar", ". ".join((report.method, *report.statements)) + "."),
+            *figures)),
+        _x("lineage", *sources, _x("procstep", _x("procdesc", _process(report)), *sources_used,
+                                   _x("procdate", date))))
+    metadata = _x("metainfo", _x("metd", date), _x("metc", _contact(report.organisation)),
+                  _x("metstdn", STANDARD[0]), _x("metstdv", STANDARD[1]))
+    return _x.text(_x("metadata", identification, quality, metadata))
+
+
+def _bounds_and_use(west: str, east: str, south: str, north: str) -> list[Element]:
+    """Return what the standard requires of any data set, as far as a georeference tells it."""
+    return [_x("spdom", _x("bounding", _x("westbc", west), _x("eastbc", east),
+                           _x("northbc", north), _x("southbc", south))),
+            _x("keywords", _x("theme", _x("themekt", _NONE), _x("themekey", "imagery"))),
+            _x("accconst", _UNKNOWN), _x("useconst", _UNKNOWN)]
 
 
 def _process(report: Quality) -> str:
@@ -54,11 +61,12 @@ def _process(report: Quality) -> str:
     return f"{report.lineage} Software: {software}. Settings: {settings}."
 
 
-def _source(one: Source, short: str) -> Element:
-    return _x("srcinfo", _x("srccite", _citation(one.name, "", _UNKNOWN)),
+def _source(source: Source, short: str) -> Element:
+    return _x("srcinfo", _x("srccite", _citation(source.name, "", _UNKNOWN)),
               _x("typesrc", "digital file"), _x("srctime", _when(_UNKNOWN),
                                                 _x("srccurr", _UNKNOWN)),
-              _x("srccitea", short), _x("srccontr", f"{one.description}; sha256 {one.sha256}"))
+              _x("srccitea", short), _x("srccontr",
+                                        f"{source.description}; sha256 {source.sha256}"))
 
 
 def _citation(title: str, origin: str, date: str) -> Element:

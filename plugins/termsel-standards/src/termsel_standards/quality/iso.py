@@ -26,8 +26,8 @@ _x = Writing(_NAMESPACES)
 
 def iso_xml(report: Quality) -> str:
     """Return the report as an XML document whose root is mdb:MD_Metadata."""
-    return _x.text(_x(
-        "mdb:MD_Metadata",
+    # The order of the elements is that of the schema.
+    content = [
         _x("mdb:contact", _responsible(report.organisation, "pointOfContact")),
         _x("mdb:dateInfo", _date(report.made)),
         _x("mdb:metadataStandard", _citation("ISO 19115-1:2014")),
@@ -42,46 +42,53 @@ def iso_xml(report: Quality) -> str:
         _x("mdb:dataQualityInfo", _x(
             "mdq:DQ_DataQuality", _x("mdq:scope", _scope(report)),
             *(_x("mdq:report", element) for element in _elements(report)))),
-        _x("mdb:resourceLineage", _lineage(report))))
+        _x("mdb:resourceLineage", _lineage(report))]
+    return _x.text(_x("mdb:MD_Metadata", *content))
 
 
 def _elements(report: Quality) -> list[Element]:
     """Return an element of data quality for each figure, and one with what can be stated."""
-    some = [_x("mdq:DQ_AbsoluteExternalPositionalAccuracy" if measure.unit == "m"
-               else "mdq:DQ_GriddedDataPositionalAccuracy", _measure(measure), _evaluation(report),
-               _x("mdq:result", _x(
+    # Figures on the ground are external accuracy, those in the image accuracy of the grid.
+    elements = [_x("mdq:DQ_AbsoluteExternalPositionalAccuracy" if measure.unit == "m"
+                   else "mdq:DQ_GriddedDataPositionalAccuracy", _measure(measure),
+                   _evaluation(report),
+                   _x("mdq:result", _x(
                    "mdq:DQ_QuantitativeResult", _time("mdq:dateTime", report.made),
                    _x("mdq:resultScope", _scope(report)),
                    _x("mdq:value", _x("gco:Record", decimal(measure.value))), _unit(measure.unit))))
-            for measure in report.measures]
+                for measure in report.measures]
     if report.statements:
-        some.append(_x("mdq:DQ_AbsoluteExternalPositionalAccuracy", *(
+        elements.append(_x("mdq:DQ_AbsoluteExternalPositionalAccuracy", *(
             _x("mdq:result", _x("mdq:DQ_DescriptiveResult", _time("mdq:dateTime", report.made),
                                 _string("mdq:statement", words)))
             for words in report.statements)))
-    return some
+    return elements
 
 
-def _measure(one: Measure) -> Element:
-    known = _x("mdq:measureIdentification", _identifier(one.identifier, "ISO 19157:2013")) \
-        if one.identifier else None
-    return _x("mdq:measure", _x("mdq:DQ_MeasureReference", known,
-                                _string("mdq:nameOfMeasure", one.name),
-                                _string("mdq:measureDescription", one.description)))
+def _measure(measure: Measure) -> Element:
+    identification = _x("mdq:measureIdentification",
+                        _identifier(measure.identifier, "ISO 19157:2013")) \
+        if measure.identifier else None
+    return _x("mdq:measure", _x("mdq:DQ_MeasureReference", identification,
+                                _string("mdq:nameOfMeasure", measure.name),
+                                _string("mdq:measureDescription", measure.description)))
 
 
 def _evaluation(report: Quality) -> Element:
-    return _x("mdq:evaluationMethod", _x(
-        "mdq:DQ_SampleBasedInspection", _time("mdq:dateTime", report.made),
+    # An inspection of a sample: the independent points stand for all of the image.
+    content = [
+        _time("mdq:dateTime", report.made),
         _string("mdq:evaluationMethodDescription", report.method),
         _x("mdq:evaluationMethodType", _code("mdq:DQ_EvaluationMethodTypeCode", "directExternal")),
         _string("mdq:samplingScheme", f"{report.check_points} independent points, chosen before "
                 "the model was fitted"),
         _string("mdq:lotDescription", report.title),
-        _string("mdq:samplingRatio", f"{report.check_points} points of the image")))
+        _string("mdq:samplingRatio", f"{report.check_points} points of the image")]
+    return _x("mdq:evaluationMethod", _x("mdq:DQ_SampleBasedInspection", *content))
 
 
 def _lineage(report: Quality) -> Element:
+    # The program itself is the processor; others are documentation of it.
     software = [_x("mrl:documentation", _citation(name, edition))
                 for name, edition in report.software.items() if name != "termsel"]
     return _x("mrl:LI_Lineage", _string("mrl:statement", report.lineage),
@@ -100,11 +107,11 @@ def _lineage(report: Quality) -> Element:
                           f"{name}: {value}" for name, value in report.parameters.items())))))))
 
 
-def _source(one: Source) -> Element:
-    return _x("mrl:LI_Source", _string("mrl:description", one.description),
+def _source(source: Source) -> Element:
+    return _x("mrl:LI_Source", _string("mrl:description", source.description),
               _x("mrl:sourceCitation", _x(
-                  "cit:CI_Citation", _string("cit:title", one.name),
-                  _x("cit:identifier", _identifier(one.sha256, "sha256")))))
+                  "cit:CI_Citation", _string("cit:title", source.name),
+                  _x("cit:identifier", _identifier(source.sha256, "sha256")))))
 
 
 def _scope(report: Quality) -> Element:
@@ -113,14 +120,15 @@ def _scope(report: Quality) -> Element:
 
 
 def _extent(report: Quality) -> Element:
-    sides = ("westBoundLongitude", "eastBoundLongitude", "southBoundLatitude", "northBoundLatitude")
+    names = ("westBoundLongitude", "eastBoundLongitude", "southBoundLatitude", "northBoundLatitude")
     return _x("gex:EX_Extent", _x("gex:geographicElement", _x(
         "gex:EX_GeographicBoundingBox", *(
-            _x(f"gex:{side}", _x("gco:Decimal", decimal(value)))
-            for side, value in zip(sides, report.bounds, strict=True)))))
+            _x(f"gex:{name}", _x("gco:Decimal", decimal(value)))
+            for name, value in zip(names, report.bounds, strict=True)))))
 
 
 def _responsible(name: str, role: str) -> Element:
+    # The schema wants a name, or why there is none.
     party = _string("cit:name", name) if name else \
         _x("cit:name", attributes={"gco:nilReason": "unknown"})
     return _x("cit:CI_Responsibility", _x("cit:role", _code("cit:CI_RoleCode", role)),
@@ -152,11 +160,13 @@ def _string(name: str, text: str) -> Element:
 
 
 def _code(name: str, value: str) -> Element:
+    # A value of a list is given as text and, for programs, by the list that it is of.
     return _x(name, value, attributes={
         "codeList": f"{_LISTS}#{name.partition(':')[2]}", "codeListValue": value})
 
 
 def _unit(unit: str) -> Element:
+    # Metres have a definition at OGC; px get one of their own.
     if unit == "m":
         return _x("mdq:valueUnit", attributes={"xlink:href": _METRE})
     return _x("mdq:valueUnit", _x(

@@ -22,7 +22,8 @@ from termsel_standards.outline import outline_of
 RMSEP = "47"
 """Identifier of the root mean square error of planimetry among the measures of ISO 19157."""
 
-_CHUNK = 1 << 20  # bytes of a file that are read at once
+# bytes of a file that are read at once.
+_CHUNK = 1 << 20
 
 OPTIONS = (
     Option("title", "", "Title of the image; by default the name of the file of points."),
@@ -136,10 +137,12 @@ def quality_of(result: Result, title: str = "", organisation: str = "",
     """
     requires_earth(result)
     outline = outline_of(result)
+    # The outline as a box: ISO and FGDC take bounds in degrees.
     (west, south) = outline.min(axis=0).tolist()
     (east, north) = outline.max(axis=0).tolist()
     counts = result.data.counts
     terms = result.selection
+    # What the run was asked for, so that it can be repeated.
     settings = {"problem": result.problem, "model": result.model, "solver": result.solver,
                 "criterion": result.criterion, "seed": str(result.seed),
                 "terms": " ".join(terms.terms),
@@ -150,18 +153,22 @@ def quality_of(result: Result, title: str = "", organisation: str = "",
                       "standard deviations and CRS as read", result.data.sha256)]
     if image is not None:
         sources.append(Source(_shown(image), "the image", file_sha256(Path(image))))
+    software = dict(result.versions)
+    for versions_of_kind in result.plugins.values():
+        software |= versions_of_kind
     return Quality(
-        title or Path(result.data.source).stem or "scene", organisation,
-        datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"), horizontal(result.features.crs),
-        (west, east, south, north), _measures(result), _statements(result),
-        result.accuracy.image.n if result.accuracy else 0, counts.control,
-        "Positions that the model computes for independent points are compared with their surveyed "
-        "positions, at the surveyed heights. No choice has used these points.",
-        f"Georeferenced by termsel: the model {result.model} with {len(terms.terms)} terms, "
-        f"selected by {result.solver}, was fitted to {counts.control} control features.",
-        tuple(sources), {**result.versions, **{
-            name: version for kind in result.plugins.values() for name, version in kind.items()}},
-        settings)
+        title=title or Path(result.data.source).stem or "scene", organisation=organisation,
+        made=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        crs=horizontal(result.features.crs), bounds=(west, east, south, north),
+        measures=_measures(result), statements=_statements(result),
+        check_points=result.accuracy.image.n if result.accuracy else 0,
+        control_features=counts.control,
+        method="Positions that the model computes for independent points are compared with their "
+               "surveyed positions, at the surveyed heights. No choice has used these points.",
+        lineage=f"Georeferenced by termsel: the model {result.model} with {len(terms.terms)} "
+                f"terms, selected by {result.solver}, was fitted to {counts.control} control "
+                "features.",
+        sources=tuple(sources), software=software, parameters=settings)
 
 
 def _measures(result: Result) -> tuple[Measure, ...]:
@@ -169,9 +176,9 @@ def _measures(result: Result) -> tuple[Measure, ...]:
         return ()
     image = result.accuracy.image
     ground = result.accuracy.ground
-    some = []
+    measures = []
     if ground is not None:
-        some = [
+        measures = [
             Measure("root mean square error of planimetry", "root of the mean of the squares of "
                     "the distances from the surveyed positions", ground.total, "m", RMSEP),
             Measure("root mean square error in x", "of the errors to the east", ground.x, "m"),
@@ -180,32 +187,34 @@ def _measures(result: Result) -> tuple[Measure, ...]:
                     "m"),
             Measure("maximum error", "the largest distance", ground.maximum, "m")]
     if result.accuracy.nssda.value is not None:
-        some.append(Measure("NSSDA horizontal accuracy", "at 95 % confidence, by "
-                            "FGDC-STD-007.3-1998", result.accuracy.nssda.value, "m"))
-    return (*some, Measure("root mean square error in the image", "root of the mean of the "
-                           "squares of the distances from the measured positions", image.total,
-                           "px"))
+        measures.append(Measure("NSSDA horizontal accuracy", "at 95 % confidence, by "
+                                "FGDC-STD-007.3-1998", result.accuracy.nssda.value, "m"))
+    return (*measures, Measure("root mean square error in the image", "root of the mean of the "
+                               "squares of the distances from the measured positions", image.total,
+                               "px"))
 
 
 def _statements(result: Result) -> tuple[str, ...]:
-    known = result.accuracy
-    if known is None:
+    accuracy = result.accuracy
+    if accuracy is None:
         return ("The accuracy is not known, as the result has no independent points",)
-    some = [f"{name}: not stated: {figure.reason}" for name, figure in (
-        ("ASPRS", known.asprs), ("NSSDA", known.nssda)) if figure.value is None]
-    if known.nssda.value is not None:
-        some.append(f"Tested {known.nssda.value:.3g} meters horizontal accuracy at 95% confidence "
-                    "level")
-    if known.ground is None:
-        some.append("The errors on the ground are not known in metres")
-    return tuple(some)
+    statements = [f"{name}: not stated: {figure.reason}" for name, figure in (
+        ("ASPRS", accuracy.asprs), ("NSSDA", accuracy.nssda)) if figure.value is None]
+    if accuracy.nssda.value is not None:
+        statements.append(f"Tested {accuracy.nssda.value:.3g} meters horizontal accuracy at 95% "
+                          "confidence level")
+    if accuracy.ground is None:
+        statements.append("The errors on the ground are not known in metres")
+    return tuple(statements)
 
 
 def file_sha256(path: Path) -> str:
     """Return the checksum of a file."""
+    # Device files and pipes are refused: their reading may never end.
     digest = hashlib.sha256()
     try:
         require_regular(path)
+        # In chunks, as images are larger than memory.
         with path.open("rb") as file:
             while block := file.read(_CHUNK):
                 digest.update(block)

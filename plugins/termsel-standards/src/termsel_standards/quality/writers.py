@@ -65,6 +65,7 @@ class Iso19157Json(_Report):
 
     def text(self, report: Quality) -> str:
         """Return the report as JSON."""
+        # The fields of `Quality` are those of the JSON, with the name of its schema first.
         content = {"schema": SCHEMA, **msgspec.to_builtins(report)}
         return msgspec.json.format(msgspec.json.encode(content), indent=2).decode() + "\n"
 
