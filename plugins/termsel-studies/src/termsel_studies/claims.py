@@ -15,11 +15,11 @@ _SIZES = ((0.71, "large"), (0.64, "medium"), (0.56, "small"))
 def claims(groups: Groups, comparison: Comparison | None, rows: list[Row]) -> list[str]:
     """Return sentences on what may be claimed, and what not; with few instances no comparison."""
     measure = groups.measure
-    if groups.measure in MEASURES:
-        measure = f"the RMSE on {groups.measure} points"
-    elif groups.measure == "fitness":
+    if groups.measure == "fitness":
         names = " or ".join(groups.objectives)
         measure = f"the fitness ({names})" if names else "the fitness"
+    elif groups.measure in MEASURES:
+        measure = f"the RMSE on {groups.measure} points"
     sentences = [f"Compared by {measure}; lower is better."]
     if len(groups.methods) < 2:
         sentences.append("There is one method, so nothing is compared." if groups.methods else
