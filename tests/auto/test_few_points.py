@@ -234,7 +234,7 @@ def test_a_hill_far_from_all_others_carries_the_heights() -> None:
     ground[5] = 60_000.0, 60_000.0, 300.0
     ground[:5, 2] = 0.4
     rough = features.with_(points=replace(features.points, ground=ground))
-    assert carriers(Control.of(rough), most=1) == ("P5",)
+    assert carriers(Control.of(rough), limit=1) == ("P5",)
 
 
 @pytest.mark.slow

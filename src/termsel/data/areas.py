@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from termsel.core.errors import TermselError
+from termsel.core.errors import TermselError, counted
 from termsel.data.features import FloatArray, Lines, Points
 from termsel.data.tables.attributes import columns_of
 from termsel.data.values import FARTHEST
@@ -23,8 +23,8 @@ class CornerError(TermselError):
     """An invalid area, and the corner, counted from 0, that shows it in the image or on the ground.
     """
 
-    def __init__(self, what: str, corner: int, where: str, hint: str) -> None:
-        super().__init__(what, hint=hint)
+    def __init__(self, problem: str, corner: int, where: str, hint: str) -> None:
+        super().__init__(problem, hint=hint)
         self.corner = corner
         self.where = where
 
@@ -54,18 +54,19 @@ class Area:
                 f"area {self.id!r} has corners of the shapes {image.shape} in the image and "
                 f"{ground.shape} on the ground, expected (n, 2) and (n, 3)", ids=[self.id],
                 hint="Measure each corner in the image and on the ground.")
+        # A closed ring: many formats repeat the first corner, and it would be an edge of no length.
         if n > 1 and (image[0] == image[-1]).all() and (ground[0, :2] == ground[-1, :2]).all():
             image = image[:-1]
             ground = ground[:-1]
         object.__setattr__(self, "image", image)
         object.__setattr__(self, "ground", ground)
-        for values, what in ((image, "image"), (ground[:, :2], "ground")):
+        for values, space in ((image, "image"), (ground[:, :2], "ground")):
             far = ~(np.abs(values) < FARTHEST).all(axis=1)  # NaN too
             if far.any():
                 corner = int(np.argmax(far))
-                raise CornerError(f"corner {corner + 1} of area {self.id!r} has {what} coordinates "
-                                  f"that are not finite, or of {FARTHEST:g} or more", corner, what,
-                                  "Correct the values or remove the area.")
+                raise CornerError(f"corner {corner + 1} of area {self.id!r} has {space} "
+                                  f"coordinates that are not finite, or of {FARTHEST:g} or more",
+                                  corner, space, "Correct the values or remove the area.")
         _refuse_bad(self.id, image, "image")
         _refuse_bad(self.id, ground[:, :2], "ground")
 
@@ -88,17 +89,21 @@ def boundary(areas: Sequence[Area]) -> Lines:
                 hint="Lines are always control: use control, off or blank. Centroids can have any "
                      "role (--set areas_as=centroid).", ids=[area.id])
     on = [area for area in areas if area.role != "off"]
-    used = list(zip(on, _own_edges(on), strict=True))
-    for area, edges in used:
+    ids: list[str] = []
+    attributes: list[Mapping[str, str]] = []
+    # The empty arrays are for no areas at all.
+    image = [np.empty((0, 2, 2))]
+    ground = [np.empty((0, 2, 3))]
+    for area, edges in zip(on, _own_edges(on), strict=True):
         if not edges:
             raise TermselError(f"all edges of area {area.id!r} belong to other areas on the same "
                                "side", ids=[area.id], hint="Remove one of these areas.")
-    # The empty arrays are for no areas at all.
-    return Lines(tuple(area.id for area, edges in used for _ in edges), np.concatenate([
-        np.empty((0, 2, 2)), *(_edges(area.image)[edges] for area, edges in used)]),
-                 np.concatenate([
-        np.empty((0, 2, 3)), *(_edges(area.ground)[edges] for area, edges in used)]),
-                 attributes=columns_of([area.attributes for area, edges in used for _ in edges]))
+        ids += [area.id] * len(edges)
+        attributes += [area.attributes] * len(edges)
+        image.append(_edges(area.image)[edges])
+        ground.append(_edges(area.ground)[edges])
+    return Lines(tuple(ids), np.concatenate(image), np.concatenate(ground),
+                 attributes=columns_of(attributes))
 
 
 def centroids(areas: Sequence[Area]) -> Points:
@@ -130,20 +135,24 @@ def centroid(ring: ArrayLike) -> FloatArray:
 def _own_edges(areas: Sequence[Area]) -> list[list[int]]:
     """Return the numbers of each area's edges, without those that another area uses."""
     # By its ends: the first area on either side of an edge, and the number it has there.
-    sides: dict[frozenset[tuple[float, ...]], dict[bool, tuple[int, int]]] = {}
+    by_ends: dict[frozenset[tuple[float, ...]], dict[bool, tuple[int, int]]] = {}
     for i, area in enumerate(areas):
+        # Edges of the ground ring (n, 2, 2), and whether it runs against the clock.
         ring = _edges(area.ground[:, :2])
         around = _cross(*np.moveaxis(ring - ring.mean(axis=(0, 1)), 1, 0)).sum() > 0
-        for j, (one, other) in enumerate(ring.tolist()):
-            ends = frozenset((tuple(one), tuple(other)))
-            sides.setdefault(ends, {}).setdefault((one < other) == around, (i, j))
-    own: list[list[int]] = [[] for _ in areas]
+        for j, (start, end) in enumerate(ring.tolist()):
+            # Both neighbours find an edge under the same key, whichever end comes first; the area
+            # is on its left where direction and sense agree.
+            ends = frozenset((tuple(start), tuple(end)))
+            by_ends.setdefault(ends, {}).setdefault((start < end) == around, (i, j))
+    edges_of: list[list[int]] = [[] for _ in areas]
     # To the one with fewer. Every area lies on either side of some of its edges, so that the
     # rule for equal numbers leaves none without.
-    for on_either in sorted(sides.values(), key=len):
-        i, j = on_either[min(on_either, key=lambda side: (len(own[on_either[side][0]]), not side))]
-        own[i].append(j)
-    return [sorted(edges) for edges in own]
+    for on_either in sorted(by_ends.values(), key=len):
+        i, j = on_either[min(on_either, key=lambda side: (
+            len(edges_of[on_either[side][0]]), not side))]
+        edges_of[i].append(j)
+    return [sorted(edges) for edges in edges_of]
 
 
 def _edges(ring: FloatArray) -> FloatArray:
@@ -154,38 +163,42 @@ def _cross(first: FloatArray, second: FloatArray) -> FloatArray:
     return np.asarray(first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0])
 
 
-def _refuse_bad(name: str, ring: FloatArray, where: str) -> None:
+def _refuse_bad(name: str, ring: FloatArray, space: str) -> None:
     """Raise a CornerError if a ring, shape (n, 2), bounds no area."""
     n = len(ring)
-    place = "in the image" if where == "image" else "on the ground"
+    in_words = "in the image" if space == "image" else "on the ground"
     if n < 3:
-        raise CornerError(f"area {name!r} has {n} corner" + "s" * (n != 1), max(n - 1, 0), where,
+        raise CornerError(f"area {name!r} has {counted(n, 'corner')}", max(n - 1, 0), space,
                           "An area requires at least three.")
+    # For each corner the first one with the same coordinates: itself, unless it is a repetition.
     _, first, inverse = np.unique(ring, axis=0, return_index=True, return_inverse=True)
     before = first[inverse.ravel()]
     if (before != np.arange(n)).any():
         corner = int(np.argmax(before != np.arange(n)))
         raise CornerError(f"corner {corner + 1} of area {name!r} repeats corner "
-                          f"{before[corner] + 1} {place}", corner, where,
+                          f"{before[corner] + 1} {in_words}", corner, space,
                           "Give every corner once; only the first may be repeated at the end, in "
                           "the image and on the ground.")
+    # Twice the area by the shoelace formula, about the mean corner so that nothing cancels.
     edges = _edges(ring - ring.mean(axis=0))
     if abs(_cross(edges[:, 0], edges[:, 1]).sum()) <= _FLAT * float(np.ptp(ring, axis=0).max())**2:
-        raise CornerError(f"area {name!r} has no extent {place}", 0, where,
+        raise CornerError(f"area {name!r} has no extent {in_words}", 0, space,
                           "Its corners lie on one straight line, or its edges cross.")
     crossed = _crossing(edges) if n <= _MANY else None
     if crossed is not None:
-        one, other = crossed
-        raise CornerError(f"the edges from corners {one + 1} and {other + 1} of area {name!r} "
-                          f"cross {place}", other, where,
+        first_edge, second_edge = crossed
+        raise CornerError(f"the edges from corners {first_edge + 1} and {second_edge + 1} of area "
+                          f"{name!r} cross {in_words}", second_edge, space,
                           "Give the corners in order around the area.")
 
 
 def _crossing(edges: FloatArray) -> tuple[int, int] | None:
     """Return the first two edges, shape (n, 2, 2), that cross, or None."""
-    along = edges[:, 1] - edges[:, 0]
+    directions = edges[:, 1] - edges[:, 0]
     # On which side of edge i the ends of edge j are; zero for an end the two share.
-    start, end = (_cross(along[:, None], edges[None, :, k] - edges[:, None, 0]) for k in (0, 1))
-    parts = start * end < 0
-    pairs = np.argwhere(np.triu(parts & parts.T))
+    first_ends = _cross(directions[:, None], edges[None, :, 0] - edges[:, None, 0])
+    second_ends = _cross(directions[:, None], edges[None, :, 1] - edges[:, None, 0])
+    # Two edges cross where each parts the ends of the other.
+    is_parted = first_ends * second_ends < 0
+    pairs = np.argwhere(np.triu(is_parted & is_parted.T))
     return (int(pairs[0, 0]), int(pairs[0, 1])) if len(pairs) else None

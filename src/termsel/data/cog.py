@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -38,10 +39,10 @@ def require_tiff_name(path: Path) -> None:
                                 "converts it to other formats.")
 
 
-def _tile(made: Any) -> tuple[Any, Any]:
+def _tile(pixels: Any) -> tuple[Any, Any]:
     """Return pixels in the order of memory, and where they show something, if that is said."""
-    values, shown = made if isinstance(made, tuple) else (made, None)
-    return np.ascontiguousarray(values), shown
+    values, valid = pixels if isinstance(pixels, tuple) else (pixels, None)
+    return np.ascontiguousarray(values), valid
 
 
 def write_cog(
@@ -97,13 +98,16 @@ def write_cog(
 
     lines = profile["height"]
     samples = profile["width"]
+    # Row by row; tiles at the right and the lower edge are as small as what remains.
     tiles = [Window(column, row, min(across, samples - column), min(TILE, lines - row))
-             for row in range(0, lines, TILE) for column in range(0, samples, across)]
+             for row, column in product(range(0, lines, TILE), range(0, samples, across))]
+    # Of GDAL's driver for cloud-optimised files, which makes the overviews.
     options: dict[str, Any] = {"STATISTICS": "YES"} if statistics else {}
     if nearest:
         options["OVERVIEW_RESAMPLING"] = "NEAREST"
     if bits is not None:
         options["NBITS"] = profile["nbits"] = bits
+    # Of each tile as it was computed, to be compared with what the finished file holds.
     checksums = []
 
     def checksum(raster: Any, window: Window) -> int:
@@ -114,30 +118,31 @@ def write_cog(
         with atomic_path(path) as temporary, utf8_folder(temporary.parent) as folder, \
                 warnings.catch_warnings(), rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True):
             warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-            plain = folder / "tiles.tif"
-            made = folder / "made.tif"
+            tiled_file = folder / "tiles.tif"
+            cog_file = folder / "made.tif"
             # This file is read once: it is packed lightly, which is quick.
-            with rasterio.open(plain, "w", driver="GTiff", tiled=True, compress="deflate",
+            with rasterio.open(tiled_file, "w", driver="GTiff", tiled=True, compress="deflate",
                                zlevel=1, bigtiff="if_safer", **profile) as raster:
                 describe(raster)
                 for done, window in enumerate(tiles):
-                    values, shown = _tile(pixels(window, raster.window_transform(window)))
+                    values, valid = _tile(pixels(window, raster.window_transform(window)))
                     raster.write(values, window=window)
                     written = crc32(values.data)
                     if masked:
-                        mask = np.where(shown, np.uint8(255), np.uint8(0))
+                        mask = np.where(valid, np.uint8(255), np.uint8(0))
                         raster.write_mask(mask, window=window)
                         written = crc32(mask.data, written)
                     checksums.append(written)
                     if progress is not None:
                         progress((done + 1) / len(tiles))
-            copy(plain, made, driver="COG", compress="deflate", bigtiff="if_safer", **options)
+            copy(tiled_file, cog_file, driver="COG", compress="deflate", bigtiff="if_safer",
+                 **options)
             # GDAL does not report that a disk is full when it closes a file.
-            with rasterio.open(made) as raster:
+            with rasterio.open(cog_file) as raster:
                 if [checksum(raster, window) for window in tiles] != checksums:
                     raise TermselError("the map that is read back is not the one that was written",
                                        file=path, hint="Check the free space on the disk.")
-            made.replace(folder / temporary.name)
+            cog_file.replace(folder / temporary.name)
     except (rasterio.errors.RasterioError, CPLE_BaseError) as error:
         raise TermselError(f"GDAL cannot make this map: {reason_of(error, path)}", file=path,
                            hint="Check the image, the raster of heights, and the free space on the "

@@ -95,27 +95,28 @@ def heights_differ(control: Control) -> bool:
     return _tells(control, _about_plane(plane, z)[0], np.ones(len(z), dtype=bool))
 
 
-def carriers(control: Control, most: int = 2) -> tuple[str, ...]:
+def carriers(control: Control, limit: int = 2) -> tuple[str, ...]:
     """Return the ids of one or two features without which heights tell nothing; or none.
 
-    All ids where they tell nothing already. Heights are known. `most`, 1 or 2, is how many are
+    All ids where they tell nothing already. Heights are known. `limit`, 1 or 2, is how many are
     looked for; of fewer than `ENOUGH` one.
     """
-    most = most if len(control) >= ENOUGH else 1
+    limit = limit if len(control) >= ENOUGH else 1
     plane, z, owner = _vertices(control)
     keep = np.ones(len(z), dtype=bool)
-    chosen = list[int]()
-    rest, free = _about_plane(plane, z)
-    if not _tells(control, rest, keep):
+    # One feature after another is removed, that which the plane of heights gains most from.
+    carrying = list[int]()
+    off_plane_heights, free = _about_plane(plane, z)
+    if not _tells(control, off_plane_heights, keep):
         return control.features.ids
-    while len(chosen) < most:
+    while len(carrying) < limit:
         # What the sum of squares falls by without a vertex: its residual squared by 1 - leverage.
-        gain = np.bincount(owner[keep], rest**2 / free, minlength=len(control))
-        chosen.append(int(np.argmax(gain)))
-        keep &= owner != chosen[-1]
-        rest, free = _about_plane(plane[keep], z[keep])
-        if not _tells(control, rest, keep):
-            return tuple(control.features.ids[i] for i in chosen)
+        gain = np.bincount(owner[keep], off_plane_heights**2 / free, minlength=len(control))
+        carrying.append(int(np.argmax(gain)))
+        keep &= owner != carrying[-1]
+        off_plane_heights, free = _about_plane(plane[keep], z[keep])
+        if not _tells(control, off_plane_heights, keep):
+            return tuple(control.features.ids[i] for i in carrying)
     return ()
 
 
@@ -134,6 +135,7 @@ def off_plane(control: Control, ground: FloatArray) -> tuple[FloatArray, FloatAr
     scaled = control.scaling.ground(ground)
     keep = ~np.isin(np.array(control.features.ids)[owner], carrying) | (
         len(carrying) == len(control))
+    # The plane through all vertices but those of carriers; of all where nothing else is there.
     fitted = _plane_at(scaled) @ np.linalg.lstsq(plane[keep], z[keep])[0]
     off = np.where(np.isnan(ground[:, 2]), 0.0, np.abs(scaled[:, 2] - fitted))
     return off * control.scaling.ground_scale[2], off * _effects(control, scaled)
@@ -151,20 +153,21 @@ def with_usual_heights(control: Control, ground: FloatArray) -> FloatArray:
     fitted = np.linalg.lstsq(plane, z)[0]
     off = np.nan_to_num(scaled[:, 2] - _plane_at(scaled) @ fitted)
     usual = np.linalg.norm(z - plane @ fitted) / np.sqrt(max(len(z) - plane.shape[1], 1))
-    here = np.linalg.norm(off) / np.sqrt(max(len(off), 1))
-    if here <= max(OTHER * usual, FLAT):
+    mean_off = np.linalg.norm(off) / np.sqrt(max(len(off), 1))
+    if mean_off <= max(OTHER * usual, FLAT):
         return ground
-    off *= (1.0 - usual / here) * control.scaling.ground_scale[2]
+    # Heights go towards the plane, so that their root mean square about it becomes the usual one.
+    off *= (1.0 - usual / mean_off) * control.scaling.ground_scale[2]
     return ground - np.pad(off[:, None], ((0, 0), (2, 0)))
 
 
-def _tells(control: Control, rest: FloatArray, keep: BoolArray) -> bool:
+def _tells(control: Control, off_plane_heights: FloatArray, keep: BoolArray) -> bool:
     """Return whether scaled heights off a plane, of the vertices `keep`, tell what a height does.
     """
-    if not np.abs(rest).max(initial=0.0) > FLAT:
+    if not np.abs(off_plane_heights).max(initial=0.0) > FLAT:
         return False
-    places = control.scaling.ground(control.features.ground_vertices())[keep]
-    return bool(np.linalg.norm(rest * _effects(control, places)) > _noise(control))
+    scaled = control.scaling.ground(control.features.ground_vertices())[keep]
+    return bool(np.linalg.norm(off_plane_heights * _effects(control, scaled)) > _noise(control))
 
 
 def _noise(control: Control) -> float:
@@ -173,26 +176,29 @@ def _noise(control: Control) -> float:
     They do so by what a quadratic polynomial or a view leaves, without the points that fit worst:
     blunders would hide what heights do.
     """
-    least = min(MEASURED, MEASURED_PART * control.scaling.image_scale)
+    floor = min(MEASURED, MEASURED_PART * control.scaling.image_scale)
     points = control.scaled.points
     if len(control.features.lines) or len(points) < MANY:
-        return least
+        return floor
     x, y, z = points.ground.T
     columns = np.stack([x**0, x, y, z, x * x, x * y, y * y], axis=1)
     image = points.image
-    for kept in (len(points), round(BEST * len(points))):
+    for count in (len(points), round(BEST * len(points))):
+        # Residuals of the quadratic, and 1 - leverage of each point: it divides the residual, so
+        # that a point that bends the fit to itself is not taken for a good one.
         q = np.linalg.qr(columns)[0]
-        left = image - q @ (q.T @ image)
+        residuals = image - q @ (q.T @ image)
         free = np.maximum(1.0 - (q**2).sum(axis=1), np.finfo(float).eps)
-        best = np.argsort(np.linalg.norm(left, axis=1) / free)[:round(BEST * kept)]
-        square = (left**2).sum() / (len(image) - columns.shape[1]) / 2
+        best = np.argsort(np.linalg.norm(residuals, axis=1) / free)[:round(BEST * count)]
+        square = (residuals**2).sum() / (len(image) - columns.shape[1]) / 2
         columns = columns[best]
         image = image[best]
+    # An oblique view is no quadratic: there the projection tells how well points are measured.
     view = view_of(points)
     noise = float(np.sqrt(square))
     if view is not None:
         noise = min(noise, view.noise)
-    return max(least, noise * control.scaling.image_scale)
+    return max(floor, noise * control.scaling.image_scale)
 
 
 def _effects(control: Control, scaled: FloatArray) -> FloatArray:
@@ -204,6 +210,7 @@ def _effects(control: Control, scaled: FloatArray) -> FloatArray:
     effect = _effect(control)
     if view is None or not np.isfinite(effect):
         return np.full(len(scaled), effect)
+    # Pixels by a metre on the ground, along X and Y; the larger of both is across the view.
     metres = _metres(control)
     across = view.magnification(scaled) * control.scaling.image_scale / metres[:2]
     return np.asarray(PARALLAX * metres[2] * across.max(axis=1))
@@ -218,6 +225,7 @@ def _metres(control: Control) -> FloatArray:
     features = control.features
     scaling = control.scaling
     crs = features.fit_crs or features.crs
+    # From the middle of the box one scaled step along each axis, measured in the plane.
     corners = np.array(scaling.ground_offset) + np.diag(scaling.ground_scale)
     plan = plan_of(crs, np.concatenate([[scaling.ground_offset], corners]))
     assert plan is not None
@@ -235,6 +243,7 @@ def _effect(control: Control) -> float:
         features.ground_vertices(), features.crs, features.fit_crs))
     if plan is None:
         return np.inf
+    # The scale of the image is the ratio of the scatters in the image [px] and on the ground [m].
     across = np.sqrt(plan.var(axis=0).sum())
     image = np.sqrt(features.image_vertices().var(axis=0).sum())
     metres = control.scaling.ground_scale[2] * height_unit(features.fit_crs or features.crs)

@@ -81,13 +81,13 @@ class DemDifference:
                               "feet and metres?" if self.in_feet else GEOID)
 
 
-def off_as_a_whole(above: float, other: str, evidence: str, effect: str = "", dem: str = "",
+def off_as_a_whole(above: float, reference: str, evidence: str, effect: str = "", dem: str = "",
                    cause: str = GEOID) -> str:
     """Return in a sentence that a DEM is so much above something [m], and what may be the cause."""
-    side = "above" if above > 0 else "below"
+    direction = "above" if above > 0 else "below"
     name = f" {dem}" if dem else ""
-    return (f"The DEM{name} is {_rounded(abs(above))} m {side} {other} ({evidence}){effect}; "
-            f"{cause}")
+    return (f"The DEM{name} is {_rounded(abs(above))} m {direction} {reference} "
+            f"({evidence}){effect}; {cause}")
 
 
 def dem_difference(control: FloatArray, dem: FloatArray, name: str = "") -> DemDifference | None:
@@ -105,6 +105,7 @@ def dem_difference(control: FloatArray, dem: FloatArray, name: str = "") -> DemD
     if not n:
         return None
     median = float(np.median(over))
+    # The median absolute deviation, so that trees and blunders among the heights count little.
     scatter = _MAD * float(np.median(np.abs(over - median)))
     variance = (n * scatter**2 + AS_MANY * USUAL**2) / (n + AS_MANY)
     sigma = float(np.sqrt(_EFFICIENCY**2 * variance / n + ROUGHLY**2))
@@ -114,6 +115,8 @@ def dem_difference(control: FloatArray, dem: FloatArray, name: str = "") -> DemD
 def _in_feet(control: FloatArray, dem: FloatArray, scatter: float) -> bool:
     """Return whether heights agree better where one side is in feet than by any shift in metres."""
     foot = UNITS[FOOT]
+    # What is left in feet must be a third of what is left in metres at most, and within what
+    # shifts leave: two sets of heights that agree by nothing are in no unit.
     remaining = min(_away(control * foot, dem), _away(control, dem * foot))
     return remaining < min(_FEET * _away(control, dem), max(scatter, _EXACT))
 

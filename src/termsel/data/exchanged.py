@@ -40,8 +40,11 @@ def exchange_of(control: Control) -> Exchange | None:
     image = points.image
     if not _mixed(_turnings(ground, image)):
         return None
+    # What would make the plane a view again: two points exchanged, or one left out; the affine
+    # residual of the rest decides among several.
     repairs: list[tuple[float, Exchange]] = []
     for pair in combinations(range(count), 2):
+        # The image coordinates of the two are exchanged.
         order = np.arange(count)
         order[list(pair)] = pair[::-1]
         turnings = _turnings(ground, image[order])
@@ -50,9 +53,9 @@ def exchange_of(control: Control) -> Exchange | None:
             mirrored = 1e3 if (turnings > 0).any() else 1.0
             repairs.append((mirrored * _left(ground, image[order]), Exchange(pair, True)))
     for wrong in range(count) if count > FEWEST else ():
-        rest = np.delete(np.arange(count), wrong)
-        if not _mixed(_turnings(ground[rest], image[rest])):
-            repairs.append((_left(ground[rest], image[rest]), Exchange((wrong,), False)))
+        remaining = np.delete(np.arange(count), wrong)
+        if not _mixed(_turnings(ground[remaining], image[remaining])):
+            repairs.append((_left(ground[remaining], image[remaining]), Exchange((wrong,), False)))
     if repairs:
         return min(repairs, key=lambda repair: repair[0])[1]
     return Exchange(tuple(range(count)), False)
@@ -65,9 +68,10 @@ def errors_by_others(control: Control) -> FloatArray:
     columns = np.column_stack([np.ones(len(points)), points.ground[:, :2]])
     errors = np.empty(len(points))
     for i in range(len(points)):
-        others = np.arange(len(points)) != i
-        found = np.linalg.lstsq(columns[others], points.image[others])[0]
-        errors[i] = np.linalg.norm(points.image[i] - columns[i] @ found)
+        is_other = np.arange(len(points)) != i
+        # Each point by a fit of its own, as few points leave little redundancy.
+        affine = np.linalg.lstsq(columns[is_other], points.image[is_other])[0]
+        errors[i] = np.linalg.norm(points.image[i] - columns[i] @ affine)
     return errors * control.scaling.image_scale
 
 
@@ -76,9 +80,9 @@ def _turnings(ground: FloatArray, image: FloatArray) -> IntArray:
 
     0 of those that are thin. Lines count downwards, so that an image that is not mirrored has -1.
     """
-    which = np.array(list(combinations(range(len(ground)), 3)))
-    on_ground = _turning(ground[which])
-    in_image = _turning(image[which][..., ::-1])
+    triangles = np.array(list(combinations(range(len(ground)), 3)))
+    on_ground = _turning(ground[triangles])
+    in_image = _turning(image[triangles][..., ::-1])
     return np.asarray(on_ground * in_image, dtype=np.intp)
 
 
@@ -86,10 +90,11 @@ def _turning(corners: FloatArray) -> FloatArray:
     """Return by which sign triangles (n, 3, 2) turn; 0 of thin ones."""
     first = corners[:, 1] - corners[:, 0]
     second = corners[:, 2] - corners[:, 0]
+    # Twice the signed area; by the longest side it is the height of the triangle.
     double = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
-    sides = np.linalg.norm(np.stack([first, second, second - first]), axis=2)
+    lengths = np.linalg.norm(np.stack([first, second, second - first]), axis=2)
     extent = np.ptp(corners.reshape(-1, 2), axis=0).max()
-    thick = np.abs(double) > THIN * extent * sides.max(axis=0)
+    thick = np.abs(double) > THIN * extent * lengths.max(axis=0)
     return np.where(thick, np.sign(double), 0.0)
 
 
@@ -100,5 +105,5 @@ def _mixed(turnings: IntArray) -> bool:
 def _left(ground: FloatArray, image: FloatArray) -> float:
     """Return what an affine transformation leaves of image places, by its freedom."""
     columns = np.column_stack([np.ones(len(ground)), ground])
-    left = image - columns @ np.linalg.lstsq(columns, image)[0]
-    return float(np.sqrt((left**2).sum() / max(2 * len(ground) - 6, 1)))
+    residuals = image - columns @ np.linalg.lstsq(columns, image)[0]
+    return float(np.sqrt((residuals**2).sum() / max(2 * len(ground) - 6, 1)))

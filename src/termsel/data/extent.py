@@ -69,5 +69,6 @@ def reach(features: FeatureSet, options: Container[str], known: KnownImage | Non
         box = np.array(rpc.ground_offset) + np.outer([-1.0, 1.0], rpc.ground_scale)
     else:
         return np.zeros(3)
-    there = transformation("EPSG:4979", features.crs, strict=False)(box)
-    return np.asarray(np.abs(there[1] - there[0]) / 2)
+    # Two opposite corners of the box, in the CRS of the features.
+    corners = transformation("EPSG:4979", features.crs, strict=False)(box)
+    return np.asarray(np.abs(corners[1] - corners[0]) / 2)

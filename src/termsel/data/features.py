@@ -84,7 +84,7 @@ class Points(Tabular):
     def _glance(self) -> tuple[str, Mapping[str, str]]:
         roles = Counter(role or "no role" for role in self.roles)
         return f"Points: {len(self)}", {
-            "ids": ", ".join(self.ids[:5]) + ", ..." * (len(self) > 5),
+            "ids": ", ".join(self.ids[:5]) + (", ..." if len(self) > 5 else ""),
             "roles": ", ".join(f"{count} {role}" for role, count in roles.items())}
 
     def _columns(self) -> dict[str, object]:
@@ -132,18 +132,18 @@ class Lines(Tabular):
         self._check("line", (2,), "sigma")
         if not self.ids:
             return
-        for values, where in ((self.image, "in the image"),
-                              (self.ground[..., :2], "on the ground")):
+        for values, in_words in ((self.image, "in the image"),
+                                 (self.ground[..., :2], "on the ground")):
             short = (values[:, 0] == values[:, 1]).all(axis=1)
             if short.any():
                 name = self.ids[int(np.argmax(short))]
-                raise TermselError(f"line {name!r} has zero length {where}",
+                raise TermselError(f"line {name!r} has zero length {in_words}",
                                    hint="A control line needs two different points.", ids=[name])
         check_segments(self.ground, self.ids)
 
     def _glance(self) -> tuple[str, Mapping[str, str]]:
         return f"Lines: {len(self)}", {
-            "ids": ", ".join(self.features[:5]) + ", ..." * (len(self.features) > 5)}
+            "ids": ", ".join(self.features[:5]) + (", ..." if len(self.features) > 5 else "")}
 
     def _columns(self) -> dict[str, object]:
         (l1, s1), (l2, s2) = self.image.transpose(1, 2, 0)
@@ -175,6 +175,7 @@ class Lines(Tabular):
         -------
         ndarray, shape (len(features), ...)
         """
+        # Sums over the pieces of each feature, by their number.
         total = np.zeros((len(self.features), *values.shape[1:]))
         np.add.at(total, self.feature, values)
         count = np.bincount(self.feature, minlength=len(total))
@@ -274,9 +275,9 @@ class FeatureSet(Glance):
     image_origin: str = ""
 
     def __post_init__(self) -> None:
-        both = set(self.points.ids) & set(self.lines.ids)
-        if both:
-            name = min(both)
+        shared_ids = set(self.points.ids) & set(self.lines.ids)
+        if shared_ids:
+            name = min(shared_ids)
             raise TermselError(f"{name!r} is the id of a point and of a line",
                                hint="Give every feature an id of its own.", ids=[name])
 
@@ -347,8 +348,8 @@ class FeatureSet(Glance):
             If neither points nor lines have the column.
         """
         _, first = np.unique(self.lines.feature, return_index=True)
-        parts = (self.points.attributes, rows_at(self.lines.attributes, first))
-        return all_rows(parts, (len(self.points), len(first)), name)
+        tables = (self.points.attributes, rows_at(self.lines.attributes, first))
+        return all_rows(tables, (len(self.points), len(first)), name)
 
     def numbers(self, name: str) -> FloatArray:
         """Return a column of attributes of all features as numbers.

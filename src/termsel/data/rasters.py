@@ -80,9 +80,9 @@ def _quiet_about_encodings() -> Iterator[None]:
     unraisable = sys.unraisablehook
     uncaught = sys.excepthook
 
-    def not_raised(what: sys.UnraisableHookArgs) -> None:
-        if not isinstance(what.exc_value, UnicodeDecodeError):
-            unraisable(what)
+    def not_raised(unraised: sys.UnraisableHookArgs) -> None:
+        if not isinstance(unraised.exc_value, UnicodeDecodeError):
+            unraisable(unraised)
 
     def not_caught(kind: type[BaseException], error: BaseException,
                    trace: TracebackType | None) -> None:
@@ -156,13 +156,14 @@ def gdal_name(path: Path | str) -> Path | str:
     name = str(path)
     if os.path.lexists(name):
         return path
+    # pathlib makes one slash of "https://", and two of "/vsizip//tmp" likewise.
     address = re.sub(r"\b(https?|ftp):/(?!/)", r"\1://", name)
     if address != name:
         return address
-    found = re.fullmatch(r"(/vsi(?:zip|tar|gzip|7z|rar)/)([^/{].*)", name)
-    if found is None or any(map(os.path.lexists, (found[2], found[2].partition("/")[0]))):
+    archive = re.fullmatch(r"(/vsi(?:zip|tar|gzip|7z|rar)/)([^/{].*)", name)
+    if archive is None or any(map(os.path.lexists, (archive[2], archive[2].partition("/")[0]))):
         return path
-    return f"{found[1]}/{found[2]}"
+    return f"{archive[1]}/{archive[2]}"
 
 
 def _require_drivers(path: Path | str, sources: list[str]) -> None:
@@ -172,6 +173,7 @@ def _require_drivers(path: Path | str, sources: list[str]) -> None:
     """
     import rasterio
 
+    # A virtual raster within a virtual raster could name anything.
     drivers = [name for name in raster_drivers() if name != "VRT"]
     for name in sources:
         if name == str(path):
@@ -196,6 +198,7 @@ def _named_by(raster: Any) -> Iterator[str]:
 
 def _refuse_large_blocks(path: Path | str, raster: Any) -> None:
     """Refuse a raster of which GDAL must hold more than a gigabyte to read a single pixel."""
+    # A block is what GDAL reads at once: a strip may be a whole image.
     sizes = [lines * samples * np.dtype(_BYTES.get(kind, kind)).itemsize
              for (lines, samples), kind in zip(raster.block_shapes, raster.dtypes, strict=True)]
     if max(sizes, default=0) > LARGEST_BLOCK:
@@ -216,12 +219,12 @@ def refuse_empty_giant(raster: Any) -> None:
     """
     pixels = float(raster.width) * raster.height * raster.count
     size = pixels * np.dtype(_BYTES.get(raster.dtypes[0], raster.dtypes[0])).itemsize
-    held = sum(os.path.getsize(file) for file in raster.files if os.path.isfile(file))
+    stored = sum(os.path.getsize(file) for file in raster.files if os.path.isfile(file))
     archived = any(file.startswith("/vsi") for file in raster.files)
-    if not archived and size > SMALL and size > _DENSEST * held:
+    if not archived and size > SMALL and size > _DENSEST * stored:
         raise TermselError(
             f"this raster of {raster.height:,} lines and {raster.width:,} samples has only "
-            f"{held / 1024:,.0f} KiB of data", file=raster.name,
+            f"{stored / 1024:,.0f} KiB of data", file=raster.name,
             hint="Give a raster that has pixels, or a smaller one.")
 
 
@@ -248,6 +251,8 @@ def positions(raster: Any, x: FloatArray, y: FloatArray) -> FloatArray:
     if raster.transform.is_degenerate:
         raise TermselError("the pixels of this raster have no size", file=raster.name,
                            hint="Correct its geotransform.")
+    # The inverse affine map gives sample and line from the upper-left corner: half a pixel less
+    # from the centre of the first pixel.
     to_pixel = ~raster.transform
     with np.errstate(invalid="ignore", over="ignore"):  # what cannot be transformed is infinite
         return np.stack([to_pixel.d * x + to_pixel.e * y + to_pixel.f,

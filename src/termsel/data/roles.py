@@ -114,6 +114,7 @@ def assign(
     Shares of control, check and independent points are scaled to a sum of one; where lines are the
     control, that of control is 0. Raises TermselError for negative ones, or where none is left.
     """
+    # Points are no control where lines are.
     shares = np.array((0.0, *fractions[1:]) if lines else fractions, dtype=np.float64)
     if shares.shape != (3,) or not np.isfinite(shares).all() or (shares < 0).any() \
             or not shares[int(lines)]:
@@ -132,11 +133,12 @@ def asked_roles(off: str | None, role: str | None) -> dict[str, str]:
     form, a role that does not exist, or a feature named twice.
     """
     named: dict[str, str] = {}
+    # "off" is short for ID=off; both options go the same way.
     pairs = [(name, "off") for name in (off or "").split(",")]
-    for part in (role or "").split(","):
-        name, equals, value = part.rpartition("=")
-        if part.strip() and (not equals or value.strip() not in ROLES):
-            raise TermselError(f"role {part.strip()!r} is not of the form ID=ROLE",
+    for pair in (role or "").split(","):
+        name, equals, value = pair.rpartition("=")
+        if pair.strip() and (not equals or value.strip() not in ROLES):
+            raise TermselError(f"role {pair.strip()!r} is not of the form ID=ROLE",
                                hint=f"For example P07=check. Roles are {', '.join(ROLES)}.")
         pairs.append((name, value.strip()))
     for name, value in ((name.strip(), value) for name, value in pairs if name.strip()):
@@ -160,8 +162,8 @@ def with_roles(features: FeatureSet, named: Mapping[str, str]) -> FeatureSet:
                                hint="Lines are control, or off.", ids=[name])
     roles = tuple(named.get(name, role)
                   for name, role in zip(points.ids, points.roles, strict=True))
-    kept = [named.get(name) != "off" for name in lines.ids]
-    return features.with_(points=replace(points, roles=roles), lines=lines.take(kept))
+    is_kept = [named.get(name) != "off" for name in lines.ids]
+    return features.with_(points=replace(points, roles=roles), lines=lines.take(is_kept))
 
 
 def observe(
@@ -194,18 +196,22 @@ def observe(
             else "Give them with --lines FILE, or choose a problem over points.")
     roles = np.array(points.roles, dtype=object)
     if split is not None:
+        # A point that is off stays off, whatever the split.
         roles[roles != "off"] = ""
-    given = {label: role for label, role in zip(labels, roles, strict=True)
-             if role not in ("", "off")}
+    # A blank twin of a point with a role takes this role: they repeat one measurement.
+    role_of_group = {label: role for label, role in zip(labels, roles, strict=True)
+                     if role not in ("", "off")}
     for i in np.flatnonzero(roles == ""):
-        roles[i] = given.get(labels[i], "")
+        roles[i] = role_of_group.get(labels[i], "")
     blank = np.flatnonzero(roles == "")
     if blank.size:
+        # One representative of each group of twins is assigned, and the others follow.
         _, first, group = np.unique(labels[blank], return_index=True, return_inverse=True)
         assigned = assign(points.take(blank[first]), split=split or STRATIFIED,
                           fractions=fractions, lines=control == "lines", crs=features.crs, rng=rng)
         roles[blank] = np.array(assigned, dtype=object)[group]
     if control == "lines":
+        # With lines as the control, control points would be neither fitted nor judged.
         roles[roles == "control"] = "off"
     return by_roles(features.with_(points=unchecked(points, roles=tuple(roles)),
                                    lines=no_lines() if control == "points" else features.lines))
@@ -225,21 +231,28 @@ def _ordered(features: FeatureSet) -> tuple[FeatureSet, IntArray]:
 def in_order(features: FeatureSet) -> FeatureSet:
     """Return features in the order of their ids, in which P2 comes before P10."""
     # What chance or ties decide is then the same, however the rows of a file are ordered.
-    points, lines = ([i for _, i in sorted((_by_name(name), i) for i, name in enumerate(part.ids))]
-                     for part in (features.points, features.lines))
-    return features.with_(points=features.points.take(points), lines=features.lines.take(lines))
+    points = features.points
+    lines = features.lines
+    return features.with_(points=points.take(_order(points.ids)),
+                          lines=lines.take(_order(lines.ids)))
+
+
+def _order(names: Sequence[str]) -> list[int]:
+    """Return the rows of names in their order; the pieces of one line keep theirs."""
+    return sorted(range(len(names)), key=lambda row: _by_name(names[row]))
 
 
 def _by_name(name: str) -> tuple[list[tuple[int, str]], str]:
     """Return what sorts numbers in a name by their value; names that differ sort apart."""
     # Of two numbers without leading zeros the longer one is larger, however long they are.
-    parts = [part.lstrip("0") if i % 2 else part for i, part in enumerate(_NUMBER.split(name))]
-    return [(len(part) if i % 2 else 0, part) for i, part in enumerate(parts)], name
+    pieces = [piece.lstrip("0") if i % 2 else piece for i, piece in enumerate(_NUMBER.split(name))]
+    return [(len(piece) if i % 2 else 0, piece) for i, piece in enumerate(pieces)], name
 
 
 def by_roles(features: FeatureSet) -> Observations:
     """Return the observations of features whose points all have a role; lines are control."""
-    points, roles = features.points, np.array(features.points.roles, dtype=object)
+    points = features.points
+    roles = np.array(points.roles, dtype=object)
     control, check, independent = (points.take(roles == role) if (roles == role).any()
                                    else no_points() for role in ASSIGNABLE)
     return Observations(features, features.with_(points=control), check, independent)
@@ -267,13 +280,13 @@ def check_as_control(observations: Observations) -> Observations:
 def parsed_shares(text: str, needs_check: bool) -> tuple[float, ...]:
     """Return the shares of control, check and independent points, from an option like "1:1:1"."""
     try:
-        found = tuple(float(part) for part in text.replace(",", ":").split(":"))
+        shares = tuple(float(number) for number in text.replace(",", ":").split(":"))
     except ValueError:
-        found = ()
-    if len(found) != 3 or not np.isfinite(found).all() or min(found) < 0 \
-            or (needs_check and not found[1]):
+        shares = ()
+    if len(shares) != 3 or not np.isfinite(shares).all() or min(shares) < 0 \
+            or (needs_check and not shares[1]):
         raise TermselError(f"option 'fractions' cannot be {text!r}",
                            hint="It takes three numbers for control, check and independent, "
                                 "such as 1:1:1 or 0.4:0.3:0.3; check must be above 0 "
                                 "for a criterion that needs check points.")
-    return found
+    return shares

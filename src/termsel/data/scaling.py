@@ -18,6 +18,13 @@ from termsel.data.tables.tabular import unchecked
 
 _Table = TypeVar("_Table", Points, Lines)
 
+_FAR = 1e6
+"""Scaled coordinate of places that have none in the CRS of the fit."""
+
+SHALLOW = 0.03
+"""Least scale of heights, in metres as those of X and Y are. Relief is shallow next to a scene, and
+heights that hardly differ must not become large numbers at other places."""
+
 
 @dataclass(frozen=True)
 class Scaling:
@@ -52,6 +59,7 @@ class Scaling:
     def ground(self, ground: ArrayLike) -> FloatArray:
         """Return scaled ground coordinates; unknown heights become 0."""
         fitted = in_fit_crs(np.asarray(ground, dtype=np.float64), self.crs, self.fit_crs)
+        # Scaled coordinate = (coordinate - offset) / scale.
         away = fitted - self.ground_offset
         if self.x_turn:
             # As GDAL evaluates an RPC.
@@ -90,18 +98,23 @@ class Scaling:
 
     def numbers(self) -> ScalingNumbers:
         """Return the scaling as the record of a run holds it."""
+        x_offset, y_offset, z_offset = self.ground_offset
+        x_scale, y_scale, z_scale = self.ground_scale
         return ScalingNumbers(
-            self.image_offset[0], self.image_scale, self.image_offset[1], self.image_scale,
-            *self.ground_offset, *self.ground_scale, self.crs if self.fit_crs else "",
-            self.fit_crs, self.x_turn)
+            line_offset=self.image_offset[0], line_scale=self.image_scale,
+            sample_offset=self.image_offset[1], sample_scale=self.image_scale,
+            x_offset=x_offset, y_offset=y_offset, z_offset=z_offset,
+            x_scale=x_scale, y_scale=y_scale, z_scale=z_scale,
+            crs=self.crs if self.fit_crs else "", fit_crs=self.fit_crs, x_turn=self.x_turn)
 
     @classmethod
     def from_numbers(cls, numbers: ScalingNumbers) -> Scaling:
         """Return the scaling that `numbers` returned these for."""
-        return cls((numbers.x_offset, numbers.y_offset, numbers.z_offset),
-                   (numbers.x_scale, numbers.y_scale, numbers.z_scale),
-                   (numbers.line_offset, numbers.sample_offset), numbers.line_scale,
-                   numbers.crs, numbers.fit_crs, numbers.x_turn)
+        return cls(ground_offset=(numbers.x_offset, numbers.y_offset, numbers.z_offset),
+                   ground_scale=(numbers.x_scale, numbers.y_scale, numbers.z_scale),
+                   image_offset=(numbers.line_offset, numbers.sample_offset),
+                   image_scale=numbers.line_scale, crs=numbers.crs, fit_crs=numbers.fit_crs,
+                   x_turn=numbers.x_turn)
 
 
 @lru_cache(maxsize=8)
@@ -111,45 +124,41 @@ def _scaled(scaling: Scaling, features: FeatureSet) -> FeatureSet:
                    lines=scaling.lines(features.lines))
 
 
-_FAR = 1e6
-
 def in_fit_crs(ground: FloatArray, crs: str, fit_crs: str) -> FloatArray:
     """Return ground coordinates (..., 3) in the CRS a model is fitted in, if any; NaN stays NaN."""
     if not (crs and fit_crs):
         return ground
     flat = ground.reshape(-1, 3)
+    # Places outside the CRS of the fit become infinite, not an error: maps have corners there.
     fitted = np.array(transformation(crs, fit_crs, strict=False)(flat))
     fitted[np.isnan(flat)] = np.nan
     return fitted.reshape(ground.shape)
 
 
-SHALLOW = 0.03
-"""Least scale of heights, in metres as those of X and Y are. Relief is shallow next to a scene, and
-heights that hardly differ must not become large numbers at other places."""
-
-
 def scaling_of(features: FeatureSet) -> Scaling:
     """Return the scaling that brings these control features to [-1, 1]."""
-    own = (features.crs, features.fit_crs) if features.fit_crs else ("", "")
-    ground = in_fit_crs(features.ground_vertices(), *own)
+    crs_pair = (features.crs, features.fit_crs) if features.fit_crs else ("", "")
+    ground = in_fit_crs(features.ground_vertices(), *crs_pair)
     image = features.image_vertices()
     turns = is_in_degrees(features.fit_crs or features.crs)
     if turns:
         ground = np.column_stack([continuous(ground[:, 0]), ground[:, 1:]])
-    known = np.where(np.isnan(ground), np.nanmin(ground[:, :2]), ground)
+    # Blank heights take any finite number here; the height axis is then 0 throughout.
+    finite = np.where(np.isnan(ground), np.nanmin(ground[:, :2]), ground)
     blank = bool(np.isnan(ground[:, 2]).any())
     if blank:
-        known[:, 2] = 0.0
-    low = known.min(axis=0)
-    high = known.max(axis=0)
+        finite[:, 2] = 0.0
+    low = finite.min(axis=0)
+    high = finite.max(axis=0)
     half = (high - low) / 2
-    plan = None if blank else plan_of(features.fit_crs or features.crs, known)
+    plan = None if blank else plan_of(features.fit_crs or features.crs, finite)
     if plan is not None:
         half[2] = max(half[2], SHALLOW * np.ptp(plan, axis=0).max() / 2)
     middle = (image.max(axis=0) + image.min(axis=0)) / 2
     image_half = np.ptp(image, axis=0) / 2
+    # One scale for both axes; 1 where all features are at one place.
     scale = float(image_half.max())
     gx, gy, gz = ((low + high) / 2).tolist()
     sx, sy, sz = np.where(half > 0, half, 1.0).tolist()
     return Scaling((gx, gy, gz), (sx, sy, sz), (float(middle[0]), float(middle[1])),
-                   scale if scale > 0 else 1.0, *own, TURN if turns else 0.0)
+                   scale if scale > 0 else 1.0, *crs_pair, TURN if turns else 0.0)

@@ -43,12 +43,12 @@ class Split:
               rng: np.random.Generator) -> tuple[str, ...]:
         """Return a role for each point; refuse, naming the plugin, what are none."""
         with blamed(self.assign, "assign"):
-            found = self.assign(ids, ground.copy(), shares.copy(), rng)
-        if isinstance(found, str) or not isinstance(found, Sequence | np.ndarray) \
-                or len(found) != len(ids) or not set(map(str, found)) <= set(ASSIGNABLE):
-            raise wrong(self.assign, "assign", f"returned {found!r:.200}; expected a role for each "
-                        f"of {len(ids)} points: {', '.join(ASSIGNABLE)}")
-        return tuple(map(str, found))
+            assigned = self.assign(ids, ground.copy(), shares.copy(), rng)
+        if isinstance(assigned, str) or not isinstance(assigned, Sequence | np.ndarray) \
+                or len(assigned) != len(ids) or not set(map(str, assigned)) <= set(ASSIGNABLE):
+            raise wrong(self.assign, "assign", f"returned {assigned!r:.200}; expected a role for "
+                        f"each of {len(ids)} points: {', '.join(ASSIGNABLE)}")
+        return tuple(map(str, assigned))
 
 
 def stratified(_ids: tuple[str, ...], ground: FloatArray, shares: FloatArray,
@@ -71,13 +71,14 @@ def _in_turn(order: Sequence[int] | np.ndarray, shares: FloatArray,
     if not shares[0]:  # the same draws, whether points or lines are the control
         names = (*names[1:], names[0])
         shares = np.roll(shares, -1)
-    given = np.zeros(3)
+    counts = np.zeros(3)
     roles = [""] * len(order)
-    for place, i in enumerate(order):
-        lag = shares * (place + 1) - given
+    for turn, i in enumerate(order):
+        # What a role should have had by now, less what it has.
+        lag = shares * (turn + 1) - counts
         lag = np.where(shares > 0, lag + rng.uniform(0.0, 0.5, 3), -np.inf)
         role = int(np.argmax(lag))
-        given[role] += 1
+        counts[role] += 1
         roles[i] = names[role]
     return roles
 

@@ -32,8 +32,10 @@ def thumbnail(path: Path | str, expected: tuple[int, int] | None = None,
                 f"measured in one of {expected[0]} and {expected[1]}", file=path,
                 hint="Give the image that the points were measured in.")
         refuse_empty_giant(raster)
+        # GDAL reads at the lower resolution, from overviews where there are any.
         small = max(1.0, max(size) / LONGEST)
         shape = (max(1, round(size[0] / small)), max(1, round(size[1] / small)))
+        # Indices of colours have no mean: the nearest pixel is taken, and its brightness.
         indices = raster.colorinterp[0] == rasterio.enums.ColorInterp.palette
         band = raster.read(1, out_shape=shape, masked=True, resampling=(
             rasterio.enums.Resampling.nearest if indices else rasterio.enums.Resampling.average))
@@ -41,8 +43,9 @@ def thumbnail(path: Path | str, expected: tuple[int, int] | None = None,
             band = np.ma.array(_brightness(raster.colormap(1), int(band.data.max()))[band.data],
                                mask=band.mask)
     values = np.ma.filled(band.astype(np.float64), np.nan)
-    known = values[np.isfinite(values)]
-    low, high = np.percentile(known, [2, 98]) if known.size else (0.0, 1.0)
+    finite = values[np.isfinite(values)]
+    # Contrast between the darkest and the brightest 2 %, which are often borders and clouds.
+    low, high = np.percentile(finite, [2, 98]) if finite.size else (0.0, 1.0)
     grey = np.clip((values - low) / max(high - low, 1e-12), 0, 1)
     # Pale, so that arrows stand out; white where there is nothing.
     pixels = np.nan_to_num(110 + 145 * grey, nan=255.0).astype(np.uint8)

@@ -33,30 +33,33 @@ def twins(ground: FloatArray, typical: FloatArray | None = None) -> IntArray:
     typical = ground if typical is None else typical
     if n < 2 or len(typical) < 2:
         return np.arange(n, dtype=np.intp)
-    places = np.nan_to_num(ground)
+    positions = np.nan_to_num(ground)
     typical = np.nan_to_num(typical)
     # Half of the points span half of an even spread, wherever a few wild ones are.
     low, high = (quantile(typical.T, share) for share in (0.25, 0.75))
+    # Distances of twins in X, Y and Z are 1 in these units.
     unit = NEAR * 2 * (high - low) * np.array([len(typical) ** -0.5] * 2 + [1.0])
-    rounding = np.finfo(float).eps * np.abs(places).max(axis=0)
-    pairs = _near(places / np.maximum(unit, np.maximum(rounding, np.finfo(float).tiny)))
+    rounding = np.finfo(float).eps * np.abs(positions).max(axis=0)
+    pairs = _near(positions / np.maximum(unit, np.maximum(rounding, np.finfo(float).tiny)))
     if not len(pairs):
         return np.arange(n, dtype=np.intp)
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
+    # Twins of twins are twins: the groups are the connected parts of the graph of near pairs.
     edges = coo_array((np.ones(len(pairs)), pairs.T), shape=(n, n))
     return np.asarray(connected_components(edges, directed=False)[1], dtype=np.intp)
 
 
-def _near(places: FloatArray) -> IntArray:
-    """Return the pairs of places (n, 3) that are at most 1 apart, shape (p, 2)."""
-    if len(places) <= FEW:
-        square = sum((axis[:, None] - axis) ** 2 for axis in places.T)
+def _near(positions: FloatArray) -> IntArray:
+    """Return the pairs of positions (n, 3) that are at most 1 apart, shape (p, 2)."""
+    if len(positions) <= FEW:
+        # Squared distances of all pairs, each pair once above the diagonal.
+        square = sum((axis[:, None] - axis) ** 2 for axis in positions.T)
         return np.argwhere(np.triu(square <= 1.0, 1))
     from scipy.spatial import KDTree
 
-    return np.asarray(KDTree(places).query_pairs(1.0, output_type="ndarray"))
+    return np.asarray(KDTree(positions).query_pairs(1.0, output_type="ndarray"))
 
 
 def merged(features: FeatureSet) -> FeatureSet:
@@ -85,15 +88,15 @@ def merged(features: FeatureSet) -> FeatureSet:
 def with_twins(points: Points, ids: Iterable[str]) -> frozenset[str]:
     """Return ids of points together with those of their twins."""
     labels = twins(points.ground)
-    given = frozenset(ids)
-    wanted = {label for name, label in zip(points.ids, labels, strict=True) if name in given}
+    named = frozenset(ids)
+    twin_labels = {label for name, label in zip(points.ids, labels, strict=True) if name in named}
     return frozenset(name for name, label in zip(points.ids, labels, strict=True)
-                     if label in wanted)
+                     if label in twin_labels)
 
 
 def groups(ids: Sequence[str], labels: IntArray) -> list[tuple[str, ...]]:
     """Return the ids of each group of two and more."""
-    found: dict[int, list[str]] = {}
+    by_label: dict[int, list[str]] = {}
     for name, label in zip(ids, labels.tolist(), strict=True):
-        found.setdefault(label, []).append(name)
-    return [tuple(names) for names in found.values() if len(names) > 1]
+        by_label.setdefault(label, []).append(name)
+    return [tuple(names) for names in by_label.values() if len(names) > 1]

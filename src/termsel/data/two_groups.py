@@ -60,16 +60,19 @@ class TwoGroups:
     def sentence(self) -> str:
         """Return it as a sentence."""
         east, north = self.shift
-        sides = [f"{abs(east):.0f} m {'east' if east > 0 else 'west'}" if abs(east) >= 1 else "",
-                 f"{abs(north):.0f} m {'north' if north > 0 else 'south'}" if abs(north) >= 1
-                 else ""]
+        # Less than a metre along an axis is not worth a word.
+        directions = []
+        if abs(east) >= 1:
+            directions.append(f"{abs(east):.0f} m {'east' if east > 0 else 'west'}")
+        if abs(north) >= 1:
+            directions.append(f"{abs(north):.0f} m {'north' if north > 0 else 'south'}")
         levels = "" if self.heights else ", or on two levels whose heights are not known"
         return (f"{len(self.second)} of {len(self.first) + len(self.second)} points lie "
-                f"{' and '.join(filter(None, sides))} of where the others call for, as if they "
-                f"were in another datum{levels}")
+                f"{' and '.join(directions)} of where the others call for, as if they were in "
+                f"another datum{levels}")
 
 
-def datum_of(groups: TwoGroups, crs: str, place: tuple[float, float]) -> str:
+def datum_of(groups: TwoGroups, crs: str, position: tuple[float, float]) -> str:
     """Return the datum whose coordinates are so far from those of a CRS at longitude and latitude.
 
     "" where PROJ knows none that is in use there.
@@ -80,23 +83,24 @@ def datum_of(groups: TwoGroups, crs: str, place: tuple[float, float]) -> str:
     from pyproj.enums import PJType
     from pyproj.exceptions import ProjError
 
-    lon, lat = place
-    here = AreaOfInterest(lon - 0.01, lat - 0.01, lon + 0.01, lat + 0.01)
+    lon, lat = position
+    area = AreaOfInterest(lon - 0.01, lat - 0.01, lon + 0.01, lat + 0.01)
     offset = np.array(groups.shift)
     nearest = ("", max(_LIKE * float(np.linalg.norm(offset)), _ABOUT))
-    for known in query_crs_info("EPSG", PJType.GEOGRAPHIC_2D_CRS, here, contains=True):
-        if _MODERN.search(known.name):
+    for datum in query_crs_info("EPSG", PJType.GEOGRAPHIC_2D_CRS, area, contains=True):
+        if _MODERN.search(datum.name):
             continue
         try:
-            turn = Transformer.from_crs(geodetic_of(crs), f"EPSG:{known.code}", always_xy=True,
-                                        area_of_interest=here)
+            # The move of one place between the datums, to be compared with the shift of the groups.
+            turn = Transformer.from_crs(geodetic_of(crs), f"EPSG:{datum.code}", always_xy=True,
+                                        area_of_interest=area)
         except ProjError:
             continue
         x, y, *_ = turn.transform(lon, lat, 0.0)
         moved = in_metres("EPSG:4326", np.array([[lon, lat]]), np.array([[x - lon, y - lat]]))
         if moved is not None and np.isfinite(moved).all():
             distance = float(np.linalg.norm(moved[0] - offset))
-            nearest = min(nearest, (known.name, distance), key=lambda one: one[1])
+            nearest = min(nearest, (datum.name, distance), key=lambda candidate: candidate[1])
     return nearest[0]
 
 
@@ -106,23 +110,26 @@ def two_groups(features: FeatureSet) -> TwoGroups | None:
     plan = plan_of(features.crs, points.ground) if len(points) >= LEAST else None
     if plan is None or not np.isfinite(plan).all():
         return None
+    # [1, u, z] of the docstring; z only where all heights are known.
     design = np.column_stack([np.ones(len(plan)), plan])
     if np.isfinite(points.ground[:, 2]).all():
         design = np.column_stack([design, points.ground[:, 2] - points.ground[:, 2].mean()])
-    _, rest = _residuals(design, points.image)
-    second = _split(rest)
+    _, joint_residuals = _residuals(design, points.image)
+    second = _split(joint_residuals)
+    # Like k-means with two centres: fit with this split, then each point to the nearer group.
     for _ in range(_ROUNDS):
         if not LEAST_OF_GROUP <= second.sum() <= len(plan) - LEAST_OF_GROUP:
             return None
-        coefficients, within = _residuals(np.column_stack([design, second]), points.image)
+        coefficients, residuals = _residuals(np.column_stack([design, second]), points.image)
         move = coefficients[-1]
-        others = within + np.outer(second, move)  # as if all were of the first group
-        nearer = np.linalg.norm(others - move, axis=1) < np.linalg.norm(others, axis=1)
+        from_first = residuals + np.outer(second, move)  # as if all were of the first group
+        nearer = np.linalg.norm(from_first - move, axis=1) < np.linalg.norm(from_first, axis=1)
         if (nearer == second).all():
             break
         second = nearer
-    sigma = float(np.sqrt((within**2).sum() / (2 * (len(plan) - len(coefficients)))))
-    if np.sqrt((within**2).sum()) > _REST * np.sqrt((rest**2).sum()) \
+    # Two groups must leave far less than one, and lie far apart within their scatter.
+    sigma = float(np.sqrt((residuals**2).sum() / (2 * (len(plan) - len(coefficients)))))
+    if np.sqrt((residuals**2).sum()) > _REST * np.sqrt((joint_residuals**2).sum()) \
             or np.linalg.norm(move) < _APART * sigma:
         return None
     # Ground coordinates that are d too far to the east have the image of what is d to the west.
@@ -145,8 +152,9 @@ def _residuals(design: FloatArray, image: FloatArray) -> tuple[FloatArray, Float
 
 def _split(residuals: FloatArray) -> BoolArray:
     """Return which residuals are beyond the largest gap near the middle of their main direction."""
-    along = residuals @ np.linalg.svd(residuals, full_matrices=False)[2][0]
-    order = np.sort(along)
+    projected = residuals @ np.linalg.svd(residuals, full_matrices=False)[2][0]
+    # Only gaps that leave enough points on either side count.
+    order = np.sort(projected)
     gaps = np.diff(order)[LEAST_OF_GROUP - 1:len(order) - LEAST_OF_GROUP]
     at = LEAST_OF_GROUP - 1 + int(np.argmax(gaps))
-    return np.asarray(along > (order[at] + order[at + 1]) / 2)
+    return np.asarray(projected > (order[at] + order[at + 1]) / 2)

@@ -24,24 +24,24 @@ _NAMED = 8
 _CORRECT = "Correct the values or remove the feature."
 
 
-def frozen(values: ArrayLike, shape: tuple[int, ...], what: str) -> FloatArray:
+def frozen(values: ArrayLike, shape: tuple[int, ...], content: str) -> FloatArray:
     """Return values as an array that cannot be written to; refuse another shape."""
     array = np.array(values, dtype=np.float64)
     if array.shape != shape:
-        raise TermselError(f"{what} has shape {array.shape}, expected {shape}")
+        raise TermselError(f"{content} has shape {array.shape}, expected {shape}")
     array.setflags(write=False)
     return array
 
 
-def check_finite(values: FloatArray, ids: Sequence[str], kind: str, what: str) -> None:
+def check_finite(values: FloatArray, ids: Sequence[str], kind: str, content: str) -> None:
     """Refuse coordinates that are not finite, or too far."""
-    _refuse(~np.isfinite(values), ids, kind, f"{what} that are not finite numbers", _CORRECT)
-    check_near(values, ids, kind, what)
+    _refuse(~np.isfinite(values), ids, kind, f"{content} that are not finite numbers", _CORRECT)
+    check_near(values, ids, kind, content)
 
 
-def check_near(values: FloatArray, ids: Sequence[str], kind: str, what: str) -> None:
+def check_near(values: FloatArray, ids: Sequence[str], kind: str, content: str) -> None:
     """Refuse coordinates that are too far."""
-    _refuse(np.abs(values) >= FARTHEST, ids, kind, f"{what} of {FARTHEST:g} or more", _CORRECT)
+    _refuse(np.abs(values) >= FARTHEST, ids, kind, f"{content} of {FARTHEST:g} or more", _CORRECT)
 
 
 def check_heights(z: FloatArray, ids: Sequence[str], kind: str) -> None:
@@ -57,62 +57,68 @@ def check_deviations(sigma: FloatArray, ids: Sequence[str], kind: str) -> None:
             "a standard deviation that is not positive, or beyond what can be computed with")
 
 
-def _refuse(bad: NDArray[np.bool_], ids: Sequence[str], kind: str, what: str,
+def _refuse(is_bad: NDArray[np.bool_], ids: Sequence[str], kind: str, problem: str,
             hint: str | None = None) -> None:
-    """Refuse the first feature with a value that is bad, shape (n, ...)."""
-    features = bad.reshape(len(ids), -1).any(axis=1)
+    """Refuse the first feature with a bad value, given which are bad, shape (n, ...)."""
+    features = is_bad.reshape(len(ids), -1).any(axis=1)
     if features.any():
         name = ids[int(np.argmax(features))]
-        raise TermselError(f"{kind} {name!r} has {what}", hint=hint, ids=[name])
+        raise TermselError(f"{kind} {name!r} has {problem}", hint=hint, ids=[name])
 
 
 def check_places(ground: FloatArray, ids: Sequence[str]) -> None:
     """Refuse points at one place on the ground, naming all of them."""
     # One image position with several ground points is a line of sight through several
     # heights; one ground point cannot be seen at two image positions.
-    places = repeated_places(ground)
-    if places:
-        few = len(places) == 1 and len(places[0]) == 2
-        which = "one of them" if few else "all but one of each"
-        raise TermselError(places_in_words(ids, places), ids=[ids[places[0][1]], ids[places[0][0]]],
-                           hint=f"Remove {which}, or average their image coordinates: --set "
+    repeated = repeated_places(ground)
+    if repeated:
+        is_pair = len(repeated) == 1 and len(repeated[0]) == 2
+        surplus = "one of them" if is_pair else "all but one of each"
+        earlier, later, *_ = repeated[0]
+        raise TermselError(places_in_words(ids, repeated), ids=[ids[later], ids[earlier]],
+                           hint=f"Remove {surplus}, or average their image coordinates: --set "
                                 "repeated=average.")
 
 
-def repeated_places(ground: FloatArray, *, alone: bool = False) -> list[list[int]]:
-    """Return the rows of each place (n, 3) on the ground that has several; or of all with `alone`.
+def repeated_places(ground: FloatArray, *, with_single: bool = False) -> list[list[int]]:
+    """Return the rows of each place (n, 3) on the ground that has several points.
+
+    `with_single` adds the places that have one.
     """
-    _, place = np.unique(np.nan_to_num(ground, nan=0.0), axis=0, return_inverse=True)
+    _, labels = np.unique(np.nan_to_num(ground, nan=0.0), axis=0, return_inverse=True)
     rows: dict[int, list[int]] = {}
-    for row, number in enumerate(place.ravel().tolist()):
+    for row, number in enumerate(labels.ravel().tolist()):
         rows.setdefault(number, []).append(row)
-    return [some for some in rows.values() if alone or len(some) > 1]
+    return [group for group in rows.values() if with_single or len(group) > 1]
 
 
-def places_in_words(ids: Sequence[str], places: Sequence[Sequence[int]]) -> str:
+def places_in_words(ids: Sequence[str], groups: Sequence[Sequence[int]]) -> str:
     """Return which points have the same ground coordinates, given the rows of each place."""
-    named = [" and ".join(repr(ids[row]) for row in rows[:_NAMED])
-             + (f" and {len(rows) - _NAMED} more" if len(rows) > _NAMED else "")
-             for rows in places[:_NAMED]]
-    more = f", and those of {len(places) - _NAMED} more places" if len(places) > _NAMED else ""
-    each = " each" if len(places) > 1 else ""
-    return f"points {', '.join(named)}{more}{each} have the same ground coordinates"
+    named = []
+    for rows in groups[:_NAMED]:
+        names = " and ".join(repr(ids[row]) for row in rows[:_NAMED])
+        surplus = f" and {len(rows) - _NAMED} more" if len(rows) > _NAMED else ""
+        named.append(f"{names}{surplus}")
+    unnamed = f", and those of {len(groups) - _NAMED} more places" if len(groups) > _NAMED else ""
+    each_group = " each" if len(groups) > 1 else ""
+    return f"points {', '.join(named)}{unnamed}{each_group} have the same ground coordinates"
 
 
 def check_segments(ground: FloatArray, ids: Sequence[str]) -> None:
     """Refuse two lines with the same ground vertices."""
     ends = np.nan_to_num(ground, nan=0.0)
     # One order of the ends, by X, then Y, then Z, so that a reversed line is found too.
+    # The first coordinate in which the two ends differ says which of them comes first.
     differs = ends[:, 0] != ends[:, 1]
     first_difference = np.argmax(differs, axis=1)
-    each = np.arange(len(ends))
-    swap = ends[each, 0, first_difference] > ends[each, 1, first_difference]
+    index = np.arange(len(ends))
+    swap = ends[index, 0, first_difference] > ends[index, 1, first_difference]
     ends[swap] = ends[swap][:, ::-1]
     pair = _repeated(ends.reshape(len(ids), -1))
     if pair:
-        first, again = (ids[i] for i in pair)
-        raise TermselError(f"lines {first!r} and {again!r} have the same ground vertices",
-                           hint="Remove one of them.", ids=[again, first])
+        first, second = (ids[i] for i in pair)
+        raise TermselError(f"lines {first!r} and {second!r} have the same ground vertices",
+                           hint="Remove one of them.", ids=[second, first])
 
 
 def _repeated(rows: FloatArray) -> tuple[int, int] | None:

@@ -92,8 +92,8 @@ class View:
         of the camera where t, its distance, is positive.
         """
         level = self.matrix[:, :3].copy()
-        places = np.column_stack([image, np.ones(len(image))]) @ np.linalg.inv(level).T
-        return np.asarray(~(places[:, 0] > 0.0))
+        homogeneous = np.column_stack([image, np.ones(len(image))]) @ np.linalg.inv(level).T
+        return np.asarray(~(homogeneous[:, 0] > 0.0))
 
     def magnification(self, ground: FloatArray) -> FloatArray:
         """Return how far places move in the image, by a move in X or in Y, (n, 2).
@@ -120,10 +120,12 @@ def view_of(points: Points) -> View | None:
         points = points.take(spatial_order(points.ground[:, :2])[even])
     views = []
     for size in (3, 4) if np.isfinite(points.ground).all() else (3,):
+        # A plane projective transformation has 8 parameters, the DLT 11: the view with the smaller
+        # sigma is taken, if it is clearly better than an affine one.
         columns = _columns(points.ground, size)
         view = _fitted(columns, points)
-        plain = _affine(columns, points.image)
-        if view is not None and plain is not None and view.sigma < CLEARER * plain:
+        affine_sigma = _affine(columns, points.image)
+        if view is not None and affine_sigma is not None and view.sigma < CLEARER * affine_sigma:
             views.append(view)
     return min(views, key=lambda view: view.sigma, default=None)
 
@@ -134,11 +136,12 @@ def _columns(ground: FloatArray, size: int) -> FloatArray:
 
 def _affine(columns: FloatArray, image: FloatArray) -> float | None:
     """Return the standard deviation of what an affine transformation leaves."""
+    # Observations less parameters.
     freedom = image.size - 2 * columns.shape[1]
     if freedom <= 0:
         return None
-    left = image - columns @ np.linalg.lstsq(columns, image)[0]
-    return float(np.sqrt((left**2).sum() / freedom))
+    residuals = image - columns @ np.linalg.lstsq(columns, image)[0]
+    return float(np.sqrt((residuals**2).sum() / freedom))
 
 
 def _fitted(columns: FloatArray, points: Points) -> View | None:
@@ -146,15 +149,17 @@ def _fitted(columns: FloatArray, points: Points) -> View | None:
     matrix = _least_distances(columns, points.image)
     if matrix is None:
         return None
-    left = np.linalg.norm(points.image - _seen(matrix, columns), axis=1)
+    distances = np.linalg.norm(points.image - _seen(matrix, columns), axis=1)
     unknown = 3 * matrix.shape[1] - 1
     noise = np.inf
-    kept = np.argsort(left)[:round(BEST * len(left))]
-    again = _least_distances(columns[kept], points.image[kept])
-    if again is not None:
-        closest = points.image[kept] - _seen(again, columns[kept])
+    # The noise of the points that fit best, which blunders do not reach; never more than that of
+    # all.
+    best = np.argsort(distances)[:round(BEST * len(distances))]
+    best_matrix = _least_distances(columns[best], points.image[best])
+    if best_matrix is not None:
+        closest = points.image[best] - _seen(best_matrix, columns[best])
         noise = float(np.sqrt((closest**2).sum() / (closest.size - unknown)))
-    sigma = float(np.sqrt((left**2).sum() / (2 * len(left) - unknown)))
+    sigma = float(np.sqrt((distances**2).sum() / (2 * len(distances) - unknown)))
     return View(matrix, points.ground, sigma, min(noise, sigma))
 
 
@@ -167,6 +172,8 @@ def _least_distances(columns: FloatArray, image: FloatArray) -> FloatArray | Non
     if image.size <= 3 * size - 1:
         return None
     zero = np.zeros_like(columns)
+    # With p = (1, X, Y, Z) and rows a, b, d of the matrix: a p - line d p = 0 and b p - sample d p
+    # = 0, linear in the matrix up to its size: the last right singular vector.
     system = np.concatenate([
         np.concatenate([columns, zero, -image[:, :1] * columns], axis=1),
         np.concatenate([zero, columns, -image[:, 1:] * columns], axis=1)])
@@ -178,34 +185,36 @@ def _least_distances(columns: FloatArray, image: FloatArray) -> FloatArray | Non
     matrix = matrix * np.sign(below.sum())
     if not (columns @ matrix[2] > 0.0).all():
         return None
-    left = image - _seen(matrix, columns)
+    residuals = image - _seen(matrix, columns)
+    # From there to the least distances in the image, halving steps that do not gain.
     for _ in range(_STEPS):
-        step = _step(matrix, columns, left)
+        step = _step(matrix, columns, residuals)
         for halving in range(_HALVINGS):
-            tried = matrix + 0.5**halving * step
-            after = image - _seen(tried, columns)
-            if (columns @ tried[2] > 0.0).all() and (after**2).sum() < (left**2).sum():
+            trial = matrix + 0.5**halving * step
+            after = image - _seen(trial, columns)
+            if (columns @ trial[2] > 0.0).all() and (after**2).sum() < (residuals**2).sum():
                 break
         else:
             break
-        gain = 1.0 - (after**2).sum() / (left**2).sum()
-        matrix = tried / np.linalg.norm(tried)
-        left = after
+        gain = 1.0 - (after**2).sum() / (residuals**2).sum()
+        matrix = trial / np.linalg.norm(trial)
+        residuals = after
         if gain < _GAIN:
             break
     return np.asarray(matrix)
 
 
-def _step(matrix: FloatArray, columns: FloatArray, left: FloatArray) -> FloatArray:
+def _step(matrix: FloatArray, columns: FloatArray, residuals: FloatArray) -> FloatArray:
     """Return the Gauss-Newton step of a matrix, at right angles to it as its size is free."""
-    seen = _seen(matrix, columns)
+    projected = _seen(matrix, columns)
     below = columns @ matrix[2]
+    # d(a p / d p) = (dp a - (a p / d p) dp d) / (d p), as a row of the design.
     by = columns / below[:, None]
     zero = np.zeros_like(columns)
-    design = np.concatenate([np.concatenate([by, zero, -seen[:, :1] * by], axis=1),
-                             np.concatenate([zero, by, -seen[:, 1:] * by], axis=1),
+    design = np.concatenate([np.concatenate([by, zero, -projected[:, :1] * by], axis=1),
+                             np.concatenate([zero, by, -projected[:, 1:] * by], axis=1),
                              matrix.reshape(1, -1)])
-    right = np.concatenate([left.T.ravel(), [0.0]])
+    right = np.concatenate([residuals.T.ravel(), [0.0]])
     return np.asarray(np.linalg.lstsq(design, right)[0].reshape(matrix.shape))
 
 

@@ -52,7 +52,7 @@ def averaged(ids: Sequence[str], image: FloatArray, ground: FloatArray, sigma: F
     means = np.array(image)
     deviations = None if sigma is None else np.array(sigma)
     together = []
-    for rows in repeated_places(ground, alone=True):
+    for rows in repeated_places(ground, with_single=True):
         used = [row for row in rows if not off[row]] or list(rows)
         named = {roles[row] for row in used}
         if len(named) > 1:

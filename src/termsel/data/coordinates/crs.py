@@ -11,6 +11,7 @@ import logging
 import re
 from collections.abc import Callable
 from functools import lru_cache
+from itertools import chain
 from typing import TYPE_CHECKING
 from warnings import catch_warnings, simplefilter
 
@@ -65,6 +66,7 @@ def normalise(crs: str) -> str:
     text = crs.strip()
     if text.lower() == LOCAL:
         return LOCAL
+    # From the cheapest to the dearest: codes by their form, WKT and compound ones by pyproj.
     code = _CODE.fullmatch(text)
     if code:
         authority = code[1].upper()
@@ -72,22 +74,23 @@ def normalise(crs: str) -> str:
         if authority == "OGC" and number in _OGC:
             return _OGC[number]
         if authority == "EPSG" and number.isdecimal() and len(number) < 10:
+            # UTM and WGS84 are known to exist, so that common data need no pyproj.
             name = f"EPSG:{int(number)}"
             if name not in WGS84 and not UTM.fullmatch(name) and _with_pyproj(name) is None:
                 _say_unchecked(name)
             return name
-    elif other := _OTHER_CODE.fullmatch(text):
-        name = f"{other[1].upper()}:{int(other[2])}"
+    elif other_code := _OTHER_CODE.fullmatch(text):
+        name = f"{other_code[1].upper()}:{int(other_code[2])}"
         with requires(f"the CRS {name} requires", "pyproj", GIS):
             import pyproj  # noqa: F401 - whether it is there
         _with_pyproj(name)
         return name
     elif (two := _COMPOUND.fullmatch(text)) or _WKT.fullmatch(text):
         text = f"EPSG:{int(two[1])}+{int(two[2])}" if two else text
-        known = _with_pyproj(text)
-        if known is None:
-            own = _AUTHORITY.search(text)
-            return f"EPSG:{int(own[1])}" if own else text
+        parsed = _with_pyproj(text)
+        if parsed is None:
+            epsg_code = _AUTHORITY.search(text)
+            return f"EPSG:{int(epsg_code[1])}" if epsg_code else text
         return _as_listed(text)
     guess = f"Did you mean EPSG:{text}? " if text.isdecimal() else ""
     raise TermselError(f"unknown CRS {crs!r}", hint=f"{guess}Examples: {EXAMPLES}; or WKT.")
@@ -99,10 +102,11 @@ def _as_listed(text: str) -> str:
 
     Shapefiles call a CRS by other names than EPSG, whatever they say being the same.
     """
-    known = _with_pyproj(text)
-    epsg = None if known is None else known.to_epsg(min_confidence=25)
+    parsed = _with_pyproj(text)
+    # With a confidence of 25 pyproj also proposes codes of other names; equality decides.
+    epsg = None if parsed is None else parsed.to_epsg(min_confidence=25)
     listed = None if epsg is None else _with_pyproj(f"EPSG:{epsg}")
-    return f"EPSG:{epsg}" if known is not None and listed is not None and known.equals(
+    return f"EPSG:{epsg}" if parsed is not None and listed is not None and parsed.equals(
         listed, ignore_axis_order=True) else text
 
 
@@ -116,9 +120,9 @@ def metres_per_unit(crs: str) -> float | None:
     crs = normalise(crs)
     if UTM.fullmatch(crs):
         return 1.0
-    known = None if crs == LOCAL or crs in WGS84 else _with_pyproj(crs)
-    return float(known.axis_info[0].unit_conversion_factor) \
-        if known is not None and known.is_projected else None
+    parsed = None if crs == LOCAL or crs in WGS84 else _with_pyproj(crs)
+    return float(parsed.axis_info[0].unit_conversion_factor) \
+        if parsed is not None and parsed.is_projected else None
 
 
 def metres_per_height(crs: str) -> float:
@@ -130,18 +134,18 @@ def metres_per_height(crs: str) -> float:
 def height_axis_unit(crs: str) -> float | None:
     """Return the unit of the vertical axis of a CRS [m]; None if it has none."""
     crs = normalise(crs)
-    known = None if crs in (LOCAL, "", "EPSG:4326") or UTM.fullmatch(crs) else \
+    parsed = None if crs in (LOCAL, "", "EPSG:4326") or UTM.fullmatch(crs) else \
         1.0 if crs == "EPSG:4979" else _with_pyproj(crs)
-    if known is None or isinstance(known, float):
-        return known
-    return float(known.axis_info[2].unit_conversion_factor) if len(known.axis_info) > 2 else None
+    if parsed is None or isinstance(parsed, float):
+        return parsed
+    return float(parsed.axis_info[2].unit_conversion_factor) if len(parsed.axis_info) > 2 else None
 
 
 def has_ellipsoidal_metres(crs: str) -> bool:
     """Return whether heights are ellipsoidal and in metres, or taken as such."""
-    known = None if crs in WGS84 or UTM.fullmatch(crs) else _with_pyproj(crs)
+    parsed = None if crs in WGS84 or UTM.fullmatch(crs) else _with_pyproj(crs)
     return metres_per_height(crs) == 1.0 and (
-        known is None or not any(part.is_vertical for part in known.sub_crs_list))
+        parsed is None or not any(sub_crs.is_vertical for sub_crs in parsed.sub_crs_list))
 
 
 def to_wgs84(crs: str) -> Transformation:
@@ -160,6 +164,7 @@ def transformation(source: str, target: str, *, strict: bool = True) -> Transfor
     """
     source = normalise(source)
     target = normalise(target)
+    # EPSG:4326 and EPSG:4979 differ by what they say of heights, not by any number.
     if source == target or WGS84.issuperset((source, target)):
         return np.asarray
     into = "longitude and latitude" if target in WGS84 else short(target)
@@ -171,27 +176,31 @@ def transformation(source: str, target: str, *, strict: bool = True) -> Transfor
         from pyproj.exceptions import ProjError
 
     failure = f"coordinates in {short(source)} cannot be transformed to {into}"
-    known = [_with_pyproj(name) for name in (source, target)]
-    here = body_of(source)
-    there = body_of(target)
-    if here != there:
-        raise TermselError(f"{short(source)} is on {here}, and {short(target)} on {there}",
+    parsed = [_with_pyproj(name) for name in (source, target)]
+    source_body = body_of(source)
+    target_body = body_of(target)
+    if source_body != target_body:
+        raise TermselError(f"{short(source)} is on {source_body}, and {short(target)} on "
+                           f"{target_body}",
                            hint="Formats of WGS84, such as RPCs and GeoJSON, are for the Earth. "
                                 "gcp-grid-vrt and geolocation-vrt keep the CRS.")
-    ends = [one if len(one.axis_info) > 2 else one.to_3d() for one in known if one is not None]
+    # A CRS without heights gets ellipsoidal ones, so that the shift between datums applies to them.
+    ends = [crs if len(crs.axis_info) > 2 else crs.to_3d() for crs in parsed if crs is not None]
     try:
+        # Ballpark transformations would leave heights, or datums, as they are, without a word.
         turn = Transformer.from_crs(*ends, always_xy=True, allow_ballpark=False)
     except ProjError as error:
         grids = _missing_grids(*ends)
         if not grids:
             raise TermselError(f"{failure}: {error}") from error
-        more = f" or one of {len(grids) - _GRIDS} others" if len(grids) > _GRIDS else ""
+        further_grids = f" or one of {len(grids) - _GRIDS} others" if len(grids) > _GRIDS else ""
         raise TermselError(
-            f"{failure}: PROJ does not have the grid {' or '.join(grids[:_GRIDS])}{more}",
+            f"{failure}: PROJ does not have the grid {' or '.join(grids[:_GRIDS])}{further_grids}",
             hint=f"Get it with pyproj sync --file {grids[0]}, or set PROJ_NETWORK=ON. Or give "
                  "ellipsoidal heights, as in EPSG:4979.") from error
 
     def convert(ground: FloatArray) -> FloatArray:
+        # Heights that are not known are taken as 0, as the docstring says.
         known_heights = np.nan_to_num(ground, nan=0.0)
         try:
             turned = turn.transform(*known_heights.T, errcheck=strict)
@@ -208,11 +217,11 @@ EARTH = "the Earth"
 @lru_cache
 def body_of(crs: str) -> str:
     """Return the celestial body of a CRS as messages call it, such as "Mars"."""
-    known = _ellipsoid_and_name(crs)
-    if known is None or abs(known[0] / SEMI_MAJOR - 1.0) < _OF_EARTH:
+    ellipsoid = _ellipsoid_and_name(crs)
+    if ellipsoid is None or abs(ellipsoid[0] / SEMI_MAJOR - 1.0) < _OF_EARTH:
         return EARTH
-    word = _BODY.match(known[2])
-    name = word[1].capitalize() if word else ""
+    body = _BODY.match(ellipsoid[2])
+    name = body[1].capitalize() if body else ""
     return {"Moon": "the Moon", "": "another body", "Unknown": "another body"}.get(name, name)
 
 
@@ -220,36 +229,37 @@ def body_of(crs: str) -> str:
 def ellipsoid_of(crs: str) -> tuple[float, float]:
     """Return semi-major axis [m] and square of the first eccentricity; those of WGS84 by default.
     """
-    known = _ellipsoid_and_name(crs)
-    return (SEMI_MAJOR, ECCENTRICITY) if known is None else known[:2]
+    ellipsoid = _ellipsoid_and_name(crs)
+    return (SEMI_MAJOR, ECCENTRICITY) if ellipsoid is None else ellipsoid[:2]
 
 
 def geodetic_of(crs: str) -> str:
     """Return the CRS of longitude, latitude and height on the body of a CRS."""
     if body_of(crs) == EARTH:
         return "EPSG:4979"
-    known = _with_pyproj(normalise(crs))
-    assert known is not None  # without pyproj all are on the Earth
-    return crs if known.is_geographic else str(known.geodetic_crs.to_wkt())
+    parsed = _with_pyproj(normalise(crs))
+    assert parsed is not None  # without pyproj all are on the Earth
+    return crs if parsed.is_geographic else str(parsed.geodetic_crs.to_wkt())
 
 
 def _ellipsoid_and_name(crs: str) -> tuple[float, float, str] | None:
     """Return the axis, the squared eccentricity and the name of a body; None where WGS84 serves."""
     name = normalise(crs) if crs else LOCAL
-    known = None if name == LOCAL or name in WGS84 or UTM.fullmatch(name) else _with_pyproj(name)
-    if known is None or known.ellipsoid is None:
+    parsed = None if name == LOCAL or name in WGS84 or UTM.fullmatch(name) else _with_pyproj(name)
+    if parsed is None or parsed.ellipsoid is None:
         return None
-    major = known.ellipsoid.semi_major_metre
-    minor = known.ellipsoid.semi_minor_metre
-    body = known.geodetic_crs or known
+    # e^2 = 1 - (b / a)^2.
+    major = parsed.ellipsoid.semi_major_metre
+    minor = parsed.ellipsoid.semi_minor_metre
+    body = parsed.geodetic_crs or parsed
     return float(major), float(1.0 - (minor / major) ** 2), str(body.name)
 
 
 def area_of_use(crs: str) -> tuple[float, float, float, float] | None:
     """Return west, south, east and north [deg] of the area that a CRS is for, as far as known."""
     name = normalise(crs)
-    known = None if name == LOCAL or name in WGS84 else _with_pyproj(name)
-    area = None if known is None else known.area_of_use
+    parsed = None if name == LOCAL or name in WGS84 else _with_pyproj(name)
+    area = None if parsed is None else parsed.area_of_use
     return None if area is None else tuple(area.bounds)
 
 
@@ -266,8 +276,8 @@ def height_reference(crs: str) -> str:
     if name == "EPSG:4979":
         return "ellipsoidal (WGS 84)"
     plane = name in WGS84 or UTM.fullmatch(name)
-    known = None if plane else _with_pyproj(name)
-    stated = "" if known is None else vertical_datum(known)
+    parsed = None if plane else _with_pyproj(name)
+    stated = "" if parsed is None else vertical_datum(parsed)
     body = body_of(name)
     return stated or f"not stated by {short(name)}; taken as ellipsoidal" + (
         "" if body == EARTH else f", above the sphere or ellipsoid of {body}")
@@ -277,7 +287,8 @@ def vertical_datum(crs: CRS) -> str:
     """Return the vertical datum of a CRS, "" if it has none."""
     if len(crs.axis_info) < 3:
         return ""
-    vertical = [part for part in crs.sub_crs_list if part.is_vertical]
+    # A compound CRS names its vertical one; a CRS with three axes has ellipsoidal heights.
+    vertical = [sub_crs for sub_crs in crs.sub_crs_list if sub_crs.is_vertical]
     if vertical:
         return str(vertical[0].name)
     return f"ellipsoidal ({crs.name if crs.geodetic_crs is None else crs.geodetic_crs.name})"
@@ -290,14 +301,16 @@ def horizontal(crs: str) -> str:
         return ""
     if name in WGS84:
         return "EPSG:4326"
-    known = _with_pyproj(name)
-    return name if known is None or len(known.axis_info) < 3 else normalise(known.to_2d().to_wkt())
+    parsed = _with_pyproj(name)
+    if parsed is None or len(parsed.axis_info) < 3:
+        return name
+    return normalise(parsed.to_2d().to_wkt())
 
 
-def with_stated_heights(crs: str, other: str) -> str:
+def with_stated_heights(crs: str, stated: str) -> str:
     """Return another CRS if it is this one with heights, else this one: in feet, for example."""
-    return normalise(other) if height_axis_unit(crs) is None \
-        and horizontal(other) == horizontal(crs) else normalise(crs)
+    return normalise(stated) if height_axis_unit(crs) is None \
+        and horizontal(stated) == horizontal(crs) else normalise(crs)
 
 
 @lru_cache  # an error is not kept with what raised it
@@ -305,11 +318,12 @@ def _missing_grids(source: CRS, target: CRS) -> tuple[str, ...]:
     """Return the names of grids with which PROJ could transform."""
     from pyproj.transformer import TransformerGroup
 
+    # Operations that need a grid are listed as unavailable until it is there.
     with catch_warnings():
         simplefilter("ignore")  # warnings of missing grids
         group = TransformerGroup(source, target, always_xy=True)
-    return tuple(dict.fromkeys(grid.short_name for operation in group.unavailable_operations
-                               for grid in operation.grids if not grid.available))
+    grids = chain.from_iterable(operation.grids for operation in group.unavailable_operations)
+    return tuple(dict.fromkeys(grid.short_name for grid in grids if not grid.available))
 
 
 def short(crs: str) -> str:
@@ -324,11 +338,11 @@ def kind_of(crs: str) -> str:
         return "geographic"
     if UTM.fullmatch(crs):
         return "projected"
-    known = None if crs == LOCAL else _with_pyproj(crs)
-    if known is not None:
-        return ("geographic" if known.is_geographic else
-                "projected" if known.is_projected else
-                "geocentric" if known.is_geocentric else "")
+    parsed = None if crs == LOCAL else _with_pyproj(crs)
+    if parsed is not None:
+        return ("geographic" if parsed.is_geographic else
+                "projected" if parsed.is_projected else
+                "geocentric" if parsed.is_geocentric else "")
     return {"GEOG": "geographic", "PROJ": "projected", "GEOC": "geocentric"}.get(
         crs.upper()[:4], "")
 
@@ -356,16 +370,16 @@ def _read(crs: str) -> CRS:
     from pyproj.exceptions import CRSError
 
     try:
-        known = CRS.from_user_input(crs)
+        parsed = CRS.from_user_input(crs)
     except CRSError:
         raise TermselError(f"CRS {short(crs)!r} does not exist or cannot be read",
                            hint=f"Examples: {EXAMPLES}.") from None
-    if known.is_geographic or known.is_projected or known.is_geocentric or known.is_engineering:
+    if parsed.is_geographic or parsed.is_projected or parsed.is_geocentric or parsed.is_engineering:
         # The usual order of termsel's x and y turns westings round for nobody.
-        if crs.startswith("IAU_") and "west" in [axis.direction for axis in known.axis_info]:
-            raise TermselError(f"CRS {crs} ({known.name}) counts to the west, and termsel's x to "
+        if crs.startswith("IAU_") and "west" in [axis.direction for axis in parsed.axis_info]:
+            raise TermselError(f"CRS {crs} ({parsed.name}) counts to the west, and termsel's x to "
                                "the east", hint="Transform the ground coordinates to a CRS whose "
                                f"longitudes grow to the east, such as {crs[:-2]}00.")
-        return known
-    raise TermselError(f"CRS {short(crs)!r} ({known.name}) has no horizontal coordinates",
+        return parsed
+    raise TermselError(f"CRS {short(crs)!r} ({parsed.name}) has no horizontal coordinates",
                        hint=f"Examples: {EXAMPLES}.")

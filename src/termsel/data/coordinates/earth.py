@@ -46,35 +46,35 @@ def place_of(features: FeatureSet) -> str:
     middle = degrees_of(features.crs, ground) if len(ground) else None
     if middle is None:
         return ""
-    place = in_words(middle)
+    degrees = in_words(middle)
     body = body_of(features.crs)
-    return place if body == EARTH else f"{place} on {body}"
+    return degrees if body == EARTH else f"{degrees} on {body}"
 
 
-def in_words(place: tuple[float, float]) -> str:
+def in_words(position: tuple[float, float]) -> str:
     """Return longitude and latitude [deg] as words, such as "34.8 N, 48.5 E"."""
-    lon, lat = (round(degrees, 1) for degrees in place)
+    lon, lat = (round(degrees, 1) for degrees in position)
     return f"{abs(lat):.1f} {'N' if lat >= 0 else 'S'}, {abs(lon):.1f} {'E' if lon >= 0 else 'W'}"
 
 
 def say_turned(features: FeatureSet) -> None:
     """Say so where axes look swapped, or where lines or samples are counted the other way."""
-    if said := note_on_turned(features):
-        log.warning("%s: %s", "Warning" if swapped(features) else "Note", said)
+    if note := note_on_turned(features):
+        log.warning("%s: %s", "Warning" if swapped(features) else "Note", note)
 
 
 def note_on_turned(features: FeatureSet) -> str:
     """Return what a reader must know where axes look swapped or are counted the other way; or "".
     """
     if doubt := swapped(features):
-        which, other = _exchanged(doubt)
-        place = place_of(features)
-        where = f" As they stand, x and y are near {place}." if place else ""
-        return (f"{doubt}.{where} Name the columns the other way round, as in --columns {which}; "
-                f"or else --columns {other}.")
+        exchanging, exchanging_others = _exchanged(doubt)
+        location = place_of(features)
+        standing = f" As they stand, x and y are near {location}." if location else ""
+        return (f"{doubt}.{standing} Name the columns the other way round, as in --columns "
+                f"{exchanging}; or else --columns {exchanging_others}.")
     # Computed points, and what names its sensor, say how the image was seen.
-    told = lattice_of(features.points) is not None or _SENSOR in features.points.attributes
-    if not told and (counted := _counted(features)):
+    is_declared = lattice_of(features.points) is not None or _SENSOR in features.points.attributes
+    if not is_declared and (counted := _counted(features)):
         upwards = (" If lines count from the lower edge of the image, say --set "
                    "image_origin=bottom-left and --image FILE." if counted == _UPWARDS else "")
         return (f"{counted} here, as on maps whose y points up and in some radar images.{upwards} "
@@ -90,16 +90,17 @@ def unknown_crs(features: FeatureSet, may_turn: bool) -> TermselError:
     error = TermselError("the CRS of the ground coordinates is unknown",
                          hint=f"State it with --crs: {EXAMPLES}.")
     ground = features.ground_vertices()
-    place = ground[:, :2]
-    if not len(ground) or np.abs(place).max() > 180 or np.ptp(place, axis=0).max() > _WIDE \
-            or np.hypot(*place.mean(axis=0)) < _WIDE:  # near 0, 0: rather metres of an own plane
+    plane = ground[:, :2]
+    # Degrees are below 180, and those of one scene close to each other.
+    if not len(ground) or np.abs(plane).max() > 180 or np.ptp(plane, axis=0).max() > _WIDE \
+            or np.hypot(*plane.mean(axis=0)) < _WIDE:  # near 0, 0: rather metres of an own plane
         return error
     crs = "EPSG:4979" if np.isfinite(ground[:, 2]).any() else "EPSG:4326"
     error.options["--crs"] = crs
     error.hint = f"{error.hint} They look like degrees: --crs {crs}."
-    beyond = "x and y look swapped: no latitude is beyond 90" if np.abs(place[:, 1]).max() > 90 \
-        else ""
-    if may_turn and (doubt := beyond or swapped(replace(features, crs=crs))):
+    impossible = ("x and y look swapped: no latitude is beyond 90"
+                  if np.abs(plane[:, 1]).max() > 90 else "")
+    if may_turn and (doubt := impossible or swapped(replace(features, crs=crs))):
         error.options["--columns"] = _exchanged(doubt)[0]
         error.hint = f"{error.hint} {doubt[0].upper()}{doubt[1:]}."
     return error
@@ -171,32 +172,38 @@ def _matrix(features: FeatureSet, fewest: int) -> FloatArray | None:
     if len(points) + len(lines) // 1.5 < fewest:
         return None
     ground = features.ground_vertices()[:, :2]
-    apart = ground - ground.mean(axis=0)
-    metres = in_metres(features.crs, ground, apart)
-    design = np.column_stack([apart if metres is None else metres, np.ones(len(ground))])
+    from_middle = ground - ground.mean(axis=0)
+    metres = in_metres(features.crs, ground, from_middle)
+    design = np.column_stack([from_middle if metres is None else metres, np.ones(len(ground))])
+    # Both sides are scaled to about one: metres of a scene and a column of ones differ by 1e4.
     design[:, :2] /= max(float(np.abs(design[:, :2]).max()), np.finfo(float).tiny)
-    seen = features.image_vertices()
-    middle = seen.mean(axis=0)
+    image_vertices = features.image_vertices()
+    middle = image_vertices.mean(axis=0)
+    # Unknowns are the rows a, b of [sample; up] = [a; b] (east, north, 1).
     zero = np.zeros((len(points), 3))
-    size = max(float(np.abs(seen - middle).max()), np.finfo(float).tiny)
+    size = max(float(np.abs(image_vertices - middle).max()), np.finfo(float).tiny)
     of_points = design[:len(points)]
     sample, up = ((points.image - middle) / size).T[::-1] * [[1.0], [-1.0]]
     first, second = ((end - middle) / size for end in (lines.image[:, 0], lines.image[:, 1]))
-    along = second - first
-    length = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), np.finfo(float).tiny)
+    directions = second - first
+    length = np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), np.finfo(float).tiny)
     # Of a line in the image: its normal in (sample, up), and its distance from the middle.
-    normal = along / length
+    normal = directions / length
     rho = normal[:, 0] * first[:, 1] - normal[:, 1] * first[:, 0]
-    both = np.repeat(normal, 2, axis=0)
+    normals = np.repeat(normal, 2, axis=0)
     of_lines = design[len(points):]
+    # A point gives one equation for sample and one for up; a vertex of a line one, as it lies on
+    # the line: n_sample sample + n_up up = rho.
     matrix = np.vstack([np.hstack([of_points, zero]), np.hstack([zero, of_points]),
-                        np.hstack([both[:, :1] * of_lines, both[:, 1:] * of_lines])])
+                        np.hstack([normals[:, :1] * of_lines, normals[:, 1:] * of_lines])])
     image = np.concatenate([sample, up, np.repeat(rho, 2)])
-    found = np.linalg.lstsq(matrix, image)[0]
-    rest = float(((image - matrix @ found)**2).mean())
-    if rest > _UNLIKE * float(((seen - middle)**2).mean()) / size**2:
+    coefficients = np.linalg.lstsq(matrix, image)[0]
+    # Mean square that the affine matrix leaves, to be compared with the variance of the image.
+    unexplained = float(((image - matrix @ coefficients)**2).mean())
+    if unexplained > _UNLIKE * float(((image_vertices - middle)**2).mean()) / size**2:
         return None
-    turn = np.array([found[:2], found[3:5]])
+    turn = np.array([coefficients[:2], coefficients[3:5]])
+    # The axes of the ellipse that a circle becomes: too flat a one has no sure orientation.
     wide, narrow = np.linalg.svd(turn, compute_uv=False)
     return turn if narrow > _FLAT * wide else None
 
@@ -207,19 +214,21 @@ def _misplaced(features: FeatureSet) -> bool:
     area = area_of_use(features.crs) if len(ground) else None
     if area is None or is_geocentric(features.crs):
         return False
-    here, there = (degrees_of(features.crs, place) for place in (ground, ground[:, [1, 0, 2]]))
+    as_they_stand = degrees_of(features.crs, ground)
+    exchanged = degrees_of(features.crs, ground[:, [1, 0, 2]])
     # Scenes may reach beyond the area, so one that is near it is not outside.
-    return there is not None and _is_inside(there, area, 0.0) \
-        and (here is None or not _is_inside(here, area, _BEYOND))
+    return exchanged is not None and _is_inside(exchanged, area, 0.0) \
+        and (as_they_stand is None or not _is_inside(as_they_stand, area, _BEYOND))
 
 
-def _is_inside(place: tuple[float, float], area: tuple[float, float, float, float],
-               beyond: float) -> bool:
-    lon, lat = place
+def _is_inside(position: tuple[float, float], area: tuple[float, float, float, float],
+               margin: float) -> bool:
+    lon, lat = position
     west, south, east, north = area
+    # Areas may lie across the 180 degree meridian, with west larger than east.
     wide = (east - west) % 360 or 360.0
-    return south - beyond <= lat <= north + beyond \
-        and ((lon - west + beyond) % 360 <= wide + 2 * beyond or wide + 2 * beyond >= 360)
+    return south - margin <= lat <= north + margin \
+        and ((lon - west + margin) % 360 <= wide + 2 * margin or wide + 2 * margin >= 360)
 
 
 def degrees_of(crs: str, ground: FloatArray) -> tuple[float, float] | None:
@@ -229,6 +238,7 @@ def degrees_of(crs: str, ground: FloatArray) -> tuple[float, float] | None:
             lon = float(median(continuous(ground[:, 0])))
             lat = float(median(ground[:, 1]))
         else:
+            # Medians, as one wild coordinate must not move the scene.
             middle = median(np.nan_to_num(ground).T)[None]
             geodetic = geodetic_of(crs)
             turn = transformation(crs, geodetic) if is_geocentric(crs) else transformation(

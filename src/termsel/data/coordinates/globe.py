@@ -28,28 +28,31 @@ def on_globe(ground: FloatArray, crs: str) -> FloatArray:
     """
     if not len(ground):
         return ground
-    places = _degrees(ground, normalise(crs))
-    extent = np.ptp(places[:, :2], axis=0).max(initial=0.0)
+    geodetic = _degrees(ground, normalise(crs))
+    extent = np.ptp(geodetic[:, :2], axis=0).max(initial=0.0)
+    # A single place has no extent to round by.
     if not 0.0 < extent < np.inf:
-        return places
+        return geodetic
     # By digits, so that an extent which differs by its rounding rounds alike.
     digits = -int(np.floor(np.log10(FINEST * extent)))
-    places[:, :2] = np.round(places[:, :2], digits)
-    return places
+    geodetic[:, :2] = np.round(geodetic[:, :2], digits)
+    return geodetic
 
 
 def _degrees(ground: FloatArray, crs: str) -> FloatArray:
-    places = ground.copy()
+    """Return longitude, latitude [deg] and height of positions; a copy where nothing tells them."""
+    positions = ground.copy()
     try:
         if is_geocentric(crs):
-            places[:, :2] = transformation(crs, geodetic_of(crs))(ground)[:, :2]
+            positions[:, :2] = transformation(crs, geodetic_of(crs))(ground)[:, :2]
         elif not is_geographic(crs):
             geodetic = horizontal(geodetic_of(crs))
             turn = transformation(horizontal(crs), geodetic, strict=False)
-            places[:, :2] = turn(np.nan_to_num(ground))[:, :2]
+            # Heights are of no account in the plane, and may be unknown.
+            positions[:, :2] = turn(np.nan_to_num(ground))[:, :2]
     except TermselError:  # without a CRS or without pyproj nothing tells
         return ground.copy()
-    if not np.isfinite(places[:, :2]).all():
+    if not np.isfinite(positions[:, :2]).all():
         return ground.copy()
-    places[:, 0] = continuous(places[:, 0])
-    return places
+    positions[:, 0] = continuous(positions[:, 0])
+    return positions

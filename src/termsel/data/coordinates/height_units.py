@@ -29,13 +29,16 @@ _SPELLINGS = {
     US_FOOT: "us-ft usft ftus us_survey_foot us_survey_feet ussurveyfoot foot_us sftus us_foot "
              "foot_survey_us us_ft",
     FOOT: "ft foot feet international_foot international_feet foot_international ft_int"}
-_BY_SPELLING = {"".join(filter(str.isalnum, word)): unit
-                for unit, words in _SPELLINGS.items() for word in words.split()}
+_BY_SPELLING: dict[str, str] = {}
+for _unit, _spellings in _SPELLINGS.items():
+    _BY_SPELLING |= {"".join(filter(str.isalnum, spelling)): _unit
+                     for spelling in _spellings.split()}
 
 
-def unit_of_word(word: str) -> str | None:
+def unit_of_word(text: str) -> str | None:
     """Return the unit that a raster or a table states, as in `UNITS`; None for any other."""
-    return _BY_SPELLING.get("".join(filter(str.isalnum, word.lower())))
+    # Signs between letters are left out on both sides: "US survey foot" and "us_survey_foot".
+    return _BY_SPELLING.get("".join(filter(str.isalnum, text.lower())))
 
 
 def unit_of_size(metres: float) -> str | None:
@@ -68,8 +71,9 @@ def with_height_unit(crs: str, unit: str) -> str:
         return name
     with requires("heights in feet require", "pyproj", GIS):
         from pyproj import CRS
-    own = CRS.from_user_input(name)
-    described = (own if current is not None else own.to_3d()).to_json_dict()
+    parsed = CRS.from_user_input(name)
+    # pyproj has no function for this: the CRS is written as JSON, altered there and read again.
+    described = (parsed if current is not None else parsed.to_3d()).to_json_dict()
     _set_unit(described, unit)
     return normalise(CRS.from_json_dict(described).to_wkt())
 
@@ -77,9 +81,11 @@ def with_height_unit(crs: str, unit: str) -> str:
 def _set_unit(described: dict[str, Any], unit: str) -> None:
     """Set the unit of the vertical axis in the PROJJSON of a CRS, which is then no listed one."""
     described.pop("id", None)
-    part = described.get("source_crs") or (described.get("components") or [None])[-1]
-    if part is not None:
-        _set_unit(part, unit)
+    # Of a bound CRS its source, of a compound one the last component; a plain one has the axis
+    # itself.
+    vertical_part = described.get("source_crs") or (described.get("components") or [None])[-1]
+    if vertical_part is not None:
+        _set_unit(vertical_part, unit)
         return
     described["coordinate_system"]["axis"][-1]["unit"] = {
         "type": "LinearUnit", "name": _OF_PROJ[unit], "conversion_factor": UNITS[unit]}

@@ -18,11 +18,13 @@ def continuous(lon: FloatArray) -> FloatArray:
     # They stay as they are unless they span more than half a turn and need not.
     if np.ptp(lon) <= TURN / 2:
         return lon
+    # On the circle: the scene is all but the widest gap, if that is more than half of it.
     turned = np.sort(lon % TURN)
     gaps = np.diff(turned, append=turned[0] + TURN)
     widest = int(np.argmax(gaps))
     if gaps[widest] < TURN / 2:
         return lon
+    # The scene begins after the gap; its middle is half of what the gap leaves further on.
     first = turned[(widest + 1) % len(turned)]
     return nearest(lon, first + (TURN - gaps[widest]) / 2)
 
@@ -42,15 +44,16 @@ def without_jump(features: FeatureSet) -> FeatureSet:
     """Return features whose longitudes go on beyond 180 degrees; the same where none jump."""
     points = features.points
     lines = features.lines
-    every = features.ground_vertices()[:, 0]
+    all_longitudes = features.ground_vertices()[:, 0]
     decides = _deciding(features)
     if not decides.any() or not is_geographic(features.crs):
         return features
-    lon = continuous(every[decides])
+    # Control and check points say where the scene is; the others follow, by whole turns.
+    lon = continuous(all_longitudes[decides])
     if np.ptp(lon) > TURN:
         return features
-    moved = nearest(every, float(lon.min() + lon.max()) / 2)
-    if (moved == every).all():
+    moved = nearest(all_longitudes, float(lon.min() + lon.max()) / 2)
+    if (moved == all_longitudes).all():
         return features
     of_points = points.ground.copy()
     of_lines = lines.ground.copy()
@@ -62,5 +65,5 @@ def without_jump(features: FeatureSet) -> FeatureSet:
 
 def _deciding(features: FeatureSet) -> BoolArray:
     """Return the ground vertices whose longitudes decide, as independent points must not."""
-    apart = np.isin(np.array(features.points.roles, dtype=object), ("independent", "off"))
-    return np.concatenate([~apart, np.ones(2 * len(features.lines), dtype=bool)])
+    is_set_aside = np.isin(np.array(features.points.roles, dtype=object), ("independent", "off"))
+    return np.concatenate([~is_set_aside, np.ones(2 * len(features.lines), dtype=bool)])

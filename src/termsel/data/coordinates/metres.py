@@ -16,18 +16,21 @@ from termsel.data.coordinates.crs import (
 from termsel.data.features import FloatArray
 
 
-def in_metres(crs: str, places: FloatArray, offsets: FloatArray) -> FloatArray | None:
-    """Return offsets (n, 2) to east and north of places in metres; None if the unit is unknown."""
+def in_metres(crs: str, positions: FloatArray, offsets: FloatArray) -> FloatArray | None:
+    """Return offsets (n, 2) to east and north of positions in metres; None if the unit is unknown.
+    """
     if _kind(crs)[0]:
+        # Radii of curvature: N = a / W along the parallel, M = a (1 - e^2) / W^3 along the
+        # meridian, with W^2 = 1 - e^2 sin^2 (latitude).
         major, eccentricity = ellipsoid_of(crs)
-        latitude = np.radians(places[:, 1])
-        short = 1.0 - eccentricity * np.sin(latitude) ** 2
-        across = major / np.sqrt(short)
-        along = across * (1.0 - eccentricity) / short
+        latitude = np.radians(positions[:, 1])
+        w_squared = 1.0 - eccentricity * np.sin(latitude) ** 2
+        normal_radius = major / np.sqrt(w_squared)
+        meridian_radius = normal_radius * (1.0 - eccentricity) / w_squared
         # Longitudes may differ by a turn.
         x = (offsets[:, 0] + 180.0) % 360.0 - 180.0
-        return np.column_stack([np.radians(x) * across * np.cos(latitude),
-                                np.radians(offsets[:, 1]) * along])
+        return np.column_stack([np.radians(x) * normal_radius * np.cos(latitude),
+                                np.radians(offsets[:, 1]) * meridian_radius])
     unit = _kind(crs)[2]
     return None if unit is None else offsets * unit
 

@@ -49,22 +49,23 @@ def _two_zones(features: FeatureSet) -> str:
         return ""
     as_it_stands = _error(features.points.image, ground)
     zone = int(crs[-2:])
-    for other in (zone - 1, zone + 1):
-        if not 1 <= other <= 60:
+    for neighbour in (zone - 1, zone + 1):
+        if not 1 <= neighbour <= 60:
             continue
         read = ground.copy()
         try:
-            turned = transformation(f"{crs[:-2]}{other:02}", crs)(ground[far])
+            # The far group read as of the next zone, in the coordinates of this one.
+            turned = transformation(f"{crs[:-2]}{neighbour:02}", crs)(ground[far])
         except TermselError:  # nothing can be where these coordinates are in that zone
             continue
         read[far, :2] = turned[:, :2]
         if _error(features.points.image, read) < BETTER * as_it_stands:
             ids = [features.points.ids[i] for i in np.flatnonzero(far)]
             # Which of the two is the zone of the CRS, the coordinates do not tell.
-            side = "west" if other < zone else "east"
+            direction = "west" if neighbour < zone else "east"
             return (f"{len(ids)} of {len(features.points)} points look as if they were in the zone "
-                    f"of UTM {side} of that of the others: {_listed(ids)}. Transform them into one "
-                    "zone, and state its CRS.")
+                    f"of UTM {direction} of that of the others: {_listed(ids)}. Transform them "
+                    "into one zone, and state its CRS.")
     return ""
 
 
@@ -75,6 +76,7 @@ def _far_group(eastings: FloatArray) -> BoolArray | None:
     widest = int(np.argmax(gaps))
     if gaps[widest] < APART:
         return None
+    # The group of fewer points is the one to doubt.
     above = np.asarray(eastings > order[widest])
     return np.asarray(above if above.sum() <= len(above) / 2 else ~above)
 
@@ -87,15 +89,17 @@ def _minutes(features: FeatureSet) -> str:
     image = features.points.image
     size = np.abs(ground[:, :2])
     sign = np.sign(ground[:, :2])
-    whole = np.floor(size + 1e-9)
-    part = size - np.floor(size + 1e-9)
+    # With a margin for decimals such as 35.0 that are stored as 34.999...
+    degrees = np.floor(size + 1e-9)
+    decimals = size - np.floor(size + 1e-9)
     # Within one degree both readings are affine images of each other, and nothing tells.
-    if not (np.ptp(whole * sign, axis=0) > 0).any() or (part >= MINUTES).any():
+    if not (np.ptp(degrees * sign, axis=0) > 0).any() or (decimals >= MINUTES).any():
         return ""
-    minutes = np.floor(part * 100 + 1e-6)
-    seconds = (part * 100 - minutes) * 100
-    readings = {"degrees and minutes": whole + part * 100 / 60,
-                "degrees, minutes and seconds": whole + minutes / 60 + seconds / 3600}
+    # 34.4730 may stand for 34 deg 47.30', or for 34 deg 47' 30".
+    minutes = np.floor(decimals * 100 + 1e-6)
+    seconds = (decimals * 100 - minutes) * 100
+    readings = {"degrees and minutes": degrees + decimals * 100 / 60,
+                "degrees, minutes and seconds": degrees + minutes / 60 + seconds / 3600}
     if (seconds >= 60).any():
         del readings["degrees, minutes and seconds"]
     errors = {name: _error(image, sign * read) for name, read in readings.items()}
@@ -103,22 +107,24 @@ def _minutes(features: FeatureSet) -> str:
     if errors[name] >= BETTER * _error(image, ground):
         return ""
     first = ground[0, 0]
-    value = part[0, 0] * 100
-    typed = f"{whole[0, 0]:.0f}\N{DEGREE SIGN}{value:.6g}'" if name == "degrees and minutes" else \
-        f"{whole[0, 0]:.0f}\N{DEGREE SIGN}{minutes[0, 0]:.0f}'{seconds[0, 0]:.6g}\""
+    value = decimals[0, 0] * 100
+    typed = f"{degrees[0, 0]:.0f}\N{DEGREE SIGN}"
+    typed += f"{value:.6g}'" if name == "degrees and minutes" else \
+        f"{minutes[0, 0]:.0f}'{seconds[0, 0]:.6g}\""
     return (f"Coordinates look like {name} typed as decimals: {first:.10g} for {typed}. Write "
             "decimal degrees, or degrees and minutes with their signs.")
 
 
 def _error(image: FloatArray, ground: FloatArray) -> float:
     """Return the root mean square of what an affine image of the ground leaves [px]."""
+    # About the middle and by the extent, so that the system is well conditioned.
     plan = ground[:, :2] - ground[:, :2].mean(axis=0)
     plan = plan / np.maximum(np.abs(plan).max(axis=0), np.finfo(float).tiny)
     design = np.column_stack([np.ones(len(plan)), plan])
-    left = image - design @ np.linalg.lstsq(design, image)[0]
-    return float(np.sqrt((left**2).sum(axis=1).mean()))
+    residuals = image - design @ np.linalg.lstsq(design, image)[0]
+    return float(np.sqrt((residuals**2).sum(axis=1).mean()))
 
 
 def _listed(ids: list[str]) -> str:
-    more = len(ids) - NAMED
-    return ", ".join(ids[:NAMED]) + (f" and {more} more" if more > 0 else "")
+    unnamed = len(ids) - NAMED
+    return ", ".join(ids[:NAMED]) + (f" and {unnamed} more" if unnamed > 0 else "")

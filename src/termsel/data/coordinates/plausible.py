@@ -43,52 +43,56 @@ def check_ground(features: FeatureSet) -> None:
 
 def _check_metres(xy: FloatArray, features: FeatureSet, crs: str) -> None:
     """Refuse features in degrees under a projected CRS: all of them, or some far from the rest."""
+    # Metres of a projected CRS are almost never so small.
     degrees: BoolArray = np.all(np.abs(xy) <= (180, 90), axis=1)
     if not degrees.any():
         return
-    rest = xy[~degrees]
-    if len(rest):
+    others = xy[~degrees]
+    if len(others):
         # Metres next to the origin of a CRS are as small.
-        middle = np.median(rest, axis=0)
-        spread = np.median(np.abs(rest - middle), axis=0).max()
+        middle = np.median(others, axis=0)
+        spread = np.median(np.abs(others - middle), axis=0).max()
         if np.hypot(*middle) <= max(_NEAR, 10 * spread):
             return
         n = len(np.unique(features.vertex_feature[degrees]))
-        what = f"{n} of {counted(len(features), 'feature')} look{'s' * (n == 1)} like degrees"
+        verb = "looks" if n == 1 else "look"
+        problem = f"{n} of {counted(len(features), 'feature')} {verb} like degrees"
         hint = "Transform these features to the CRS of the others, or remove them."
     else:
-        what = "the ground coordinates look like degrees"
+        problem = "the ground coordinates look like degrees"
         hint = ("State --crs EPSG:4979 for longitude, latitude and ellipsoidal height, or --crs "
                 "local for plane coordinates without a CRS.")
     first = int(np.argmax(degrees))
     name, column = _vertex(features, first, 0)
     raise TermselError(
-        f"{what}, but {short(crs)} is a projected CRS: {_values(xy, name, first)}", ids=[name],
+        f"{problem}, but {short(crs)} is a projected CRS: {_values(xy, name, first)}", ids=[name],
         column=column, hint=hint)
 
 
 def _check_range(xy: FloatArray, features: FeatureSet, low: tuple[float, float],
-                 high: tuple[float, float], what: str, hint: str) -> None:
+                 high: tuple[float, float], problem: str, hint: str) -> None:
     def beyond(values: FloatArray) -> BoolArray:
         return np.asarray((values < low) | (values > high))
 
     def outside(values: FloatArray) -> BoolArray:
         return np.asarray(beyond(values).any(axis=1))
 
-    bad = outside(xy)
-    if not bad.any():
+    is_outside = outside(xy)
+    if not is_outside.any():
         return
-    first = int(np.argmax(bad))
+    first = int(np.argmax(is_outside))
     if not outside(xy[:, ::-1]).any():
         hint = f"The columns look swapped. {hint}"
-    elif not outside(xy[bad][:, ::-1]).any():
+    elif not outside(xy[is_outside][:, ::-1]).any():
         hint = f"Perhaps x and y are swapped there. {hint}"
     name, column = _vertex(features, first, int(np.argmax(beyond(xy)[first])))
-    raise TermselError(f"{_values(xy, name, first)} {what}", hint=hint, ids=[name], column=column)
+    raise TermselError(f"{_values(xy, name, first)} {problem}", hint=hint, ids=[name],
+                       column=column)
 
 
 def _vertex(features: FeatureSet, i: int, axis: int) -> tuple[str, str]:
     """Return the feature of the i-th ground vertex, and what its coordinate is called."""
+    # Vertices are those of points, then two of each line.
     of_line = i - len(features.points)
     end = "" if of_line < 0 else str(of_line % 2 + 1)
     return features.ids[int(features.vertex_feature[i])], f"{'xy'[axis]}{end}"

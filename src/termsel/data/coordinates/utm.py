@@ -75,14 +75,14 @@ def _polar_stereographic(crs: str, latitude: int) -> str:
         geodetic_crs=CRS(geodetic_of(crs)).to_2d()).to_wkt())
 
 
-def is_polar(places: FloatArray) -> bool:
-    """Return whether places, as longitudes and latitudes [deg], lie around a pole.
+def is_polar(positions: FloatArray) -> bool:
+    """Return whether positions, as longitudes and latitudes [deg], lie around a pole.
 
     There meridians turn by much within a scene, so that degrees are no plane coordinates: by more
     than `TURNING` from one end to the other, next to a pole (beyond `POLAR`); or UTM has no zone.
     """
-    lon = places[:, 0]
-    lat = places[:, 1]
+    lon = positions[:, 0]
+    lat = positions[:, 1]
     if not len(lat) or lat.min() * lat.max() <= 0:
         return False
     nearest = np.abs(lat).min()
@@ -97,6 +97,7 @@ def for_warping(ground: FloatArray, crs: str) -> tuple[FloatArray, str]:
         return ground, horizontal(crs)
     lon, lat = (float(np.nanmin(ground[..., i]) + np.nanmax(ground[..., i])) / 2 for i in (0, 1))
     zone = metric_crs(crs, lon, lat)
+    # GDAL takes heights as they are, and blank places as no places.
     turned = transformation(horizontal(crs), zone)(ground.reshape(-1, 3))
     turned[:, 2] = ground[..., 2].ravel()
     turned[np.isnan(ground[..., 0]).ravel()] = np.nan

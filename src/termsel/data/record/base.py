@@ -36,20 +36,20 @@ class RecordPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_d
     """A part of the record. Keys with a default are left out where they have it."""
 
 
-def plain(part: Any) -> dict[str, Any]:
-    """Return a part as JSON has it: dicts, lists, text and numbers.
+def plain(record_part: Any) -> dict[str, Any]:
+    """Return a part of the record as JSON has it: dicts, lists, text and numbers.
 
     NaN and infinity become None, numbers of numpy those of Python.
     """
     content: dict[str, Any] = _as_json(msgspec.to_builtins(
-        part, enc_hook=lambda value: value.item()))
+        record_part, enc_hook=lambda value: value.item()))
     return content
 
 
 def _as_json(value: Any) -> Any:
     # Not by msgspec's own JSON, which takes no text, as of file names, that is not UTF-8.
     if isinstance(value, dict):
-        return {key: _as_json(one) for key, one in value.items()}
+        return {key: _as_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_as_json(one) for one in value]
+        return [_as_json(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -30,11 +30,13 @@ def quantile(values: NDArray[np.float64], share: float) -> NDArray[np.float64]:
     """
     ordered = np.sort(values)  # any NaN is last
     below = int(share * (values.shape[-1] - 1))
-    part = share * (values.shape[-1] - 1) - below
+    # Linear between neighbours in order, as numpy's default method.
+    fraction = share * (values.shape[-1] - 1) - below
     low = ordered[..., below]
     high = ordered[..., min(below + 1, values.shape[-1] - 1)]
     # Exact at both ends.
-    between = low + part * (high - low) if part < 0.5 else high - (1 - part) * (high - low)
+    between = (low + fraction * (high - low) if fraction < 0.5
+               else high - (1 - fraction) * (high - low))
     return np.asarray(np.where(np.isnan(ordered[..., -1]), np.nan, between))
 
 
@@ -57,6 +59,8 @@ def chi_squared_quantile(share: float, freedom: float) -> float:
     half = freedom / 2
 
     def below(x: float) -> float:
+        # P(a, x) = x^a e^-x / Gamma(a + 1) (1 + x / (a + 1) + x^2 / ((a + 1)(a + 2)) + ...), with a
+        # = freedom / 2 (6.5.29).
         total = 0.0
         term = 1.0
         n = half
@@ -90,13 +94,15 @@ def t_beyond(t: float, freedom: float) -> float:
         from scipy.special import stdtr
 
         return float(2 * stdtr(freedom, -t))
+    # P(|T| > t) = I_x(freedom / 2, 1 / 2) (26.5.27); the fraction converges fast for x below (a +
+    # 1) / (a + b + 2), else the complement is computed.
     x = freedom / (freedom + t * t)
     return _beta(x, 1 - x, freedom / 2, 0.5) if x < (freedom + 2) / (freedom + 5) \
         else 1 - _beta(1 - x, x, 0.5, freedom / 2)
 
 
-def _beta(x: float, rest: float, a: float, b: float) -> float:
-    """Return the incomplete beta function of x = 1 - `rest` by its continued fraction."""
+def _beta(x: float, complement: float, a: float, b: float) -> float:
+    """Return the incomplete beta function of x = 1 - `complement` by its continued fraction."""
     if x == 0.0:
         return 0.0
     above = 1.0
@@ -104,13 +110,14 @@ def _beta(x: float, rest: float, a: float, b: float) -> float:
     change = 0.0
     m = 0
     value = below / a * exp(
-        a * log(x) + b * log(rest) + lgamma(a + b) - lgamma(a) - lgamma(b))
+        a * log(x) + b * log(complement) + lgamma(a + b) - lgamma(a) - lgamma(b))
     while abs(change - 1) > NEAR:  # by the method of Lentz
         m += 1
-        for part in (m * (b - m) / (a + 2 * m - 1), -(a + m) * (a + b + m) / (a + 2 * m + 1)):
-            part *= x / (a + 2 * m)
-            above = 1 + part / above
-            below = 1 / (1 + part * below)
+        # The even and the odd coefficient of the continued fraction (26.5.8).
+        for numerator in (m * (b - m) / (a + 2 * m - 1), -(a + m) * (a + b + m) / (a + 2 * m + 1)):
+            numerator *= x / (a + 2 * m)
+            above = 1 + numerator / above
+            below = 1 / (1 + numerator * below)
             change = above * below
             value *= change
     return value
@@ -123,5 +130,9 @@ def _where(rising: Callable[[float], float], value: float, x: float) -> float:
     for _ in range(STEPS):
         if abs(after - x) <= NEAR * x or (z := rising(after)) == y:
             break
-        x, y, after = after, z, max(after + (value - z) * (after - x) / (z - y), after / 10)
+        # The secant's zero; a positive number, so no step goes down to less than a tenth.
+        secant = max(after + (value - z) * (after - x) / (z - y), after / 10)
+        x = after
+        y = z
+        after = secant
     return after

@@ -27,10 +27,6 @@ MANY_INDEPENDENT = 20
 """Number of independent points below which the predicted RMSE is shown before theirs: it varies
 less, and its interval holds more often (docs/evidence/intervals.md)."""
 
-MANY_INDEPENDENT = 20
-"""Number of independent points below which the predicted RMSE is shown before theirs: it varies
-less, and its interval holds more often (docs/evidence/intervals.md)."""
-
 SIGNIFICANT = 0.05
 """Chance below which a coefficient is called significant."""
 

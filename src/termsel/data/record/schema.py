@@ -20,21 +20,25 @@ def json_schema() -> dict[str, Any]:
     """
     (root,), definitions = msgspec.json.schema_components(
         [Record], ref_template="#/$defs/{name}")
-    of_name = {part.__name__: part for part in _parts(RecordPart)}
+    of_name = {record_class.__name__: record_class for record_class in _parts(RecordPart)}
     for name, definition in definitions.items():
         definition.pop("title")
         definition["description"] = (of_name[name].__doc__ or "").partition("\n")[0]
+        # The description comes first, so that a reader of the schema sees it first.
         docs = _descriptions(of_name[name])
         for key, content in definition["properties"].items():
             definition["properties"][key] = {"description": docs[key], **content}
-    whole = definitions.pop(root["$ref"].rpartition("/")[2])
+    root_schema = definitions.pop(root["$ref"].rpartition("/")[2])
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "$id": SCHEMA,
-            "title": "termsel result", **whole, "$defs": definitions}
+            "title": "termsel result", **root_schema, "$defs": definitions}
 
 
 def _parts(kind: type[RecordPart]) -> list[type[RecordPart]]:
     """Return all kinds of parts."""
-    return [one for part in kind.__subclasses__() for one in (part, *_parts(part))]
+    classes: list[type[RecordPart]] = []
+    for subclass in kind.__subclasses__():
+        classes += [subclass, *_parts(subclass)]
+    return classes
 
 
 def _descriptions(kind: type[RecordPart]) -> dict[str, str]:
@@ -42,11 +46,15 @@ def _descriptions(kind: type[RecordPart]) -> dict[str, str]:
     (body,) = ast.parse(inspect.getsource(kind)).body
     assert isinstance(body, ast.ClassDef)
     keys = dict(zip(kind.__struct_fields__, kind.__struct_encode_fields__, strict=True))
-    found = {key: doc for base in kind.__bases__ if base is not RecordPart
-             for key, doc in _descriptions(base).items()}
+    by_key: dict[str, str] = {}
+    for base in kind.__bases__:
+        if base is not RecordPart:
+            by_key |= _descriptions(base)
+    # The docstring of a field is the expression that follows it in the body of the class.
     for field, doc in zip(body.body, body.body[1:], strict=False):
         if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name):
             assert isinstance(doc, ast.Expr)
             assert isinstance(doc.value, ast.Constant)
-            found[keys[field.target.id]] = inspect.cleandoc(str(doc.value.value)).replace("\n", " ")
-    return found
+            text = inspect.cleandoc(str(doc.value.value))
+            by_key[keys[field.target.id]] = text.replace("\n", " ")
+    return by_key

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import chain
 from types import MappingProxyType
 from typing import Any
 
@@ -31,7 +32,7 @@ def is_free(name: str) -> bool:
             and len(name) <= 200 and name.casefold() not in TAKEN)
 
 
-def as_attributes(given: Mapping[str, Iterable[Any]], n: int, *taken: str,
+def as_attributes(attributes: Mapping[str, Iterable[Any]], n: int, *reserved: str,
                   ) -> Attributes:
     """Return columns of n rows as features have them: stripped text that cannot be changed.
 
@@ -39,10 +40,11 @@ def as_attributes(given: Mapping[str, Iterable[Any]], n: int, *taken: str,
     `taken`. Raises TermselError for such a name or one used twice, or a column of another length.
     """
     columns: dict[str, TextArray] = {}
-    for name, values in given.items():
-        if not is_free(name) or name.casefold() in taken:
+    for name, values in attributes.items():
+        if not is_free(name) or name.casefold() in reserved:
             raise TermselError(f"a column of attributes cannot have the name {name!r}",
                                hint="Tables use it otherwise, or it is no short printable text.")
+        # Files of other programs write names with other capitals.
         if name.casefold() in map(str.casefold, columns):
             raise TermselError(f"two columns of attributes have the name {name!r}",
                                hint="Upper and lower case count as the same.")
@@ -80,56 +82,60 @@ def rows_at(attributes: Attributes, index: NDArray[Any] | slice) -> Attributes:
 
 def joined(first: Attributes, n: int, second: Attributes, m: int) -> dict[str, TextArray]:
     """Return the rows of both, n and m of them, with "" where one has no such column."""
-    return {name: np.concatenate([_column(part, name, rows)
-                                  for part, rows in ((first, n), (second, m))])
+    return {name: np.concatenate([_column(first, name, n), _column(second, name, m)])
             for name in distinct([*first, *second])}
 
 
 def distinct(names: Iterable[str]) -> list[str]:
     """Return names, of those alike the first: upper and lower case count as the same."""
-    found: dict[str, str] = {}
+    first_spelling: dict[str, str] = {}
     for name in names:
-        found.setdefault(name.casefold(), name)
-    return list(found.values())
+        first_spelling.setdefault(name.casefold(), name)
+    return list(first_spelling.values())
 
 
-def _column(part: Attributes, name: str, rows: int) -> TextArray:
+def _column(table: Attributes, name: str, rows: int) -> TextArray:
     """Return a column, "" in each row if there is none."""
-    return next((cells for key, cells in part.items() if key.casefold() == name.casefold()),
+    return next((cells for key, cells in table.items() if key.casefold() == name.casefold()),
                 np.full(rows, "", dtype=object))
 
 
 def alike(rows: Sequence[Mapping[str, str]]) -> dict[str, str]:
     """Return what parts of one feature have in common, by column: "" where their text differs."""
-    return {name: value if all(row.get(name, "") == value for row in rows) else ""
-            for name, value in rows[0].items()} if rows else {}
+    common = dict(rows[0]) if rows else {}
+    for row in rows:
+        common = {name: value if row.get(name, "") == value else ""
+                  for name, value in common.items()}
+    return common
 
 
 def columns_of(rows: Sequence[Mapping[str, str]]) -> dict[str, TextArray]:
     """Return attributes by column, "" where a row has none; of names alike the first."""
-    return {name: text_array([row.get(name, "") for row in rows])
-            for name in distinct(name for row in rows for name in row)}
+    columns = {}
+    for name in distinct(chain.from_iterable(rows)):
+        columns[name] = text_array([row.get(name, "") for row in rows])
+    return columns
 
 
-def all_rows(parts: Sequence[Attributes], rows: Sequence[int], name: str) -> TextArray:
+def all_rows(tables: Sequence[Attributes], rows: Sequence[int], name: str) -> TextArray:
     """Return a column of several tables one after another, with so many rows of each."""
-    known = distinct(key for part in parts for key in part)
-    if name.casefold() not in map(str.casefold, known):
-        raise unknown_name("column of attributes", name, known,
+    names = distinct(chain.from_iterable(tables))
+    if name.casefold() not in map(str.casefold, names):
+        raise unknown_name("column of attributes", name, names,
                            "It is a further column of the file of the features.")
-    return np.concatenate([_column(part, name, n) for part, n in zip(parts, rows, strict=True)])
+    return np.concatenate([_column(table, name, n) for table, n in zip(tables, rows, strict=True)])
 
 
 def as_numbers(cells: TextArray, ids: Sequence[str], name: str) -> FloatArray:
     """Return text as numbers, NaN where it is blank; `ids` are for the message."""
-    found = np.empty(len(cells))
+    numbers = np.empty(len(cells))
     for row, cell in enumerate(cells):
         try:
-            found[row] = float(cell or "nan")
+            numbers[row] = float(cell or "nan")
         except ValueError:
-            found[row] = math.inf
-        if cell and ("_" in cell or not math.isfinite(found[row])):
+            numbers[row] = math.inf
+        if cell and ("_" in cell or not math.isfinite(numbers[row])):
             raise TermselError(f"{ids[row]!r} has {cell!r} in this column, expected a number",
                                column=name, ids=[ids[row]],
                                hint="Correct the cell, or leave it blank.")
-    return found
+    return numbers

@@ -6,6 +6,7 @@ import re
 import unicodedata
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from itertools import chain
 
 from termsel.core.errors import TermselError, unknown_name
 
@@ -25,9 +26,10 @@ COORDINATES: dict[str, tuple[str, ...]] = {
 }
 POINTS = USE | COORDINATES | {
     "sigma_line": ("sigma_line", "sigma_px"), "sigma_sample": ("sigma_sample", "sigma_px")}
-LINES = {**USE, "sigma": ("sigma", "sigma_px")} | {
-    f"{meaning}{end}": tuple(f"{alias}{end}" for alias in aliases)
-    for end in "12" for meaning, aliases in COORDINATES.items()}
+LINES: dict[str, tuple[str, ...]] = {**USE, "sigma": ("sigma", "sigma_px")}
+for _end in "12":  # of a line
+    for _meaning, _aliases in COORDINATES.items():
+        LINES[f"{_meaning}{_end}"] = tuple(f"{alias}{_end}" for alias in _aliases)
 CORNER: dict[str, tuple[str, ...]] = {"corner": ("corner", "vertex")}
 OPTIONAL = frozenset({"id", "role", "enabled", "sigma_line", "sigma_sample", "sigma"})
 """Meanings that a table may have no column for."""
@@ -55,7 +57,7 @@ _FURTHER = {meaning: frozenset(names.split()) for meaning, names in {
          "北坐标",
     "z": "hohe hoehe hauteur altura altitud altitudine altezza cota quota elevazione elevacion "
          "elevacao ellipsoidalheight ellheight 高程 高度 高 大地高 海拔"}.items()}
-FOREIGN = frozenset(name for names in _FURTHER.values() for name in names if not name.isascii())
+FOREIGN = frozenset(name for name in frozenset().union(*_FURTHER.values()) if not name.isascii())
 """Names that only one encoding of Chinese text gives."""
 
 _UNIT = re.compile(r"\s*[\[({<【].*$|[\s_.-]+(px|pix|pixels?|m|deg|degrees?|dms|wgs84|utm)$")
@@ -64,44 +66,49 @@ _UNIT = re.compile(r"\s*[\[({<【].*$|[\s_.-]+(px|pix|pixels?|m|deg|degrees?|dms
 def folded(name: str) -> str:
     """Return a name without accents, signs and capitals."""
     letters = unicodedata.normalize("NFKD", name.casefold())
-    return re.sub(r"[\W_]", "", "".join(one for one in letters if not unicodedata.combining(one)))
+    without_accents = "".join(sign for sign in letters if not unicodedata.combining(sign))
+    return re.sub(r"[\W_]", "", without_accents)
 
 
 @lru_cache(10_000)
 def _forms(name: str) -> tuple[str, str]:
     """Return a name, and the same without its unit: X (px) may be x_px, and Line (px) is line."""
-    plain = unicodedata.normalize("NFKC", name.strip().casefold())
-    return folded(plain), folded(_UNIT.sub("", plain))
+    normal = unicodedata.normalize("NFKC", name.strip().casefold())
+    return folded(normal), folded(_UNIT.sub("", normal))
 
 
 @lru_cache(100)
 def _names(aliases: tuple[tuple[str, tuple[str, ...]], ...],
            ) -> tuple[dict[str, tuple[frozenset[str], frozenset[str]]], frozenset[str]]:
     """Return the plain and the further names of each meaning, and all of them."""
-    known = POINTS | LINES
-    # Readers of other programs' tables have meanings of these names, too, and no further names.
-    names = {meaning: (frozenset(map(folded, plain)), frozenset(
-        f"{name}{end}" for name in _FURTHER.get(base, ()) if plain == known.get(meaning)))
-        for meaning, plain in aliases for base, end in [_parted(meaning)]}
-    return names, frozenset().union(*(one for both in names.values() for one in both))
+    names = {}
+    for meaning, plain_names in aliases:
+        base, end = _parted(meaning)
+        # Readers of other programs' tables have meanings of these names, too, and no further names.
+        is_own = plain_names == (POINTS | LINES).get(meaning)
+        further = frozenset(f"{name}{end}" for name in _FURTHER.get(base, ()) if is_own)
+        names[meaning] = (frozenset(map(folded, plain_names)), further)
+    return names, frozenset().union(*chain.from_iterable(names.values()))
 
 
 def matches(header: Sequence[str], aliases: Aliases) -> dict[str, list[int]]:
     """Return the columns that could hold each meaning, by their names."""
-    of_meaning, every = _names(tuple((one, tuple(names)) for one, names in aliases.items()))
+    names_of, all_names = _names(tuple(
+        (meaning, tuple(names)) for meaning, names in aliases.items()))
     # Most rows that are asked about hold numbers, none of which is a name.
-    forms = {i: both for i, both in enumerate(map(_forms, header)) if not every.isdisjoint(both)}
-    found: dict[str, list[int]] = {}
-    for meaning, names in of_meaning.items():
+    forms = {i: pair for i, pair in enumerate(map(_forms, header))
+             if not all_names.isdisjoint(pair)}
+    columns: dict[str, list[int]] = {}
+    for meaning, (plain_names, further_names) in names_of.items():
         # Names in other languages count where no column has one of the plain names.
-        for known in names:
-            found[meaning] = [i for i, (whole, bare) in forms.items() if whole in known or (
-                bare in known and whole not in every)]
-            if found[meaning]:
+        for names in (plain_names, further_names):
+            columns[meaning] = [i for i, (full, bare) in forms.items()
+                                if full in names or (bare in names and full not in all_names)]
+            if columns[meaning]:
                 break
-    if found.get("y") and not found.get("x"):  # n numbers points, unless e is next to it
-        found["y"] = [i for i in found["y"] if forms[i][0] != "n"]
-    return found
+    if columns.get("y") and not columns.get("x"):  # n numbers points, unless e is next to it
+        columns["y"] = [i for i in columns["y"] if forms[i][0] != "n"]
+    return columns
 
 
 def _parted(meaning: str) -> tuple[str, str]:
@@ -109,39 +116,41 @@ def _parted(meaning: str) -> tuple[str, str]:
     return (meaning[:-1], meaning[-1]) if meaning[-1] in "12" else (meaning, "")
 
 
-def columns_text(given: str | Mapping[str, object]) -> str:
+def columns_text(columns: str | Mapping[str, object]) -> str:
     """Return the text of ``--columns`` for a mapping of the same meaning, or the text itself."""
-    return given if isinstance(given, str) else ",".join(
-        f"{meaning}={column}" for meaning, column in given.items())
+    return columns if isinstance(columns, str) else ",".join(
+        f"{meaning}={column}" for meaning, column in columns.items())
 
 
-def parse_columns(given: str) -> dict[str, str]:
+def parse_columns(text: str) -> dict[str, str]:
     """Return the name or number of a column by its meaning, of pairs "line=Zeile,sample=4"."""
-    known = POINTS | LINES | CORNER
-    own: dict[str, str] = {}
-    for pair in filter(None, map(str.strip, given.split(","))):
+    meanings = POINTS | LINES | CORNER
+    columns: dict[str, str] = {}
+    for pair in filter(None, map(str.strip, text.split(","))):
+        # The first : or = parts meaning and name, so that a name may hold either.
         meaning, sign, name = re.sub("[:=]", "\0", pair, count=1).partition("\0")
-        meaning, name = meaning.strip().lower(), name.strip()
+        meaning = meaning.strip().lower()
+        name = name.strip()
         if not sign or not name:
             raise TermselError(f"{meaning!r} does not declare a column",
                                hint="Write meaning=name or meaning=number, such as "
                                     "--columns x=Rechtswert,line=4.")
-        if meaning not in known:
-            raise unknown_name("meaning of a column", meaning, known)
-        if meaning in own:
+        if meaning not in meanings:
+            raise unknown_name("meaning of a column", meaning, meanings)
+        if meaning in columns:
             raise TermselError(f"the column of {meaning} is declared twice",
                                hint="Declare it once.")
-        own[meaning] = name
-    return own
+        columns[meaning] = name
+    return columns
 
 
-def declared(header: Sequence[str], own: Mapping[str, str]) -> dict[str, int]:
+def declared(header: Sequence[str], columns: Mapping[str, str]) -> dict[str, int]:
     """Return the columns that the user declares by name, or number from 1, and this table has."""
     names = [name.strip().casefold() for name in header]
-    found = {}
-    for meaning, name in own.items():
+    numbers = {}
+    for meaning, name in columns.items():
         if name.casefold() in names:
-            found[meaning] = names.index(name.casefold())
+            numbers[meaning] = names.index(name.casefold())
         elif name.isdecimal() and 1 <= int(name) <= len(header):
-            found[meaning] = int(name) - 1
-    return found
+            numbers[meaning] = int(name) - 1
+    return numbers

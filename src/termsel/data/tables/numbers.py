@@ -29,31 +29,32 @@ _MARKS = re.compile("[°º˚d度'′’´m分:]", re.IGNORECASE)
 class BadCell(ValueError):
     """A cell that is no number, in a row from 0, and a column where several are read."""
 
-    def __init__(self, row: int, what: str, hint: str, column: str = "") -> None:
-        super().__init__(what)
+    def __init__(self, row: int, problem: str, hint: str, column: str = "") -> None:
+        super().__init__(problem)
         self.row = row
-        self.what = what
+        self.what = problem
         self.hint = hint
         self.column = column
 
 
-def decimal_signs(columns: Mapping[str, Sequence[str]], asked: str = "", *,
+def decimal_signs(columns: Mapping[str, Sequence[str]], stated: str = "", *,
                   points_only: bool = False) -> tuple[dict[str, str], list[str]]:
     """Return the decimal sign of each column of numbers, by the evidence of all its rows.
 
     1,234 alone may be one thousand or little more than one. A column where that is open takes the
-    sign of the columns where it is not, if they agree, or the sign `asked`; else its sign is "".
+    sign of the columns where it is not, if they agree, or the sign `stated`; else its sign is "".
     With `points_only` commas separate the columns, so that points without commas are decimal. The
     open columns that others, or the user, decided come second. Raises BadCell if cells of one
     column contradict each other.
     """
+    # "." or "," where cells tell, "three" or "" where they leave it open, None without any sign.
     evidence = {name: _sign(name, cells, points_only) for name, cells in columns.items()}
     certain = {sign for sign in evidence.values() if sign in (POINT, COMMA)}
-    rest = asked or (certain.pop() if len(certain) == 1 else "")
+    open_sign = stated or (certain.pop() if len(certain) == 1 else "")
     signs = {name: sign if sign in (POINT, COMMA) else POINT if sign is None else
-             rest or (POINT if sign == _THREE else "") for name, sign in evidence.items()}
+             open_sign or (POINT if sign == _THREE else "") for name, sign in evidence.items()}
     return signs, [name for name, sign in evidence.items()
-                   if (rest and sign == "") or (rest == COMMA and sign == _THREE)]
+                   if (open_sign and sign == "") or (open_sign == COMMA and sign == _THREE)]
 
 
 def _sign(name: str, cells: Sequence[str], points_only: bool) -> str | None:
@@ -62,27 +63,29 @@ def _sign(name: str, cells: Sequence[str], points_only: bool) -> str | None:
     commas = COMMA in joined
     if not commas and (points_only or POINT not in joined):
         return POINT if POINT in joined else None
-    seen: dict[str, int] = {}
-    whole = 0
+    first_row: dict[str, int] = {}
+    whole_numbers = 0
     for row, cell in enumerate(cells):
         text = _PARTED.sub("", cell.strip())
+        # The sign further right is the decimal one, unless it occurs twice or is followed by three
+        # digits alone.
         last = max(COMMA, POINT, key=text.rfind)
-        other = POINT if last == COMMA else COMMA
+        other_sign = POINT if last == COMMA else COMMA
         if last not in text:
-            whole += bool(text)
+            whole_numbers += bool(text)
         elif text.count(last) > 1:
-            seen.setdefault(other, row)
-        elif other in text or not _ONE_GROUP[last].fullmatch(text):
-            seen.setdefault(last, row)
-    if len(seen) > 1:
-        (_, _), (sign, row) = sorted(seen.items(), key=lambda item: item[1])
-        word, rest = ("comma", "point") if sign == COMMA else ("point", "comma")
-        raise BadCell(row, f"{cells[row].strip()!r} has a decimal {word}, other cells a decimal "
-                           f"{rest}", "Use one of them in the whole column.", name)
-    if seen:
-        return next(iter(seen))
+            first_row.setdefault(other_sign, row)
+        elif other_sign in text or not _ONE_GROUP[last].fullmatch(text):
+            first_row.setdefault(last, row)
+    if len(first_row) > 1:
+        (_, _), (sign, row) = sorted(first_row.items(), key=lambda item: item[1])
+        sign_word, other_word = ("comma", "point") if sign == COMMA else ("point", "comma")
+        raise BadCell(row, f"{cells[row].strip()!r} has a decimal {sign_word}, other cells a "
+                           f"decimal {other_word}", "Use one of them in the whole column.", name)
+    if first_row:
+        return next(iter(first_row))
     # Points with three digits in each row are decimal; if only the large numbers have one, not.
-    return "" if commas or whole else _THREE
+    return "" if commas or whole_numbers else _THREE
 
 
 def read_numbers(cells: Sequence[str], sign: str, *, may_be_blank: bool, angle: str = "",
@@ -96,8 +99,8 @@ def read_numbers(cells: Sequence[str], sign: str, *, may_be_blank: bool, angle: 
     joined = "".join(cells)
     if "_" not in joined and (sign == POINT or POINT not in joined):
         blank = np.array([may_be_blank and (not cell or cell.isspace()) for cell in cells])
-        texts = ["nan" if gone else cell.replace(COMMA, POINT) if sign == COMMA else cell
-                 for cell, gone in zip(cells, blank, strict=True)]
+        texts = ["nan" if is_blank else cell.replace(COMMA, POINT) if sign == COMMA else cell
+                 for cell, is_blank in zip(cells, blank, strict=True)]
         with suppress(ValueError):
             values = np.fromiter(map(float, texts), np.float64, len(cells))
             if np.isfinite(values[~blank]).all():
@@ -112,12 +115,13 @@ def _number(row: int, cell: str, sign: str, may_be_blank: bool, angle: str) -> f
         if may_be_blank:
             return float("nan")
         raise BadCell(row, "the cell is blank, expected a number", "Fill it in or remove the row.")
-    plain = _PARTED.sub("", cell).replace("−", "-")
-    other = COMMA if sign == POINT else POINT
-    if other in plain and _GROUPS[other].fullmatch(plain.strip()):
-        plain = plain.replace(other, "")
+    # Spaces and apostrophes between groups of three, and the minus sign of typography.
+    digits = _PARTED.sub("", cell).replace("−", "-")
+    separator = COMMA if sign == POINT else POINT
+    if separator in digits and _GROUPS[separator].fullmatch(digits.strip()):
+        digits = digits.replace(separator, "")
     try:
-        value = float(plain.replace(COMMA, POINT) if sign == COMMA else plain)
+        value = float(digits.replace(COMMA, POINT) if sign == COMMA else digits)
     except ValueError:
         if angle and (degrees := _degrees(row, text, angle)) is not None:
             return degrees
@@ -137,23 +141,24 @@ def _degrees(row: int, text: str, angle: str) -> float | None:
     match = _ANGLE.fullmatch(text)
     if match is None:
         return None
-    before, *parts, after = (part or "" for part in match.groups())
-    parts = [part.replace(COMMA, POINT) for part in parts if part]
-    side = (before or after).upper()
-    values = [abs(float(part)) for part in parts]
-    if (before and after) or any(POINT in part for part in parts[:-1]) or values[0] > 360 \
-            or not (side or len(parts) == 3 or _MARKS.search(text)):
+    before, *numbers, after = (number or "" for number in match.groups())
+    numbers = [number.replace(COMMA, POINT) for number in numbers if number]
+    hemisphere = (before or after).upper()
+    values = [abs(float(number)) for number in numbers]
+    if (before and after) or any(POINT in number for number in numbers[:-1]) or values[0] > 360 \
+            or not (hemisphere or len(numbers) == 3 or _MARKS.search(text)):
         return None
     if any(value >= 60 for value in values[1:]):
         raise BadCell(row, f"{text!r} has 60 or more minutes or seconds", "Correct the angle.")
-    if side == "O":
+    if hemisphere == "O":
         raise BadCell(row, f"the O in {text!r} is east in German and west in Romance languages",
                       "Write E or W.")
-    if side and (side in _LATITUDE) != (angle == "y"):
-        raise BadCell(row, f"{text!r} is a {'latitude' if side in _LATITUDE else 'longitude'} in "
-                           f"the column of {angle}",
+    if hemisphere and (hemisphere in _LATITUDE) != (angle == "y"):
+        kind = "latitude" if hemisphere in _LATITUDE else "longitude"
+        raise BadCell(row, f"{text!r} is a {kind} in the column of {angle}",
                       "x is the longitude and y the latitude: are the columns swapped?")
-    if side and parts[0][0] in "+-":
+    if hemisphere and numbers[0][0] in "+-":
         raise BadCell(row, f"{text!r} has a sign and a hemisphere", "Give one of them.")
+    # degrees + minutes / 60 + seconds / 3600.
     size = sum(value / 60.0**power for power, value in enumerate(values))
-    return -size if parts[0][0] == "-" else size * _SIDES.get(side, 1)
+    return -size if numbers[0][0] == "-" else size * _SIDES.get(hemisphere, 1)

@@ -49,10 +49,11 @@ class Framed:
         with requires("maps of features require", "geopandas", "geopandas"):
             import shapely
             from geopandas import GeoDataFrame
-        places = self._places()
-        flat = bool(np.isnan(places[..., 2]).any())
-        at = places[..., :2] if flat else places
-        shapes = shapely.points(at) if places.ndim == 2 else shapely.linestrings(at)
+        # Without all heights the shapes are plane ones: GIS programs take NaN for no geometry.
+        positions = self._places()
+        flat = bool(np.isnan(positions[..., 2]).any())
+        at = positions[..., :2] if flat else positions
+        shapes = shapely.points(at) if positions.ndim == 2 else shapely.linestrings(at)
         return GeoDataFrame(dict(self._columns()), geometry=shapes, crs=horizontal(crs) or None)
 
 
@@ -65,7 +66,7 @@ class Tabular(Glance, Framed):
     sigma: NDArray[np.float64] | None
     attributes: Attributes
 
-    def _check(self, kind: str, ends: tuple[int, ...], *taken: str) -> None:
+    def _check(self, kind: str, ends: tuple[int, ...], *reserved: str) -> None:
         """Make arrays of what was given, and refuse what is no feature.
 
         `ends` is the shape of the places of one feature, (2,) of lines; no attributes can have the
@@ -73,11 +74,11 @@ class Tabular(Glance, Framed):
         """
         ids = tuple(str(name).strip() for name in self.ids)  # as files hold them
         n = len(ids)
-        own: dict[str, Any] = {
+        checked: dict[str, Any] = {
             "ids": ids, "image": frozen(self.image, (n, *ends, 2), f"image of {kind}s"),
             "ground": frozen(self.ground, (n, *ends, 3), f"ground of {kind}s"),
-            "attributes": as_attributes(self.attributes, n, *taken)}
-        for name, value in own.items():
+            "attributes": as_attributes(self.attributes, n, *reserved)}
+        for name, value in checked.items():
             object.__setattr__(self, name, value)
         check_ids(ids, kind, unique=not ends)
         if n:
@@ -111,33 +112,35 @@ class Tabular(Glance, Framed):
         rows = rows_of(self.ids, index)
         return unchecked(self, **{name: _rows_at(value, rows) for name, value in _own(self)})
 
-    def join(self, other: Self) -> Self:
+    def join(self, further: Self) -> Self:
         """Return the rows of both; unknown standard deviations are the median of the known."""
-        both: Any = self  # a dataclass, which this base is not
-        made: Self = replace(both, **self._with_rows_of(other))
-        return made
+        table: Any = self  # a dataclass, which this base is not
+        joint: Self = replace(table, **self._with_rows_of(further))
+        return joint
 
-    def rejoin(self, other: Self) -> Self:
+    def rejoin(self, further: Self) -> Self:
         """Return the rows of both, which are parts of one table: what was checked holds for both.
         """
-        if not len(other):
+        if not len(further):
             return self
-        joint = self._with_rows_of(other)
+        joint = self._with_rows_of(further)
         return unchecked(self, **{**joint, "attributes": rows_at(joint["attributes"], slice(None))})
 
-    def _with_rows_of(self, other: Self) -> dict[str, Any]:
+    def _with_rows_of(self, further: Self) -> dict[str, Any]:
         """Return the fields of the rows of both."""
-        known = [part.sigma for part in (self, other) if part.sigma is not None]
+        sigmas = [table.sigma for table in (self, further) if table.sigma is not None]
         # Features without a standard deviation have this weight in an adjustment.
         sigma = np.concatenate([
-            np.full((len(part), *known[0].shape[1:]), np.median(known[0]))
-            if part.sigma is None else part.sigma for part in (self, other)]) if known else None
-        texts = {name: value + getattr(other, name) for name, value in _own(self)
+            np.full((len(table), *sigmas[0].shape[1:]), np.median(sigmas[0]))
+            if table.sigma is None else table.sigma
+            for table in (self, further)]) if sigmas else None
+        texts = {name: value + getattr(further, name) for name, value in _own(self)
                  if isinstance(value, tuple)}  # ids and roles
         return {
-            "image": np.concatenate([self.image, other.image]),
-            "ground": np.concatenate([self.ground, other.ground]), "sigma": sigma,
-            "attributes": joined(self.attributes, len(self), other.attributes, len(other)), **texts}
+            "image": np.concatenate([self.image, further.image]),
+            "ground": np.concatenate([self.ground, further.ground]), "sigma": sigma,
+            "attributes": joined(self.attributes, len(self), further.attributes, len(further)),
+            **texts}
 
 
 def _own(table: Any) -> list[tuple[str, Any]]:
@@ -161,6 +164,7 @@ def rows_of(ids: Sequence[str], index: ArrayLike) -> NDArray[np.intp]:
     """Return the rows that an index of integers or a mask names, each at most once."""
     array = np.asarray(index)
     rows = np.arange(len(ids))[array if array.size else np.zeros(0, dtype=np.intp)]
+    # A point that is taken twice would count twice in every fit.
     times = np.bincount(rows, minlength=1)
     if times.max() > 1:
         raise TermselError(f"{ids[int(times.argmax())]!r} is asked for {times.max()} times",
@@ -168,14 +172,14 @@ def rows_of(ids: Sequence[str], index: ArrayLike) -> NDArray[np.intp]:
     return np.asarray(rows)
 
 
-def unchecked(whole: _Table, **changes: Any) -> _Table:
+def unchecked(table: _Table, **changes: Any) -> _Table:
     """Return points or lines with some fields changed, without the checks of new ones."""
     # What was checked once holds for a part of them, and in other units. Fits make so many of these
     # that the checks took a quarter of their time.
-    made = object.__new__(type(whole))
-    for name, value in _own(whole):
+    changed = object.__new__(type(table))
+    for name, value in _own(table):
         value = changes.get(name, value)
         if isinstance(value, np.ndarray):
             value.setflags(write=False)
-        object.__setattr__(made, name, value)
-    return made
+        object.__setattr__(changed, name, value)
+    return changed
