@@ -106,7 +106,7 @@ def _choosing_without(control: Control, portfolio: Portfolio, watch: Watch,
     def chosen_without(out: BoolArray) -> Fit | None:
         rest = control.take(~out)
         # Relief that rests on one feature of the others tells nothing of those held out.
-        flat = replace(rest, heights=rest.heights and not carriers(rest, most=1))
+        flat = replace(rest, heights=rest.heights and not carriers(rest, limit=1))
         found = None if len(rest) < least else choose_features(flat, parts, watch, whole=False)
         fitted = found.chosen.fit if found else None
         if not found or not any(one.candidate.has_prior for one in found.judged):

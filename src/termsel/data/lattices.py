@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 
 import numpy as np
 
@@ -57,16 +58,16 @@ class Lattice:
         """Number of columns."""
         return int(self.column.max()) + 1
 
-    def take(self, which: IntArray) -> Lattice:
+    def take(self, rows: IntArray) -> Lattice:
         """Return the lines and columns of some of the points, by their numbers."""
-        return Lattice(self.line[which], self.column[which])
+        return Lattice(self.line[rows], self.column[rows])
 
-    def sentence(self, *, known: bool = False) -> str:
+    def sentence(self, *, has_geometry: bool = False) -> str:
         """Say what the points are, and what would be better where their geometry is not known."""
-        said = (f"The {len(self.line)} points are a lattice of {self.lines} lines and "
-                f"{self.columns} columns of the image: computed, not measured.")
-        return said if known else (
-            f"{said} The accuracy is that of interpolation between them, found without whole lines "
+        description = (f"The {len(self.line)} points are a lattice of {self.lines} lines and "
+                       f"{self.columns} columns of the image: computed, not measured.")
+        return description if has_geometry else (
+            f"{description} The accuracy is that of interpolation between them, found without whole lines "
             "and columns, and not that of the product. The geometry that they were computed by, as "
             "in the annotation of a radar image or an RPC, would be exact between them, too: give "
             "it if you have it.")
@@ -77,6 +78,7 @@ def lattice_of(points: Points) -> Lattice | None:
     """Return the lattice that points are, or None if they are none."""
     if len(points) < FEWEST**2 or points.sigma is not None:
         return None
+    # Lines and columns are the values that occur, each once at every crossing.
     line = _numbered(points.image[:, 0])
     column = _numbered(points.image[:, 1])
     lines = int(line.max()) + 1
@@ -109,11 +111,12 @@ def _noise(points: Points, lattice: Lattice) -> float | None:
     weights = _without_cubic(points.image[runs, 1])
     columns = np.einsum("rn,rnk->rk", weights, _smooth_columns(points)[runs])
     plan = points.ground[:, :2] - points.ground[:, :2].mean(axis=0)
-    left = np.einsum("rn,rnk->rk", weights, plan[runs])
-    left -= columns @ np.linalg.lstsq(columns, left)[0]
+    residuals = np.einsum("rn,rnk->rk", weights, plan[runs])
+    residuals -= columns @ np.linalg.lstsq(columns, residuals)[0]
     freedom = len(runs) - np.linalg.matrix_rank(columns)
     # Of noise that is independent in all points the weights, whose squares sum to 1, leave as much.
-    noise = np.sqrt((left**2).sum(axis=0) / freedom)
+    noise = np.sqrt((residuals**2).sum(axis=0) / freedom)
+    # The affine map from the image to the ground turns noise on the ground into pixels.
     pixels = np.linalg.lstsq(np.column_stack([np.ones(len(plan)), points.image]), plan)[0][1:]
     return float(np.linalg.norm(np.linalg.solve(pixels.T, noise)) / np.sqrt(2.0)) \
         if abs(np.linalg.det(pixels)) > 0.0 else None
@@ -128,9 +131,11 @@ def _smooth_columns(points: Points) -> FloatArray:
                     / np.ptp(points.image, axis=0)).T
     height = np.nan_to_num(points.ground[:, 2])
     height = (height - height.mean()) / max(float(np.ptp(height)), 1.0)
-    slow = [line**i * sample**j for i in range(4) for j in range(4 - i)]
-    return np.stack([*(sample**power * line**i for power in (4, 5, 6) for i in range(2)),
-                     *(height * factor for factor in slow),
+    # Ten factors of line^i sample^j up to the third degree, six powers beyond it, three of squares:
+    # _TERMS in all.
+    slow = [line**i * sample**j for i, j in product(range(4), range(4)) if i + j < 4]
+    powers = [sample**power * line**i for power, i in product((4, 5, 6), (0, 1))]
+    return np.stack([*powers, *(height * factor for factor in slow),
                      *(height**2 * factor for factor in (1.0, line, sample))], axis=1)
 
 
@@ -143,13 +148,13 @@ def _runs(lattice: Lattice) -> Iterator[IntArray]:
             yield run
 
 
-def _without_cubic(places: FloatArray) -> FloatArray:
-    """Return weights (r, 5) of sum of squares 1 that take cubic polynomials of places (r, 5) out.
+def _without_cubic(positions: FloatArray) -> FloatArray:
+    """Return weights (r, 5) of sum of squares 1 that remove cubics of positions (r, 5).
 
     They are divided differences: w_i = 1 / prod over j of (x_i - x_j).
     """
-    unit = np.ptp(places, axis=1, keepdims=True)
-    apart = (places[:, :, None] - places[:, None, :]) / unit[:, :, None]
-    apart += np.eye(_RUN)
-    weights = 1.0 / apart.prod(axis=2)
+    unit = np.ptp(positions, axis=1, keepdims=True)
+    differences = (positions[:, :, None] - positions[:, None, :]) / unit[:, :, None]
+    differences += np.eye(_RUN)
+    weights = 1.0 / differences.prod(axis=2)
     return np.asarray(weights / np.linalg.norm(weights, axis=1, keepdims=True))

@@ -83,11 +83,12 @@ class Observations:
         """The lattice that all points are, with the numbers of those in the pool; if they are one.
         """
         points = self.features.points
-        whole = None if len(self.features.lines) else lattice_of(points)
-        if whole is None:
+        all_points = None if len(self.features.lines) else lattice_of(points)
+        if all_points is None:
             return None
-        place = {name: index for index, name in enumerate(points.ids)}
-        return whole.take(np.array([place[name] for name in self.pool.features.ids], dtype=np.intp))
+        row_of = {name: index for index, name in enumerate(points.ids)}
+        rows = [row_of[name] for name in self.pool.features.ids]
+        return all_points.take(np.array(rows, dtype=np.intp))
 
     @cached_property
     def joint(self) -> Control:

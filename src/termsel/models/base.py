@@ -58,6 +58,7 @@ def _start_fault(model: SensorModel, value: Any, *_args: Any) -> str | None:
 def _image_fault(_model: SensorModel, value: Any, coefficients: FloatArray, *args: Any,
                  ) -> str | None:
     """Return what is wrong with image positions, if anything; at a pole they are not finite."""
+    # `project` is called with coefficients and ground, `predict` with the control in between.
     ground = args[-1]
     return of_shape(value, (*np.shape(coefficients)[:-1], len(ground), 2), finite=False)
 
@@ -68,10 +69,10 @@ def _weights_fault(_model: SensorModel, value: Any, control: FloatArray, ground:
 
 
 def _axis_fault(model: SensorModel, value: Any) -> str | None:
-    what = of_shape(value, (len(model.terms),))
-    if what is None and not np.isin(value, (LINE, SAMPLE, BOTH)).all():
+    fault = of_shape(value, (len(model.terms),))
+    if fault is None and not np.isin(value, (LINE, SAMPLE, BOTH)).all():
         return "returned an array with other numbers than 0, 1 and 2"
-    return what
+    return fault
 
 
 def _rpc_fault(_model: SensorModel, value: Any, *_args: Any) -> str | None:
@@ -131,8 +132,10 @@ class SensorModel(Configurable, ABC):
         TermselError
             If the model is not valid at this place.
         """
+        # Preparing twice changes nothing, so that what the model caches is kept.
         if (self.scaling, self.crs) == (scaling, crs):
             return self
+        # A copy: the same model may be fitted to several images at once.
         ready = copy(self)
         ready.scaling = scaling
         ready.crs = crs
@@ -151,12 +154,13 @@ class SensorModel(Configurable, ABC):
         TermselError
             For a value that the option does not accept.
         """
-        own = {option.name for option in self.declared_options}
-        chosen = {name: value for name, value in parameters.items() if name in own}
-        if not chosen:
+        option_names = {option.name for option in self.declared_options}
+        values = {name: value for name, value in parameters.items() if name in option_names}
+        if not values:
             return self
-        other = type(self)(**{**self.options, **chosen})
-        return other if self.scaling is None else other.prepared(self.scaling, self.crs)
+        # A new instance, which checks its options and keeps nothing of this one but its place.
+        changed = type(self)(**{**self.options, **values})
+        return changed if self.scaling is None else changed.prepared(self.scaling, self.crs)
 
     def fit(self, features: FeatureSet) -> Fit:
         """Fit all terms to control features by least squares.
@@ -181,6 +185,7 @@ class SensorModel(Configurable, ABC):
         >>> fitted.adjustment.redundancy
         20
         """
+        # Check and independent points stay out, and a model with heights needs all of them.
         control = control_of(features)
         require_heights(self, control)
         return fit_all_terms(self, control)
@@ -231,6 +236,7 @@ class SensorModel(Configurable, ABC):
     @property
     def axis(self) -> IntArray:
         """Image axis of each term: 0 line, 1 sample, 2 both; shape (k,)."""
+        # The careful default: a term of one axis alone may be solved for without the other.
         return np.full(len(self.terms), BOTH, dtype=np.intp)
 
     @abstractmethod
@@ -345,9 +351,9 @@ class SensorModel(Configurable, ABC):
         A control feature then helps to predict itself. Its residual is too small, and zero where
         the model interpolates.
         """
-        own = type(self)
-        return (own.residual_weights is not SensorModel.residual_weights
-                or own.predict is not SensorModel.predict)
+        model_class = type(self)
+        return (model_class.residual_weights is not SensorModel.residual_weights
+                or model_class.predict is not SensorModel.predict)
 
     def predict(self, coefficients: FloatArray, control: FeatureSet,
                 ground: FloatArray) -> FloatArray:
@@ -370,6 +376,7 @@ class SensorModel(Configurable, ABC):
         ndarray, shape (..., n, 2)
             Scaled line and sample.
         """
+        # p(g) + W(g) (l - p(g_control)): the residuals of the control, spread over other places.
         image = self.project(coefficients, ground)
         points = control.points
         weights = self.residual_weights(points.ground, ground) if len(points) else None
@@ -400,6 +407,7 @@ class SensorModel(Configurable, ABC):
 
 def require_heights(model: SensorModel, features: FeatureSet) -> None:
     """Refuse features without height for a model that uses it, and name them."""
+    # Named all at once, so that a user can add them in one go.
     missing = features.without_height()
     if model.uses_height and missing:
         raise TermselError(

@@ -64,12 +64,13 @@ class Helmert2D(SensorModel):
     def _rows(self, ground: FloatArray) -> FloatArray:
         """Return the rows of line and sample over all terms, shape (n, 2, 4)."""
         x, y = (ground[:, :2] * plane_units(self)).T
+        # Where Y already counts downwards its sign is that of the lines.
         y = -y if self.options["mirrored"] else y
-        one = np.ones_like(x)
-        none = np.zeros_like(x)
-        return np.stack([np.stack([one, none, -y, -x], axis=1),
-                         np.stack([none, one, x, -y], axis=1)], axis=1)
-
+        # Columns: shift of lines, shift of samples, cos, sin, as in the equations above.
+        ones = np.ones_like(x)
+        zeros = np.zeros_like(x)
+        return np.stack([np.stack([ones, zeros, -y, -x], axis=1),
+                         np.stack([zeros, ones, x, -y], axis=1)], axis=1)
 
 
 def plane_units(model: SensorModel) -> tuple[float, float]:
@@ -83,5 +84,6 @@ def plane_units(model: SensorModel) -> tuple[float, float]:
     x, y = model.scaling.ground_scale[:2]
     crs = model.scaling.fit_crs or model.crs
     if crs and is_geographic(crs):
+        # A degree of longitude is cos(latitude) times as long as one of latitude.
         x *= np.cos(np.radians(model.scaling.ground_offset[1]))
     return float(x / max(x, y)), float(y / max(x, y))

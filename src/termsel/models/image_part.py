@@ -60,46 +60,48 @@ class ImagePart:
     offset: tuple[float, float] = (0.0, 0.0)
     scale: float = 1.0
 
-    def rpc(self, whole: Rpc) -> Rpc:
+    def rpc(self, rpc: Rpc) -> Rpc:
         """Return the RPC of the part."""
-        line, sample = self.places(np.array(whole.image_offset)).tolist()
-        lines, samples = whole.image_scale
-        return replace(whole, image_offset=(line, sample),
+        # Offsets are positions in the image, scales are lengths: only the former are shifted.
+        line, sample = self.places(np.array(rpc.image_offset)).tolist()
+        lines, samples = rpc.image_scale
+        return replace(rpc, image_offset=(line, sample),
                        image_scale=(lines / self.scale, samples / self.scale))
 
-    def places(self, whole: FloatArray) -> FloatArray:
-        """Return lines and samples (..., 2) of the part, of those of the whole image."""
-        return np.asarray((whole + 0.5 - self.offset) / self.scale - 0.5)
+    def places(self, position: FloatArray) -> FloatArray:
+        """Return lines and samples (..., 2) in the part of a position in the whole image."""
+        return np.asarray((position + 0.5 - self.offset) / self.scale - 0.5)
 
     @property
     def settings(self) -> str:
         """The options that state it."""
         line, sample = self.offset
-        said = [f"--set rpc_offset={line:g},{sample:g}"] if line or sample else []
-        said += [f"--set rpc_scale={self.scale:g}"] if self.scale != 1.0 else []
-        return " ".join(said)
+        options = [f"--set rpc_offset={line:g},{sample:g}"] if line or sample else []
+        options += [f"--set rpc_scale={self.scale:g}"] if self.scale != 1.0 else []
+        return " ".join(options)
 
     def sentence(self) -> str:
         """Return what it is, as a sentence."""
         line, sample = self.offset
-        said = []
+        clauses = []
         if self.scale != 1.0:
-            said.append(f"has {self.scale:g} times the pixels of this one along a side"
-                        if self.scale > 1.0 else
-                        f"is {1 / self.scale:g} times coarser than this one")
+            clauses.append(f"has {self.scale:g} times the pixels of this one along a side"
+                           if self.scale > 1.0 else
+                           f"is {1 / self.scale:g} times coarser than this one")
         if line or sample:
             up = "above" if line >= 0 else "below"
-            left = "left" if sample >= 0 else "right"
-            said.append(f"begins some {abs(line):.0f} lines {up} and {abs(sample):.0f} samples "
-                        f"{left} of it")
-        return (f"By the control the RPC is of an image that {' and '.join(said)}; it was used so "
-                f"({self.settings}).")
+            beside = "left" if sample >= 0 else "right"
+            clauses.append(f"begins some {abs(line):.0f} lines {up} and {abs(sample):.0f} samples "
+                           f"{beside} of it")
+        return (f"By the control the RPC is of an image that {' and '.join(clauses)}; it was used "
+                f"so ({self.settings}).")
 
 
 def part_of(offset: str | None, scale: float | str | None) -> ImagePart | None:
     """Return what the options `RPC_OFFSET` and `RPC_SCALE` say; None where they are not given."""
     if offset is None and scale is None:
         return None
+    # Either option alone says that the other is as in the whole image.
     start = (0.0, 0.0)
     if offset is not None:
         pair = _PAIR.fullmatch(str(offset))
@@ -120,7 +122,7 @@ def part_of(offset: str | None, scale: float | str | None) -> ImagePart | None:
     return ImagePart(start, factor)
 
 
-def recognised(whole: FloatArray, measured: FloatArray) -> ImagePart | None:
+def recognised(predicted: FloatArray, measured: FloatArray) -> ImagePart | None:
     """Return the part that explains where an RPC sees points, and where they were measured.
 
     Shapes (n, 2) [px]. None where the RPC is near, where the points are too few, or where no part
@@ -128,35 +130,43 @@ def recognised(whole: FloatArray, measured: FloatArray) -> ImagePart | None:
     is rounded, and the correction of the RPC finds the remaining pixels, with their uncertainty.
     Medians let less than half of the points be blunders.
     """
-    known = np.isfinite(whole).all(axis=1)
-    whole = whole[known]
-    measured = measured[known]
-    if len(whole) < _LEAST or np.median(np.linalg.norm(whole - measured, axis=1)) < _FAR:
+    is_seen = np.isfinite(predicted).all(axis=1)
+    predicted = predicted[is_seen]
+    measured = measured[is_seen]
+    if len(predicted) < _LEAST or np.median(np.linalg.norm(predicted - measured, axis=1)) < _FAR:
         return None
-    factor = _factor(whole, measured)
+    # Ratios of distances do not depend on where the part begins, so the factor comes first.
+    factor = _factor(predicted, measured)
     scale = _simple(factor) if abs(factor - 1.0) > _REDUCED else 1.0
-    start = np.median(whole + 0.5 - scale * (measured + 0.5), axis=0)
+    start = np.median(predicted + 0.5 - scale * (measured + 0.5), axis=0)
     # Less than what vendors' RPCs are off is a shift of the RPC; more is where the part begins.
     start = _ROUND * np.round(start / _ROUND) if np.abs(start).max() > _FAR or scale == 1.0 \
         else np.zeros(2)
-    part = ImagePart((float(start[0]), float(start[1])), scale)
-    apart = part.places(whole) - measured
-    scatter = float(np.median(np.linalg.norm(apart - np.median(apart, axis=0), axis=1)))
+    image_part = ImagePart((float(start[0]), float(start[1])), scale)
+    # The rest about its median: a shift is for the correction, only scatter speaks against the
+    # part.
+    offsets = image_part.places(predicted) - measured
+    scatter = float(np.median(np.linalg.norm(offsets - np.median(offsets, axis=0), axis=1)))
     wide = float(np.linalg.norm(np.ptp(measured, axis=0)))
-    return part if scatter < max(_MEASURED, _ALIKE * wide / 2) and wide > _FAR else None
+    return image_part if scatter < max(_MEASURED, _ALIKE * wide / 2) and wide > _FAR else None
 
 
-def _factor(whole: FloatArray, measured: FloatArray) -> float:
+def _factor(predicted: FloatArray, measured: FloatArray) -> float:
     """Return the median ratio of distances between points in both images."""
-    chosen = np.linspace(0, len(whole) - 1, min(len(whole), _MOST)).astype(int)
-    pairs = np.array(list(combinations(chosen.tolist(), 2)))
-    there, here = (np.linalg.norm(places[pairs[:, 0]] - places[pairs[:, 1]], axis=1)
-                   for places in (whole, measured))
-    apart = here > 0
-    return float(np.median(there[apart] / here[apart])) if apart.any() else 1.0
+    sample = np.linspace(0, len(predicted) - 1, min(len(predicted), _MOST)).astype(int)
+    pairs = np.array(list(combinations(sample.tolist(), 2)))
+    first = pairs[:, 0]
+    second = pairs[:, 1]
+    predicted_distances = np.linalg.norm(predicted[first] - predicted[second], axis=1)
+    measured_distances = np.linalg.norm(measured[first] - measured[second], axis=1)
+    # Points at one place have no ratio.
+    differs = measured_distances > 0
+    if not differs.any():
+        return 1.0
+    return float(np.median(predicted_distances[differs] / measured_distances[differs]))
 
 
 def _simple(factor: float) -> float:
     """Return the simple factor that a measured one is, or that itself."""
-    nearest = min(_FACTORS, key=lambda one: abs(factor / one - 1.0))
+    nearest = min(_FACTORS, key=lambda simple: abs(factor / simple - 1.0))
     return float(nearest) if abs(factor / nearest - 1.0) < _SIMPLE else factor

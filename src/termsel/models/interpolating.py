@@ -40,6 +40,7 @@ class Interpolating(Polynomial):
         interpolation = self.interpolation(control)
         if interpolation is None:
             return self.project(coefficients, ground)
+        # Whatever the coefficients, as the spline takes up any affine function.
         image = interpolation.predict(ground)
         return np.broadcast_to(image, (*coefficients.shape[:-1], *image.shape)).copy()
 

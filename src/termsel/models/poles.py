@@ -54,16 +54,19 @@ def guard_points(control: FeatureSet, check: Points, wider: float = 1.0) -> Floa
     # X, Y, Z are not along the ground: the box is turned to the features.
     if control.fit_crs and is_geocentric(control.fit_crs):
         axes = np.linalg.svd(vertices - vertices.mean(axis=0), full_matrices=False)[2].T
+    # The grid spans the box around all features along these axes.
     low = (vertices @ axes).min(axis=0)
     high = (vertices @ axes).max(axis=0)
     if len(vertices) > GUARDED:  # an even choice over the scene
         even = np.linspace(0, len(vertices) - 1, GUARDED).astype(int)
         vertices = vertices[spatial_order(vertices[:, :2])[even]]
     grid = (low + high) / 2 + _GRID * (high - low) / 2
+    # Back from the turned axes to X, Y, Z.
     guard = np.concatenate([vertices, grid @ axes.T])
     if wider != 1.0:
         middle = (guard.max(axis=0) + guard.min(axis=0)) / 2
         guard = middle + wider * (guard - middle)
+    # Of an oblique view only what lies in front of the camera.
     view = view_of(control.points)
     if view is not None:
         guard = np.concatenate([vertices, guard[view.shows(guard)]])
@@ -77,5 +80,6 @@ def pole_violation(model: Fittable, coefficients: FloatArray, ground: FloatArray
     below = model.denominators(coefficients, ground)
     if below is None:
         return np.zeros(len(coefficients))
-    least = np.nan_to_num(below, nan=-LARGEST_SHORTFALL).min(axis=(1, 2))
-    return np.asarray(np.clip(margin - least, 0.0, LARGEST_SHORTFALL))
+    # A denominator that is not a number is as bad as can be.
+    smallest = np.nan_to_num(below, nan=-LARGEST_SHORTFALL).min(axis=(1, 2))
+    return np.asarray(np.clip(margin - smallest, 0.0, LARGEST_SHORTFALL))

@@ -24,6 +24,7 @@ class Polynomial(MonomialModel):
     @property
     def polynomial_degree(self) -> int | None:
         """Greatest total power; None for a model that goes on from a polynomial."""
+        # A model that also corrects by the control is more than its polynomial.
         return None if self.corrects else max(map(sum, self.exponents))
 
 

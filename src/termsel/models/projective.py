@@ -86,6 +86,7 @@ class DLT2D(Projective):
     @cached_property
     def exponents(self) -> Exponents:
         """Exponents of 1, X, Y and, unless the relief is a plane, XY."""
+        # 1, X, Y for numerators and, without the constant, the denominator.
         linear = graded_exponents(1, 2)
         return (*linear, (1, 1, 0)) if self.options["relief"] == "xy" else linear
 

@@ -6,6 +6,7 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 from typing import Any, ClassVar
 
 import numpy as np
@@ -95,6 +96,7 @@ class RationalModel(SensorModel):
     @cached_property
     def _layout(self) -> tuple[tuple[str, slice, int, tuple[str, ...]], ...]:
         """(block, its columns among the terms, its axis, its term names) in order."""
+        # The columns at any one place tell how many there are.
         sample = self.blocks(np.zeros((1, 3)))
         layout = []
         start = 0
@@ -103,6 +105,7 @@ class RationalModel(SensorModel):
             if columns is None or not columns.shape[1]:
                 continue
             width = columns.shape[1]
+            # Columns without names are numbered.
             names = self.column_names(block) or tuple(str(i) for i in range(width))
             if len(names) != width:
                 raise TermselError(
@@ -120,7 +123,7 @@ class RationalModel(SensorModel):
     @cached_property
     def terms(self) -> tuple[str, ...]:
         """Names of the terms: block and column, such as "line.den:XY"."""
-        return tuple(name for *_, names in self._layout for name in names)
+        return tuple(chain.from_iterable(names for *_, names in self._layout))
 
     @property
     def axis(self) -> IntArray:
@@ -130,8 +133,8 @@ class RationalModel(SensorModel):
 
     def _columns(self, ground: FloatArray) -> dict[str, tuple[slice, FloatArray]]:
         blocks = self.blocks(ground)
-        return {block: (where, np.asarray(getattr(blocks, block), dtype=np.float64))
-                for block, where, _, _ in self._layout}
+        return {block: (span, np.asarray(getattr(blocks, block), dtype=np.float64))
+                for block, span, _, _ in self._layout}
 
     def _axis_rows(self, ground: FloatArray, image: FloatArray) -> FloatArray:
         """Return rows over all terms for line and sample, shape (n, 2, k).
@@ -140,11 +143,11 @@ class RationalModel(SensorModel):
         multiplied by minus the image coordinate, which is measured or approximate.
         """
         rows = np.zeros((len(ground), 2, len(self.terms)))
-        for block, (where, columns) in self._columns(ground).items():
+        for block, (span, columns) in self._columns(ground).items():
             if block in ("line", "line_denominator", "shared_denominator"):
-                rows[:, LINE, where] = columns if block == "line" else -image[:, :1] * columns
+                rows[:, LINE, span] = columns if block == "line" else -image[:, :1] * columns
             if block in ("sample", "sample_denominator", "shared_denominator"):
-                rows[:, SAMPLE, where] = columns if block == "sample" else -image[:, 1:] * columns
+                rows[:, SAMPLE, span] = columns if block == "sample" else -image[:, 1:] * columns
         return rows
 
     def equations(self, features: FeatureSet) -> Equations:
@@ -171,9 +174,12 @@ class RationalModel(SensorModel):
         lines = features.lines
         if self.exact_for_lines or not len(lines):
             # The place along the image line cancels.
+            # Each image line once, in Hesse form: n . (line, sample) = rho.
             normal, rho = line_normals(lines)
             image = np.repeat(normal * rho[:, None], 2, axis=0)
         else:
+            # The image of a vertex by a polynomial through the control, as its place along the line
+            # is not measured.
             image = approximate_image(features, heights=self.uses_height)
         return image_equations(features, self._axis_rows(points.ground, points.image),
                                self._axis_rows(lines.ground.reshape(-1, 3), image),
@@ -193,16 +199,16 @@ class RationalModel(SensorModel):
         """
         if not self.weighted and (self.exact_for_lines or not len(features.lines)):
             return None
-        parts = []
+        systems = []
         for ground in (features.points.ground, features.lines.ground.reshape(-1, 3)):
             image = self.project(coefficients, ground)
             below = self.denominators(coefficients, ground)
             assert below is not None
             # With f = n a / (1 + d c): df = (n da - f d dc) / (1 + d c), and J x = f / (1 + d c).
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                parts += [self._axis_rows(ground, image) / below[..., None],
-                          image - image / below]
-        return image_equations(features, *parts[::2], *parts[1::2], heights=self.uses_height)
+                systems += [self._axis_rows(ground, image) / below[..., None],
+                            image - image / below]
+        return image_equations(features, *systems[::2], *systems[1::2], heights=self.uses_height)
 
     @property
     def first_terms(self) -> BoolArray | None:
@@ -210,21 +216,24 @@ class RationalModel(SensorModel):
         return np.array([not Term.parse(name).is_denominator
                          for name in self.terms]) if self.weighted else None
 
-    def least_distances(self, points: Points, parts: tuple[IndependentPart, ...],
+    def least_distances(self, points: Points, systems: tuple[IndependentPart, ...],
                         terms: BoolArray, used: BoolArray | None) -> FloatArray:
         """Return the least squares of distances in the image, of selections of terms (p, k).
 
         Points (p, n) are all in use by default. The search begins at the `first_terms`.
         """
+        # Rows of line and sample in turn, over all terms.
         flat = terms.shape[1]
         rows = np.ones((len(terms), len(points)), dtype=bool) if used is None else used
         above = self._axis_rows(points.ground, np.zeros_like(points.image)).reshape(-1, flat)
-        both = self._axis_rows(points.ground, -np.ones_like(points.image)).reshape(-1, flat)
+        # With images of -1 the denominators' columns come as they are, next to the numerators'.
+        all_columns = self._axis_rows(points.ground, -np.ones_like(points.image)).reshape(-1, flat)
+        # Points that are not in use have no weight; each has two rows.
         weights = np.where(np.repeat(rows, 2, axis=1), weights_of(points).ravel(), 0.0)
         first = self.first_terms
-        start, _ = solve_parts(parts, terms if first is None else terms & first, used)
-        return least_distances(Quotients(above, both - above, points.image.ravel(), weights),
-                               parts, terms, start)
+        start, _ = solve_parts(systems, terms if first is None else terms & first, used)
+        quotients = Quotients(above, all_columns - above, points.image.ravel(), weights)
+        return least_distances(quotients, systems, terms, start)
 
     @property
     def exact_for_lines(self) -> bool:
@@ -249,22 +258,24 @@ class RationalModel(SensorModel):
     def _denominators(self, coefficients: FloatArray, columns: Any) -> FloatArray | None:
         if not columns.keys() & {"line_denominator", "sample_denominator", "shared_denominator"}:
             return None
+        # A denominator is 1 + d c, its own or that of both axes.
         below = 1.0 + self._axis_forms(coefficients, columns, "line_denominator",
                                        "sample_denominator")
         if "shared_denominator" in columns:
-            where, block = columns["shared_denominator"]
-            below += (coefficients[..., where] @ block.T)[..., None]
+            span, block = columns["shared_denominator"]
+            below += (coefficients[..., span] @ block.T)[..., None]
         return below
 
     @staticmethod
     def _axis_forms(coefficients: FloatArray, columns: Any, *names: str) -> FloatArray:
         """Return the linear forms of a line block and a sample block, shape (..., n, 2)."""
         n = len(next(iter(columns.values()))[1])
+        # One axis may have a block that the other one has not: its form is 0 there.
         forms = np.zeros((*coefficients.shape[:-1], n, 2))
         for axis, name in enumerate(names):
             if name in columns:
-                where, block = columns[name]
-                forms[..., axis] = coefficients[..., where] @ block.T
+                span, block = columns[name]
+                forms[..., axis] = coefficients[..., span] @ block.T
         return forms
 
 
@@ -283,6 +294,7 @@ class MonomialModel(RationalModel):
 
     def blocks(self, ground: FloatArray) -> Blocks:
         """Return the monomials as numerators, and without the constant as denominators."""
+        # The constant of a denominator is fixed to 1, so its column is left out.
         above = monomials(ground, self.exponents)
         separate, shared = (above[:, 1:] if self.divides == kind else None
                             for kind in ("separate", "shared"))
@@ -290,5 +302,6 @@ class MonomialModel(RationalModel):
 
     def column_names(self, block: str) -> tuple[str, ...]:
         """Return the monomials' names."""
+        # In the order of the exponents, as `blocks` has the columns.
         names = tuple(monomial_name(e) for e in self.exponents)
         return names[1:] if block.endswith("denominator") else names

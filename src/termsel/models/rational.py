@@ -83,7 +83,9 @@ class RationalFunctions(MonomialModel):
     def _prior(self, features: FeatureSet) -> FloatArray | None:
         ridge = self.options["ridge"]
         if ridge is None:
+            # A DLT has so few denominators that lines determine them.
             is_dlt = self.options["order"] == 1 and self.exact_for_lines
             ridge = RIDGE if len(features.lines) and not is_dlt else 0.0
+        # Pseudo-observations sqrt(ridge) c = 0 add `ridge` to the diagonal of the normal equations.
         below = np.array([Term.parse(name).is_denominator for name in self.terms])
         return np.sqrt(ridge) * below if ridge and below.any() else None

@@ -110,12 +110,14 @@ class Rpc:
             Line and sample [px].
         """
         away = np.asarray(ground, dtype=np.float64) - self.ground_offset
+        # Longitudes may go on beyond 180 degrees, as GDAL evaluates an RPC, too.
         away[:, 0] -= 360.0 * ((away[:, 0] > 270).astype(float) - (away[:, 0] < -270))
         columns = monomials(away / self.ground_scale, RPC00B)
-        quotients = [(columns @ above) / (columns @ below) for above, below in (
-            (self.line_numerator, self.line_denominator),
-            (self.sample_numerator, self.sample_denominator))]
-        return np.asarray(np.stack(quotients, axis=1) * self.image_scale + self.image_offset)
+        # Scaled line and sample are quotients of cubic polynomials in scaled P, L, H.
+        line = (columns @ self.line_numerator) / (columns @ self.line_denominator)
+        sample = (columns @ self.sample_numerator) / (columns @ self.sample_denominator)
+        image = np.stack([line, sample], axis=1)
+        return np.asarray(image * self.image_scale + self.image_offset)
 
     def denominators(self, ground: FloatArray) -> FloatArray:
         """Return the denominators of line and sample at ground points, (n, 2)."""

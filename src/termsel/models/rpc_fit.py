@@ -30,7 +30,8 @@ EXACT = 1e-6
 GOOD = 0.05
 """Largest loss [px] at which the selected terms are kept rather than all."""
 
-_GRID, _LEVELS = 21, 7  # places along either side of the image, and heights
+_GRID = 21  # places along either side of the image
+_LEVELS = 7  # heights
 _RIDGES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # weights that hold denominators, of equations in scale
 _WIDER, _TRIED = 1.1, 5000  # box in which denominators are looked at, and places there
 _LEAST_DENOMINATOR = 0.05  # of a denominator, which is 1 in the middle
@@ -82,29 +83,31 @@ def rpc_of(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcFit:
     """
     convert = to_wgs84(fitted.control.crs)
     refuse_sky(fitted, "an RPC")
-    part = part_said(fitted)
+    excluded_part = part_said(fitted)
     model = fitted.model
-    rpc = own = (model.as_rpc(fitted.adjustment.coefficients)
-                 if isinstance(model, SensorModel) else None)
+    # In the order of their worth: the model's own RPC, coefficients taken over, a refit.
+    rpc = declared = (model.as_rpc(fitted.adjustment.coefficients)
+                      if isinstance(model, SensorModel) else None)
     if rpc is None and normalise(fitted.control.fit_crs or fitted.control.crs) in WGS84:
         rpc = taken_over(fitted)
     if rpc is not None:
-        places, seen = _seen(fitted, heights)
-        if own is not None and not len(places):
-            places = fitted.control.ground_vertices()
-            seen = fitted.project(places)
-        worst, rms = _loss(rpc, convert(places), seen)
-        if worst <= (EXACT if own is None else GOOD):
-            return RpcFit(rpc, "exact" if worst <= EXACT else "its own", worst, rms, part)
+        control_ground, expected = _seen(fitted, heights)
+        if declared is not None and not len(control_ground):
+            control_ground = fitted.control.ground_vertices()
+            expected = fitted.project(control_ground)
+        worst, rms = _loss(rpc, convert(control_ground), expected)
+        if worst <= (EXACT if declared is None else GOOD):
+            return RpcFit(rpc, "exact" if worst <= EXACT else "its own", worst, rms, excluded_part)
     low, high = heights or _heights(fitted)
     image, ground = _grid(fitted, convert, _GRID, np.linspace(low, high, _LEVELS))
+    # One place and one level fewer, so that the check lies between the places of the fit.
     between, ground_between = _grid(fitted, convert, _GRID - 1,
                                     np.linspace(low, high, _LEVELS - 1))
     candidates = []
     for how, terms, ridge in _term_sets(fitted):
         rpc = _refitted(image, ground, terms, ridge)
         loss = (np.inf, np.inf) if _has_pole(rpc, ground) else _loss(rpc, ground_between, between)
-        candidates.append(RpcFit(rpc, how, *loss, part))
+        candidates.append(RpcFit(rpc, how, *loss, excluded_part))
         if candidates[-1].worst <= GOOD:
             break
     best = min(candidates, key=lambda candidate: candidate.worst)
@@ -115,8 +118,8 @@ def rpc_of(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcFit:
             "RPC: refitted to the model in longitude, latitude and height with %s terms. It "
             "differs from the model by at most %.2g px (rms %.2g px), over the image and heights "
             "from %.0f to %.0f.", best.how, best.worst, best.rms, low, high)
-    if part:
-        log.warning("Warning: %s. The RPC follows the model in the rest alone.", part)
+    if excluded_part:
+        log.warning("Warning: %s. The RPC follows the model in the rest alone.", excluded_part)
     return best
 
 
@@ -131,6 +134,7 @@ def taken_over(fitted: Fit) -> Rpc | None:
     for name, value in zip(fitted.model.terms, fitted.adjustment.coefficients, strict=True):
         if value == 0:
             continue
+        # Each coefficient goes to its place in RPC00B order; one of both axes to both.
         term = Term.parse(name)
         column = _column(term)
         if column is None:
@@ -140,10 +144,11 @@ def taken_over(fitted: Fit) -> Rpc | None:
     scaling = fitted.scaling
     lon, lat, height = scaling.ground_offset
     # Longitudes may go on beyond 180 degrees; an RPC's offset does not.
-    return Rpc(scaling.image_offset, (scaling.image_scale,) * 2,
-               (float(nearest(np.array(lon), 0.0)), lat, height),
-               scaling.ground_scale, tuple(above[0]), tuple(below[0]), tuple(above[1]),
-               tuple(below[1]))
+    return Rpc(image_offset=scaling.image_offset, image_scale=(scaling.image_scale,) * 2,
+               ground_offset=(float(nearest(np.array(lon), 0.0)), lat, height),
+               ground_scale=scaling.ground_scale,
+               line_numerator=tuple(above[0]), line_denominator=tuple(below[0]),
+               sample_numerator=tuple(above[1]), sample_denominator=tuple(below[1]))
 
 
 def _column(term: Term) -> int | None:
@@ -156,15 +161,15 @@ def _column(term: Term) -> int | None:
 def _term_sets(fitted: Fit) -> Iterator[tuple[str, BoolArray, float]]:
     """Yield what to refit with: names and masks of terms of the full model, and a ridge."""
     terms = [Term.parse(name) for name in RationalFunctions().terms]
-    chosen = [Term.parse(name) for name in select(fitted.model.terms, fitted.terms)]
-    if all(_column(term) is not None for term in chosen):
+    selected = [Term.parse(name) for name in select(fitted.model.terms, fitted.terms)]
+    if all(_column(term) is not None for term in selected):
         # A shared denominator becomes one each, as it is in an RPC.
-        yield "the selected", np.array([term in chosen or term.shared in chosen
+        yield "the selected", np.array([term in selected or term.shared in selected
                                         for term in terms]), 0.0
-    every = np.ones(len(terms), dtype=bool)
-    yield "all 78", every, 0.0
+    all_terms = np.ones(len(terms), dtype=bool)
+    yield "all 78", all_terms, 0.0
     for ridge in _RIDGES:
-        yield "all 78 (small denominators)", every, ridge
+        yield "all 78 (small denominators)", all_terms, ridge
     # Without denominators there are no poles.
     yield "all 40 polynomial", np.array([not term.is_denominator for term in terms]), 0.0
 
@@ -181,6 +186,7 @@ def _heights(fitted: Fit) -> tuple[float, float]:
 
 def _seen(fitted: Fit, heights: tuple[float, float] | None) -> tuple[FloatArray, FloatArray]:
     """Return places all over the ground of the control that lie in the image, and where."""
+    # A fixed seed: the same fit has the same RPC.
     share = np.random.default_rng(0).uniform(-1.0, 1.0, (1000, 3))
     middle, half = fitted.ground_box()
     if heights is not None:
@@ -197,22 +203,25 @@ def _grid(fitted: Fit, convert: Callable[[FloatArray], FloatArray], across: int,
           levels: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return image places and where they see the ground at several heights, in WGS84."""
     steps = np.unique(levels)
-    (top, left), (bottom, right) = fitted.image_box()
-    image = np.stack([axis.ravel() for axis in np.meshgrid(
-        np.linspace(top, bottom, across), np.linspace(left, right, across), steps)], axis=1)
+    (first_line, first_sample), (last_line, last_sample) = fitted.image_box()
+    lines = np.linspace(first_line, last_line, across)
+    samples = np.linspace(first_sample, last_sample, across)
+    # Every line with every sample at every height: three columns.
+    image = np.stack([axis.ravel() for axis in np.meshgrid(lines, samples, steps)], axis=1)
     ground = fitted.locate(image[:, :2], image[:, 2])
-    seen = np.isfinite(ground).all(axis=1)
-    if seen.mean() < 0.8:
+    is_seen = np.isfinite(ground).all(axis=1)
+    if is_seen.mean() < 0.8:
         raise TermselError(
-            f"the model has no ground position for {1 - seen.mean():.0%} of the image",
+            f"the model has no ground position for {1 - is_seen.mean():.0%} of the image",
             hint="Do not use it: choose a simpler model, or fewer terms.")
-    seen &= fitted.holds(ground)
-    return image[seen, :2], convert(ground[seen])
+    is_seen &= fitted.holds(ground)
+    return image[is_seen, :2], convert(ground[is_seen])
 
 
 def _refitted(image: FloatArray, ground: FloatArray, terms: BoolArray, ridge: float = 0.0) -> Rpc:
     model = RationalFunctions(ridge=ridge)
     if np.ptp(ground[:, 2]) < 1e-6:
+        # At a single height all terms with Z are constants times others.
         terms = terms & np.array(["Z" not in Term.parse(name).column for name in model.terms])
     points = Points(tuple(map(str, range(len(image)))), image, ground)
     control = FeatureSet(points, crs="EPSG:4979")
@@ -233,6 +242,7 @@ def _has_pole(rpc: Rpc, ground: FloatArray) -> bool:
 def _loss(rpc: Rpc, ground: FloatArray, image: FloatArray) -> tuple[float, float]:
     if not len(ground):
         return float("inf"), float("inf")
+    # A pole gives an infinite distance, which refuses the RPC.
     with np.errstate(all="ignore"):
         distance = np.hypot(*(rpc.project(ground) - image).T)
     worst = float(distance.max())

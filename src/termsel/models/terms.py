@@ -51,6 +51,7 @@ class Term:
     exponents: Exponent | str
 
     def __post_init__(self) -> None:
+        # ValueError, not TermselError: terms are made by programs.
         if self.axis not in AXES:
             raise ValueError(f"axis {self.axis!r} of a term is not one of {', '.join(AXES)}")
         if isinstance(self.exponents, str):
@@ -107,21 +108,23 @@ class Term:
         if isinstance(self.exponents, str):
             return ()
         x, y, z = self.exponents
-        less = ((x - 1, y, z), (x, y - 1, z), (x, y, z - 1))
-        return tuple(replace(self, exponents=one) for one in less if min(one) >= 0)
+        # X2Y has the parents XY and X2: a hierarchical model has them, too.
+        lower = ((x - 1, y, z), (x, y - 1, z), (x, y, z - 1))
+        return tuple(replace(self, exponents=exponent) for exponent in lower if min(exponent) >= 0)
 
 
 @lru_cache(maxsize=1024)
 def _parsed(text: str) -> Term:
     match = _NAME.fullmatch(text)
     assert match is not None  # the pattern takes any text
-    axis, part, column = match.groups()
-    return Term(axis or "both", _PARTS.get(part, part or ""), column)
+    axis, kind, column = match.groups()
+    return Term(axis or "both", _PARTS.get(kind, kind or ""), column)
 
 
 def _exponents(label: str) -> Exponent | str:
     """Return the exponents of X, Y, Z that a label spells, or the label."""
     match = _MONOMIAL.fullmatch(label)
+    # The constant is the monomial whose powers are all 0.
     if label == "1":
         return (0, 0, 0)
     if not label or match is None:
