@@ -62,15 +62,15 @@ class Lattice:
         """Return the lines and columns of some of the points, by their numbers."""
         return Lattice(self.line[rows], self.column[rows])
 
-    def sentence(self, *, has_geometry: bool = False) -> str:
+    def sentence(self, *, known: bool = False) -> str:
         """Say what the points are, and what would be better where their geometry is not known."""
         description = (f"The {len(self.line)} points are a lattice of {self.lines} lines and "
                        f"{self.columns} columns of the image: computed, not measured.")
-        return description if has_geometry else (
-            f"{description} The accuracy is that of interpolation between them, found without whole lines "
-            "and columns, and not that of the product. The geometry that they were computed by, as "
-            "in the annotation of a radar image or an RPC, would be exact between them, too: give "
-            "it if you have it.")
+        return description if known else (
+            f"{description} The accuracy is that of interpolation between them, found without "
+            "whole lines and columns, and not that of the product. The geometry that they were "
+            "computed by, as in the annotation of a radar image or an RPC, would be exact between "
+            "them, too: give it if you have it.")
 
 
 @lru_cache(maxsize=8)

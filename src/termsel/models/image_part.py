@@ -90,9 +90,9 @@ class ImagePart:
                            f"is {1 / self.scale:g} times coarser than this one")
         if line or sample:
             up = "above" if line >= 0 else "below"
-            beside = "left" if sample >= 0 else "right"
+            side = "left" if sample >= 0 else "right"
             clauses.append(f"begins some {abs(line):.0f} lines {up} and {abs(sample):.0f} samples "
-                           f"{beside} of it")
+                           f"{side} of it")
         return (f"By the control the RPC is of an image that {' and '.join(clauses)}; it was used "
                 f"so ({self.settings}).")
 

@@ -116,8 +116,8 @@ def rpc_of(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcFit:
                            hint="Export it as geolocation-vrt or gcp-grid-vrt.")
     log.log(logging.INFO if best.worst <= GOOD else logging.WARNING,
             "RPC: refitted to the model in longitude, latitude and height with %s terms. It "
-            "differs from the model by at most %.2g px (rms %.2g px), over the image and heights "
-            "from %.0f to %.0f.", best.how, best.worst, best.rms, low, high)
+            f"differs from the model by at most {best.worst:.2g} px (rms {best.rms:.2g} px), over "
+            f"the image and heights from {low:.0f} to {high:.0f}.", best.how)
     if excluded_part:
         log.warning("Warning: %s. The RPC follows the model in the rest alone.", excluded_part)
     return best
