@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -49,10 +49,13 @@ def patience() -> float:
 class App:
     """A running `termsel app`."""
 
+    started: ClassVar[list[subprocess.Popen[str]]] = []
+
     def __init__(self, *arguments: str, cwd: Path) -> None:
         self.process = subprocess.Popen(
             [sys.executable, "-m", "termsel", "app", *arguments, "--no-browser"], cwd=cwd,
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        App.started.append(self.process)
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
         found = re.search(r"http://127\.0\.0\.1:\d+/[\w-]+/", line)
@@ -139,6 +142,14 @@ class Screen:
         """Return the features as the page has them."""
         return {record["id"]: record for record in self.run("return window.termselState.records")}
 
+    def count(self, number: int) -> None:
+        """Wait until there are so many features."""
+        self.wait(lambda: len(self.records()) == number)
+
+    def measured(self, name: str) -> None:
+        """Wait until a point has a place on the ground."""
+        self.wait(lambda: self.records()[name]["ground"])
+
     def answered(self) -> None:
         """Wait until the last change is judged."""
         self.wait(lambda: self.run("const {asked, answered} = document.documentElement.dataset;"
@@ -183,6 +194,16 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     driver.quit()
 
 
+@pytest.fixture(autouse=True, scope="module")
+def ended() -> Iterator[None]:
+    """End whatever a test that failed has left running."""
+    yield
+    for process in App.started:
+        if process.poll() is None:
+            process.kill()
+            process.communicate()
+
+
 @pytest.fixture(scope="module")
 def example(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the files of the tutorial."""
@@ -223,7 +244,7 @@ def test_a_whole_session_by_clicks(browser: Any, example: Path) -> None:
     for number, (image, ground) in enumerate(places, 1):
         wrong = number == 12
         screen.click("image", image)
-        screen.wait(lambda n=number: len(screen.records()) == n)
+        screen.count(number)
         time.sleep(0.3)  # the map goes to where the place is predicted
         if number == 4:  # three points predict the fourth, with a ring around it
             _, ring = screen.wait(lambda: screen.run(
@@ -238,7 +259,7 @@ def test_a_whole_session_by_clicks(browser: Any, example: Path) -> None:
         begun = time.monotonic()
         screen.click("map", ground)
         name = f"P{number:02d}"
-        screen.wait(lambda name=name: screen.records()[name]["ground"])
+        screen.measured(name)
     screen.wait(lambda: screen.find("#blunders .card"))
     assert time.monotonic() - begun < SECONDS * patience()
     assert "P12 is off by" in screen.text("blunders")

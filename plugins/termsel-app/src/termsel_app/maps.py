@@ -112,7 +112,7 @@ class MapRaster:
 
 
 def resampled(raster: Raster, lines: Any, samples: Any) -> Pixels:
-    """Return the colours of a tile at lines and samples [px], each TILE * TILE of them.
+    """Return the colours of a tile at lines and samples [px], line by line of it.
 
     What is read has about the resolution of the tile, and the nearest of its pixels counts.
     """

@@ -86,10 +86,11 @@ def command_line(session: Session) -> str:
     return f"cd {folder} && {shlex.join(['termsel', *run_arguments(session)])}"
 
 
-def save(session: Session, name: str) -> list[Path]:
+def save(session: Session, name: str, image_id: object = None) -> list[Path]:
     """Write an output and return its files.
 
-    Raises TermselError if there is no such output, or the command fails: with what it says.
+    An annotation is of the IIIF image with an id. Raises TermselError if there is no such output,
+    or the command fails: with what it says.
     """
     output = OUTPUTS.get(name)
     if output is None:
@@ -101,10 +102,19 @@ def save(session: Session, name: str) -> list[Path]:
     if output.needs_result:
         call(arguments, session.folder)
     if output.command:
-        call(completed(output.command, session.files, session.folder), session.folder)
+        arguments = completed(output.command, session.files, session.folder)
+        call(arguments + (_of_image(image_id) if name == "annotation" else []), session.folder)
     if name == "points":
         return files
     return [session.folder / path for path in output.names]
+
+
+def _of_image(image_id: object) -> list[str]:
+    """Return the option that names the IIIF image of an annotation."""
+    if not isinstance(image_id, str) or not image_id.startswith(("http://", "https://")):
+        raise TermselError("an annotation is of an IIIF image, and its id is not known",
+                           hint="Type its address above, such as https://example.org/iiif/map1.")
+    return ["--set", f"image_id={image_id}"]
 
 
 def completed(command: Sequence[str], files: Files, folder: Path) -> list[str]:

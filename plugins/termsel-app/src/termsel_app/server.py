@@ -32,6 +32,7 @@ from termsel_app.layers import (
     image_tile,
     warped_tile,
 )
+from termsel_app.matching import is_possible, more_points, refined_place
 from termsel_app.outputs import OUTPUTS, command_line, save
 from termsel_app.rasters import TILE, png
 from termsel_app.session import Session, checked_places
@@ -186,6 +187,7 @@ def setting(session: Session, pages: Pages) -> dict[str, Any]:
                 "tiles": session.maps.tiles},
         "crs": session.places.crs, "shown": session.places.shown, "folder": str(session.folder),
         "rpc": files_given.rpc, "dem": files_given.dem, "notes": session.notes,
+        "matching": is_possible(session),
         "outputs": [{"name": name, "label": output.label} for name, output in OUTPUTS.items()
                     if name != "rpc" or session.places.crs != "local"]}
 
@@ -272,15 +274,18 @@ CALLS: dict[str, Callable[[Session, Pages, dict[str, Any]], dict[str, Any] | Non
     "undo": lambda session, _, __: session.undo(),
     "redo": lambda session, _, __: session.redo(),
     "paste": lambda session, _, given: {"count": session.paste(_text(given, "text"))},
+    "add": lambda session, _, given: {"count": session.add(given.get("points"))},
     "predict": lambda session, _, given: {"prediction": session.predict(
         given.get("image"), given.get("map"))},
     "ground": lambda session, _, given: {"ground": session.ground_of(
         checked_places([given.get("map")]))[0]},
     "graticule": lambda session, _, given: drawn_graticule(session, _box(given)),
     "vectors": lambda session, _, __: drawn_vectors(session),
+    "refine": lambda session, _, given: refined_place(session, _text(given, "id")),
+    "more": lambda session, _, __: {"proposals": more_points(session)},
     "command": lambda session, _, __: {"command": command_line(session)},
     "save": lambda session, _, given: {"files": [
-        str(path) for path in save(session, _text(given, "name"))]},
+        str(path) for path in save(session, _text(given, "name"), given.get("image_id"))]},
 }
 """What a page may ask for, by name."""
 

@@ -263,6 +263,22 @@ class Session:
             if records:
                 self.change([Patch(record, None) for record in records])
 
+    def add(self, given: Any) -> int:
+        """Add points with both places, as one change; return how many."""
+        if not isinstance(given, list) or not all(isinstance(point, dict) for point in given):
+            raise TermselError("these are no points")
+        with self.lock:
+            patches = []
+            number = int(self.control.new_id("point")[1:])
+            for i, point in enumerate(given):
+                ground = self.ground_of(checked_places([point.get("map")]))[0]
+                patches.append(Patch(None, checked({
+                    "id": f"P{number + i:02d}", "kind": "point", "role": "",
+                    "image": point.get("image"), "ground": ground})))
+            if patches:
+                self.change(patches)
+        return len(patches)
+
     def paste(self, text: str) -> int:
         """Add points from a table that was pasted; return how many.
 

@@ -3,7 +3,7 @@
 
 import { call, listen, newest } from "./server.js";
 import {
-  Pane, drawLines, gridLayer, letDrag, limits, ramp, showControl, showNext, showPrediction, tiles,
+  Pane, drawLines, gridLayer, letDrag, limits, ramp, showControl, showNext, showPrediction, showProposals, tiles,
 } from "./panes.js";
 import {
   alertUser, button, byId, letSort, make, pixel, showAccuracy, showBlunders, showModel, showNextPlaces, showSelected,
@@ -112,7 +112,8 @@ function makePanes(setting) {
   const around = setting.map.box;
   const map = new ol.proj.Projection({ code: setting.map.tiles.length ? "EPSG:3857" : "map", units: "m", extent: around,
     metersPerUnit: 1 });
-  const grid = /** @type {const} */ ([[around[0], around[3]], setting.map.resolutions, around]);
+  /** @type {[Place, number[], number[]]} */
+  const grid = [[around[0], around[3]], setting.map.resolutions, around];
   const sources = [
     ...setting.map.tiles.map(url => new ol.source.XYZ({ url, projection: "EPSG:3857" })),
     ...setting.map.rasters.map((_, i) => tiles(map, `tile/map${i}/{z}/{x}/{y}.png`, ...grid))];
@@ -344,7 +345,9 @@ function draw() {
       state.chosen = answer.id;
       draw();
     }),
-    remove: () => remove(), refine: null });
+    remove: () => remove(),
+    refine: state.setting.matching && record?.image && record.map && record.kind === "point" ? refine : null });
+  showMatching();
   showTable(state.records, errors, own, figures?.roles ?? {}, state.chosen, goTo);
   byId("undo").disabled = !state.undo;
   byId("redo").disabled = !state.redo;
@@ -418,6 +421,62 @@ async function drawThrough() {
     ...(vectors?.lines ?? []).map(line => ({ places: line.map(onScreen) }))]);
 }
 
+/** What matching proposes, until the user says yes or no. */
+const matching = {
+  text: "",
+  busy: false,
+  /** @type {any[]} */ points: [],
+  /** @type {string | null} */ refines: null,
+};
+
+/** Have a click refined by the images. */
+async function refine() {
+  const id = state.chosen;
+  const answer = await attempt(() => call("refine", { id }));
+  if (!answer) return;
+  Object.assign(matching, { refines: id, points: [answer],
+    text: `${id} fits the map ${sized(answer.distance)} px from here (${answer.matcher}).` });
+  showPrediction(panes.image, { place: onScreen(answer.image), ring: [] });
+  draw();
+}
+
+/** Have more points proposed. */
+async function findMore() {
+  Object.assign(matching, { busy: true, text: "Matching image and map…", points: [], refines: null });
+  showMatching();
+  const answer = await attempt(() => call("more"));
+  const count = answer?.proposals.length ?? 0;
+  Object.assign(matching, { busy: false, points: answer?.proposals ?? [], text: !answer ? "" : count
+    ? `${count} places look alike in both and agree with the model.` : "Nothing that looks alike agrees with the model." });
+  draw();
+}
+
+/** @param {boolean} taken */
+async function decide(taken) {
+  const { refines } = matching;
+  /** @type {any[]} */
+  const points = matching.points;
+  Object.assign(matching, { text: "", points: [], refines: null });
+  showPrediction(panes.image, null);
+  if (taken) {
+    await attempt(() => refines ? call("put", { id: refines, image: points[0].image }) : call("add", { points }));
+  }
+  draw();
+}
+
+function showMatching() {
+  byId("match-section").hidden = !state.setting.matching;
+  const { text, points, refines, busy } = matching;
+  const acts = points.length ? [
+    button(refines ? "Accept" : `Add ${points.length} points`, () => decide(true), { id: "accept" }),
+    button(refines ? "Refuse" : "Add none", () => decide(false), { id: "refuse" })]
+    : [button("Find more points", findMore, { id: "find-more", disabled: busy || !state.answers.figures })];
+  byId("match").replaceChildren(...(text ? [make("p", { textContent: text })] : []), make("div", { class: "row" }, acts));
+  const shownPoints = refines ? [] : points;
+  showProposals(panes.image, shownPoints.map(point => onScreen(point.image)));
+  showProposals(panes.map, shownPoints.map(point => point.map));
+}
+
 function remove() {
   const id = state.chosen;
   if (id) attempt(() => call("delete", { ids: [id] }));
@@ -445,7 +504,7 @@ async function saveAs(output) {
   const buttons = [...byId("outputs").querySelectorAll("button")];
   buttons.forEach(element => { element.disabled = true; });
   try {
-    const answer = await call("save", { name: output.name });
+    const answer = await call("save", { name: output.name, image_id: byId("image-id").value.trim() });
     byId("save-said").textContent = `Saved: ${answer.files.join(", ")}`;
   } catch (error) {
     byId("save-said").textContent = error instanceof Error ? error.message : String(error);

@@ -180,6 +180,7 @@ function missingEnds(record) {
 function typed(record) {
   const text = key => byId(`field-${key}`).value.trim();
   const number = key => text(key) === "" ? null : Number(text(key).replace(",", "."));
+  /** @type {{image?: any, ground?: any}} */
   const given = {};
   if (text("line") !== "" && text("sample") !== "") given.image = [number("line"), number("sample")];
   if (text("x") !== "" && text("y") !== "") given.ground = [number("x"), number("y"), number("z")];

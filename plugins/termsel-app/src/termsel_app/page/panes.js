@@ -35,6 +35,7 @@ export class Pane {
     this.guides = new ol.source.Vector();
     this.drawn = new ol.source.Vector();
     this.predicted = new ol.source.Vector();
+    this.proposed = new ol.source.Vector();
     /** @type {any[]} */
     this.base = given.sources.map(source => new ol.layer.Tile({ source, maxTilesLoading: 8 }));
     this.controlLayer = new ol.layer.Vector({ source: this.control, style: styleOf, zIndex: 9,
@@ -53,6 +54,7 @@ export class Pane {
         new ol.layer.Vector({ source: this.drawn, style: drawnStyle, zIndex: 5, declutter: true }),
         new ol.layer.Vector({ source: this.guides, style: guideStyle, zIndex: 8 }),
         this.controlLayer,
+        new ol.layer.Vector({ source: this.proposed, style: predictedStyle, zIndex: 10 }),
         new ol.layer.Vector({ source: this.predicted, style: predictedStyle, zIndex: 10 }),
       ],
     });
@@ -352,6 +354,16 @@ export function showNext(pane, places) {
   pane.guides.clear(true);
   pane.guides.addFeatures(places.map((place, i) => new ol.Feature({
     geometry: new ol.geom.Point(place), label: String(i + 1) })));
+}
+
+/**
+ * Show the points that matching proposes.
+ * @param {Pane} pane
+ * @param {Place[]} places
+ */
+export function showProposals(pane, places) {
+  pane.proposed.clear(true);
+  pane.proposed.addFeatures(places.map(place => new ol.Feature(new ol.geom.Point(place))));
 }
 
 /**

@@ -1,0 +1,193 @@
+"""Places matched by the images themselves, where termsel-match is installed: shown, never taken.
+
+A click is refined by what lies around it: the map is resampled as the model sees it from the image,
+held at the point's own two places, and a matcher says how far both are apart. More points are
+proposed by `termsel match-points`, which starts from those there are.
+"""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import termsel
+from termsel import TermselError
+from termsel.toolkit import FloatArray
+from termsel_app.maps import MapRaster
+from termsel_app.outputs import call, from_folder
+from termsel_app.places import between, turned
+from termsel_app.quality import written
+
+if TYPE_CHECKING:
+    from termsel_app.control import Record
+    from termsel_app.prediction import Prediction
+    from termsel_app.rasters import Pixels
+    from termsel_app.session import Session
+
+HALF = 64
+"""Pixels of the image around a point that are matched, to each side."""
+SEARCH = 16.0
+"""Pixels that a click may be off."""
+FEWEST, APART = 3, 1.0
+"""Matches that must agree around a point, and to how many pixels."""
+NODES = 9
+LARGEST = 1024
+"""Pixels of the map along a side that are read around a point."""
+PROPOSED, CELLS = 12, 4
+"""New points that are proposed at once, and parts of the image along a side that they lie in."""
+FAR = 3.0
+"""Standard deviations from the prediction beyond which a candidate is not proposed."""
+CANDIDATES = "candidates.csv"
+_MATCHERS = ("sift", "phase", "structure")
+
+
+def is_possible(session: Session) -> bool:
+    """Return whether image and map can be matched."""
+    return (find_spec("termsel_match") is not None and session.image is not None
+            and bool(session.maps.rasters))
+
+
+def require(session: Session) -> Prediction:
+    """Return the model that matching starts from; raises TermselError without what it takes."""
+    if find_spec("termsel_match") is None:
+        raise TermselError("matching needs the package termsel-match",
+                           hint="Install it, and start termsel app again.")
+    if session.image is None or not session.maps.rasters:
+        raise TermselError("matching needs an image and a raster of the map")
+    if session.prediction is None:
+        raise TermselError("matching starts from a model, and there is none yet",
+                           hint="Measure three points first.")
+    return session.prediction
+
+
+def refined_place(session: Session, name: str) -> dict[str, Any]:
+    """Return where the image shows what the map shows at a point, to a part of a pixel.
+
+    Raises TermselError where both do not look alike around it.
+    """
+    prediction = require(session)
+    record = session.control.records.get(name)
+    if record is None or record["kind"] != "point" or not record["image"] or not record["ground"]:
+        raise TermselError("only a point with both places can be refined")
+    first, second = _windows(session, prediction, record)
+    for matcher in _MATCHERS:
+        shift = _agreed(_shifts(termsel.get("matchers", matcher)(), first, second))
+        if shift is not None:
+            place = np.asarray(record["image"]) - shift
+            return {"image": place.tolist(), "distance": float(np.hypot(*shift)),
+                    "matcher": matcher}
+    raise TermselError(f"image and map do not look alike around {name}",
+                       hint="The point stays as it is.")
+
+
+def _shifts(matcher: Any, first: Any, second: Any) -> FloatArray:
+    """Return how far matches of two windows are apart (n, 2), each to a part of a pixel [px]."""
+    from termsel_match.matchers.refinement import Layers, refined
+
+    matches = matcher.match(first, second, SEARCH)
+    if not matcher.places_exactly:
+        matches = refined(Layers(first.pixels[None], first.known),
+                          Layers(second.pixels[None], second.known), matches.first, matches.second)
+    shifts: FloatArray = matches.second - matches.first
+    return shifts
+
+
+def _agreed(shifts: FloatArray) -> FloatArray | None:
+    """Return the median of shifts that agree; None where too few do."""
+    if len(shifts) < FEWEST:
+        return None
+    median = np.median(shifts, axis=0)
+    near = np.hypot(*(shifts - median).T) <= APART
+    if near.sum() < max(FEWEST, len(shifts) / 2):
+        return None
+    agreed: FloatArray = np.median(shifts[near], axis=0)
+    return agreed
+
+
+def _windows(session: Session, prediction: Prediction, record: Record) -> tuple[Any, Any]:
+    """Return the image around a point, and the map as the image would show it."""
+    from termsel_match.matchers import Window
+
+    assert session.image is not None
+    side = 2 * HALF + 1
+    line, sample = record["image"]
+    # Whole pixels, so that the image itself is not resampled.
+    top, left = round(line) - HALF, round(sample) - HALF
+    picture = session.image.pixels((top, left, side, side), (side, side))
+    nodes = np.linspace(0, side - 1, NODES)
+    mesh = np.stack(np.meshgrid(nodes, nodes, indexing="ij"), axis=-1).reshape(-1, 2)
+    on_map = prediction.to_map(mesh + np.array([top, left]))
+    at_point = prediction.to_map([record["image"]])[0]
+    on_map += session.places.to_map([record["ground"][:2]])[0] - at_point
+    for raster in session.maps.rasters:
+        seen = _seen(raster, on_map, session.maps.shown, side)
+        if seen[1].mean() > 0.5:
+            return Window(*_grey(picture)), Window(*seen)
+    raise TermselError("no raster of the map shows this place")
+
+
+def _seen(raster: MapRaster, on_map: FloatArray, shown: str, side: int) -> tuple[Any, Any]:
+    """Return the grey that a raster shows at places that a grid of nodes gives, and where it does.
+
+    Interpolated: the nearest pixels would be off by up to half of one.
+    """
+    from scipy.ndimage import map_coordinates
+
+    places = turned(between(raster.crs, shown), on_map, inverse=True)
+    columns, rows = ~raster.raster.dataset.transform @ (places[:, 0], places[:, 1])
+    if not np.isfinite(rows + columns).all():
+        return _grey(np.zeros((side, side, 4), dtype=np.uint8))
+    top, left = np.floor([rows.min(), columns.min()]).astype(int) - 1
+    size = np.ceil([rows.max() - top, columns.max() - left]).astype(int) + 2
+    step = max(-(-int(size.max()) // LARGEST), 1)  # a map that is far finer than the image
+    shape = (-(-int(size[0]) // step), -(-int(size[1]) // step))
+    grey, known = _grey(raster.raster.pixels((top, left, shape[0] * step, shape[1] * step), shape))
+    at = np.arange(side) / (side - 1) * (NODES - 1)
+    mesh = np.meshgrid(at, at, indexing="ij")
+    lines, samples = (
+        (map_coordinates(values.reshape(NODES, NODES), mesh, order=1) - start) / step - 0.5
+        for values, start in ((rows, top), (columns, left)))
+    return (map_coordinates(grey, [lines, samples], order=1),
+            map_coordinates(known.astype(np.float32), [lines, samples], order=1) > 0.999)
+
+
+def _grey(pixels: Pixels) -> tuple[Any, Any]:
+    """Return the mean of the colours, and where there are any."""
+    return pixels[..., :3].mean(axis=2).astype(np.float32), pixels[..., 3] > 0
+
+
+def more_points(session: Session) -> list[dict[str, Any]]:
+    """Return points that matching proposes, spread over the image, the clearest first.
+
+    They lie where the model expects them; which of them are right the user sees.
+    """
+    prediction = require(session)
+    with session.lock:
+        features = session.control.features(session.places.crs)
+    written(features, session.folder)
+    arguments = ["match-points", from_folder(str(session.files.image), session.folder),
+                 "--reference", from_folder(str(session.maps.rasters[0].raster.path),
+                                            session.folder),
+                 "--start", "points.csv", "--output", CANDIDATES, "--overwrite", "--quiet"]
+    if session.files.dem is not None:
+        arguments += ["--dem", from_folder(session.files.dem, session.folder)]
+    call(arguments, session.folder)
+    candidates = termsel.read(session.folder / CANDIDATES)
+    points = candidates.points
+    plane = turned(between(candidates.crs, session.maps.shown), points.ground[:, :2])
+    away = np.hypot(*(prediction.to_image(plane) - points.image).T)
+    sigma = np.hypot(*prediction.sigma(plane).T)
+    score = candidates.numbers("score") if "score" in points.attributes else np.zeros(len(points))
+    size = np.asarray(session.size or (1, 1))
+    used: set[tuple[int, ...]] = set()
+    proposals: list[dict[str, Any]] = []
+    for i in np.argsort(-score, kind="stable"):
+        cell = tuple((points.image[i] * CELLS // size).astype(int).tolist())
+        if cell in used or not away[i] <= FAR * sigma[i] or len(proposals) == PROPOSED:
+            continue
+        used.add(cell)
+        proposals.append({"image": points.image[i].tolist(), "map": plane[i].tolist(),
+                          "score": float(score[i])})
+    return proposals
