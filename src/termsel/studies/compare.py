@@ -98,11 +98,11 @@ def compare(
     labels = {cell.key: cell.labels for cell in cells}
     folders = folders_of(labels)
     with ExitStack() as stack:
-        place = Path(out) if out is not None else stack.enter_context(private_folder())
+        directory = Path(out) if out is not None else stack.enter_context(private_folder())
         plugins = _plugins(cells, spec)
-        journal = _begun(stack, place, {**versions(), **plugins})
-        before = keys_by_labels(place)
-        write_plan(spec, cells, workers, place)
+        journal = _begun(stack, directory, {**versions(), **plugins})
+        before = keys_by_labels(directory)
+        write_plan(spec, cells, workers, directory)
         finished = {cell.key: journal.records[cell.key] for cell in cells
                     if cell.key in journal.records}
         tally = Tally(labels, workers, finished)
@@ -128,7 +128,7 @@ def compare(
         for outcome in _outcomes(waiting, stopped, workers, scheduler, plugins):
             key = outcome.record.cell
             if out is not None and outcome.files:
-                write_files(place / IMAGES / folders[key], outcome.files)
+                write_files(directory / IMAGES / folders[key], outcome.files)
             journal.append(outcome.record)
             finished[key] = outcome.record
             tally.count(outcome.record)
@@ -188,6 +188,7 @@ def estimate(study: Path | str | Mapping[str, Any] | None = None, **keys: Any
     `LONG`.
     """
     spec, folder = asked(study, keys)
+    # Before anything is run: the first cell would otherwise count the compilation.
     cold = needs_compilation()
     kinds: dict[tuple[str, ...], list[Cell]] = {}
     for cell in plan_cells(spec, folder):
@@ -203,36 +204,39 @@ def estimate(study: Path | str | Mapping[str, Any] | None = None, **keys: Any
             # The first run of a kind also loads or compiles what it needs.
             records[0] = do(sample[0], features[sample[0].data.key]).record
         seconds = [record.figures.get("seconds") for record in records]
-        known = [value for value in seconds if value is not None]
-        yield (kind, len(cells), sum(known) / len(known) if len(known) == len(seconds) else None,
+        measured = [value for value in seconds if value is not None]
+        mean = sum(measured) / len(measured) if len(measured) == len(seconds) else None
+        yield (kind, len(cells), mean,
                next((record.reason for record in records if record.reason), ""))
 
 
 def _of_all_sizes(cells: list[Cell], features: Mapping[str, FeatureSet]) -> list[Cell]:
     """Return up to `TIMED` cells of one kind that stand for all, whose images differ in size."""
+    # By the number of features, which decides how long a cell takes.
     by_size = sorted(cells, key=lambda cell: len(features[cell.data.key]))
     sizes = {len(features[cell.data.key]) for cell in cells}
     number = min(TIMED, len(sizes))
     # The middle cell of each of so many equal parts.
-    return [by_size[(2 * part + 1) * len(by_size) // (2 * number)] for part in range(number)]
+    return [by_size[(2 * index + 1) * len(by_size) // (2 * number)] for index in range(number)]
 
 
-def _begun(stack: ExitStack, place: Path, now: Mapping[str, str]) -> Journal:
+def _begun(stack: ExitStack, folder: Path, current_versions: Mapping[str, str]) -> Journal:
     """Return the open journal of a folder that this process alone works in."""
     try:
-        place.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise TermselError(f"cannot make the folder {place}: {error.strerror}",
+        raise TermselError(f"cannot make the folder {folder}: {error.strerror}",
                            hint="Choose another --out.") from error
     stack.enter_context(locked(
-        place, "Wait for it, or choose another --out. "
-               f"`termsel compare --status {place}` shows how far it is."))
-    found = [name for name in (*names(), PLAN, IMAGES) if (place / name).exists()]
-    if found and not (place / JOURNAL).exists():
-        raise TermselError(f"the folder has {found[0]}, but no journal of a study",
-                           file=place, hint=f"{found[0]} could be replaced. Choose another --out.")
-    journal = read_journal(place)
-    journal.open(now)
+        folder, "Wait for it, or choose another --out. "
+               f"`termsel compare --status {folder}` shows how far it is."))
+    outputs = [name for name in (*names(), PLAN, IMAGES) if (folder / name).exists()]
+    if outputs and not (folder / JOURNAL).exists():
+        raise TermselError(f"the folder has {outputs[0]}, but no journal of a study",
+                           file=folder,
+                           hint=f"{outputs[0]} could be replaced. Choose another --out.")
+    journal = read_journal(folder)
+    journal.open(current_versions)
     stack.callback(journal.close)
     return journal
 
@@ -241,11 +245,16 @@ def _plugins(cells: list[Cell], spec: Spec) -> dict[str, str]:
     """Return the versions of the plugins that provide something the study names."""
     kinds = {"problem": "problems", "model": "models", "criterion": "criteria",
              "solver": "solvers"}
-    named = {(kinds[word], cell.call[word]) for cell in cells for word in kinds
-             if cell.call[word] and word not in cell.things}
-    named |= {("writers", name) for name in spec.exports}
-    origins = {entry.provided_by for kind, name in named for entry in registry().entries(kind)
-               if entry.answers_to(name)} - {"termsel"}
+    named = {("writers", name) for name in spec.exports}
+    for cell in cells:
+        # An object that Python gave has no name by which a plugin could provide it.
+        named |= {(kinds[role], cell.call[role]) for role in kinds
+                  if cell.call[role] and role not in cell.things}
+    origins: set[str] = set()
+    for kind, name in named:
+        origins |= {entry.provided_by for entry in registry().entries(kind)
+                    if entry.answers_to(name)}
+    origins.discard("termsel")
     return {origin: registry().version(origin) for origin in sorted(origins)}
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib.util import find_spec
+from itertools import chain
 from pathlib import Path
 
 from termsel.core.errors import counted
@@ -40,7 +41,7 @@ class StudyOutput:
 
 def names() -> tuple[str, ...]:
     """Return the files and folders that `write_outputs` may write."""
-    return (*NAMES, *(name for output in parts("study") for name in output.files))
+    return (*NAMES, *chain.from_iterable(output.files for output in parts("study")))
 
 
 def write_outputs(study: Study, out: Path) -> list[Path]:
@@ -54,14 +55,16 @@ def write_outputs(study: Study, out: Path) -> list[Path]:
         with atomic_path(out / "study.parquet") as path:
             study.to_pandas().to_parquet(path, index=False)
         written.append(out / "study.parquet")
-    return [*written, *(path for output in parts("study") for path in output.write(study, out))]
+    for output in parts("study"):
+        written += output.write(study, out)
+    return written
 
 
 def summary(study: Study) -> str:
     """Return what packages say of a study as text; without one, which package would."""
-    said = [output.summary(study) for output in parts("study") if output.summary]
+    texts = [output.summary(study) for output in parts("study") if output.summary]
     package = package_of_name("study")
-    return "".join(said) or (
+    return "".join(texts) or (
         f"{counted(len(study.records), 'cell')} finished. Statistics and tables come with the "
         f"package {package}: pip install ./plugins/{package}\n")
 

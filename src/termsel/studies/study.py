@@ -106,10 +106,13 @@ class Study(Glance):
 
     def _glance(self) -> tuple[str, Mapping[str, str]]:
         spec = self.spec
-        each = {"problems": spec.problems, "models": spec.models, "criteria": spec.criteria,
-                "solvers": spec.solvers}
-        named = {kind: ", ".join(part.label for part in parts)
-                 for kind, parts in each.items() if parts}
+        kinds = {"problems": spec.problems, "models": spec.models, "criteria": spec.criteria,
+                 "solvers": spec.solvers}
+        named = {}
+        for kind, components in kinds.items():
+            if components:
+                named[kind] = ", ".join(component.label for component in components)
+        # Each data set once, in the order of the cells.
         data = list(dict.fromkeys(str(cell["data"]) for cell in self.cells.values()))
         states = Counter(row["state"] for row in self.rows)
         return f"Study of {counted(len(self.cells), 'cell')}: {spec.title or 'no title'}", {

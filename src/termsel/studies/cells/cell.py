@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import product
 from typing import Any
 
 from termsel.core.errors import TermselError, unknown_name
@@ -63,12 +64,14 @@ def cells_of(spec: Spec, data: list[Data]) -> list[Cell]:
     kinds = _Kinds(spec)
     cells = []
     for problem in spec.problems or (None,):
-        own = list(data) or [_own_data(spec, problem)]
-        for one in own:
-            name = problem.name if problem else None if one.features is None \
-                else problem_for(one.features)
+        data_sets = list(data) or [_own_data(spec, problem)]
+        for data_set in data_sets:
+            # Without a problem the features say what it is: points, or lines as well.
+            name = problem.name if problem else None if data_set.features is None \
+                else problem_for(data_set.features)
             for split in spec.splits:
-                cells += list(_of_data(spec, kinds, problem, name, one, own, split))
+                cells += list(_of_data(spec, kinds, problem, name, data_set,
+                                       alternatives=data_sets, split=split))
     if cells and all(cell.data.features is None for cell in cells):
         raise TermselError(cells[0].data.reason, hint=None if len(cells) == 1 else
                            f"None of the {len(cells)} cells can run; this is the first.")
@@ -88,13 +91,14 @@ def _require_few(spec: Spec, data: int) -> None:
     methods = len(spec.models or (None,)) * len(spec.criteria or (None,)) * len(
         spec.solvers or (None,))
     searched = "as-asked" in spec.strategies
+    # An upper bound: cells without chance, and splits without effect, are left out later.
     kinds = problems * (methods * searched + ("auto" in spec.strategies))
     cells = problems * data * len(spec.splits) * (
         methods * searched * len(spec.seeds) + ("auto" in spec.strategies))
-    for number, most, what in ((kinds, MOST_KINDS, "combinations of problems and methods"),
-                               (cells, MOST_CELLS, "cells")):
-        if number > most:
-            raise TermselError(f"the study has {number:,} {what}, and can have {most:,}",
+    for number, limit, plural in ((kinds, MOST_KINDS, "combinations of problems and methods"),
+                                  (cells, MOST_CELLS, "cells")):
+        if number > limit:
+            raise TermselError(f"the study has {number:,} {plural}, and can have {limit:,}",
                                hint="Divide it into several studies.")
 
 
@@ -110,25 +114,28 @@ def _own_data(spec: Spec, problem: Asked | None) -> Data:
 
 
 def _of_data(spec: Spec, kinds: _Kinds, problem: Asked | None, name: str | None, data: Data,
-             others: list[Data], split: int) -> Iterator[Cell]:
-    asked: Asked | None = problem or (Asked(name, name) if name else None)
+             alternatives: list[Data], split: int) -> Iterator[Cell]:
+    problem_spec: Asked | None = problem or (Asked(name, name) if name else None)
     for strategy in spec.strategies:
-        methods = [(None, None, None)] if strategy == "auto" else [
-            (model, criterion, solver) for model in spec.models or (None,)
-            for criterion in spec.criteria or (None,) for solver in spec.solvers or (None,)]
+        # Auto chooses the method itself; else each model with each criterion and each solver.
+        methods = [(None, None, None)] if strategy == "auto" else product(
+            spec.models or (None,), spec.criteria or (None,), spec.solvers or (None,))
         for model, criterion, solver in methods:
-            parts = {"problem": asked, "model": model, "criterion": criterion, "solver": solver}
-            kind = kinds.kind(strategy, parts, data, others)
+            specs = {"problem": problem_spec, "model": model, "criterion": criterion,
+                     "solver": solver}
+            kind = kinds.kind(strategy, specs, data, alternatives)
             if kind.unfit is not None:
                 if problem is not None:
                     raise kind.unfit
                 # The files said what the problem is: these cannot be, others can.
                 data = replace(data, features=None, reason=kind.reason)
+            # Splits of data whose roles are all given would be the same run again.
             if split != spec.splits[0] and not _drawn(kind.options, data):
                 continue
+            # Without chance every seed has the same result.
             seeds = spec.seeds if kind.chance else spec.seeds[:1]
             for seed in seeds:
-                yield _cell(spec, strategy, parts, kind, data, split, seed)
+                yield _cell(spec, strategy, specs, kind, data, split=split, seed=seed)
 
 
 def _drawn(options: Mapping[str, Any], data: Data) -> bool:
@@ -162,14 +169,14 @@ class _Kinds:
         self._known: dict[Any, _Kind] = {}
         self._used: set[str] = set()
 
-    def kind(self, strategy: str, parts: Mapping[str, Asked | None], data: Data,
-             others: list[Data]) -> _Kind:
+    def kind(self, strategy: str, specs: Mapping[str, Asked | None], data: Data,
+             alternatives: list[Data]) -> _Kind:
         """Return a kind, checked on these data or, where they do not serve, on others."""
-        key = (strategy, *(part and part.label for part in parts.values()))
+        key = (strategy, *(spec and spec.label for spec in specs.values()))
         if key not in self._known:
-            if parts["problem"] is None:  # the data cannot be read, so nothing is known
+            if specs["problem"] is None:  # the data cannot be read, so nothing is known
                 return _Kind({}, {}, chance=False)
-            self._known[key] = self._checked(strategy, parts, [data, *others])
+            self._known[key] = self._checked(strategy, specs, [data, *alternatives])
         return self._known[key]
 
     def require_used(self) -> None:
@@ -180,25 +187,26 @@ class _Kinds:
                     ("options", key), f"no cell of the study has the option {key!r}",
                     "`termsel describe NAME` lists the options of a problem, model or solver.")
 
-    def _checked(self, strategy: str, parts: Mapping[str, Asked | None],
+    def _checked(self, strategy: str, specs: Mapping[str, Asked | None],
                  data: list[Data]) -> _Kind:
         spec = self._spec
         first = None
         measures = _measures_of(spec)
-        for one in data:
-            if one.features is None:
+        # The first data that allow the kind check it; the rest of them follow.
+        for data_set in data:
+            if data_set.features is None:
                 continue
-            plain = self._asked(strategy, parts, one, {})
-            options = self._options(strategy, parts, plain)
-            request = self._asked(strategy, parts, one, options)
-            made = {word: made_of(getattr(request, word))
-                    for word in ("recipe", "model", "criterion", "solver", "then")}
+            without_options = self._asked(strategy, specs, data_set, {})
+            options = self._options(strategy, specs, without_options)
+            request = self._asked(strategy, specs, data_set, options)
+            checksums = {role: made_of(getattr(request, role))
+                         for role in ("recipe", "model", "criterion", "solver", "then")}
             if strategy == "auto":
-                made["candidates"] = made_of([entry.object
-                                              for entry in registry().entries("candidates")])
+                checksums["candidates"] = made_of([entry.object
+                                                   for entry in registry().entries("candidates")])
             if measures:
-                made["measures"] = made_of([measure.compute for measure in measures])
-            chosen: Solver = request.solver
+                checksums["measures"] = made_of([measure.compute for measure in measures])
+            solver: Solver = request.solver
             try:
                 observations = observe(with_shares(request, auto=strategy == "auto"),
                                        LEAST if strategy == "auto" else 3)
@@ -207,23 +215,23 @@ class _Kinds:
             except TermselError as error:
                 first = first or error
                 continue
-            return _Kind(options, {"model": request.model.name, "solver": chosen.name,
+            return _Kind(options, {"model": request.model.name, "solver": solver.name,
                                    "criterion": request.criterion.name},
                          chance=strategy != "auto" and (
-                             chosen.uses_chance or bool(request.options["search"]["polish"])),
-                         made_of=made, others=_of_others(strategy, request, measures))
+                             solver.uses_chance or bool(request.options["search"]["polish"])),
+                         made_of=checksums, others=_of_others(strategy, request, measures))
         assert first is not None  # some data can be read, or there would be no study
-        named = next((part for word in ("solver", "model", "criterion", "problem")
-                      if (part := parts[word]) and part.path), None)
+        named = next((spec_of_role for role in ("solver", "model", "criterion", "problem")
+                      if (spec_of_role := specs[role]) and spec_of_role.path), None)
         return _Kind({}, {}, chance=False, reason=str(first), unfit=spec.places.error(
             named.path if named else (), first.what, first.hint))
 
-    def _asked(self, strategy: str, parts: Mapping[str, Asked | None], data: Data,
+    def _asked(self, strategy: str, specs: Mapping[str, Asked | None], data: Data,
                options: Mapping[str, Any]) -> Setup:
-        problem = parts["problem"]
+        problem = specs["problem"]
         assert problem is not None
-        names: dict[str, Any] = {word: part.thing or part.name for word, part in parts.items()
-                                 if part}
+        names: dict[str, Any] = {role: spec.thing or spec.name for role, spec in specs.items()
+                                 if spec}
         method: dict[str, Any] = {}
         try:
             if strategy == "auto":
@@ -234,21 +242,21 @@ class _Kinds:
                 **{**names, **method}, features=data.features, source=data.source,
                 options=options).setup())
         except TermselError as error:
-            raise self._at_fault(parts, error) from error
+            raise self._at_fault(specs, error) from error
 
-    def _at_fault(self, parts: Mapping[str, Asked | None], error: TermselError) -> TermselError:
+    def _at_fault(self, specs: Mapping[str, Asked | None], error: TermselError) -> TermselError:
         """Return the error with the place of the part, or the option, that it is about."""
-        for word, part in parts.items():
-            key = error.name.removeprefix(f"{word}.")
-            if part is not None and (error.name == part.name or key in part.options):
-                path = (*part.path, key) if key in part.options else part.path
+        for role, spec in specs.items():
+            key = error.name.removeprefix(f"{role}.")
+            if spec is not None and (error.name == spec.name or key in spec.options):
+                path = (*spec.path, key) if key in spec.options else spec.path
                 return self._spec.places.error(path, error.what, error.hint)
         if error.name in self._spec.options:
             return self._spec.places.error(("options", error.name), error.what, error.hint)
-        problem = parts["problem"]
+        problem = specs["problem"]
         return self._spec.places.error(problem.path if problem else (), error.what, error.hint)
 
-    def _options(self, strategy: str, parts: Mapping[str, Asked | None],
+    def _options(self, strategy: str, specs: Mapping[str, Asked | None],
                  request: Setup) -> dict[str, Any]:
         """Return the options of each part, and those for every cell that some part has."""
         declared: dict[str, tuple[Option, ...]] = {"data": DATA_OPTIONS}
@@ -259,24 +267,30 @@ class _Kinds:
                          "solver": request.solver.declared_options, "search": SEARCH_OPTIONS}
         # What stands next to a part and is no option of its own is for everything in its cells, as
         # with --set: next to a solver its local refinement, next to a problem a model's degree.
-        chosen = {f"{word}.{key}" if any(option.name == key for option in declared.get(word, ()))
-                  else key: value for word, part in parts.items() if part and word != "problem"
-                  for key, value in part.options.items()}
-        problem = parts["problem"]
+        chosen: dict[str, Any] = {}
+        for role, spec in specs.items():
+            if spec is None or role == "problem":
+                continue
+            own_names = {option.name for option in declared.get(role, ())}
+            for key, value in spec.options.items():
+                chosen[f"{role}.{key}" if key in own_names else key] = value
+        problem = specs["problem"]
         for key, value in (problem.options if problem else {}).items():
             if not any(name.rpartition(".")[2] == key for name in chosen):
                 chosen[key] = value
         for key, value in self._spec.options.items():
-            asked, _, bare = key.rpartition(".")
-            having = [word for word, options in declared.items() if asked in ("", word)
-                      and any(option.name == bare for option in options)]
+            prefix, _, bare = key.rpartition(".")
+            having = []
+            for role, options in declared.items():
+                if prefix in ("", role) and bare in {option.name for option in options}:
+                    having.append(role)
             if having:
                 self._used.add(key)
-            for word in having:
+            for role in having:
                 # An instance has its options already.
-                part = parts.get(word)
-                if bare not in chosen and not (part and isinstance(part.thing, Configurable)):
-                    chosen.setdefault(f"{word}.{bare}", value)
+                spec = specs.get(role)
+                if bare not in chosen and not (spec and isinstance(spec.thing, Configurable)):
+                    chosen.setdefault(f"{role}.{bare}", value)
         # Every cell has one thread, so that cells at the same time do not wait for each other.
         if any(option.name == "workers" for option in declared.get("solver", ())):
             chosen.setdefault("solver.workers", 1)
@@ -292,34 +306,39 @@ def _without_certificate(setup: Setup) -> Setup:
     return setup
 
 
-def _cell(spec: Spec, strategy: str, parts: Mapping[str, Asked | None], kind: _Kind, data: Data,
+def _cell(spec: Spec, strategy: str, specs: Mapping[str, Asked | None], kind: _Kind, data: Data,
           split: int, seed: int) -> Cell:
-    problem = parts["problem"]
+    problem = specs["problem"]
+    # What tables call the cell; of auto the method is not known before it has run.
     labels = {
         "problem": problem.label if problem else "", "data": data.label, "split": split,
         "strategy": strategy, **{
-            word: part.label if (part := parts[word]) else kind.names.get(word, "")
-            for word in ("model", "criterion", "solver")}, "seed": seed}
+            role: spec_of_role.label if (spec_of_role := specs[role]) else kind.names.get(role, "")
+            for role in ("model", "criterion", "solver")}, "seed": seed}
     if strategy == "auto":
         labels |= {"model": "", "criterion": "press", "solver": "auto"}
     options = {**kind.options}
     if spec.splits != (0,):
         options["data.split"] = split
-    call = {**{word: part and part.name for word, part in parts.items()}, "strategy": strategy,
+    call = {**{role: part and part.name for role, part in specs.items()}, "strategy": strategy,
             "options": options, "seed": seed, **spec.budget}
     if spec.measures:
         call["measures"] = list(spec.measures)
     if strategy == "auto":
         call["exports"] = list(spec.exports)
-    things = {word: part.thing for word, part in parts.items() if part and part.thing}
+    objects = {role: component.thing for role, component in specs.items()
+               if component and component.thing}
+    # All that the result depends on: the journal finds a finished cell by this checksum.
     identity = {**call, "labels": labels, "data": data.key, "made_of": kind.made_of}
+    # The optimum depends on all of that but the solver, its seed and its limits.
     instance = {
         "data": data.key, "problem": call["problem"],
         "options": {name: value for name, value in options.items()
                     if not name.startswith(("solver.", "search.")) and name not in _OF_SEARCH},
-        "made_of": {word: told for word, told in kind.made_of.items()
-                    if word not in ("solver", "then")}}
-    return Cell(_sum(identity), labels, call, data, _sum(instance), things, kind.others)
+        "made_of": {role: checksum for role, checksum in kind.made_of.items()
+                    if role not in ("solver", "then")}}
+    return Cell(_sum(identity), labels, call, data, instance=_sum(instance), things=objects,
+                others=kind.others)
 
 
 def _measures_of(spec: Spec) -> list[Measure]:
@@ -337,15 +356,18 @@ def _measures_of(spec: Spec) -> list[Measure]:
 
 def _of_others(strategy: str, setup: Setup, measures: Iterable[Measure]) -> bool:
     """Return whether plugins that are not termsel's, or objects from Python, take part in cells."""
-    own = {PROJECT, *own_packages()}
+    own_distributions = {PROJECT, *own_packages()}
     if strategy == "auto":  # its candidates are those of all plugins
-        return any(slot.plugin.distribution not in own for slot in registry().slots)
-    classes = [type(one) for one in (setup.model, setup.criterion, setup.solver, setup.then) if one]
+        return any(slot.plugin.distribution not in own_distributions for slot in registry().slots)
+    components = (setup.model, setup.criterion, setup.solver, setup.then)
+    classes = [type(component) for component in components if component]
     entries = map(registry().origin, (setup.recipe, *classes, *measures))
     if any(entry is not None and entry.provided_by == SESSION for entry in entries):
         return False  # what is registered in this process has a name in no other one
     code = (setup.recipe.build, *classes, *(measure.compute for measure in measures))
-    return not own.issuperset(canonical(one.__module__.partition(".")[0]) for one in code)
+    # A module's top-level package is its distribution, but for spelling.
+    return not own_distributions.issuperset(
+        canonical(component.__module__.partition(".")[0]) for component in code)
 
 
 def _sum(content: Mapping[str, Any]) -> str:

@@ -45,7 +45,10 @@ def _read_plan(folder: Path) -> tuple[Spec, int, dict[str, dict[str, Any]]]:
         raise located(error, file) from error
     try:
         read = convert(table["cells"], dict[str, dict[str, str | int]])
-        cells = {key: {name: labels[name] for name in LABELS} for key, labels in read.items()}
+        # Every cell has all labels, in the order of the tables.
+        cells = {}
+        for key, labels in read.items():
+            cells[key] = {name: labels[name] for name in LABELS}
         return spec_of(table["study"]), int(table["workers"]), cells
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError,
             ValidationError, TermselError) as error:
@@ -103,8 +106,8 @@ def table_of(spec: Spec) -> dict[str, Any]:
     return {key: value for key, value in table.items() if value}
 
 
-def _named(part: Asked) -> dict[str, Any]:
-    return {"name": part.name, "label": part.label, **part.options}
+def _named(component: Asked) -> dict[str, Any]:
+    return {"name": component.name, "label": component.label, **component.options}
 
 
 def _written(source: Source) -> dict[str, Any]:

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from functools import cache, partial
+from itertools import chain
 from pathlib import Path
 from types import BuiltinFunctionType, CodeType, FunctionType, MethodType, ModuleType
 from typing import Any
@@ -22,17 +23,17 @@ _VERSIONED = {*sys.stdlib_module_names, "termsel", "numpy", "scipy", "numba", "d
 _PLAIN = (str, int, float, complex, bool, bytes, type(None), type(...))
 
 
-def made_of(thing: Any) -> str:
+def made_of(value: Any) -> str:
     """Return a checksum of all that decides what a recipe, class or instance does.
 
     Of classes and functions that is their code, with what it encloses, and the source of their
     package; of instances of options also these and their plain attributes. Where objects hold more
     than that, as a model that was fitted, it takes no part.
     """
-    told = hashlib.sha256()
-    for word in _words(thing, set()):
-        told.update(f"{len(word)}:{word}".encode(errors="surrogatepass"))
-    return told.hexdigest()[:24]
+    checksum = hashlib.sha256()
+    for text in _words(value, set()):
+        checksum.update(f"{len(text)}:{text}".encode(errors="surrogatepass"))
+    return checksum.hexdigest()[:24]
 
 
 def _words(value: Any, above: set[int]) -> Iterator[str]:
@@ -45,10 +46,11 @@ def _words(value: Any, above: set[int]) -> Iterator[str]:
         return
     if id(value) in above:  # what holds itself
         return
+    # The values that hold this one, so that a cycle ends.
     above.add(id(value))
     yield type(value).__name__
-    for part in _parts(value):
-        yield from _words(part, above)
+    for component in _parts(value):
+        yield from _words(component, above)
     yield "."
     above.remove(id(value))
 
@@ -80,7 +82,8 @@ def _parts(value: Any) -> Iterator[Any]:
     elif isinstance(value, Configurable):
         yield from (type(value), value.options, _plain(vars(value)))
     elif is_dataclass(value):
-        yield from (type(value), {one.name: getattr(value, one.name) for one in fields(value)})
+        yield from (type(value),
+                    {column.name: getattr(value, column.name) for column in fields(value)})
     else:
         yield from (type(value), _plain(getattr(value, "__dict__", {})))
 
@@ -90,12 +93,13 @@ def _plain(attributes: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _of_class(kind: type) -> Iterator[Any]:
-    for one in kind.__mro__:
-        yield f"{one.__module__}.{one.__qualname__}"
-        if _root(one) not in _VERSIONED:
-            yield _source(_root(one))
+    # A class does what its bases do, so their code counts as well.
+    for base in kind.__mro__:
+        yield f"{base.__module__}.{base.__qualname__}"
+        if _root(base) not in _VERSIONED:
+            yield _source(_root(base))
             # Memory of abstract classes, and what Python adds, say nothing of what a class does.
-            yield {name: value for name, value in vars(one).items() if name != "_abc_impl" and
+            yield {name: value for name, value in vars(base).items() if name != "_abc_impl" and
                    (not name.startswith("__") or isinstance(value, FunctionType))}
 
 
@@ -117,21 +121,22 @@ def _of_function(function: FunctionType) -> Iterator[Any]:
                 yield used
 
 
-def _root(thing: Any) -> str:
-    return str(thing.__module__).partition(".")[0]
+def _root(definition: Any) -> str:
+    return str(definition.__module__).partition(".")[0]
 
 
 @cache
 def _source(root: str) -> str:
     """Return the checksum of the source of a module, or of all modules of a package."""
     file = getattr(sys.modules.get(root), "__file__", None)
-    places = [Path(one) for one in getattr(sys.modules.get(root), "__path__", ())]
-    told = hashlib.sha256()
+    folders = [Path(name) for name in getattr(sys.modules.get(root), "__path__", ())]
+    checksum = hashlib.sha256()
     if root != "__main__":  # a script that is edited elsewhere has the same classes
-        for path in [*([Path(file)] if file and not places else ()),
-                     *sorted(path for place in places for path in place.rglob("*.py"))]:
+        paths = [Path(file)] if file and not folders else []
+        paths += sorted(chain.from_iterable(folder.rglob("*.py") for folder in folders))
+        for path in paths:
             try:
-                told.update(path.read_bytes())
+                checksum.update(path.read_bytes())
             except OSError:  # gone since it was imported: its code in memory is told as well
                 continue
-    return told.hexdigest()
+    return checksum.hexdigest()

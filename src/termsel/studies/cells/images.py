@@ -16,24 +16,25 @@ IMAGES = "images"
 
 def folders_of(labels: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
     """Return the names of the folders of all images of auto, by the keys of their cells."""
-    labels = {key: one for key, one in labels.items() if one["strategy"] == "auto"}
+    labels = {key: cell for key, cell in labels.items() if cell["strategy"] == "auto"}
+    # How many problems have the same data and split.
     problems = Counter((label["data"], label["split"]) for label in labels.values())
     names = {}
     owners = dict[str, str]()
-    for key, one in labels.items():
+    for key, cell in labels.items():
         # By its data, by its split if that is not the first, and by its problem where several have
         # the same data.
-        name = file_word(str(one["data"]), "image")
-        if one["split"]:
-            name += f"-split-{one['split']}"
-        if problems[one["data"], one["split"]] > 1:
-            name += f"-{file_word(str(one['problem']), 'image')}"
+        name = file_word(str(cell["data"]), "image")
+        if cell["split"]:
+            name += f"-split-{cell['split']}"
+        if problems[cell["data"], cell["split"]] > 1:
+            name += f"-{file_word(str(cell['problem']), 'image')}"
         # Capitals do not tell names apart on every disk.
         if name.casefold() in owners:
-            raise TermselError(f"{owners[name.casefold()]} and {one['data']} would have the same "
+            raise TermselError(f"{owners[name.casefold()]} and {cell['data']} would have the same "
                                f"folder {IMAGES}/{name}", hint="Rename one of them.")
         names[key] = name
-        owners[name.casefold()] = str(one["data"])
+        owners[name.casefold()] = str(cell["data"])
     return names
 
 

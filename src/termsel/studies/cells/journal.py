@@ -110,14 +110,15 @@ class Journal:
     def open(self, versions: Mapping[str, str]) -> None:
         """Cut off a torn last line, begin the file if it is new, refuse one of other versions."""
         if self.versions and dict(self.versions) != dict(versions):
-            both = {name: (self.versions.get(name, "none"), versions.get(name, "none"))
-                    for name in sorted({*self.versions, *versions})}
-            changed = [f"{name} {before} (now {now})" for name, (before, now) in both.items()
-                       if before != now]
+            pairs = {name: (self.versions.get(name, "none"), versions.get(name, "none"))
+                     for name in sorted({*self.versions, *versions})}
+            changed = [f"{name} {before} (now {current})"
+                       for name, (before, current) in pairs.items() if before != current]
             raise TermselError(f"this study was begun with {', '.join(changed)}", file=self.path,
                                hint="Results may differ between versions. Use those versions, or "
                                     "choose another --out.")
         try:
+            # Whatever was torn is cut off, so that the next line begins at the start of one.
             self._file = open(self.path, "ab",  # noqa: SIM115 (closed by `close`)
                               opener=open_inside)
             self._file.truncate(self._end)
@@ -144,13 +145,14 @@ class Journal:
         line = _sealed(record)
         try:
             # Without a buffer in between, so that a killed process leaves a torn line at worst.
-            rest = line
-            while rest:
-                rest = rest[os.write(self._file.fileno(), rest):]
+            unwritten = line
+            while unwritten:
+                unwritten = unwritten[os.write(self._file.fileno(), unwritten):]
             if time.monotonic() - self._synced > _SYNC:
                 os.fsync(self._file.fileno())
                 self._synced = time.monotonic()
         except OSError as error:
+            # Half a line would be taken for damage later.
             os.ftruncate(self._file.fileno(), self._end)
             raise self._unwritable(error) from error
         self._end += len(line)
@@ -193,6 +195,7 @@ def read_journal(folder: Path) -> Journal:
                 damaged.append(number)
             else:
                 journal.records[cell.cell] = cell
+        # Damaged lines in the middle stay; they are only not used.
         journal._end += len(line)
     if journal._end < len(content):
         journal.remarks.append(f"The last line of {journal.path} was torn and is cut off.")
@@ -222,11 +225,11 @@ def _opened(line: bytes) -> Mapping[str, Any] | None:
     if not line.endswith(b"\n"):
         return None
     try:
-        whole = json.loads(line)
-        record = whole["record"]
-        known = isinstance(record, dict) and (
+        sealed = json.loads(line)
+        record = sealed["record"]
+        is_valid = isinstance(record, dict) and (
             "schema" not in record or isinstance(record.get("versions"), dict))
-        return record if known and _sum(_text(record)) == whole["sha256"] else None
+        return record if is_valid and _sum(_text(record)) == sealed["sha256"] else None
     except (ValueError, TypeError, KeyError, RecursionError):
         return None
 

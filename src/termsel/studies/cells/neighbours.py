@@ -75,41 +75,44 @@ def batch_of(settings: Mapping[str, Mapping[str, Any]]) -> Batch:
         sentences.append(f"{sentence}: {_listed(list(images))}.")
         for name, doubt in images.items():
             doubts.setdefault(name, []).append(doubt)
-    return Batch(tuple(sentences), {name: tuple(said) for name, said in doubts.items()})
+    return Batch(tuple(sentences), {name: tuple(texts) for name, texts in doubts.items()})
 
 
 def _elsewhere(settings: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, dict[str, str]]]:
     """Return sentences on images far from most others, each with the doubt about every image."""
-    placed = {name: one for name, one in settings.items() if one.get("place")}
+    placed = {name: setting for name, setting in settings.items() if setting.get("place")}
     if len(placed) < 3:
         return []
     names = list(placed)
     # Images at one place are looked at once: batches may have very many.
-    places, place_of, count = np.unique(
+    positions, place_of, count = np.unique(
         np.round([placed[name]["place"] for name in names], DIGITS), axis=0,
         return_inverse=True, return_counts=True)
-    if len(places) > PLACES:
+    if len(positions) > PLACES:
         return []
-    distances = _apart(places, places)
+    # Great-circle angles, so that poles and the 180 degree meridian need no care.
+    distances = _apart(positions, positions)
     reach = _reach(distances)
     groups = _groups(distances <= reach)
+    # The group with most images, if it has most of the batch.
     usual = max(groups, key=lambda group: count[group].sum())
     number = int(count[usual].sum())
     if number < 2 or number < MOST * len(names):
         return []
-    middle = in_words(_middle(places[usual]))
+    middle = in_words(_middle(positions[usual]))
     sentences = []
     for group in groups:
         if group is usual:
             continue
         members = np.flatnonzero(np.isin(place_of.ravel(), group)).tolist()
-        guesses = [_guess(placed[names[i]], places[usual], reach) for i in members]
-        asked = guesses[0] if len(set(guesses)) == 1 else ELSEWHERE
+        # One question where all images of the group have the same likely cause.
+        guesses = [_guess(placed[names[i]], positions[usual], reach) for i in members]
+        question = guesses[0] if len(set(guesses)) == 1 else ELSEWHERE
         doubts = {names[i]: f"Near {in_words(placed[names[i]]['place'])}, while {number} other "
                             f"images of the batch are near {middle}: {guess}"
                   for i, guess in zip(members, guesses, strict=True)}
         sentences.append((f"{number} images are near {middle}, {len(members)} near "
-                          f"{in_words(_middle(places[group]))} ({asked})", doubts))
+                          f"{in_words(_middle(positions[group]))} ({question})", doubts))
     return sentences
 
 
@@ -119,6 +122,7 @@ def _guess(setting: Mapping[str, Any], group: FloatArray, reach: float) -> str:
     exchanged = setting.get("exchanged")
     if exchanged and _apart(np.array([exchanged]), group).min() <= reach:
         return "are x and y swapped?"
+    # Where a sign of longitude, latitude or both would put the image.
     turned = np.array([[-lon, lat], [lon, -lat], [-lon, -lat]])
     if (_apart(turned, group).min(axis=1) <= reach).any():
         return "is a sign wrong?"
@@ -127,39 +131,42 @@ def _guess(setting: Mapping[str, Any], group: FloatArray, reach: float) -> str:
 
 def _mirrored(settings: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, dict[str, str]]]:
     """Return a sentence on images that are mirrored where most are not, or the other way round."""
-    told = {name: bool(one["mirrored"]) for name, one in settings.items()
-            if one.get("mirrored") is not None}
-    usual = sum(told.values()) * 2 > len(told)
-    odd = [name for name, mirrored in told.items() if mirrored != usual]
-    alike = len(told) - len(odd)
-    if not odd or alike < 2 or alike < MOST * len(told):
+    is_mirrored_image = {name: bool(setting["mirrored"]) for name, setting in settings.items()
+                         if setting.get("mirrored") is not None}
+    # What more than half of the images are.
+    usual = sum(is_mirrored_image.values()) * 2 > len(is_mirrored_image)
+    odd = [name for name, mirrored in is_mirrored_image.items() if mirrored != usual]
+    usual_count = len(is_mirrored_image) - len(odd)
+    if not odd or usual_count < 2 or usual_count < MOST * len(is_mirrored_image):
         return []
     verb = "is a mirror image" if len(odd) == 1 else "are mirror images"
     negated = verb.replace("is a", "is no").replace("are ", "are no ")
-    said = f"{counted(len(odd), 'image')} {negated if usual else verb} of the ground"
-    asked = "are x and y exchanged there, or line and sample?"
-    doubt = (f"{'No m' if usual else 'M'}irror image of the ground, unlike {alike} others of the "
-             "batch: are x and y exchanged, or line and sample?")
-    return [(f"{said}, unlike the other {alike} ({asked})", dict.fromkeys(odd, doubt))]
+    statement = f"{counted(len(odd), 'image')} {negated if usual else verb} of the ground"
+    question = "are x and y exchanged there, or line and sample?"
+    doubt = (f"{'No m' if usual else 'M'}irror image of the ground, unlike {usual_count} others of "
+             "the batch: are x and y exchanged, or line and sample?")
+    return [(f"{statement}, unlike the other {usual_count} ({question})",
+             dict.fromkeys(odd, doubt))]
 
 
-def _apart(some: FloatArray, others: FloatArray) -> FloatArray:
+def _apart(first_positions: FloatArray, second_positions: FloatArray) -> FloatArray:
     """Return the angles between places [deg], shape (n, m), from longitudes and latitudes."""
-    first = _directions(some)
-    second = _directions(others)
+    first = _directions(first_positions)
+    second = _directions(second_positions)
+    # angle = 2 arcsin(chord / 2) of unit vectors, exact for small angles.
     chords = np.linalg.norm(first[:, None] - second[None], axis=2)
     return np.asarray(np.degrees(2.0 * np.arcsin(np.minimum(chords / 2.0, 1.0))))
 
 
-def _directions(places: FloatArray) -> FloatArray:
+def _directions(positions: FloatArray) -> FloatArray:
     """Return unit vectors, shape (n, 3)."""
-    lon, lat = np.radians(places).T
+    lon, lat = np.radians(positions).T
     return np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
 
 
-def _middle(places: FloatArray) -> Place:
+def _middle(positions: FloatArray) -> Place:
     """Return the middle of places: the direction of the sum of theirs."""
-    x, y, z = _directions(places).sum(axis=0)
+    x, y, z = _directions(positions).sum(axis=0)
     return float(np.degrees(np.arctan2(y, x))), float(np.degrees(np.arctan2(z, np.hypot(x, y))))
 
 
@@ -167,6 +174,7 @@ def _reach(distances: FloatArray) -> float:
     """Return the distance beyond which a place no longer belongs to its neighbours [deg]."""
     if len(distances) < 2:
         return NEAREST
+    # Of each position the distance to its next one, itself left out.
     nearest = np.where(np.eye(len(distances), dtype=bool), np.inf, distances).min(axis=1)
     return float(np.clip(SCATTER * np.median(nearest), NEAREST, FARTHEST))
 
@@ -180,5 +188,5 @@ def _groups(linked: BoolArray) -> list[IntArray]:
 
 
 def _listed(names: Sequence[str]) -> str:
-    more = len(names) - NAMED
-    return ", ".join(names[:NAMED]) + (f" and {more} more" if more > 0 else "")
+    unnamed = len(names) - NAMED
+    return ", ".join(names[:NAMED]) + (f" and {unnamed} more" if unnamed > 0 else "")

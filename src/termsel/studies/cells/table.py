@@ -38,6 +38,7 @@ def columns_of(strategies: Sequence[str], measures: Sequence[str] = ()) -> tuple
 def rows_of(cells: Mapping[str, Mapping[str, Any]], records: Mapping[str, CellRecord],
             strategies: Sequence[str], measures: Sequence[str] = ()) -> list[Row]:
     """Return one row a cell, waiting without a record, in order; of auto alone worst first."""
+    # One set of columns for all rows; what a row has not is None.
     columns = columns_of(strategies, measures)
     doubts = batch_of_records(cells, records).doubts
     rows = []
@@ -46,7 +47,7 @@ def rows_of(cells: Mapping[str, Mapping[str, Any]], records: Mapping[str, CellRe
         values = {**labels, "cell": key, "state": WAITING, "reason": ""} if record is None else {
             **labels, **record.figures, **record.figures.get("measures", {}), "cell": key,
             "state": record.state, "reason": record.reason,
-            "place": in_words(place) if (place := record.figures.get("place")) else "",
+            "place": in_words(position) if (position := record.figures.get("place")) else "",
             "doubt": " ".join([*_sentence(record.figures.get("doubt")),
                                *doubts.get(str(labels["data"]), ())])}
         rows.append({name: values.get(name) for name in columns})
@@ -72,7 +73,10 @@ def _badness(row: Row) -> tuple[int, float]:
 
 def csv_of(rows: Sequence[Row], columns: Sequence[str]) -> str:
     """Return rows as CSV; lists have semicolons, and what is not known is blank."""
-    return csv_table([columns, *([_cell(row[name]) for name in columns] for row in rows)])
+    lines: list[Sequence[Any]] = [columns]
+    for row in rows:
+        lines.append([_cell(row[name]) for name in columns])
+    return csv_table(lines)
 
 
 def _cell(value: Any) -> Any:

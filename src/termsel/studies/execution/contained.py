@@ -34,6 +34,7 @@ def contained(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: S
         for cell in cells:
             if stop():
                 return
+            # Bytes are made here, so that what cannot be sent is known before the process is asked.
             sent = _sent(cell, features[cell.data.key])
             try:
                 outcome = None if sent is None else helper.ask(sent)
@@ -63,8 +64,8 @@ def work() -> None:
         waiting: SimpleQueue[bytes] = SimpleQueue()
         threading.Thread(target=_receive, args=(sys.stdin.buffer, waiting), daemon=True).start()
         while True:
-            given, _ = attempt(partial(pickle.loads, waiting.get()))
-            pickle.dump(None if given is None else do(*given), answers)
+            received, _ = attempt(partial(pickle.loads, waiting.get()))
+            pickle.dump(None if received is None else do(*received), answers)
             answers.flush()
 
 

@@ -36,6 +36,7 @@ def deferred(say: Callable[[], None]) -> Iterator[Stop]:
 
     def note(_number: int, _frame: FrameType | None) -> None:
         nonlocal pressed
+        # The second Ctrl-C ends at once.
         if pressed:
             raise KeyboardInterrupt
         pressed = True
@@ -74,9 +75,9 @@ def processes(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: S
         for cell in suspects:
             if stop():
                 return
-            alone: list[Cell] = []
-            yield from _in_pool(deque([cell]), features, stop, 1, alone)
-            if alone:
+            repeated: list[Cell] = []
+            yield from _in_pool(deque([cell]), features, stop, 1, repeated)
+            if repeated:
                 yield failed(cell.key, DIED)
 
 
@@ -95,6 +96,7 @@ def _in_pool(waiting: deque[Cell], features: Mapping[str, FeatureSet], stop: Sto
                     while waiting and len(running) < workers * AHEAD and not stop():
                         cell = waiting.popleft()
                         running[pool.submit(_in_worker, cell)] = cell
+                # As they end, so that the journal has each as soon as possible.
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
                     outcome = future.result()
                     del running[future]

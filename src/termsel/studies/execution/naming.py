@@ -55,6 +55,7 @@ class _Keeper(logging.Handler):
 @cache
 def _name_images() -> None:
     """Put the name of the image under way into what is logged from now on."""
+    # The factory that others may have set is called first.
     before = logging.getLogRecordFactory()
 
     def with_name(*args: Any, **kwargs: Any) -> logging.LogRecord:

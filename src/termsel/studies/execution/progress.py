@@ -60,8 +60,11 @@ class Tally:
         self._times: dict[Any, tuple[int, float]] = {}
         self._worst = (0.0, "")
         # A cell is called by what tells it from the others.
-        self._telling = [name for name in LABELS if len(
-            {labels[name] for labels in cells.values()}) > 1] or ["data"]
+        self._telling = []
+        for name in LABELS:
+            if len({labels[name] for labels in cells.values()}) > 1:
+                self._telling.append(name)
+        self._telling = self._telling or ["data"]
         for record in finished.values():
             self.count(record)
 
@@ -75,6 +78,7 @@ class Tally:
         if "seconds" in figures:
             count, total = self._times.get(kind, (0, 0.0))
             self._times[kind] = (count + 1, total + figures["seconds"])
+        # The figure that says most about the accuracy of the result.
         value = next((figures[name] for name in ("predicted", "independent", "check")
                       if figures.get(name) is not None), None)
         if value is not None and value > self._worst[0]:
@@ -93,6 +97,7 @@ class Tally:
         means = {kind: total / count for kind, (count, total) in self._times.items()}
         if not means:
             return None
+        # Kinds without a finished cell are taken to be like the others.
         usual = sum(means.values()) / len(means)
         return sum(number * means.get(kind, usual) for kind, number in self._left.items()
                    ) / self.workers

@@ -115,6 +115,7 @@ class _Trace:
             # The search begins again, as of a second step: what was found before does not count.
             self._before += self._last
             self.points.clear()
+        # Evaluations of this search; those of earlier ones are in `_before`.
         self._last = progress.evaluations
         if progress.violation == 0 and math.isfinite(progress.best):
             self._add(progress.best)
@@ -129,41 +130,41 @@ def _as_asked(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
         State, dict[str, Any], list[list[float]], dict[str, bytes]]:
     """Return state, figures and front of a search."""
     call = cell.call
-    names = {word: cell.things.get(word, call[word])
-             for word in ("problem", "model", "criterion", "solver") if call[word] is not None}
+    names = {role: cell.things.get(role, call[role])
+             for role in ("problem", "model", "criterion", "solver") if call[role] is not None}
     task = prepare(**names, features=features, source=cell.data.source, options=call["options"])
-    task, found = search_without_blunders(
+    task, search = search_without_blunders(
         task, seed=call["seed"], observers=[trace],
         **{name: call.get(name) for name in ("generations", "evaluations", "seconds",
                                                "patience")})
-    if found.interrupted:
+    if search.interrupted:
         raise KeyboardInterrupt  # half a search is no result of a study
-    selection = task.problem.decode(found.genes)
-    chosen = estimated(task, selection, found)
-    feasible = is_feasible(task, found, chosen)
+    selection = task.problem.decode(search.genes)
+    fitted = estimated(task, selection, search)
+    feasible = is_feasible(task, search, fitted)
     # The objectives of least squares are not those of other coefficients.
-    judged = feasible and chosen.estimator.least_squares
-    fitness = float(found.objectives[0]) if judged else None
-    trace.end(found.evaluations, fitness)
+    is_judged = feasible and fitted.estimator.least_squares
+    fitness = float(search.objectives[0]) if is_judged else None
+    trace.end(search.evaluations, fitness)
     times = trace.times()  # what follows tells about the study, and takes no part in the run
     # Only the figures of a table. A run also compares its selection with all plain models, which
     # takes longer than most searches and is the same for all seeds.
     figures: dict[str, Any] = {
         "objective": task.problem.objectives[0],
-        "proven": _proven(task, found),
+        "proven": _proven(task, search),
         "fitness": fitness,
-        "optimum": _optimum(cell, task, found) if judged else None,
-        **_rmse({"control": chosen.control_rmse(),
-                 "check": chosen.rmse(task.observations.check),
-                 "independent": chosen.rmse(task.observations.independent)}),
+        "optimum": _optimum(cell, task, search) if is_judged else None,
+        **_rmse({"control": fitted.control_rmse(),
+                 "check": fitted.rmse(task.observations.check),
+                 "independent": fitted.rmse(task.observations.independent)}),
         "n_terms": len(selection.terms), "n_features": len(selection.features),
-        "evaluations": found.evaluations,
-        "refinement_evaluations": found.polish.evaluations if found.polish else 0,
-        "generations": found.generations,
-        "notes": [*found.notes, *cell.data.warnings], **times}
+        "evaluations": search.evaluations,
+        "refinement_evaluations": search.polish.evaluations if search.polish else 0,
+        "generations": search.generations,
+        "notes": [*search.notes, *cell.data.warnings], **times}
     if call.get("measures"):
-        figures["measures"] = _measures(cell, assessed(task, found), figures["notes"])
-    front = [_member(task, genes) for genes in found.front]
+        figures["measures"] = _measures(cell, assessed(task, search), figures["notes"])
+    front = [_member(task, genes) for genes in search.front]
     return DONE if feasible else INFEASIBLE, figures, front, {}
 
 
@@ -179,29 +180,30 @@ def _member(task: Task, genes: BoolArray) -> list[float]:
 
 def _rmse(by_role: Mapping[str, Rmse | None]) -> dict[str, float | int | None]:
     """Return RMSE [px] by role, and the number of points of each."""
-    return {**{role: None if one is None else finite_or_none(one.total)
-               for role, one in by_role.items()},
-            **{f"n_{role}": 0 if one is None else one.n for role, one in by_role.items()}}
+    return {**{role: None if rmse is None else finite_or_none(rmse.total)
+               for role, rmse in by_role.items()},
+            **{f"n_{role}": 0 if rmse is None else rmse.n for role, rmse in by_role.items()}}
 
 
-def _proven(task: Task, found: Search) -> bool:
+def _proven(task: Task, search: Search) -> bool:
     """Return whether a search proved the optimum of all selections, not of the smaller ones."""
-    said = found.certificate or {}
-    if not said.get("optimal"):
+    certificate = search.certificate or {}
+    if not certificate.get("optimal"):
         return False
     try:
-        return bool(said["of"] == count(task.problem))
+        return bool(certificate["of"] == count(task.problem))
     except TermselError:  # features, or what a plugin proves, are enumerated otherwise
         return True
 
 
-def _optimum(cell: Cell, task: Task, found: Search) -> float | None:
+def _optimum(cell: Cell, task: Task, search: Search) -> float | None:
     """Return the proven optimum of the problem, if that is known quickly."""
-    value = float(found.objectives[0])
-    if _proven(task, found):
+    value = float(search.objectives[0])
+    if _proven(task, search):
         return value
     if len(task.problem.objectives) > 1:
         return None
+    # An enumeration is worth its time once for all seeds and solvers.
     if cell.instance not in _optima:
         if len(_optima) >= _MOST:
             _optima.clear()
@@ -216,21 +218,22 @@ def _auto(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
         State, dict[str, Any], list[list[float]], dict[str, bytes]]:
     """Return state and figures of a choice by the strategy auto, and the files of its result."""
     with private_folder() as folder:
-        out = folder / "result"
+        result_folder = folder / "result"
         result = run(cell.things.get("problem", cell.call["problem"]), features=features,
                      source=cell.data.source, strategy="auto", options=cell.call["options"],
-                     seed=cell.call["seed"], observers=[trace], out=out)
+                     seed=cell.call["seed"], observers=[trace], out=result_folder)
         if result.interrupted:
             raise KeyboardInterrupt
-        warnings = [said for said in cell.data.warnings if said not in result.notes]
+        warnings = [warning for warning in cell.data.warnings if warning not in result.notes]
         if warnings:  # of reading the file, which the run knows nothing of
             result = replace(result, notes=(*result.notes, *warnings))
-            write_result(result, out)
+            write_result(result, result_folder)
         for to in cell.call["exports"]:
+            # The model in every format the study asks for, next to result.json.
             suffix = writer_of(to).suffix or f".{to}"
-            export(result, to, out / f"result{suffix}")
-        files = {path.relative_to(out).as_posix(): path.read_bytes()
-                 for path in sorted(out.rglob("*")) if path.is_file()}
+            export(result, to, result_folder / f"result{suffix}")
+        files = {path.relative_to(result_folder).as_posix(): path.read_bytes()
+                 for path in sorted(result_folder.rglob("*")) if path.is_file()}
     figures = {**_figures_of(result), **trace.times()}
     if cell.call.get("measures"):
         figures["measures"] = _measures(cell, result, figures["notes"])
@@ -239,14 +242,14 @@ def _auto(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
 
 def _measures(cell: Cell, result: Result, notes: list[str]) -> dict[str, float | None]:
     """Return the measures of a result that the study asks for; add a note for each that fails."""
-    found: dict[str, float | None] = {}
+    values: dict[str, float | None] = {}
     for name in cell.call["measures"]:
         try:
-            found[name] = measured(registry().get("measures", name), result)
+            values[name] = measured(registry().get("measures", name), result)
         except TermselError as error:  # its fault is no failure of the run
-            found[name] = None
+            values[name] = None
             notes.append(str(error))
-    return found
+    return values
 
 
 def _figures_of(result: Result) -> dict[str, Any]:

@@ -45,17 +45,19 @@ class Data:
 
 def data_of(spec: Spec, folder: Path) -> list[Data]:
     """Return all data that a study names, each once; file names are relative to `folder`."""
-    found = [data for source in spec.data for data in _of_source(spec, source, folder)]
+    data_sets: list[Data] = []
+    for source in spec.data:
+        data_sets += _of_source(spec, source, folder)
     labels: set[str] = set()
-    for data in found:
+    for data in data_sets:
         if data.label in labels:
             raise spec.places.error(data.path, f"the data {data.label} are named twice",
                                     "Name them once.")
         labels.add(data.label)
-    if found and all(data.features is None for data in found):
-        raise TermselError(found[0].reason, hint=None if len(found) == 1 else
-                           f"None of the {len(found)} data can be read; this is the first.")
-    return found
+    if data_sets and all(data.features is None for data in data_sets):
+        raise TermselError(data_sets[0].reason, hint=None if len(data_sets) == 1 else
+                           f"None of the {len(data_sets)} data can be read; this is the first.")
+    return data_sets
 
 
 def files_of(spec: Spec, folder: Path) -> list[Path]:
@@ -69,8 +71,8 @@ def files_of(spec: Spec, folder: Path) -> list[Path]:
         for kind, patterns in source.files.items():
             named += [folder / name for name in _matched(spec, source, kind, patterns, folder)]
         named += _named_by(source.reading, folder)
-    for part in (*spec.problems, *spec.models, *spec.solvers, *spec.criteria):
-        named += _named_by(part.options, folder)
+    for component in (*spec.problems, *spec.models, *spec.solvers, *spec.criteria):
+        named += _named_by(component.options, folder)
     named += _named_by(spec.options, folder)
     return list(dict.fromkeys(named))
 
@@ -79,18 +81,18 @@ def _named_by(options: Mapping[str, Any], folder: Path) -> Iterator[Path]:
     """Yield the files that options name, such as a raster of heights or an RPC."""
     for value in options.values():
         if isinstance(value, str) and value:
-            for place in (folder / value, Path(value)):
+            for candidate in (folder / value, Path(value)):
                 with suppress(OSError, ValueError):  # a text that is too long for a name
-                    if place.is_file():
-                        yield place
+                    if candidate.is_file():
+                        yield candidate
                         break
 
 
 def of_dataset(name: str, path: Keys = ()) -> Data:
     """Return a data set that is known by name."""
-    known: DatasetSpec = registry().get("datasets", name)
-    features = known.load()
-    source = f"{known.name} (simulated)" if known.simulated else known.name
+    dataset: DatasetSpec = registry().get("datasets", name)
+    features = dataset.load()
+    source = f"{dataset.name} (simulated)" if dataset.simulated else dataset.name
     return Data(name, _key(features), source, features, path=path)
 
 
@@ -103,38 +105,40 @@ def _of_source(spec: Spec, source: Source, folder: Path) -> Iterator[Data]:
         except TermselError as error:
             raise spec.places.error((*source.path, "dataset"), error.what, error.hint) from error
     if source.files:
+        # Files by kind, then paired to images, then divided into parts.
         matched = {kind: _matched(spec, source, kind, patterns, folder)
                    for kind, patterns in source.files.items()}
         for files in _together(spec, source, matched):
-            for part, options in _parts(source, files, folder).items():
-                yield _read(source, files, folder, part, options)
+            for part_name, options in _parts(source, files, folder).items():
+                yield _read(source, files, folder, part_name, options)
 
 
 def _matched(spec: Spec, source: Source, kind: str, patterns: tuple[str, ...],
              folder: Path) -> list[str]:
     """Return the files of patterns, in the order of the patterns and then of their names."""
-    found: list[str] = []
+    files: list[str] = []
     for pattern in patterns:
+        # A plain name must exist; a pattern must match anything.
         wild = any(sign in pattern for sign in _WILD)
         names = _globbed(pattern, folder) if wild else [pattern]
         if not names or (not wild and not os.path.exists(folder / pattern)):
             raise spec.places.error((*source.path, kind), f"no file matches {pattern!r} in "
                                     f"{folder.resolve()}", "Check the name and the folder.")
-        found += [Path(name).as_posix() for name in names]
-    return list(dict.fromkeys(found))
+        files += [Path(name).as_posix() for name in names]
+    return list(dict.fromkeys(files))
 
 
 def _globbed(pattern: str, folder: Path) -> list[str]:
     """Return the files that match a pattern, and say that this goes on where it takes long."""
-    told = Timer(SOON, log.warning, (
+    timer = Timer(SOON, log.warning, (
         "Note: looking for files that match %s in %s takes long. Ctrl-C ends the command.",
         pattern, folder.resolve()))
-    told.daemon = True
-    told.start()
+    timer.daemon = True
+    timer.start()
     try:
         return sorted(glob.glob(pattern, root_dir=folder, recursive=True))
     finally:
-        told.cancel()
+        timer.cancel()
 
 
 def _together(spec: Spec, source: Source,
@@ -144,7 +148,10 @@ def _together(spec: Spec, source: Source,
     if all(len(names) == 1 for names in matched.values()):
         yield {kind: names[0] for kind, names in matched.items()}
         return
-    by_stem = {kind: {Path(name).stem: name for name in names} for kind, names in matched.items()}
+    # The name without its folder and suffix pairs the files of one image.
+    by_stem = {}
+    for kind, names in matched.items():
+        by_stem[kind] = {Path(name).stem: name for name in names}
     first = by_stem[kinds[0]]
     for kind in kinds:
         if len(kinds) > 1 and (len(by_stem[kind]) < len(matched[kind])
@@ -152,6 +159,7 @@ def _together(spec: Spec, source: Source,
             raise spec.places.error(
                 (*source.path, kind), f"the files of {kind} do not pair with those of {kinds[0]}",
                 "Several files of two kinds are paired by their names without the suffix.")
+    # Of a single kind every file is an image of its own.
     if len(kinds) == 1:
         yield from ({kinds[0]: name} for name in matched[kinds[0]])
         return
@@ -161,18 +169,20 @@ def _together(spec: Spec, source: Source,
 
 def _parts(source: Source, files: Mapping[str, str], folder: Path) -> dict[str, dict[str, Any]]:
     """Return the options of each part of a file that has several; of another nothing."""
-    whole: dict[str, dict[str, Any]] = {"": {}}
+    undivided: dict[str, dict[str, Any]] = {"": {}}
     if set(files) != {"points"}:
-        return whole
+        return undivided
     try:
-        return parts_of(folder / files["points"], **source.reading) or whole
+        return parts_of(folder / files["points"], **source.reading) or undivided
     except TermselError:
-        return whole  # it is told when the file is read
+        return undivided  # it is told when the file is read
 
 
-def _read(source: Source, files: Mapping[str, str], folder: Path, part: str,
+def _read(source: Source, files: Mapping[str, str], folder: Path, part_name: str,
           options: Mapping[str, Any]) -> Data:
-    label = " + ".join(dict.fromkeys(files.values())) + f"#{part}" * bool(part)
+    label = " + ".join(dict.fromkeys(files.values()))
+    if part_name:
+        label = f"{label}#{part_name}"
     of_files: dict[str, Any] = {kind: folder / name for kind, name in files.items()}
     try:
         with named(label) as warnings:

@@ -25,17 +25,18 @@ class Places:
     # line and column, from 1, by path
     known: dict[Path, tuple[int, int]] = field(default_factory=dict)
 
-    def error(self, path: Path, what: str, hint: str | None = None) -> TermselError:
-        """Return an error that names the place of a value, or of what holds it."""
+    def error(self, path: Path, problem: str, hint: str | None = None) -> TermselError:
+        """Return an error about a problem that names the place of a value, or of what holds it."""
+        # From the value up to what holds it, until a place is known.
         while path and path not in self.known:
             path = path[:-1]
         line, column = self.known.get(path, (None, None))
-        return TermselError(what, hint=hint, file=self.file, line=line, column=column)
+        return TermselError(problem, hint=hint, file=self.file, line=line, column=column)
 
-    def unknown(self, path: Path, kind: str, known: Any, hint: str = "") -> TermselError:
+    def unknown(self, path: Path, kind: str, names: Any, hint: str = "") -> TermselError:
         """Return the error for a name that is not known."""
-        said = unknown_name(kind, str(path[-1]), known, hint)
-        return self.error(path, said.what, said.hint)
+        unknown = unknown_name(kind, str(path[-1]), names, hint)
+        return self.error(path, unknown.what, unknown.hint)
 
 
 def places_of(text: str, file: object) -> Places:
@@ -49,6 +50,7 @@ class _Reader:
     """Walks through the tokens of valid TOML and notes where each key and item begins."""
 
     def __init__(self, text: str) -> None:
+        # Offsets at which lines begin, to turn an offset into line and column.
         starts = [0, *(match.end() for match in re.finditer("\n", text))]
         self._tokens: list[tuple[str, str, tuple[int, int]]] = []
         line = 0
@@ -65,11 +67,12 @@ class _Reader:
 
     def document(self) -> None:
         table: Path = ()
+        # Each pair belongs to the last header above it.
         while self._at < len(self._tokens) - 1:
-            kind, word, _ = self._tokens[self._at]
+            kind, text, _ = self._tokens[self._at]
             if kind == "line":
                 self._at += 1
-            elif word == "[":
+            elif text == "[":
                 table = self._header()
             else:
                 self._pair(table)
@@ -79,10 +82,11 @@ class _Reader:
         self._at += 1
         several = self._tokens[self._at][1] == "["
         self._at += several
-        place = self._tokens[self._at][2]
+        position = self._tokens[self._at][2]
         path: Path = ()
         for name in self._key():
             path = (*path, name)
+            # A name of a list of tables stands for its latest table.
             if path in self._counts:
                 path = (*path, self._counts[path] - 1)
         if several:
@@ -90,36 +94,36 @@ class _Reader:
                 path = path[:-1]
             self._counts[path] = self._counts.get(path, 0) + 1
             path = (*path, self._counts[path] - 1)
-        self.known[path] = place
+        self.known[path] = position
         self._at += 1 + several
         return path
 
     def _key(self) -> list[str]:
         """Pass a key, which may have dots, and return its parts."""
-        parts = [""]
-        while (word := self._tokens[self._at][1]) not in ("=", "]"):
-            if word == ".":
-                parts.append("")
+        names = [""]
+        while (text := self._tokens[self._at][1]) not in ("=", "]"):
+            if text == ".":
+                names.append("")
             else:
-                parts[-1] = word.strip("\"'")
+                names[-1] = text.strip("\"'")
             self._at += 1
-        return parts
+        return names
 
     def _pair(self, table: Path) -> None:
-        place = self._tokens[self._at][2]
+        position = self._tokens[self._at][2]
         path = (*table, *self._key())
-        self.known[path] = place
+        self.known[path] = position
         self._at += 1
         self._value(path)
 
     def _value(self, path: Path) -> None:
         self._pass_lines()
-        word = self._tokens[self._at][1]
-        if word in ("[", "{"):
+        text = self._tokens[self._at][1]
+        if text in ("[", "{"):
             self._at += 1
             item = 0
             while self._next() not in ("]", "}"):
-                if word == "{":
+                if text == "{":
                     self._pair(path)
                 else:
                     self.known[(*path, item)] = self._tokens[self._at][2]

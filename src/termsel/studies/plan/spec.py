@@ -85,14 +85,16 @@ def read_spec(file: Path) -> Spec:
 def spec_of(table: Mapping[str, Any], places: Places | None = None) -> Spec:
     """Return what a table of names, options and budgets asks for, checked."""
     at = places or Places()
+    # From here on a study from Python is as one from a file.
     table = {key: _as_in_a_file(value) for key, value in table.items()}
     for key in table:
         if key not in KEYS:
             raise at.unknown((key,), "key of a study", KEYS)
     strategies = _texts(at, ("strategies",), table.get("strategies", []), STRATEGIES)
-    parts = {kind: _parts(at, kind, table.get(kind, [])) for kind in PARTS}
+    components = {kind: _parts(at, kind, table.get(kind, [])) for kind in PARTS}
     budget = _budget(at, _table(at, ("budget",), table.get("budget", {})))
-    named = [kind for kind in ("models", "solvers", "criteria") if parts[kind]]
+    named = [kind for kind in ("models", "solvers", "criteria") if components[kind]]
+    # Who names methods or limits of a search asks for one; a timeout is of auto, too.
     searched = named or {**budget, "timeout": None} != {"timeout": None}
     if strategies == ("auto",) and named:
         raise at.error((named[0],), f"the strategy auto chooses the method itself, and {named[0]} "
@@ -107,8 +109,8 @@ def spec_of(table: Mapping[str, Any], places: Places | None = None) -> Spec:
     if not isinstance(title, str):
         raise at.error(("title",), "the title is not text")
     return Spec(
-        title, parts["problems"], parts["models"], parts["solvers"], parts["criteria"],
-        strategies=strategies or (("as-asked",) if searched else ("auto",)),
+        title, components["problems"], components["models"], components["solvers"],
+        components["criteria"], strategies=strategies or (("as-asked",) if searched else ("auto",)),
         data=tuple(_sources(at, table.get("data", []))),
         seeds=_numbers(at, "seeds", table.get("seeds", 1), first=1),
         splits=_numbers(at, "splits", table.get("splits", 1), first=0),
@@ -124,134 +126,138 @@ def _as_in_a_file(value: Any) -> Any:
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
     if isinstance(value, Mapping):
-        return {key: _as_in_a_file(one) for key, one in value.items()}
+        return {key: _as_in_a_file(item) for key, item in value.items()}
     if isinstance(value, list | tuple | range):
-        return [_as_in_a_file(one) for one in value]
+        return [_as_in_a_file(item) for item in value]
     return value
 
 
-def _parts(at: Places, kind: str, given: Any) -> tuple[Asked, ...]:
-    if not isinstance(given, Sequence) or isinstance(given, str):
+def _parts(at: Places, kind: str, listed: Any) -> tuple[Asked, ...]:
+    if not isinstance(listed, Sequence) or isinstance(listed, str):
         raise at.error((kind,), f"{kind} is not a list", f'Write {kind} = ["name", ...].')
-    found: list[Asked] = []
-    for i, one in enumerate(given):
+    components: list[Asked] = []
+    for i, item in enumerate(listed):
         path: Keys = (kind, i)
-        part = _part(at, path, one)
-        if len(part.label) > _LONGEST or not is_printable(part.label):
-            raise at.error(path, f"the label {part.label!r:.60} has control characters, or more "
-                           f"than {_LONGEST}", "Give a short label of plain text.")
-        if any(other.label == part.label for other in found):
-            raise at.error(path, f"{kind} has {part.label!r} twice",
+        component = _part(at, path, item)
+        if len(component.label) > _LONGEST or not is_printable(component.label):
+            raise at.error(path, f"the label {component.label!r:.60} has control characters, or "
+                           f"more than {_LONGEST}", "Give a short label of plain text.")
+        if any(earlier.label == component.label for earlier in components):
+            raise at.error(path, f"{kind} has {component.label!r} twice",
                            'Give each its own label: {name = "...", label = "..."}.')
-        found.append(part)
-    return tuple(found)
+        components.append(component)
+    return tuple(components)
 
 
-def _part(at: Places, path: Keys, given: Any) -> Asked:
-    if isinstance(given, str):
-        return Asked(given, given, path=path)
-    if isinstance(given, Configurable):
-        shown = {option.name: given.options[option.name] for option in given.declared_options
-                 if given.options[option.name] != option.default}
-        label = ", ".join([given.name, *(f"{key}={_plain(value)}" for key, value in shown.items())])
-        return Asked(given.name, label, path=path, thing=given)
-    if not isinstance(given, Mapping):
-        name = getattr(given, "name", None)
+def _part(at: Places, path: Keys, declared: Any) -> Asked:
+    if isinstance(declared, str):
+        return Asked(declared, declared, path=path)
+    if isinstance(declared, Configurable):
+        # The label says which options differ from their defaults.
+        settings = [f"{option.name}={_plain(declared.options[option.name])}"
+                    for option in declared.declared_options
+                    if declared.options[option.name] != option.default]
+        label = ", ".join([declared.name, *settings])
+        return Asked(declared.name, label, path=path, thing=declared)
+    if not isinstance(declared, Mapping):
+        name = getattr(declared, "name", None)
         if not isinstance(name, str):
-            raise at.error(path, f"{given!r} is neither a name nor a table",
+            raise at.error(path, f"{declared!r} is neither a name nor a table",
                            'Write "name", or {name = "name", option = value}.')
-        return Asked(name, name, path=path, thing=given)
-    name = given.get("name")
+        return Asked(name, name, path=path, thing=declared)
+    name = declared.get("name")
     if not isinstance(name, str):
         raise at.error(path, "a table has no name", 'Write {name = "...", option = value}.')
-    options = _options(at, path, {key: value for key, value in given.items()
+    options = _options(at, path, {key: value for key, value in declared.items()
                                   if key not in ("name", "label")})
-    told = ", ".join([name, *(f"{key}={_plain(value)}" for key, value in options.items())])
-    return Asked(name, str(given.get("label", told)), options, path=path)
+    description = ", ".join([name, *(f"{key}={_plain(value)}" for key, value in options.items())])
+    return Asked(name, str(declared.get("label", description)), options, path=path)
 
 
 def _plain(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def _sources(at: Places, given: Any) -> list[Source]:
-    if isinstance(given, Mapping) and given and all(
-            isinstance(one, FeatureSet) for one in given.values()):
-        return [Source(features=given, path=("data",))]  # from Python, by label
-    if isinstance(given, Mapping) and any(isinstance(one, FeatureSet) for one in given.values()):
-        label = next(key for key, one in given.items() if not isinstance(one, FeatureSet))
+def _sources(at: Places, listed: Any) -> list[Source]:
+    if isinstance(listed, Mapping) and listed and all(
+            isinstance(item, FeatureSet) for item in listed.values()):
+        return [Source(features=listed, path=("data",))]  # from Python, by label
+    if isinstance(listed, Mapping) and any(
+            isinstance(item, FeatureSet) for item in listed.values()):
+        label = next(key for key, item in listed.items() if not isinstance(item, FeatureSet))
         raise at.error(("data",), f"data {label!r} is no feature set", "Read it with termsel.read.")
-    if not isinstance(given, Sequence) or isinstance(given, str):
+    if not isinstance(listed, Sequence) or isinstance(listed, str):
         raise at.error(("data",), "data is not a list", 'Write [[data]] and then points = "...".')
-    found = []
-    for i, one in enumerate(given):
+    sources = []
+    for i, item in enumerate(listed):
         path: Keys = ("data", i)
-        if isinstance(one, str):
-            found.append(Source(dataset=one, path=path))
+        if isinstance(item, str):
+            sources.append(Source(dataset=item, path=path))
             continue
-        if not isinstance(one, Mapping):
+        if not isinstance(item, Mapping):
             raise at.error(path, "this is neither a data set's name nor a table",
                            'Write [[data]] and then points = "...".')
-        for key in one:
+        for key in item:
             if key not in DATA_KEYS:
                 raise at.unknown((*path, key), "key of data", DATA_KEYS)
-        files = {kind: _texts(at, (*path, kind), one[kind]) for kind in FILES if kind in one}
-        if ("dataset" in one) == bool(files):
+        files = {kind: _texts(at, (*path, kind), item[kind]) for kind in FILES if kind in item}
+        if ("dataset" in item) == bool(files):
             raise at.error(path, "data are either a dataset or files",
                            'Write dataset = "name", or points = "*.csv".')
-        reading = {key: one[key] for key in READING if key in one}
+        # Arguments of `termsel.read`, its further options among them.
+        reading = {key: item[key] for key in READING if key in item}
         for key, value in reading.items():
             if not isinstance(value, str):
                 raise at.error((*path, key), f"{key} is not text")
-        options = _options(at, (*path, "options"), one.get("options", {}))
-        found.append(Source(one.get("dataset"), files, {**reading, **options}, path=path))
-    return found
+        options = _options(at, (*path, "options"), item.get("options", {}))
+        sources.append(Source(item.get("dataset"), files, {**reading, **options}, path=path))
+    return sources
 
 
-def _texts(at: Places, path: Keys, given: Any,
-           known: tuple[str, ...] | None = None) -> tuple[str, ...]:
+def _texts(at: Places, path: Keys, value: Any,
+           choices: tuple[str, ...] | None = None) -> tuple[str, ...]:
     """Return one text or a list of texts as a tuple."""
-    items = [given] if isinstance(given, str) else given
+    items = [value] if isinstance(value, str) else value
     if not isinstance(items, Sequence) or not all(isinstance(item, str) for item in items):
         raise at.error(path, f"{path[-1]} is neither text nor a list of texts")
-    for i, one in enumerate(items):
-        if known is not None and one not in known:
-            raise at.error((*path, i), f"there is no {one!r} among the {path[-1]}",
-                           f"Choose from: {', '.join(known)}.")
+    for i, text in enumerate(items):
+        if choices is not None and text not in choices:
+            raise at.error((*path, i), f"there is no {text!r} among the {path[-1]}",
+                           f"Choose from: {', '.join(choices)}.")
     return tuple(dict.fromkeys(items))
 
 
-def _numbers(at: Places, key: str, given: Any, first: int) -> tuple[int, ...]:
+def _numbers(at: Places, key: str, value: Any, first: int) -> tuple[int, ...]:
     """Return seeds: a list, or how many there are from the first on."""
-    if isinstance(given, int) and not isinstance(given, bool):
-        if not 1 <= given <= MOST_RUNS:
-            raise at.error((key,), f"{given} {key} is not from 1 to {MOST_RUNS:,}",
+    if isinstance(value, int) and not isinstance(value, bool):
+        if not 1 <= value <= MOST_RUNS:
+            raise at.error((key,), f"{value} {key} is not from 1 to {MOST_RUNS:,}",
                            f"{key} = N stands for N of them; {key} = [N] for a single one.")
-        return tuple(range(first, first + given))
-    if (not isinstance(given, Sequence) or isinstance(given, str) or not given
-            or not all(isinstance(one, int) and not isinstance(one, bool) and 0 <= one <= SEED
-                       for one in given)):
+        return tuple(range(first, first + value))
+    if (not isinstance(value, Sequence) or isinstance(value, str) or not value
+            or not all(isinstance(seed, int) and not isinstance(seed, bool) and 0 <= seed <= SEED
+                       for seed in value)):
         raise at.error((key,), f"{key} is neither a whole number nor a list of them",
                        f"Write {key} = 30, or {key} = [1, 2, 7].")
-    return tuple(dict.fromkeys(given))
+    return tuple(dict.fromkeys(value))
 
 
-def _table(at: Places, path: Keys, given: Any) -> Mapping[str, Any]:
-    if not isinstance(given, Mapping):
+def _table(at: Places, path: Keys, value: Any) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
         raise at.error(path, f"{path[-1]} is not a table", f"Write [{path[-1]}] on its own line.")
-    return given
+    return value
 
 
-def _options(at: Places, path: Keys, given: Any) -> dict[str, Any]:
-    for key, value in _table(at, path, given).items():
+def _options(at: Places, path: Keys, table: Any) -> dict[str, Any]:
+    for key, value in _table(at, path, table).items():
         if not isinstance(value, str | int | float | bool):
             raise at.error((*path, key), f"the option {key} is neither text, number nor true or "
                            "false")
-    return dict(given)
+    return dict(table)
 
 
-def _budget(at: Places, given: Mapping[str, Any]) -> dict[str, Any]:
-    for key, value in given.items():
+def _budget(at: Places, limits: Mapping[str, Any]) -> dict[str, Any]:
+    for key, value in limits.items():
         path = ("budget", key)
         if key not in BUDGETS:
             raise at.unknown(path, "key of the budget", BUDGETS)
@@ -260,4 +266,4 @@ def _budget(at: Places, given: Mapping[str, Any]) -> dict[str, Any]:
             raise at.error(path, f"the budget of {value} {key} is not positive, or above 1e12"
                            if number
                            else f"{key} is not a number")
-    return {key: BUDGETS[key](value) for key, value in given.items()}
+    return {key: BUDGETS[key](value) for key, value in limits.items()}
