@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from hashlib import sha256
+from itertools import chain
 from math import comb, isfinite, isqrt
 from operator import mul
 from pathlib import Path
@@ -100,8 +101,9 @@ def _checked(content: Any) -> tuple[list[str], int]:
         raise Refused(f"it is a {content['schema']!r:.40}, not a {SCHEMA}; write it again")
     if stated != checksum(content):
         raise Refused("the checksum is not that of the content; write it again")
-    axes = [Axis(one) for one in content["axes"]]
+    axes = [Axis(axis_content) for axis_content in content["axes"]]
     require_together(axes)
+    # RMSE^2 = pixels^2 / points times the sum of the axes' scores.
     share = axes[0].pixels**2 / axes[0].checks  # of a sum of scores in a squared RMSE
     lines = _theorem(content, axes)
     lines.append("What is proved of it:")
@@ -114,16 +116,16 @@ def _checked(content: Any) -> tuple[list[str], int]:
         # The score is rounded down, by less than a unit at each check point.
         if value + Fraction(axis.checks, _ONE) > axis.limit * (1 + Fraction(1, 10**8)):
             raise Refused(f"axis {axis.name}: the limit is too far below the selection's score")
-        decided, left, steps = axis.proven()
+        decided, undecided, steps = axis.proven()
         total = total + value
-        open_ = open_ + left
+        open_ = open_ + undecided
         lines.append(f"axis {axis.name}: {decided:,} selections of up to {axis.room} of "
-                     f"{axis.k} terms are decided by {steps:,} steps, {left:,} are open")
-    alone = f" in {axes[0].name}, of this axis alone" if len(axes) == 1 else ""
-    lines.append(f"check RMSE of the selection: {float(total * share) ** 0.5:.6f} px{alone}")
+                     f"{axis.k} terms are decided by {steps:,} steps, {undecided:,} are open")
+    restriction = f" in {axes[0].name}, of this axis alone" if len(axes) == 1 else ""
+    lines.append(f"check RMSE of the selection: {float(total * share) ** 0.5:.6f} px{restriction}")
     if not open_:
         lines.append("no selection has a check RMSE below "
-                     f"{float(sum(a.limit for a in axes) * share) ** 0.5:.6f} px{alone}")
+                     f"{float(sum(a.limit for a in axes) * share) ** 0.5:.6f} px{restriction}")
     return lines, open_
 
 
@@ -134,8 +136,8 @@ def _theorem(content: dict[str, Any], axes: Sequence[Axis]) -> list[str]:
         raise ValueError("a checksum of data")
     lines = ["What is claimed, of the data with the SHA-256 "
              f"{stated or 'that the certificate does not state'}:"]
-    for axis, given in zip(axes, content["axes"], strict=True):
-        system = checksum({key: given[key] for key in ("control", "errors", "denominators")})
+    for axis, axis_content in zip(axes, content["axes"], strict=True):
+        system = checksum({key: axis_content[key] for key in ("control", "errors", "denominators")})
         lines += [
             f"axis {axis.name}: {len(axis.a)} equations of the control and {axis.checks} check "
             f"points, whose numbers have the SHA-256 {system}",
@@ -197,19 +199,19 @@ class Axis:
     Given are an axis of a certificate's content. Raises ValueError and the like for what is none.
     """
 
-    def __init__(self, given: dict[str, Any]) -> None:
-        self.name = given["axis"]
-        self.nodes = iter(given["nodes"])
+    def __init__(self, content: dict[str, Any]) -> None:
+        self.name = content["axis"]
+        self.nodes = iter(content["nodes"])
         if self.name not in ("line", "sample"):  # it is printed
             raise ValueError("an axis that is neither line nor sample")
-        self.terms = [_name(term) for term in given["terms"]]
+        self.terms = [_name(term) for term in content["terms"]]
         self.k = len(self.terms)
-        self.room = int(given["room"])
+        self.room = int(content["room"])
         if not 0 < self.k <= _MOST or not 0 <= self.room <= self.k:
             raise ValueError(f"terms: not 1 to {_MOST}, or no such room")
         self.limit, self.margin, self.pixels = _exact(
-            [given["limit"], given["margin"], given["pixels"]])
-        a, e, d = (self._rows(given[key]) for key in ("control", "errors", "denominators"))
+            [content["limit"], content["margin"], content["pixels"]])
+        a, e, d = (self._rows(content[key]) for key in ("control", "errors", "denominators"))
         self.checks = len(e)
         self.rational = bool(d)
         if not e or not min(self.limit, self.pixels) > 0 or (d and (
@@ -217,27 +219,33 @@ class Axis:
             raise ValueError("limit, margin, pixels, errors or denominators")
         # Integers, by a power of two for each of the three blocks; E and D have one in common.
         self.a, self.unit_a = _integers(a)
-        both, self.unit = _integers(e + d)
-        self.e, self.d = both[:len(e)], both[len(e):]
+        rows, self.unit = _integers(e + d)
+        self.e = rows[:len(e)]
+        self.d = rows[len(e):]
         self.by_column = list(zip(*self.e, strict=True))
-        self.gram = [[sum(row[i] * row[j] for row in self.a) for j in range(self.k + 1)]
-                     for i in range(self.k + 1)]
+        # A'A of the terms and the target.
+        columns_of_a = list(zip(*self.a, strict=True)) or [()] * (self.k + 1)
+        self.gram = []
+        for column in columns_of_a:
+            self.gram.append([sum(map(mul, column, other)) for other in columns_of_a])
         self.normal = _KAPPA * _ONE // self.unit_a**4
-        self.selection = [int(j) for j in given["selection"]]
-        self.forced = frozenset(int(j) for j in given["forced"])
+        self.selection = [int(j) for j in content["selection"]]
+        self.forced = frozenset(int(j) for j in content["forced"])
         if self.unit**2 > _ONE or not self.normal:
             raise ValueError("numbers of too many binary places")
         # The constraint s'z = 1: the sum of all denominators; without any, t = 1. Below it D and t.
         t = [0] * self.k + [-self.unit]
-        lines = [[sum(column) for column in zip(*self.d, strict=True)] if d else t, *self.d, t]
-        self.lines = [[(value << _PLACES) // self.unit for value in line] for line in lines]
+        total = list(map(sum, zip(*self.d, strict=True))) if d else t
+        self.lines = []
+        for line in [total, *self.d, t]:
+            self.lines.append([(value << _PLACES) // self.unit for value in line])
         if len(set(self.selection)) != len(self.selection) or not (
                 self.forced <= set(self.selection) <= set(range(self.k))
                 and len(self.selection) <= self.room):
             raise ValueError("selection")
 
-    def _rows(self, given: Sequence[Sequence[float]]) -> list[list[Fraction]]:
-        rows = [_exact(row) for row in given]
+    def _rows(self, values: Sequence[Sequence[float]]) -> list[list[Fraction]]:
+        rows = [_exact(row) for row in values]
         if any(len(row) != self.k + 1 for row in rows):
             raise ValueError("a row has not one value for each term and the target")
         return rows
@@ -258,36 +266,38 @@ class Axis:
             raise Refused(f"axis {self.name}: the tree goes on after all is decided")
         return counts[0], counts[1], counts[2]
 
-    def _step(self, node: Node, counts: list[int], what: Any, *values: Any) -> list[Node]:
-        """Check one step, count the selections that it decides, and return what it leaves."""
+    def _step(self, node: Node, counts: list[int], step: Any, *values: Any) -> list[Node]:
+        """Check one step, count the selections that it decides, and return the nodes it leaves."""
+        # How many more columns a selection of this node can have, and how many such selections
+        # there are.
         room = min(self.room - len(node.used), len(node.rest))
         inside = sum(comb(len(node.rest), n) for n in range(room + 1))
-        if what == "split":
+        if step == "split":
             return self.halves(node, *values)
-        if what == "limits":
+        if step == "limits":
             return [self.limited(node, *values)]
-        if what == "closed":
+        if step == "closed":
             if not self.is_closed(node, *values):
                 raise Refused("a selection may be better: the bound does not close")
             counts[0] += inside
-        elif what == "one":
+        elif step == "one":
             if room:
                 raise Refused("a single selection was claimed, but terms are open")
             value = self.score(node.used)
             if value is not None and value < self.limit:
                 raise Refused("a selection is better than the limit")
             counts[0] += 1
-        elif what == "open":
+        elif step == "open":
             counts[1] += inside
         else:
-            raise Refused(f"there is no step {what!r:.20}")
+            raise Refused(f"there is no step {step!r:.20}")
         return []
 
     def root(self) -> Node:
         """Return the node of all selections."""
         # No denominator is above the sum of all, and t is below 1 / (c margin).
-        most = 1 / (self.margin * self.checks) if self.rational else Fraction(1)
-        upper = (*[UPPER] * self.checks, -(-most.numerator * UPPER // most.denominator))
+        largest_t = 1 / (self.margin * self.checks) if self.rational else Fraction(1)
+        upper = (*[UPPER] * self.checks, -(-largest_t.numerator * UPPER // largest_t.denominator))
         size = range(self.k + 1)
         node = Node((), tuple(range(self.k)), upper, tuple(size), [[0] * (i + 1) for i in size])
         node = self._weighed(node, [self._weight(u) for u in upper[:-1]])
@@ -299,19 +309,24 @@ class Axis:
         """Return the selections without an open column and, if there is room, those that use it."""
         if type(j) is not int or j not in node.rest:
             raise Refused("a split is by a term that is not open")
+        # Without the column its row and its column of the lower half go.
         p = node.columns.index(j)
-        rest = tuple(i for i in node.rest if i != j)
+        open_columns = tuple(i for i in node.rest if i != j)
         fewer = [row if i < p else row[:p] + row[p + 1:]
                  for i, row in enumerate(node.form) if i != p]
-        without = replace(node, rest=rest, form=fewer,
+        without = replace(node, rest=open_columns, form=fewer,
                           columns=node.columns[:p] + node.columns[p + 1:])
         return [without, self._using(node, j)] if len(node.used) < self.room else [without]
 
     def _using(self, node: Node, j: int) -> Node:
         """Return the selections that use column j: the square of its normal equation is 0."""
+        # Row j of A'A times z is zero for the least-squares z, so its square may be added with any
+        # weight.
         row = [self.gram[j][i] for i in node.columns]
-        form = [[value + more * other for value, other in zip(old, row, strict=False)]
-                for old, more in zip(node.form, (self.normal * v for v in row), strict=True)]
+        form = []
+        for old, gram in zip(node.form, row, strict=True):
+            weight = self.normal * gram
+            form.append([value + weight * entry for value, entry in zip(old, row, strict=False)])
         return replace(node, used=(*node.used, j), rest=tuple(i for i in node.rest if i != j),
                        form=form)
 
@@ -320,26 +335,30 @@ class Axis:
         return (_ONE * UPPER**2 * self.limit.denominator
                 // (self.limit.numerator * self.unit**2 * upper**2))
 
-    def _weighed(self, node: Node, more: Sequence[int]) -> Node:
+    def _weighed(self, node: Node, weights: Sequence[int]) -> Node:
         """Return a node with higher weights of the errors."""
         errors = [self.by_column[j] for j in node.columns]
-        scaled = [tuple(map(mul, more, column)) for column in errors]
-        return replace(node, form=[
-            [value + sum(map(mul, mine, other)) for value, other in zip(row, errors, strict=False)]
-            for row, mine in zip(node.form, scaled, strict=True)])
+        form = []
+        # To entry i, j of the form come the products of the errors' columns i and j, weighted.
+        for row, column in zip(node.form, errors, strict=True):
+            weighted = tuple(map(mul, weights, column))
+            form.append([value + sum(map(mul, weighted, other))
+                         for value, other in zip(row, errors, strict=False)])
+        return replace(node, form=form)
 
     def limited(self, node: Node, spheres: Any) -> Node:
         """Return a node with limits as low as the multipliers alpha prove them.
 
         Raises Refused if they prove nothing.
         """
-        found = self._extent(node, spheres, range(1, len(self.lines)))
-        if found is None or found[0] or not self.rational:
+        extent = self._extent(node, spheres, range(1, len(self.lines)))
+        if extent is None or extent[0] or not self.rational:
             raise Refused("the limits have no proof")
-        upper = [max(1, min(old, new)) for old, new in zip(node.upper, found[1], strict=True)]
-        more = [self._weight(new) - self._weight(old)
-                for new, old in zip(upper[:-1], node.upper[:-1], strict=True)]
-        return replace(self._weighed(node, more), upper=tuple(upper))
+        # Limits only ever fall, and stay positive.
+        upper = [max(1, min(old, new)) for old, new in zip(node.upper, extent[1], strict=True)]
+        added = [self._weight(new) - self._weight(old)
+                 for new, old in zip(upper[:-1], node.upper[:-1], strict=True)]
+        return replace(self._weighed(node, added), upper=tuple(upper))
 
     def is_closed(self, node: Node, spheres: Any, k: int | None = None) -> bool:
         """Return whether no selection of a node is below the limit.
@@ -348,8 +367,8 @@ class Axis:
         """
         if k is not None and not (self.rational and type(k) is int and 0 <= k < self.checks):
             raise ValueError("a denominator")
-        found = self._extent(node, spheres, [] if k is None else [k + 1])
-        return found is not None and (found[0] or min(found[1], default=0) < 0)
+        extent = self._extent(node, spheres, [] if k is None else [k + 1])
+        return extent is not None and (extent[0] or min(extent[1], default=0) < 0)
 
     def _extent(self, node: Node, spheres: Any,
                 lines: Sequence[int]) -> tuple[bool, list[int]] | None:
@@ -369,36 +388,42 @@ class Axis:
         rows = []
         for p, (i, alpha) in enumerate(zip(node.columns, alphas, strict=True)):
             gram = self.gram[i]
-            rows.append([(value + (alpha + other) * gram[j]) >> drop for value, other, j in zip(
+            rows.append([(value + (alpha + alpha_j) * gram[j]) >> drop for value, alpha_j, j in zip(
                 node.form[p], alphas, node.columns, strict=False)])
             rows[p][p] -= h
         if self.rational:
             rows[-1][-1] += (UPPER**2 << _PLACES) // (_SHARE * node.upper[-1]**2)
         for at in [0, *lines]:
             rows.append([self.lines[at][j] for j in node.columns] + [0] * (1 + (at > 0)))
-        left = _eliminated(rows, n)
-        if left is None:
+        remainder = _eliminated(rows, n)
+        if remainder is None:
             return None
         # C of the theorem, by the last rows. Times 1 + beta, z'Qz is at most 1.
-        one = (1 << _PLACES) * _SHARE // (_SHARE + self.rational)
-        ss = h + 1 - left[0][0]
-        if ss < one:
+        unit_of_beta = (1 << _PLACES) * _SHARE // (_SHARE + self.rational)
+        ss = h + 1 - remainder[0][0]
+        if ss < unit_of_beta:
             return True, []
-        most = []
-        for sa, aa in left[1:]:
+        largest = []
+        for sa, aa in remainder[1:]:
+            # The largest value of a line over the ellipsoid cut by s'z = 1, from the last rows; the
+            # root is rounded up.
             det = ss * (h + 1 - aa) - sa * sa
-            root = isqrt(max(0, det * (ss - one) // one + 1)) + 1
-            most.append(-((sa - root) * UPPER // ss))
-        return False, most
+            root = isqrt(max(0, det * (ss - unit_of_beta) // unit_of_beta + 1)) + 1
+            largest.append(-((sa - root) * UPPER // ss))
+        return False, largest
 
     def score(self, used: Sequence[int]) -> Fraction | None:
         """Return the score of one selection, None if it has none: rounded down, hence a bound."""
-        x, det = _solved([[self.gram[i][j] for j in used] for i in used],
-                         [self.gram[i][self.k] for i in used])
+        # The normal equations of the selection, exactly: x / det are its coefficients.
+        matrix = []
+        for i in used:
+            matrix.append([self.gram[i][j] for j in used])
+        x, det = _solved(matrix, [self.gram[i][self.k] for i in used])
         if det == 0:
             return None
         total = 0
         for m in range(self.checks):
+            # Both times det, so that all stays in integers.
             error = self.e[m][-1] * det - sum(
                 self.e[m][j] * v for j, v in zip(used, x, strict=True))
             below = self.unit * det
@@ -420,7 +445,7 @@ def _eliminated(rows: list[list[int]], n: int) -> list[list[int]] | None:
     The first n rows are a lower half. The next has a diagonal, too; each other row has an entry in
     its column and a diagonal of its own. Each of n updates of one place is off by less than 2.
     """
-    bits = max(value.bit_length() for row in rows for value in row)
+    bits = max(value.bit_length() for value in chain.from_iterable(rows))
     for k in range(n):
         pivot, *firsts = [row[0] for row in rows]
         if pivot <= 0 or max(map(int.bit_length, firsts)) > bits:
@@ -428,18 +453,23 @@ def _eliminated(rows: list[list[int]], n: int) -> list[list[int]] | None:
         column = firsts[:n - k]
         below = []
         for i, (first, row) in enumerate(zip(firsts, rows[1:], strict=True)):
+            # A fixed-point ratio with as many binary places as the largest entry has.
             ratio = (first << bits) // pivot
-            other = column if i < n - k else [*column, first]
+            factors = column if i < n - k else [*column, first]
             below.append([value - (ratio * factor >> bits)
-                          for value, factor in zip(row[1:], other, strict=False)])
+                          for value, factor in zip(row[1:], factors, strict=False)])
         rows = below
     return rows
 
 
 def _integers(rows: list[list[Fraction]]) -> tuple[list[list[int]], int]:
     """Return rows of binary fractions as integers, and the unit they were multiplied by."""
-    unit = max((value.denominator for row in rows for value in row), default=1)
-    return [[int(value * unit) for value in row] for row in rows], unit
+    # Denominators are powers of two, so the largest is a multiple of all.
+    unit = max((value.denominator for value in chain.from_iterable(rows)), default=1)
+    integers = []
+    for row in rows:
+        integers.append([int(value * unit) for value in row])
+    return integers, unit
 
 
 def _solved(matrix: list[list[int]], target: list[int]) -> tuple[list[int], int]:
@@ -449,6 +479,7 @@ def _solved(matrix: list[list[int]], target: list[int]) -> tuple[list[int], int]
     """
     n = len(matrix)
     last = 1
+    # Bareiss: every division is exact, as entries are minors of the matrix.
     rows = [[*row, value] for row, value in zip(matrix, target, strict=True)]
     for k in range(n):
         if rows[k][k] == 0:  # inner products: a zero pivot is a dependent column

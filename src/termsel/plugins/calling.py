@@ -22,7 +22,7 @@ class Answers:
     """What plugins answered to a hook."""
 
     # each thing with its plugin, in pluggy's order
-    things: list[tuple[Plugin, Any]] = field(default_factory=list)
+    items: list[tuple[Plugin, Any]] = field(default_factory=list)
     # plugins that failed, with the reason
     faults: list[tuple[Plugin, str]] = field(default_factory=list)
 
@@ -34,12 +34,12 @@ Taken = Callable[[Any], list[Any]]
 """Takes what a plugin returned; returns the things that it gives."""
 
 
-def call(hook: str, slots: Iterable[Slot], taken: Taken, arguments: Arguments | None = None,
+def call(hook: str, slots: Iterable[Slot], accept: Taken, arguments: Arguments | None = None,
          seconds: float | None = None) -> Answers:
     """Call a hook of all plugins that implement it, the slots, through pluggy.
 
-    `taken` raises TypeError for what a plugin may not return. Each plugin may take so many seconds,
-    by default as long as an import.
+    `accept` raises TypeError for what a plugin may not return. Each plugin may take so many
+    seconds, by default as long as an import.
     """
     answers = Answers()
     givers = _Givers()
@@ -50,11 +50,13 @@ def call(hook: str, slots: Iterable[Slot], taken: Taken, arguments: Arguments | 
     # pluggy calls first what is registered last.
     for slot in reversed(list(slots)):
         guard = _wrapper if slot.hooks[hook].wrapper or slot.hooks[hook].hookwrapper else _plain
-        function = guard(slot, slot.hooks[hook], arguments, taken, answers, givers, seconds)
+        function = guard(slot, slot.hooks[hook], arguments, accept, answers=answers,
+                         givers=givers, seconds=seconds)
         manager.register(SimpleNamespace(**{hook: function}), _key(slot))
+    # pluggy passes arguments by name; each guard replaces them by its plugin's own.
     results = getattr(manager.hook, hook)(**dict.fromkeys(arguments))
-    for one in results:
-        answers.things += [(givers.of(thing), thing) for thing in one]
+    for items in results:
+        answers.items += [(givers.of(item), item) for item in items]
     return answers
 
 
@@ -64,46 +66,46 @@ class _Givers:
     def __init__(self) -> None:
         self._plugins: dict[int, tuple[Plugin, Any]] = {}  # with the thing, so that its id stays
 
-    def gave(self, plugin: Plugin, things: Iterable[Any]) -> None:
-        for thing in things:
-            self._plugins.setdefault(id(thing), (plugin, thing))
+    def gave(self, plugin: Plugin, items: Iterable[Any]) -> None:
+        for item in items:
+            self._plugins.setdefault(id(item), (plugin, item))
 
-    def of(self, thing: Any) -> Plugin:
-        return self._plugins[id(thing)][0]
+    def of(self, item: Any) -> Plugin:
+        return self._plugins[id(item)][0]
 
 
 def listed(value: Any) -> list[Any]:
     """Return what a hook returned as a list; TypeError if it is none, or has no end."""
     if isinstance(value, str | type) or not isinstance(value, Iterable):
         raise TypeError(f"returned {value!r}, not a list")
-    things: list[Any] = []
-    for thing in value:
-        things.append(thing)
-        if len(things) > MOST:
+    items: list[Any] = []
+    for item in value:
+        items.append(item)
+        if len(items) > MOST:
             raise TypeError(f"returned more than {MOST:,} things; the list must end")
-    return things
+    return items
 
 
-def _plain(slot: Slot, implementation: pluggy.HookImpl, arguments: Arguments, taken: Taken,
+def _plain(slot: Slot, implementation: pluggy.HookImpl, arguments: Arguments, accept: Taken,
            answers: Answers, givers: _Givers, seconds: float | None) -> Callable[..., Any]:
     """Return an implementation that never raises; what it returns is a list of things."""
     @wraps(implementation.function)
-    def answer(*_args: Any, **_given: Any) -> list[Any] | None:
-        things, reason = slot.attempt(
-            lambda: taken(_called(implementation, slot.plugin, arguments)), seconds)
+    def answer(*_args: Any, **_keywords: Any) -> list[Any] | None:
+        items, reason = slot.attempt(
+            lambda: accept(_called(implementation, slot.plugin, arguments)), seconds)
         if reason is not None:
             answers.faults.append((slot.plugin, reason))
-        givers.gave(slot.plugin, things or ())
-        return things or None
+        givers.gave(slot.plugin, items or ())
+        return items or None
 
     return answer
 
 
-def _wrapper(slot: Slot, implementation: pluggy.HookImpl, arguments: Arguments, _taken: Taken,
+def _wrapper(slot: Slot, implementation: pluggy.HookImpl, arguments: Arguments, _accept: Taken,
              answers: Answers, givers: _Givers, seconds: float | None) -> Callable[..., Any]:
     """Return a wrapper that never raises; if it fails, what it wraps is the result."""
     @wraps(implementation.function)
-    def wrap(*_args: Any, **_given: Any) -> Generator[None, Any, Any]:
+    def wrap(*_args: Any, **_keywords: Any) -> Generator[None, Any, Any]:
         def begin() -> Generator[None, Any, Any]:
             running: Generator[None, Any, Any] = _called(implementation, slot.plugin, arguments)
             next(running)
@@ -113,17 +115,17 @@ def _wrapper(slot: Slot, implementation: pluggy.HookImpl, arguments: Arguments, 
         inner = yield
         # An old wrapper gets a pluggy.Result, and changes it.
         before = inner if implementation.wrapper else inner.get_result()
-        made = None
+        outcome = None
         if running is not None:
-            made, reason = slot.attempt(partial(_ended, running, inner), seconds)
+            outcome, reason = slot.attempt(partial(_ended, running, inner), seconds)
         if reason is not None:
             answers.faults.append((slot.plugin, f"as a wrapper: {reason}"))
-        for things in made or ():
-            givers.gave(slot.plugin, things)
-        kept = before if made is None else made
+        for items in outcome or ():
+            givers.gave(slot.plugin, items)
+        final = before if outcome is None else outcome
         if implementation.hookwrapper:
-            inner.force_result(kept)
-        return kept
+            inner.force_result(final)
+        return final
 
     return wrap
 
@@ -134,10 +136,11 @@ def _ended(running: Generator[None, Any, Any], inner: Any) -> list[list[Any]] | 
     try:
         running.send(inner if old else list(inner))
     except StopIteration as end:
-        made = inner.get_result() if old else end.value
-        if made is None and inner:
+        outcome = inner.get_result() if old else end.value
+        if outcome is None and inner:
             raise TypeError("returned nothing; a wrapper returns the lists that it gets") from None
-        return None if made is None else [listed(one) for one in listed(made)]
+        return None if outcome is None else [listed(items) for items in listed(outcome)]
+    # A wrapper yields once: what it does after that is not defined.
     running.close()
     raise RuntimeError("it yields twice")
 

@@ -25,53 +25,54 @@ class Kind:
 
     The type `base` is imported from its module `home` when needed; without a home it belongs to a
     package, and is the class that says which `kind` it is and where its `suite` of conformance is.
-    A hook returns subclasses of a `Configurable` type, and instances of another. Where `tried`, a
-    class is refused that cannot be made without options: every reader is asked about a file and
-    every writer about a result; models may need options.
+    A hook returns subclasses of a `Configurable` type, and instances of another. Where
+    `must_start`, a class is refused that cannot be made without options: every reader is asked
+    about a file and every writer about a result; models may need options.
     """
 
     word: str
     home: str
     base: str
-    tried: bool = False
+    must_start: bool = False
 
-    def base_of(self, thing: Any) -> type | None:
+    def base_of(self, item: Any) -> type | None:
         """Return the type that a thing must be of; None if it is of no type of this kind."""
         if self.home:
             return getattr(import_module(self.home), self.base)  # type: ignore[no-any-return]
-        classes = (thing if isinstance(thing, type) else type(thing)).__mro__
+        # A kind of a package is known by the class that states it, wherever that is.
+        classes = (item if isinstance(item, type) else type(item)).__mro__
         return next((cls for cls in classes if vars(cls).get("kind") == self.word), None)
 
-    def is_of(self, thing: Any) -> bool:
+    def is_of(self, item: Any) -> bool:
         """Return whether a thing is a class or an instance of the kind."""
-        base = self.base_of(thing)
+        base = self.base_of(item)
         return base is not None and (
-            issubclass(thing, base) if isinstance(thing, type) else isinstance(thing, base))
+            issubclass(item, base) if isinstance(item, type) else isinstance(item, base))
 
-    def require_returned(self, thing: Any) -> None:
+    def require_returned(self, item: Any) -> None:
         """Refuse as `require_of`, and an instance where classes are wanted, by TypeError."""
-        if isinstance(thing, Configurable):
-            raise TypeError(f"returned an object of type {type(thing).__name__}, not a subclass of "
+        if isinstance(item, Configurable):
+            raise TypeError(f"returned an object of type {type(item).__name__}, not a subclass of "
                             f"{self.base}; return the class")
-        self.require_of(thing)
-        if self.tried:
-            thing()
+        self.require_of(item)
+        if self.must_start:
+            item()
 
-    def require_of(self, thing: Any) -> None:
+    def require_of(self, item: Any) -> None:
         """Refuse by TypeError what is not of the kind, lacks methods or has no usable name."""
-        base = self.base_of(thing)
+        base = self.base_of(item)
         classes = base is None or issubclass(base, Configurable)
-        wanted = f"a subclass of {self.base}" if classes else f"an instance of {self.base}"
-        if isinstance(thing, type):
-            if not classes or base is None or not issubclass(thing, base):
-                raise TypeError(f"returned the class {thing.__name__}, not {wanted}")
-            if inspect.isabstract(thing):
-                missing = ", ".join(sorted(getattr(thing, "__abstractmethods__", ())))
-                raise TypeError(f"returned the class {thing.__name__}, which lacks {missing}")
-        elif base is None or not isinstance(thing, base):
-            raise TypeError(f"returned an object of type {type(thing).__name__}, not {wanted}")
-        name = getattr(thing, "name", None)
-        cls = thing if isinstance(thing, type) else type(thing)
+        expected = f"a subclass of {self.base}" if classes else f"an instance of {self.base}"
+        if isinstance(item, type):
+            if not classes or base is None or not issubclass(item, base):
+                raise TypeError(f"returned the class {item.__name__}, not {expected}")
+            if inspect.isabstract(item):
+                missing = ", ".join(sorted(getattr(item, "__abstractmethods__", ())))
+                raise TypeError(f"returned the class {item.__name__}, which lacks {missing}")
+        elif base is None or not isinstance(item, base):
+            raise TypeError(f"returned an object of type {type(item).__name__}, not {expected}")
+        name = getattr(item, "name", None)
+        cls = item if isinstance(item, type) else type(item)
         if not isinstance(name, str) or not _NAME.fullmatch(name):
             raise TypeError(f"returned {cls.__name__} with the name {name!r}; a name is text "
                             "without blanks and colons")
@@ -83,17 +84,18 @@ def _attribute_fault(cls: type) -> str | None:
     """Return which attribute of a class is of another type than where termsel declares it."""
     for base in cls.__mro__:
         for name, usual in vars(base).items() if is_own(base) else ():
-            found = getattr(cls, name)
+            # Compared with the type of the default where termsel declares the attribute.
+            value = getattr(cls, name)
             kind = next((kind for kind in _PLAIN if isinstance(usual, kind)), None)
-            if name.startswith("_") or kind is None or isinstance(found, property):
+            if name.startswith("_") or kind is None or isinstance(value, property):
                 continue
             accepted = (list, tuple) if kind is tuple else kind
-            if not isinstance(found, accepted):
-                return f"{name} = {found!r:.100}, which is no {kind.__name__}"
-    for name, wanted in (("declared_options", Option), ("segments", type)):
-        for one in getattr(cls, name, ()):
-            if not isinstance(one, wanted):
-                return f"{name} that hold {one!r:.100}, which is no {wanted.__name__}"
+            if not isinstance(value, accepted):
+                return f"{name} = {value!r:.100}, which is no {kind.__name__}"
+    for name, expected in (("declared_options", Option), ("segments", type)):
+        for element in getattr(cls, name, ()):
+            if not isinstance(element, expected):
+                return f"{name} that hold {element!r:.100}, which is no {expected.__name__}"
     return None
 
 
@@ -104,25 +106,25 @@ KINDS = {
     "problems": Kind("problem", "termsel.selection.problems.recipes", "Recipe"),
     "models": Kind("model", "termsel.models", "SensorModel"),
     "solvers": Kind("solver", "termsel.selection.solvers", "Solver"),
-    "criteria": Kind("criterion", "termsel.selection.criteria", "Criterion", tried=True),
+    "criteria": Kind("criterion", "termsel.selection.criteria", "Criterion", must_start=True),
     "objectives": Kind("objective", "termsel.selection.problems.objectives", "Objective"),
     "candidates": Kind("candidate", "termsel.auto.base", "Candidate"),
-    "matchers": Kind("matcher", "", "Matcher", tried=True),
+    "matchers": Kind("matcher", "", "Matcher", must_start=True),
     "datasets": Kind("data set", "termsel.data.datasets", "DatasetSpec"),
     "splits": Kind("split", "termsel.data.splits", "Split"),
     "sections": Kind("section", "termsel.results.extras", "ReportSection"),
     "measures": Kind("measure", "termsel.results.extras", "Measure"),
-    "readers": Kind("reader", "termsel.formats.base", "Reader", tried=True),
-    "writers": Kind("writer", "termsel.formats.base", "Writer", tried=True),
+    "readers": Kind("reader", "termsel.formats.base", "Reader", must_start=True),
+    "writers": Kind("writer", "termsel.formats.base", "Writer", must_start=True),
 }
 """By the plural, which is also the last part of the hook's name."""
 
 
-def summary(thing: Any) -> str:
+def summary(item: Any) -> str:
     """Return one line on a thing: its summary, or the first line of its docstring."""
-    declared = getattr(thing, "summary", None)
+    declared = getattr(item, "summary", None)
     if isinstance(declared, str):
         return declared
     # Not inspect.getdoc(), which would give an undocumented class the line of its base.
-    text = (thing if isinstance(thing, type) else type(thing)).__doc__ or ""
+    text = (item if isinstance(item, type) else type(item)).__doc__ or ""
     return text.strip().partition("\n")[0]

@@ -51,9 +51,9 @@ class Plugin:
     version: str
     hooks: tuple[str, ...] = ()
 
-    def remark(self, what: str) -> Remark:
+    def remark(self, text: str) -> Remark:
         """Return a remark on the plugin."""
-        return Remark(self.name, self.distribution, self.version, what)
+        return Remark(self.name, self.distribution, self.version, text)
 
 
 @dataclass(frozen=True)
@@ -133,11 +133,12 @@ class Slot:
         """Run code of the plugin (see `attempt`), and note how long it takes."""
         if self.left_out:
             return None, self.left_out
+        # Import and hooks of a plugin count together, for `termsel plugins`.
         start = time.perf_counter()
         value, reason = attempt(call, self.package, seconds)
-        taken = time.perf_counter() - start
-        self.seconds += taken
-        if reason is not None and taken > (seconds or LIMIT):
+        seconds_taken = time.perf_counter() - start
+        self.seconds += seconds_taken
+        if reason is not None and seconds_taken > (seconds or LIMIT):
             self.left_out = "it is not asked, as it took too long before"
         return value, reason  # type: ignore[return-value]
 
@@ -176,10 +177,10 @@ class Loader:
     def _installed(self) -> list[EntryPoint]:
         """Return the entry points of the installed plugins that may be used."""
         allowed = os.environ.get("TERMSEL_PLUGINS")
-        wanted = {canonical(name) for name in (allowed or "").split(",") if name.strip()}
+        chosen_names = {canonical(name) for name in (allowed or "").split(",") if name.strip()}
         # termsel's own entry point serves other programs; `builtin` is loaded without it, so
         # that termsel works from a source folder that is not installed.
-        seen = {PROJECT}
+        names_seen = {PROJECT}
         points: list[EntryPoint] = []
         # Not entry_points(): one package with unreadable metadata would hide all plugins.
         for distribution in distributions():
@@ -188,13 +189,13 @@ class Loader:
                 continue
             name = _name_of(distribution)
             # Of a distribution that is found twice, Python imports the first.
-            if name not in seen and (allowed is None or name in wanted):
+            if name not in names_seen and (allowed is None or name in chosen_names):
                 points += of_plugins
                 if fault:
                     self._missing.append(Plugin("", name, ""))
                     self.failures.append(self._missing[-1].remark(fault))
-            seen.add(name)
-        for name in sorted(wanted - seen):
+            names_seen.add(name)
+        for name in sorted(chosen_names - names_seen):
             self._missing.append(Plugin("", name, ""))
             self.failures.append(self._missing[-1].remark(
                 "named in TERMSEL_PLUGINS, but not installed"))
@@ -215,9 +216,10 @@ class Loader:
         if reason is not None:
             self.failures.append(plugin.remark(f"does not fit the hooks: {reason}"))
             return
-        hooks = {caller.name: implementation
-                 for caller in manager.get_hookcallers(module) or ()
-                 for implementation in caller.get_hookimpls()}
+        hooks = {}
+        for caller in manager.get_hookcallers(module) or ():
+            for implementation in caller.get_hookimpls():
+                hooks[caller.name] = implementation
         if not hooks:
             self.failures.append(plugin.remark(
                 "no hooks; its functions need the decorator termsel.hookimpl"))
@@ -254,11 +256,12 @@ def hooks_in_source(point: EntryPoint) -> Callable[[str], bool]:
 
 def _source(module: str) -> str:
     """Return the text of a module; nothing where it cannot be found without an import."""
+    # Package by package, as an import would go, but without running any code.
     spec = None
     path = None
-    parts = module.split(".")
-    for i in range(len(parts)):
-        spec = PathFinder.find_spec(".".join(parts[:i + 1]), path)
+    names = module.split(".")
+    for i in range(len(names)):
+        spec = PathFinder.find_spec(".".join(names[:i + 1]), path)
         if spec is None:
             return ""
         path = spec.submodule_search_locations
@@ -283,6 +286,7 @@ def _points_of(distribution: Distribution) -> tuple[list[EntryPoint], str]:
         return [], f"its entry_points.txt cannot be read: {reason}"
     if points and attempt(lambda: _named(distribution))[1]:
         return [], "its METADATA is missing or cannot be read; install it again"
+    # Reversed, so that of two with a name the first is kept.
     first = {point.name: point for point in reversed(points)}
     if len(first) < len(points):
         twice = next(point.name for point in points if first[point.name] is not point)
@@ -317,5 +321,5 @@ def _plugin_of(point: EntryPoint) -> Plugin:
 @cache
 def _named(distribution: Distribution) -> tuple[str, str]:
     """Return name and version: metadata are parsed whenever they are asked for."""
-    known = distribution.metadata
-    return canonical(known["Name"]), known["Version"] or ""
+    metadata = distribution.metadata
+    return canonical(metadata["Name"]), metadata["Version"] or ""

@@ -8,6 +8,7 @@ from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from importlib.metadata import EntryPoint
+from itertools import chain, product
 from typing import TYPE_CHECKING, Any
 
 from termsel.core.errors import TermselError, printable, unknown_name
@@ -101,57 +102,67 @@ class Registry:
 
     def get(self, kind: str, name: str) -> Any:
         """Return the thing of a kind of `KINDS` that has a name, or ``distribution:name``."""
-        if (thing := self.known(kind, name)) is not None:
-            return thing
+        if (item := self.known(kind, name)) is not None:
+            return item
         raise unknown_name(KINDS[kind].word, name, self.names(kind), self.hint(name, kind))
 
     def known(self, kind: str, name: str) -> Any:
         """Return the thing of a kind that has a name, as for `get`; None if there is none."""
         # A built-in thing always has its name, so that no plugin need be imported for it.
-        return next((entry.object for names in (built_in(), self) for entry in names.entries(kind)
-                     if entry.answers_to(name)), None)
+        for names in (built_in(), self):
+            for entry in names.entries(kind):
+                if entry.answers_to(name):
+                    return entry.object
+        return None
 
-    def taken(self, kind: str, given: Any) -> Any:
+    def taken(self, kind: str, value: Any) -> Any:
         """Return what is given, of a kind of `KINDS`, or the thing of its name, as for `get`."""
-        if isinstance(given, str):
-            return self.get(kind, given)
+        if isinstance(value, str):
+            return self.get(kind, value)
         try:
             required = KINDS[kind]
-            (required.require_returned if isinstance(given, type) else required.require_of)(given)
+            (required.require_returned if isinstance(value, type) else required.require_of)(value)
         except TypeError as error:
             why = str(error).removeprefix("returned ")  # as is said of what a hook returns
-            raise TermselError(f"{given!r} is no {KINDS[kind].word}: {why}",
+            raise TermselError(f"{value!r} is no {KINDS[kind].word}: {why}",
                                hint=f"Give a name (termsel list {kind}), or what a plugin would "
                                     "return.") from error
-        return given
+        return value
 
-    def register(self, thing: Any) -> Any:
+    def register(self, item: Any) -> Any:
         """Make a thing known by its name in this process (see `termsel.register`)."""
         for kind in KINDS:
-            if not KINDS[kind].is_of(thing) or isinstance(thing, Configurable):
+            if not KINDS[kind].is_of(item) or isinstance(item, Configurable):
                 continue
-            thing = self.taken(kind, thing)
+            item = self.taken(kind, item)
             provided = self._collect(kind)
-            entry = _entry(kind, Plugin(SESSION, SESSION, ""), thing)
-            provided.entries[:] = [one for one in provided.entries
-                                   if one.full_name != entry.full_name]
+            entry = _entry(kind, Plugin(SESSION, SESSION, ""), item)
+            # A thing registered again replaces the earlier one, as cells of a notebook are run
+            # again.
+            provided.entries[:] = [other_entry for other_entry in provided.entries
+                                   if other_entry.full_name != entry.full_name]
             _add(provided.entries, entry, kind,
-                 {one.name: one.provided_by for one in provided.entries})
-            return thing
-        raise TermselError(f"{thing!r} is nothing that termsel has names for",
+                 {other_entry.name: other_entry.provided_by for other_entry in provided.entries})
+            return item
+        raise TermselError(f"{item!r} is nothing that termsel has names for",
                            hint="Register a class of " + ", ".join(KINDS) + "; or a description.")
 
     def find(self, name: str) -> list[tuple[str, Entry]]:
         """Return kind and entry of everything that has a name."""
-        return [(kind, entry) for kind in KINDS for entry in self.entries(kind)
-                if entry.answers_to(name)]
+        matching = []
+        for kind in KINDS:
+            matching += [(kind, entry) for entry in self.entries(kind) if entry.answers_to(name)]
+        return matching
 
-    def origin(self, thing: Any) -> Entry | None:
+    def origin(self, item: Any) -> Entry | None:
         """Return the entry of a class, `Recipe` or `DatasetSpec`; None if nothing provides it."""
-        kinds = [kind for kind in KINDS if KINDS[kind].is_of(thing)]
+        kinds = [kind for kind in KINDS if KINDS[kind].is_of(item)]
         # Equality: a recipe that comes from another process is not the same object.
-        return next((entry for names in (built_in(), self) for kind in kinds
-                     for entry in names.entries(kind) if entry.object == thing), None)
+        for names, kind in product((built_in(), self), kinds):
+            for entry in names.entries(kind):
+                if entry.object == item:
+                    return entry
+        return None
 
     def version(self, distribution: str) -> str:
         """Return the version of a distribution that provides a plugin; none of this session."""
@@ -165,9 +176,8 @@ class Registry:
         """
         if not kinds:
             self._loader.load_all()
-        of_kinds = [failure for kind in kinds or (*KINDS, "commands")
-                    for failure in self._collect(kind).failures]
-        return [*self._loader.failures, *of_kinds]
+        of_kinds = [self._collect(kind).failures for kind in kinds or (*KINDS, "commands")]
+        return [*self._loader.failures, *chain.from_iterable(of_kinds)]
 
     def hint(self, name: str, *kinds: str) -> str:
         """Return a sentence on where an unknown name may come from, or nothing."""
@@ -183,6 +193,7 @@ class Registry:
 
     def missing(self, name: str) -> str:
         """Return a sentence on the package that a name comes with; nothing if it is installed."""
+        # "distribution:name" says the package; else the list of the packages' names.
         package = canonical(name.rpartition(":")[0])
         if not package:
             package = parts.package_of_name(name)
@@ -198,17 +209,17 @@ class Registry:
     def parts(self) -> list[parts.Part]:
         """Return the parts that plugins have; a plugin that fails is told."""
         if self._parts is None:
-            self._parts = [part for _, part in self._unnamed("parts", _parts)]
+            self._parts = [extension for _, extension in self._unnamed("parts", _parts)]
         return self._parts
 
-    def _unnamed(self, word: str, taken: Taken) -> list[tuple[Plugin, Any]]:
+    def _unnamed(self, plural: str, accept: Taken) -> list[tuple[Plugin, Any]]:
         """Return what a hook gives of what has no name, with the plugins; warn of those that fail.
         """
-        hook = f"{PROJECT}_{word}"
-        answers = call(hook, self._loader.slots_of(hook), taken)
+        hook = f"{PROJECT}_{plural}"
+        answers = call(hook, self._loader.slots_of(hook), accept)
         for plugin, reason in answers.faults:
             _warn(plugin, f"{hook}: {reason}")
-        return answers.things
+        return answers.items
 
     def notify_run_finished(self, result: Result) -> None:
         """Give every plugin that asks for it a copy of a finished run; warn of those that fail."""
@@ -239,8 +250,8 @@ class Registry:
         hook = f"{PROJECT}_{kind}"
         answers = call(hook, self._loader.slots_of(hook), listed)
         entries = []
-        for plugin, thing in answers.things:
-            entry, reason = attempt(partial(_entry, kind, plugin, thing))
+        for plugin, item in answers.items:
+            entry, reason = attempt(partial(_entry, kind, plugin, item))
             if entry is not None:
                 entries.append((plugin, entry))
             if reason is not None:
@@ -252,13 +263,17 @@ class Registry:
         import click
 
         # Each plugin has its own group, so that none replaces a command of another.
+        # Commands come as click groups that the hooks fill.
         groups: dict[Plugin, click.Group] = {}
         hook = f"{PROJECT}_commands"
         answers = call(hook, self._loader.slots_of(hook), _nothing,
                        {"cli": lambda plugin: groups.setdefault(plugin, click.Group())})
-        return ([(plugin, Entry(name, command.get_short_help_str(), plugin.distribution, command))
-                 for plugin, group in groups.items() for name, command in group.commands.items()],
-                answers.faults)
+        entries = []
+        for plugin, group in groups.items():
+            for name, command in group.commands.items():
+                line = command.get_short_help_str()
+                entries.append((plugin, Entry(name, line, plugin.distribution, command)))
+        return entries, answers.faults
 
 
 Offered = tuple[list[tuple[Plugin, Entry]], list[tuple[Plugin, str]]]
@@ -281,8 +296,8 @@ sources.append(lambda: [entry.object for entry in registry().entries("sections")
 parts.sources.append(lambda: registry().parts())
 
 
-def _warn(plugin: Plugin, what: str) -> None:
-    print(printable(f"Warning: {plugin.remark(what)}"), file=sys.stderr)
+def _warn(plugin: Plugin, text: str) -> None:
+    print(printable(f"Warning: {plugin.remark(text)}"), file=sys.stderr)
 
 
 def _kept(plugin: Plugin, observe: Callable[[Progress], None]) -> Callable[[Progress], None]:
@@ -306,28 +321,29 @@ def _nothing(_value: Any) -> list[Any]:
 
 def _parts(value: Any) -> list[Any]:
     """Return a list of parts; TypeError for anything else."""
-    given = listed(value)
-    if other := [one for one in given if not isinstance(one, parts.Part)]:
-        raise TypeError(f"returned an object of type {type(other[0]).__name__}, not a Part")
-    return given
+    extensions = listed(value)
+    if wrong := [extension for extension in extensions if not isinstance(extension, parts.Part)]:
+        raise TypeError(f"returned an object of type {type(wrong[0]).__name__}, not a Part")
+    return extensions
 
 
-def _entry(kind: str, plugin: Plugin, thing: Any) -> Entry:
-    KINDS[kind].require_returned(thing)
-    return Entry(thing.name, summary(thing), plugin.distribution, thing)
+def _entry(kind: str, plugin: Plugin, item: Any) -> Entry:
+    KINDS[kind].require_returned(item)
+    return Entry(item.name, summary(item), plugin.distribution, item)
 
 
 def _add(entries: list[Entry], entry: Entry, kind: str, owners: dict[str, str]) -> str | None:
     """Append an entry, by its full name where its name is taken; return how it clashes."""
     full = f"{entry.provided_by}:{entry.name}"
-    names = {other.name for other in entries}
+    names = {existing.name for existing in entries}
+    # Whoever has the name first keeps it; a second one is known by its full name.
     owner = owners.setdefault(entry.name, entry.provided_by)
     if owner == entry.provided_by and entry.name not in names:
         entries.append(entry)
         return None
-    word = KINDS[kind].word if kind in KINDS else "command"
+    kind_name = KINDS[kind].word if kind in KINDS else "command"
     if owner == entry.provided_by or full in names:
-        return f"provides the {word} {entry.name!r} twice; only the first is kept"
+        return f"provides the {kind_name} {entry.name!r} twice; only the first is kept"
     entries.append(replace(entry, name=full))
-    return (f"provides the {word} {entry.name!r}, a name that {owner} has too; "
+    return (f"provides the {kind_name} {entry.name!r}, a name that {owner} has too; "
             f"{full!r} selects this one")
