@@ -27,37 +27,40 @@ WANTED = {"email": "authors = [{ name = ..., email = ... }]", "repository": "url
 
 def stated(project: dict) -> dict[str, str]:
     """Return what a project table says of the four."""
+    # Keys of [project.urls] may have capitals.
     urls = {name.lower(): url for name, url in project.get("urls", {}).items()}
     emails = [author["email"] for author in project.get("authors", []) if "email" in author]
-    found = {"email": next(iter(emails), ""), "tracker": urls.get("issues", ""),
-             **{name: urls.get(name, "") for name in ("repository", "homepage")}}
-    return {name: text for name, text in found.items() if text}
+    metadata = {"email": next(iter(emails), ""), "tracker": urls.get("issues", ""),
+                **{name: urls.get(name, "") for name in ("repository", "homepage")}}
+    return {name: text for name, text in metadata.items() if text}
 
 
-def faults(known: dict[str, str]) -> list[str]:
+def faults(metadata: dict[str, str]) -> list[str]:
     """Return what the repository of plugins would refuse, as sentences."""
-    said = [f"{name} is missing: give --{name}, or {place} in {PROJECT.name}."
-            for name, place in WANTED.items() if name not in known]
-    for name, text in known.items():
+    sentences = [f"{name} is missing: give --{name}, or {where_stated} in {PROJECT.name}."
+                 for name, where_stated in WANTED.items() if name not in metadata]
+    for name, text in metadata.items():
         url = urlsplit(text)
         if name == "email":
             if not re.fullmatch(r"[^@\s]+@[^@\s]+\.[^@\s]+", text):
-                said.append(f"email {text!r} is no address.")
+                sentences.append(f"email {text!r} is no address.")
         elif url.scheme not in ("http", "https") or not url.netloc or len(text.split()) != 1:
-            said.append(f"{name} {text!r} is no address of a page, such as https://...")
-    return said
+            sentences.append(f"{name} {text!r} is no address of a page, such as https://...")
+    return sentences
 
 
-def pack(target: Path, known: dict[str, str]) -> None:
+def pack(target: Path, metadata: dict[str, str]) -> None:
     """Write the plugin's files, in their order, to a zip file, with more metadata."""
-    more = "".join(f"{name}={text}\n" for name, text in known.items())
+    further_lines = "".join(f"{name}={text}\n" for name, text in metadata.items())
     with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as packed:
+        # In the order of their names, so that the same files give the same archive.
         for file in sorted(FOLDER.rglob("*")):
             if not file.is_file() or "__pycache__" in file.parts:
                 continue
             name = str(file.relative_to(FOLDER.parent).as_posix())
             if file.name == "metadata.txt":
-                packed.writestr(name, file.read_text(encoding="utf-8").rstrip() + "\n" + more)
+                packed.writestr(name, file.read_text(encoding="utf-8").rstrip() + "\n"
+                                + further_lines)
             else:
                 packed.write(file, name)
 
@@ -71,14 +74,15 @@ def main(arguments: list[str] | None = None) -> int:
     for name in WANTED:
         parser.add_argument(f"--{name}")
     options = vars(parser.parse_args(arguments))
-    known = stated(tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"])
-    known.update({name: options[name] for name in WANTED if options[name]})
-    said = faults(known)
-    if options["for_repository"] and said:
-        print("Error:", *said, sep="\n  ", file=sys.stderr)
+    metadata = stated(tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"])
+    # Options come before what the project file states.
+    metadata.update({name: options[name] for name in WANTED if options[name]})
+    problems = faults(metadata)
+    if options["for_repository"] and problems:
+        print("Error:", *problems, sep="\n  ", file=sys.stderr)
         return 2
     try:
-        pack(options["target"], known)
+        pack(options["target"], metadata)
     except OSError as error:
         print(f"Error: {options['target']} cannot be written: {error.strerror}.", file=sys.stderr)
         return 2

@@ -22,7 +22,8 @@ _REMOVED = ("PYTHONHOME", "PYTHONPATH", "PYTHONEXECUTABLE", "PYTHONSTARTUP", "QT
             "QGIS_PREFIX_PATH", "LD_PRELOAD", "PIP_QUIET")
 """What QGIS sets for its own Python and would break another, and what would silence pip's log."""
 
-_GRACE = 1.0  # seconds between the request to end and the end
+# Seconds between the request to end and the end.
+_GRACE = 1.0
 _WINDOWS = sys.platform == "win32"
 
 
@@ -39,35 +40,39 @@ def executable():
     QgsProcessingException
         If there is none.
     """
+    # The setting comes before the variable of the environment.
     stated = QgsSettings().value(SETTING, "", type=str) or os.environ.get("TERMSEL_EXECUTABLE", "")
     if stated:
         path = Path(stated)
-        if path.is_dir():  # a virtual environment
+        # A virtual environment.
+        if path.is_dir():
             path = command_in(path)
         if not path.is_file():
             raise QgsProcessingException(
                 f"The setting {SETTING} names {stated}, where there is no command termsel.")
         return str(path)
-    own = command_in(own_environment())
-    found = str(own) if own.is_file() else shutil.which("termsel")
-    if not found:
+    own_command = command_in(own_environment())
+    command = str(own_command) if own_command.is_file() else shutil.which("termsel")
+    if not command:
         raise QgsProcessingException(MISSING)
-    return found
+    return command
 
 
 def command_in(environment, name="termsel"):
     """Return where a virtual environment has a command."""
-    return environment / ("Scripts" if _WINDOWS else "bin") / (name + ".exe" * _WINDOWS)
+    suffix = ".exe" if _WINDOWS else ""
+    return environment / ("Scripts" if _WINDOWS else "bin") / f"{name}{suffix}"
 
 
 def clean_environment():
     """Return the environment variables without those of QGIS's Python."""
-    kept = {name: value for name, value in os.environ.items() if name not in _REMOVED}
-    kept["PYTHONIOENCODING"] = "utf-8"
-    kept["PYTHONSAFEPATH"] = "1"  # modules of the folder of a project are not Python's own
-    kept["NO_COLOR"] = "1"
-    kept["COLUMNS"] = "100"
-    return kept
+    variables = {name: value for name, value in os.environ.items() if name not in _REMOVED}
+    variables["PYTHONIOENCODING"] = "utf-8"
+    # Modules of the folder of a project are not Python's own.
+    variables["PYTHONSAFEPATH"] = "1"
+    variables["NO_COLOR"] = "1"
+    variables["COLUMNS"] = "100"
+    return variables
 
 
 def run(arguments, feedback, program=None, show=False):
@@ -84,6 +89,7 @@ def run(arguments, feedback, program=None, show=False):
     """
     command = [program or executable(), *map(str, arguments)]
     feedback.pushCommandInfo(" ".join(command))
+    # A group of its own, so that cancelling ends the processes that the command began, too.
     options = ({"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW}
                if _WINDOWS else {"start_new_session": True})
     try:
@@ -96,24 +102,28 @@ def run(arguments, feedback, program=None, show=False):
     printed = []
     messages = queue.Queue()
     stdout = messages.put if show else printed.append
+    # Two threads read both streams: a full pipe would stop the command.
     readers = [threading.Thread(target=_read, args=(process.stdout, stdout), daemon=True),
                threading.Thread(target=_read, args=(process.stderr, messages.put), daemon=True)]
     for reader in readers:
         reader.start()
-    said = []
+    lines = []
+    # Readers may still have lines when the process has ended.
     while process.poll() is None or any(reader.is_alive() for reader in readers):
         if feedback.isCanceled():
             _end(process)
             _remove_left(process.pid, command)
             raise QgsProcessingException("Cancelled; nothing was written.")
-        _show(messages, feedback, said)
+        _show(messages, feedback, lines)
         if QThread.currentThread() == QCoreApplication.instance().thread():
-            QCoreApplication.processEvents()  # a batch runs here: its button Cancel must work
+            # A batch runs here: its button Cancel must work.
+            QCoreApplication.processEvents()
         time.sleep(0.05)
-    _show(messages, feedback, said)
+    _show(messages, feedback, lines)
     if process.returncode:
-        first = next((at for at, line in enumerate(said) if line.startswith("Error:")), -3)
-        raise QgsProcessingException(" ".join(said[first:]) or f"{command[0]} ended with code "
+        # From the first line with "Error:" on, else the last three lines.
+        first = next((at for at, line in enumerate(lines) if line.startswith("Error:")), -3)
+        raise QgsProcessingException(" ".join(lines[first:]) or f"{command[0]} ended with code "
                                      f"{process.returncode}.")
     return "".join(printed)
 
@@ -125,19 +135,21 @@ def _read(stream, take):
             take(line)
 
 
-def _show(messages, feedback, said):
+def _show(messages, feedback, lines):
     """Show what has been said since."""
     while not messages.empty():
         line = messages.get().rstrip()
+        # Lines of --progress json are for the progress bar, all others for the log.
         if line.startswith('{"progress"'):
             step = json.loads(line)
             if step["progress"] is not None:
                 feedback.setProgress(100 * step["progress"])
             feedback.setProgressText(" ".join(filter(None, (step["what"], step["state"]))))
         elif line:
-            said.append(line)
+            lines.append(line)
             if line.startswith("Error:"):
-                continue  # the exception shows it
+                # The exception shows it.
+                continue
             if line.startswith(("Warning", "Note")):
                 feedback.pushWarning(line)
             else:
@@ -146,9 +158,10 @@ def _show(messages, feedback, said):
 
 def _remove_left(number, command):
     """Remove the folders in which a process that was killed had begun to write."""
-    for folder in {Path(word).absolute().parent for word in command[1:]}:
-        for left in folder.glob(f".termsel-*-{number}-*"):
-            shutil.rmtree(left, ignore_errors=True)
+    # Folders in which a command writes are those of its files; the number is that of its process.
+    for folder in {Path(argument).absolute().parent for argument in command[1:]}:
+        for leftover in folder.glob(f".termsel-*-{number}-*"):
+            shutil.rmtree(leftover, ignore_errors=True)
 
 
 def _end(process):
@@ -158,7 +171,8 @@ def _end(process):
         subprocess.run(  # nosec B603: of Windows itself
             [str(taskkill), "/F", "/T", "/PID", str(process.pid)], check=False, capture_output=True)
         return
-    os.killpg(process.pid, signal.SIGINT)  # as Ctrl-C: termsel then removes what it has begun
+    # As Ctrl-C: termsel then removes what it has begun.
+    os.killpg(process.pid, signal.SIGINT)
     try:
         process.wait(_GRACE)
     except subprocess.TimeoutExpired:

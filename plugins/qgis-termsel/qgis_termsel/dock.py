@@ -86,29 +86,32 @@ class ResultDock(QDockWidget):
         self._enable()
         file = self.folder / "result_residuals.gpkg"
         if file.exists() and self.iface is not None:
+            # Layers that Georeference adds; without a window of QGIS there is no map.
             for layer in ("residuals", "vectors", "blunders"):
-                shown = QgsVectorLayer(f"{file}|layername={layer}", layer, "ogr")
+                map_layer = QgsVectorLayer(f"{file}|layername={layer}", layer, "ogr")
                 if layer == "blunders":
-                    blunder_style(shown)
-                QgsProject.instance().addMapLayer(shown)
+                    blunder_style(map_layer)
+                QgsProject.instance().addMapLayer(map_layer)
 
     def _offer(self, record):
         """Offer the candidates; those that only auto can fit are shown and cannot be taken."""
         strategy = record.get("strategy")
         strategy = strategy if isinstance(strategy, dict) else {}
         self.candidates.clear()
-        chosen = strategy.get("chosen")
-        self.candidates.addItem(f"chosen by auto: {chosen}" if chosen else "the choice of auto", "")
-        for one in strategy.get("candidates", []):
-            predicted = one.get("predicted")
+        chosen_name = strategy.get("chosen")
+        self.candidates.addItem(f"chosen by auto: {chosen_name}" if chosen_name
+                                else "the choice of auto", "")
+        for candidate in strategy.get("candidates", []):
+            predicted = candidate.get("predicted")
             text = "" if predicted is None else f", predicted {predicted:.3g} px"
-            model = model_named(one["name"], one["model"])
-            self.candidates.addItem(one["name"] + text, model)
+            model = model_named(candidate["name"], candidate["model"])
+            self.candidates.addItem(candidate["name"] + text, model)
             if not model:
                 self.candidates.model().item(self.candidates.count() - 1).setEnabled(False)
 
     def _fill(self, rows):
         """Fill the table, the largest residuals first."""
+        # While rows are filled they must not change their places.
         self.table.setSortingEnabled(False)
         self.table.setRowCount(len(rows))
         rows.sort(key=lambda row: -float(row["distance"] or 0))
@@ -116,13 +119,14 @@ class ResultDock(QDockWidget):
             box = QTableWidgetItem()
             box.setFlags(Qt.ItemFlag.ItemIsUserCheckable | Qt.ItemFlag.ItemIsEnabled)
             # Check points are not used either where they judge: they are not left out.
-            out = row["role"] == "off" or (row["used"] == "no" and row["blunder"])
-            box.setCheckState(CHECKED if out else UNCHECKED)
+            is_left_out = row["role"] == "off" or (row["used"] == "no" and row["blunder"])
+            box.setCheckState(CHECKED if is_left_out else UNCHECKED)
             self.table.setItem(at, 0, box)
             for column, text in enumerate((row["id"], row["role"], row["residual_line"],
                                            row["residual_sample"], row["distance"]), 1):
                 item = QTableWidgetItem()
                 try:
+                    # Numbers are sorted as numbers, which texts would not be.
                     item.setData(0, round(float(text), 3) if column > 2 else text)
                 except ValueError:
                     item.setData(0, text)
@@ -141,6 +145,7 @@ class ResultDock(QDockWidget):
         """Open the dialog of the algorithm with the same points, and what is to be left out."""
         from processing import execAlgorithmDialog
 
+        # The dialog is filled in, and the user may change all of it before running.
         outputs = execAlgorithmDialog(*self.again())
         if outputs:
             self.show_result(outputs["OUTPUT"])
@@ -148,9 +153,11 @@ class ResultDock(QDockWidget):
     def again(self):
         """Return the algorithm and the parameters of another run."""
         files = {"FILE": self.folder / "points.csv", "LINES": self.folder / "lines.csv"}
+        # Files that a result has: points, lines or both.
         parameters = {name: str(file) for name, file in files.items() if file.exists()}
         parameters.update(inputs_of(self.folder))
         parameters["OFF"] = ",".join(self.left_out())
+        # Lines are selected by a problem of their own.
         if self.problem == "owdis-lines":
             return "termsel:selectlines", parameters
         return "termsel:georeference", {**parameters, "MODEL": self.candidates.currentData() or ""}
@@ -171,12 +178,12 @@ def accuracy_text(record):
     """Return the accuracy of a result in two sentences."""
     independent = (record.get("rmse") or {}).get("independent") or {}
     predicted = record.get("predicted") or {}
-    parts = []
+    sentences = []
     if independent:
-        parts.append(f"Accuracy: RMSE {independent['total']:.3g} px on {independent['n']} "
-                     "independent points.")
+        sentences.append(f"Accuracy: RMSE {independent['total']:.3g} px on {independent['n']} "
+                         "independent points.")
     if predicted:
-        parts.append(f"Predicted: {predicted['rmse']:.3g} px, {predicted['low']:.3g} to "
-                     f"{predicted['high']:.3g} px with a probability of "
-                     f"{100 * predicted['level']:.0f}\u00a0%.")
-    return " ".join(parts) or "No point took no part, so that the accuracy is not known."
+        sentences.append(f"Predicted: {predicted['rmse']:.3g} px, {predicted['low']:.3g} to "
+                         f"{predicted['high']:.3g} px with a probability of "
+                         f"{100 * predicted['level']:.0f}\u00a0%.")
+    return " ".join(sentences) or "No point took no part, so that the accuracy is not known."

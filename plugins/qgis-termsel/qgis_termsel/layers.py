@@ -61,6 +61,7 @@ def _field(source, meaning, stated):
     """Return the name of the field that has a meaning."""
     if stated:
         return stated
+    # QGIS and other programs write names of fields with and without capitals.
     fields = {field.name().lower(): field.name() for field in source.fields()}
     return next((fields[name] for name in KNOWN[meaning] if name in fields), None)
 
@@ -80,17 +81,20 @@ def _row(feature, names, number):
     vertex = next(geometry.vertices())
 
     def cell(meaning):
+        # NULL of QGIS is an object that is neither None nor text.
         value = feature[names[meaning]] if names[meaning] else None
         return "" if value is None or str(value) == "NULL" else value
 
     for meaning in ("line", "sample"):
         try:
             float(str(cell(meaning)).replace(",", "."))
-        except ValueError:  # termsel would name a line of a file that the user does not know
+        except ValueError:
+            # Termsel would name a line of a file that the user does not know.
             raise QgsProcessingException(
                 f"Feature {feature.id()} of the layer of points has {cell(meaning)!r:.40} in its "
                 f"field {names[meaning]}, which is no number. Correct it, or leave the feature "
                 "out.") from None
+    # Heights of a field come before those of the geometry.
     height = cell("z")
     if height == "" and QgsWkbTypes.hasZ(geometry.wkbType()):
         height = repr(vertex.z())
@@ -109,10 +113,12 @@ def crs_text(crs):
     if not crs.isValid():
         raise QgsProcessingException("The layer of points has no CRS: give it one in its "
                                      "properties.")
+    # Other systems than EPSG's are described in full.
     return crs.authid() if crs.authid().startswith("EPSG:") else crs.toWkt()
 
 
-_kept = []  # post-processors, which QGIS does not keep
+# Post-processors, which QGIS does not keep.
+_kept = []
 
 
 class AsInFile(QgsProcessingLayerPostProcessorInterface):
@@ -148,15 +154,16 @@ class InShades(AsInFile):
 
 def shade(layer):
     """Show the uncertainty to the north, band 4, from white to red."""
-    known = layer.dataProvider().bandStatistics(4)
-    ramp = QgsColorRampShader(known.minimumValue, known.maximumValue,
+    statistics = layer.dataProvider().bandStatistics(4)
+    ramp = QgsColorRampShader(statistics.minimumValue, statistics.maximumValue,
                               QgsGradientColorRamp(QColor("#fff5f0"), QColor("#a50f15")))
+    # Five classes between the least and the largest value, in equal steps.
     ramp.classifyColorRamp(5, 4, layer.extent(), layer.dataProvider())
-    shader = QgsRasterShader(known.minimumValue, known.maximumValue)
+    shader = QgsRasterShader(statistics.minimumValue, statistics.maximumValue)
     shader.setRasterShaderFunction(ramp)
     renderer = QgsSingleBandPseudoColorRenderer(layer.dataProvider(), 4, shader)
-    renderer.setClassificationMin(known.minimumValue)
-    renderer.setClassificationMax(known.maximumValue)
+    renderer.setClassificationMin(statistics.minimumValue)
+    renderer.setClassificationMax(statistics.maximumValue)
     layer.setRenderer(renderer)
 
 
@@ -169,7 +176,7 @@ def blunder_style(layer):
 
 def add_blunders(folder, record, target):
     """Add the blunders among the points of a result as a layer to a GeoPackage."""
-    errors = {one["id"]: one["error"] for one in record.get("outliers", [])}
+    errors = {outlier["id"]: outlier["error"] for outlier in record.get("outliers", [])}
     crs = QgsCoordinateReferenceSystem()
     crs.createFromUserInput(record["data"].get("crs", ""))
     layer = QgsVectorLayer("Point?field=id:string&field=error:double", "blunders", "memory")
@@ -178,6 +185,7 @@ def add_blunders(folder, record, target):
         rows = csv.DictReader(line for line in opened if not line.startswith("#"))
         features = []
         for row in rows:
+            # Only points: a blunder among lines has no place of its own.
             if row["id"] in errors:
                 feature = QgsFeature(layer.fields())
                 feature.setAttributes([row["id"], errors[row["id"]]])

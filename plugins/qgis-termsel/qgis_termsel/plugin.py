@@ -22,6 +22,7 @@ class TermselPlugin:
     def initGui(self):
         """Add the algorithms and the dock."""
         self.initProcessing()
+        # Without a window, as in qgis_process, these modules may be missing.
         from qgis.PyQt.QtCore import Qt
         from qgis.PyQt.QtGui import QIcon
 

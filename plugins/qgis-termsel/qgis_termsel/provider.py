@@ -15,6 +15,7 @@ class TermselProvider(QgsProcessingProvider):
         """Add the algorithms."""
         from .algorithms import ALGORITHMS
 
+        # Processing owns the instances, and asks for new ones when it reloads the provider.
         for algorithm in ALGORITHMS:
             self.addAlgorithm(algorithm())
 

@@ -172,13 +172,13 @@ def test_a_transformation_is_a_model_and_back(
         tmp_path: Path, key: str, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO", logger="termsel")
     kind = KINDS[key]
-    there = write(tmp_path, annotation(**kind.stated))
+    there = write(tmp_path, annotation(**kind.statement))
     read(there)
     assert f"The map is drawn with {kind.label}; --model {kind.model}" in caplog.text
     back = tmp_path / "back.json"
     export(fitted(there, kind.model, **kind.options), "georeference-annotation", back)
     before, after = (json.loads(path.read_text())["body"] for path in (there, back))
-    assert after["transformation"] == kind.stated == before["transformation"]
+    assert after["transformation"] == kind.statement == before["transformation"]
     assert f"by a viewer with {kind.label}" in caplog.text
     # And once more: what was written is read as it was.
     np.testing.assert_array_equal(np.sort(read(back).points.ground[:, :2], axis=0),

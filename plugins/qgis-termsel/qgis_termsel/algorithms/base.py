@@ -72,7 +72,7 @@ def result_parameter():
     return QgsProcessingParameterFile("RESULT", "Folder of the result", behavior=FOLDER)
 
 
-def layer_file(layer, what):
+def layer_file(layer, description):
     """Return the file of a raster or vector layer.
 
     Raises
@@ -80,23 +80,27 @@ def layer_file(layer, what):
     QgsProcessingException
         If it has none, such as a layer of a server.
     """
+    # Layers of files have options after a bar, such as |layername=roads.
     path = layer.source().split("|")[0]
     if not Path(path).exists():
-        raise QgsProcessingException(f"The {what} must be a file; {layer.name()} is none. Export "
-                                     "the layer to a file first.")
+        raise QgsProcessingException(f"The {description} must be a file; {layer.name()} is none. "
+                                     "Export the layer to a file first.")
     return path
 
 
-def in_place(made, target):
+def in_place(new_folder, target):
     """Put a folder that is complete where it was asked for."""
     target = Path(target)
     target.mkdir(parents=True, exist_ok=True)
-    for file in sorted(Path(made).iterdir(), key=lambda path: path.name == "result.json"):
-        if (target / file.name).is_symlink():  # which a copy to another disk would follow
+    # result.json comes last: where it is, the folder is complete.
+    for file in sorted(Path(new_folder).iterdir(), key=lambda path: path.name == "result.json"):
+        # Which a copy to another disk would follow.
+        if (target / file.name).is_symlink():
             (target / file.name).unlink()
         shutil.move(str(file), str(target / file.name))
 
 
 def scratch():
     """Return a folder that does not exist yet."""
+    # In the temporary folder of Processing.
     return QgsProcessingUtils.generateTempFilename("result")

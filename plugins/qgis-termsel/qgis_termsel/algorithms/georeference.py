@@ -39,6 +39,7 @@ _DEGREES = {"linear": 1, "quadratic": 2, "cubic": 3}
 def inputs_of(folder):
     """Return the RPC of a result, as a parameter; no other parameter is taken from its folder."""
     try:
+        # The file is ours, but anything may have happened to the folder.
         stated = json.loads((Path(folder) / INPUTS).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return {}
@@ -48,9 +49,11 @@ def inputs_of(folder):
 
 def model_named(candidate, model):
     """Return what the parameter MODEL says for a candidate of auto; "" if only auto can fit it."""
+    # Polynomials of auto are called by their degree, not by their model.
     if model in ("poly2d", "poly3d"):
         return f"{model} {_DEGREES[candidate]}" if candidate in _DEGREES else ""
-    if model == "rpc-affine":  # its other forms are chosen by auto
+    # Its other forms are chosen by auto.
+    if model == "rpc-affine":
         return model if candidate == "rpc-by-affine" else ""
     return "" if candidate.startswith(("shrunken", "selected")) else model
 
@@ -61,10 +64,9 @@ class Georeference(Algorithm):
     NAME, TITLE, GROUP = "georeference", "Georeference from points", "Georeferencing"
     HELP = (
         "Chooses a model for an image from ground control points, names blunders, and says how "
-        "accurate the result is.\n\n"
-        "Points are a layer with fields of line and sample (rows and columns in the image, the "
-        "centre of the upper left pixel is 0, 0), or a file: .points of QGIS's georeferencer, CSV, "
-        "or any other that termsel reads.\n\n"
+        "accurate the result is.\n\nPoints are a layer with fields of line and sample (rows and "
+        "columns in the image, the centre of the upper left pixel is 0, 0), or a file: .points of "
+        "QGIS's georeferencer, CSV, or any other that termsel reads.\n\n"
         "Points with the role independent judge the result and take no part in it. The output "
         "folder is what Rectify, Export model and Accuracy report take.")
 
@@ -73,6 +75,7 @@ class Georeference(Algorithm):
         add = self.addParameter
         add(QgsProcessingParameterFeatureSource(
             "POINTS", "Layer of points", [QgsProcessing.SourceType.TypeVectorPoint], optional=True))
+        # Fields that are called as usual are found by their names: these parameters are for others.
         for name, label in (("LINE", "Field of line (row)"), ("SAMPLE", "Field of sample (column)"),
                             ("HEIGHT", "Field of height"), ("ID", "Field of names"),
                             ("ROLE", "Field of roles")):
@@ -112,12 +115,14 @@ class Georeference(Algorithm):
         """Return the arguments of the points."""
         source = self.parameterAsSource(parameters, "POINTS", context)
         file = self.parameterAsFile(parameters, "FILE", context)
+        # Either one or the other: neither is an error, and so are both.
         if bool(source) == bool(file):
             raise QgsProcessingException("Give a layer of points or a file of points, and not "
                                          "both." if file else "Give a layer or a file of points.")
         if file:
             crs = self.parameterAsCrs(parameters, "CRS", context)
             return ["--points", file, *(["--crs", crs_text(crs)] if crs.isValid() else [])]
+        # The names of termsel's columns by the parameters of the dialog.
         fields = {meaning: self.parameterAsString(parameters, name, context)
                   for meaning, name in (("line", "LINE"), ("sample", "SAMPLE"), ("z", "HEIGHT"),
                                         ("id", "ID"), ("role", "ROLE"))}
@@ -134,6 +139,7 @@ class Georeference(Algorithm):
             file = self.parameterAsFile(parameters, name, context)
             if file:
                 arguments += [option, file]
+        # "poly3d 2": a model, and its degree where it has one.
         model, _, degree = self.parameterAsString(parameters, "MODEL", context).partition(" ")
         if model:
             arguments += ["--strategy", "as-asked", "--problem", "poly-terms", "--solver",
@@ -143,32 +149,37 @@ class Georeference(Algorithm):
 
     def _run(self, arguments, parameters, context, feedback):
         """Run the search, put its folder in place, and return the outputs."""
-        made = scratch()
+        new_folder = scratch()
         target = self.parameterAsString(parameters, "OUTPUT", context)
+        # termsel refuses this, too, but only after the search.
         if (Path(target) / "result.json").exists():
             raise QgsProcessingException(f"{target} has a result already. Choose another folder.")
         off = self.parameterAsString(parameters, "OFF", context)
-        command = ["run", *arguments, *(["--off", off] if off else []), "--out", made,
+        command = ["run", *arguments, *(["--off", off] if off else []), "--out", new_folder,
                    "--export", "residuals-gpkg", "--progress", "json", "--json"]
         try:
             printed = run(command, feedback)
         except QgsProcessingException as error:
+            # With few points termsel proposes to judge by leaving each out in turn: that is done
+            # here.
             if _WITHOUT_CHECK not in str(error):
                 raise
             feedback.pushInfo("The points are too few for check points: none are set aside.")
             printed = run([*command, *_WITHOUT_CHECK.split()], feedback)
         record = json.loads(printed)
         rpc = self.parameterAsFile(parameters, "RPC", context)
+        # Another run needs the RPC again, which is a file of the user.
         if rpc:
-            (Path(made) / INPUTS).write_text(json.dumps({"RPC": rpc}), encoding="utf-8")
-        in_place(made, target)
+            (Path(new_folder) / INPUTS).write_text(json.dumps({"RPC": rpc}), encoding="utf-8")
+        in_place(new_folder, target)
         target = Path(target)
         summary = (target / "summary.txt").read_text(encoding="utf-8")
         feedback.pushInfo(summary)
         for note in record.get("notes", []):
             feedback.pushWarning(note)
         page = target / "summary.html"
-        page.unlink(missing_ok=True)  # it may be a link to a file of somebody else
+        # It may be a link to a file of somebody else.
+        page.unlink(missing_ok=True)
         page.write_text("<!doctype html><meta charset='utf-8'><pre>" + html.escape(summary)
                         + "</pre>", encoding="utf-8")
         add_blunders(target, record, target / _RESIDUALS)
@@ -176,10 +187,11 @@ class Georeference(Algorithm):
                   "VECTORS": ("vectors", "Residual vectors"), "WRONG": ("blunders", "Blunders")}
         outputs = {"OUTPUT": str(target),
                    "RMSE": ((record.get("rmse") or {}).get("independent") or {}).get("total"),
-                   "BLUNDERS": ",".join(one["id"] for one in record.get("outliers", []))}
+                   "BLUNDERS": ",".join(outlier["id"] for outlier in record.get("outliers", []))}
         for name, (layer, title) in layers.items():
             outputs[name] = f"{target / _RESIDUALS}|layername={layer}"
             details = QgsProcessingContext.LayerDetails(title, context.project(), name)
+            # Blunders have a look of their own; other layers bring theirs in the GeoPackage.
             details.setPostProcessor(BlundersInRed() if name == "WRONG" else AsInFile())
             context.addLayerToLoadOnCompletion(outputs[name], details)
         return with_page(outputs, "SUMMARY", page, feedback)

@@ -59,6 +59,7 @@ class Rectify(Algorithm):
         arguments = ["rectify", self.parameterAsString(parameters, "RESULT", context),
                      layer_file(self.parameterAsRasterLayer(parameters, "IMAGE", context), "image")]
         dem = self.parameterAsRasterLayer(parameters, "DEM", context)
+        # A raster of heights comes before the one height.
         if dem is not None:
             arguments += ["--dem", layer_file(dem, "raster of heights")]
         elif parameters.get("HEIGHT") is not None:
@@ -100,16 +101,17 @@ class Uncertainty(Algorithm):
     def processAlgorithm(self, parameters, context, feedback):
         """Run the command."""
         arguments = ["sigma", self.parameterAsString(parameters, "RESULT", context)]
-        for name, what in (("IMAGE", "image"), ("MAP", "map"), ("DEM", "raster of heights")):
+        for name, description in (("IMAGE", "image"), ("MAP", "map"), ("DEM", "raster of heights")):
             layer = self.parameterAsRasterLayer(parameters, name, context)
             if layer is not None:
-                arguments += [f"--{name.lower()}", layer_file(layer, what)]
+                arguments += [f"--{name.lower()}", layer_file(layer, description)]
         if parameters.get("HEIGHT") is not None:
             arguments += ["--height", self.parameterAsDouble(parameters, "HEIGHT", context)]
         if parameters.get("RES"):
             arguments += ["--res", self.parameterAsDouble(parameters, "RES", context)]
         output = self.parameterAsOutputLayer(parameters, "OUTPUT", context)
         run([*arguments, "-o", output, "--overwrite", "--progress", "json"], feedback)
+        # Only a layer that QGIS is to load has details to be changed.
         if context.willLoadLayerOnCompletion(output):
             context.layerToLoadOnCompletionDetails(output).setPostProcessor(InShades())
         return {"OUTPUT": output}
@@ -143,6 +145,7 @@ class ExportModel(Algorithm):
         image = self.parameterAsRasterLayer(parameters, "IMAGE", context)
         if image is not None:
             arguments += ["--image", layer_file(image, "image")]
+        # Said here, as the command would name its option and not the parameter.
         elif form in _WITH_IMAGE:
             raise QgsProcessingException(f"The format {form} refers to the image. Give it.")
         dem = self.parameterAsRasterLayer(parameters, "DEM", context)
@@ -196,8 +199,10 @@ class NextPlaces(Algorithm):
         run(["plan", folder, "-n", self.parameterAsInt(parameters, "NUMBER", context), "-o", table],
             feedback)
         with open(table, newline="", encoding="utf-8") as opened:
+            # Lines with a number sign state the CRS, before the header.
             rows = list(csv.DictReader(line for line in opened if not line.startswith("#")))
         names = [name for name in (rows[0] if rows else {}) if name not in ("x", "y")]
+        # The memory layer's only purpose is to have the fields made from their text.
         kinds = "&".join(f"field={name}:{'string' if name == 'id' else 'double'}" for name in names)
         fields = QgsVectorLayer(f"Point?{kinds}", "places", "memory").fields()
         sink, target = self.parameterAsSink(parameters, "OUTPUT", context, fields,

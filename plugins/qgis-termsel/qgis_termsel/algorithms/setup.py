@@ -44,6 +44,7 @@ class SetUp(Algorithm):
         folder = Path(stated) if stated else own_environment()
         if not stated:
             _make(folder, _words(self.parameterAsString(parameters, "PACKAGES", context)), feedback)
+        # The command shows that the environment has termsel; its version, that it runs.
         command = command_in(folder)
         if not command.is_file():
             raise QgsProcessingException(f"{folder} has no command termsel.")
@@ -58,7 +59,9 @@ def _make(folder, packages, feedback):
     if not packages:
         raise QgsProcessingException("State the packages to install, or an environment that has "
                                      "termsel.")
+    # An environment that was there before is not removed when an installation fails.
     new = not folder.exists()
+    # venv first, then pip of the new environment, so that nothing of QGIS's Python is touched.
     try:
         run(["-m", "venv", folder], feedback, _python(feedback), show=True)
         run(["-m", "pip", "install", "--disable-pip-version-check", "--progress-bar", "off",
@@ -72,11 +75,16 @@ def _make(folder, packages, feedback):
 def _words(text):
     """Return the words of a text; quotes keep spaces, and a backslash is one of a path."""
     words = []
-    rest = text.strip()
-    while rest:
-        word, _, rest = rest[1:].partition(rest[0]) if rest[0] in "'\"" else rest.partition(" ")
-        words.append(word)
-        rest = rest.strip()
+    remainder = text.strip()
+    while remainder:
+        # A quote ends at the same quote, all else at the next blank.
+        end = " "
+        if remainder[0] in "'\"":
+            end = remainder[0]
+            remainder = remainder[1:]
+        argument, _, remainder = remainder.partition(end)
+        words.append(argument)
+        remainder = remainder.strip()
     return words
 
 
@@ -85,9 +93,10 @@ def _python(feedback):
 
     That of QGIS may be too old, or the application itself.
     """
-    own = Path(sys.prefix) / ("python.exe" if sys.platform == "win32" else "bin/python3")
-    found = [path for path in map(shutil.which, (*_PYTHONS, str(own))) if path]
-    for path in dict.fromkeys(found):
+    qgis_python = Path(sys.prefix) / ("python.exe" if sys.platform == "win32" else "bin/python3")
+    candidates = [path for path in map(shutil.which, (*_PYTHONS, str(qgis_python))) if path]
+    # Each once: several names may be one program.
+    for path in dict.fromkeys(candidates):
         try:
             run(["-c", _SUITS], feedback, path)
         except QgsProcessingException:
@@ -97,4 +106,5 @@ def _python(feedback):
         return path
     raise QgsProcessingException(
         "No Python can make the environment: it takes 3.11 or later with the modules venv and "
-        f"ensurepip (in Debian: apt install python3-venv). Tried: {', '.join(found) or 'none'}.")
+        "ensurepip (in Debian: apt install python3-venv). Tried: "
+        f"{', '.join(candidates) or 'none'}.")

@@ -41,13 +41,14 @@ class MatchReference(Algorithm):
     def processAlgorithm(self, parameters, context, feedback):
         """Run the command."""
         output = self.parameterAsFileOutput(parameters, "OUTPUT", context)
+        # The image is the argument itself; all other layers are options.
         arguments = ["match-points"]
-        for name, what in (("IMAGE", "image"), ("REFERENCE", "reference"),
-                           ("DEM", "raster of heights")):
+        for name, description in (("IMAGE", "image"), ("REFERENCE", "reference"),
+                                  ("DEM", "raster of heights")):
             layer = self.parameterAsRasterLayer(parameters, name, context)
             if layer is not None:
                 arguments += [*([] if name == "IMAGE" else [f"--{name.lower()}"]),
-                              layer_file(layer, what)]
+                              layer_file(layer, description)]
         start = self.parameterAsFile(parameters, "START", context)
         arguments += ["--start", start] if start else []
         run([*arguments, "-o", output, "--overwrite"], feedback)
@@ -60,6 +61,7 @@ class MatchReference(Algorithm):
 def _layer_of(table):
     """Return the source of a layer that shows a table of points where they lie."""
     with open(table, encoding="utf-8") as opened:
+        # Lines with a number sign, among them the CRS, come before the header.
         heads = list(takewhile(lambda line: line.startswith("#"), opened))
     crs = next((head.partition(":")[2].strip() for head in heads if head.startswith("# crs:")), "")
     options = {"type": "csv", "skipLines": len(heads), "xField": "x", "yField": "y", "zField": "z",

@@ -195,7 +195,7 @@ def _columns_of(axis: dict[str, Any]) -> Columns:
     k = len(axis["terms"])
     upper = np.ones(c + 1)
     denominators = np.array(axis["denominators"]).reshape(-1, k + 1)
-    # The last entry is the limit of t = 1 / denominator.
+    # The last entry is the limit of t, 1 / (c m) with the margin m of c denominators.
     if len(denominators):
         upper[c] /= axis["margin"] * c
     columns = Columns(np.array(axis["control"]).T.copy(),

@@ -131,7 +131,7 @@ class _Form:
 def _form_of(columns: Columns) -> _Form:
     c = columns.errors.shape[1]
     n = len(columns.names)
-    # Errors by the limits of the denominators: a quotient is at most 1 in each row.
+    # Each row E_k over u_k, the limit of its denominator.
     weighted = columns.errors / columns.upper[:c]
     base = weighted @ weighted.T
     s = np.append(np.zeros(n), -1.0)

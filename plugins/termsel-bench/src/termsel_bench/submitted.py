@@ -50,11 +50,12 @@ def texts_of(scored: Sequence[Score]) -> dict[str, str]:
                      and score.set_name in SETS]
         if not of_method:
             continue
-        method_ = of_method[0].method
+        stated_method = of_method[0].method
         content = {
             "schema": SCHEMA, "termsel": __version__,
-            "method": {"kind": method_.kind, "name": method_.name, "options": dict(method_.options),
-                       "problem": method_.problem},
+            "method": {"kind": stated_method.kind, "name": stated_method.name,
+                       "options": dict(stated_method.options),
+                       "problem": stated_method.problem},
             "sets": {score.set_name: {
                 "sha256": frozen[f"{score.set_name}.csv"],
                 "rmse": round(score.rmse, 6) if math.isfinite(score.rmse) else None}

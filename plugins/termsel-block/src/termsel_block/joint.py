@@ -117,9 +117,9 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
     freed_blocks: dict[str, BlockResult] = {}
     # Each round either frees the sensor that is contradicted most, or finds that it is right.
     while (contradicted := without_wrong_sensor(result.block, result.adjusted, right)) is not None:
-        without_sensor_, worst = contradicted
+        freed_block, worst = contradicted
         try:
-            freed = _adjusted(without_sensor_, frame, progress)
+            freed = _adjusted(freed_block, frame, progress)
         except TermselError:
             # Without what is known of the sensor, too little holds the image.
             freed = result

@@ -114,7 +114,7 @@ class OwdisBlock(Problem):
         self.genome = Genome([Bits("features", labels, least,
                                    None if most is None else min(most, len(labels)))])
         design, target = _prior_rows(self.whole)
-        designs = [rows_ for _, rows_, _ in rows]
+        designs = [design_rows for _, design_rows, _ in rows]
         targets = [aim for _, _, aim in rows]
         # Equations of the candidate that each row belongs to; -1 for priors, which always count.
         owners = [np.full(len(target), -1)]
@@ -124,15 +124,16 @@ class OwdisBlock(Problem):
             np.concatenate(owners).astype(np.intp), self._check_design, self._check_target,
             min_equations=1)
         # Normal equations of a selection are the sums of those of its candidates.
-        self._normal = np.stack([rows_.T @ rows_ for rows_ in designs])
-        self._right = np.stack([rows_.T @ aim for rows_, aim in zip(designs, targets, strict=True)])
+        self._normal = np.stack([design_rows.T @ design_rows for design_rows in designs])
+        self._right = np.stack([design_rows.T @ aim for design_rows,
+                                aim in zip(designs, targets, strict=True)])
         self._prior = design.T @ design, design.T @ target
 
     def evaluate(self, genes: BoolArray) -> Evaluation:
         """Return the RMSE of the check points [px]."""
         genes = np.asarray(genes, bool)
         k = len(self._prior[1])
-        rmse_ = []
+        rmse_of_batches = []
         # As many selections at once as their normal matrices fit into memory.
         for first in range(0, len(genes), max(_BATCH // k**2, 1)):
             chosen_genes = genes[first:first + max(_BATCH // k**2, 1)].astype(float)
@@ -142,8 +143,8 @@ class OwdisBlock(Problem):
             steps = np.linalg.solve(normal, right[..., None])[..., 0]
             errors = self._check_target - steps @ self._check_design.T
             # Two rows a point: the RMSE of distances is that of rows times the root of 2.
-            rmse_.append(np.sqrt(2 * (errors**2).mean(axis=1)))
-        return Evaluation(np.concatenate(rmse_)[:, None], np.zeros(len(genes)))
+            rmse_of_batches.append(np.sqrt(2 * (errors**2).mean(axis=1)))
+        return Evaluation(np.concatenate(rmse_of_batches)[:, None], np.zeros(len(genes)))
 
     def decode(self, genes: BoolArray) -> Selection:
         """Return the names of what is selected: image:id of control, tie:id of ties."""

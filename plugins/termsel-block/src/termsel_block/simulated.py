@@ -19,13 +19,12 @@ _ROWS = 20
 # From one stack to the next, in widths of an image.
 _STACK_STEP = 0.6
 
-
-VIEWS = (18.0, 20.0), (4.0, 95.0), (22.0, 170.0)
 VIEWS = (18.0, 20.0), (4.0, 95.0), (22.0, 170.0)
 """Angle off nadir and azimuth [degrees] of the three images of a stack."""
 
 # In m.
 _MEAN = 1700.0
+
 
 @dataclass(frozen=True)
 class Hills:
@@ -185,6 +184,7 @@ def _sensor(i: int, size: int, gsd: float, views: Sequence[tuple[float, float]],
     # An unknown attitude that turns slowly: rates and accelerations that no vendor states.
     ifov = sensor.ifov
     end = size * sensor.line_period / 2
+
     def slow(angle: Angle) -> Angle:
         constant = angle.drift[0] if angle.drift else 0.0
         rate = angle.drift[1] if len(angle.drift) > 1 else 0.0

@@ -36,7 +36,7 @@ def on_cluster(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: 
     Every worker needs the same versions of termsel and of the distributions `plugins`. Raises
     TermselError where one has not, or the scheduler, such as "tcp://host:8786", does not answer.
     """
-    needed = {**versions(), **plugins}
+    required = {**versions(), **plugins}
     waiting = deque(cells)
     fruitless = 0
     while waiting and not stop():
@@ -45,15 +45,18 @@ def on_cluster(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: 
         running: dict[Future, Cell] = {}
         try:
             # Others would compute something else, or nothing.
-            for worker, found in sorted(client.run(versions_here, tuple(needed)).items()):
-                require_alike(needed, found, worker)
-            yield from _submitted(client, waiting, running, features, stop, needed)
+            for worker, versions_there in sorted(client.run(versions_here,
+                                                            tuple(required)).items()):
+                require_alike(required, versions_there, worker)
+            yield from _submitted(client, waiting, running, features, stop, required)
         except OSError as error:
             log.warning("The scheduler %s was lost: %s", address, error)
         finally:
+            # A scheduler that is lost does not answer to the end of a client either.
             client.close(timeout=5)
         # A scheduler that is started again gets the cells that it knew again.
         waiting.extendleft(running.values())
+        # A scheduler that finishes some cells between its losses is worth further trials.
         fruitless = fruitless + 1 if len(waiting) == before else 0
         if fruitless == _MOST_LOSSES:
             raise TermselError(f"the scheduler {address} was lost {fruitless} times in a row",
@@ -65,10 +68,11 @@ def _connected(address: str) -> Client:
 
     wrong = TermselError(f"{address!r} is no address of a scheduler",
                          hint="Write --scheduler tcp://host:8786.")
-    if not _has_port(address):  # a client of dask would wait, then fail in its own words
+    # A client of dask would wait, then fail in its own words.
+    if not _has_port(address):
         raise wrong
     until = time.monotonic() + PATIENCE
-    told = False
+    has_warned = False
     while True:
         try:
             client = Client(address, timeout=5, set_as_default=False)
@@ -81,9 +85,9 @@ def _connected(address: str) -> Client:
                     f"the scheduler {address} does not answer or has no workers",
                     hint="Start it with `dask scheduler` and `dask worker ADDRESS`. The finished "
                          "cells are kept.") from error
-            if not told:
+            if not has_warned:
                 log.warning("Waiting for the scheduler %s and its workers.", address)
-                told = True
+                has_warned = True
             time.sleep(_LOOK)
         else:
             return client
@@ -96,42 +100,45 @@ def _has_port(address: str) -> bool:
         return False
 
 
-def require_alike(needed: Mapping[str, str], found: Mapping[str, str | None], worker: str) -> None:
+def require_alike(required: Mapping[str, str], installed: Mapping[str, str | None],
+                  worker: str) -> None:
     """Refuse the worker at an address if its versions by name are not those of this process."""
-    for name, version in needed.items():
-        if found.get(name) is None:
+    for name, version in required.items():
+        if installed.get(name) is None:
             raise TermselError(f"the worker {worker} lacks {name}, which the study needs",
                                hint=f"Install {name} {version} there, then repeat the command.")
-        if found[name] != version:
+        if installed[name] != version:
             raise TermselError(
-                f"the worker {worker} has {name} {found[name]}, this machine {version}",
+                f"the worker {worker} has {name} {installed[name]}, this machine {version}",
                 hint="Install the same version on both: results may differ between versions.")
 
 
 @cache
 def versions_here(names: tuple[str, ...]) -> dict[str, str | None]:
     """Return the versions of packages and plugins in this process."""
-    own: dict[str, Any] = versions()
+    packages: dict[str, Any] = versions()
     plugins = {plugin.distribution: plugin.version for plugin in registry().plugins}
-    return {name: own.get(name, plugins.get(name)) for name in names}
+    return {name: packages.get(name, plugins.get(name)) for name in names}
 
 
 def _submitted(client: Client, waiting: deque[Cell], running: dict[Future, Cell],
-               features: Mapping[str, FeatureSet], stop: Stop, needed: Mapping[str, str]
+               features: Mapping[str, FeatureSet], stop: Stop, required: Mapping[str, str]
                ) -> Iterator[Outcome]:
     """Yield outcomes until all are done or the scheduler is lost; then some are still running."""
     from distributed.scheduler import KilledWorker
 
     # Tasks of their own with their checksum as the key: they travel once to each worker that needs
     # them, and come again from the scheduler where a worker with them is lost.
-    data = {key: client.submit(_held, one, key=f"termsel-features-{key}", pure=True)
-            for key, one in features.items()}
+    data = {key: client.submit(_held, feature_set, key=f"termsel-features-{key}", pure=True)
+            for key, feature_set in features.items()}
     ended: Queue[Future] = Queue()
     while running or (waiting and not stop()):
+        # A few cells for each thread wait at the scheduler, so that no worker is idle.
         ahead = AHEAD * max(sum(client.nthreads().values()), 1)
         while waiting and len(running) < ahead and not stop():
             cell = waiting.popleft()
-            future = client.submit(_on_worker, cell, data[cell.data.key], dict(needed), pure=False,
+            future = client.submit(_on_worker, cell, data[cell.data.key], dict(required),
+                                   pure=False,
                                    key=f"termsel-cell-{cell.key}-{time.monotonic_ns()}")
             running[future] = cell
             future.add_done_callback(ended.put)
@@ -139,14 +146,17 @@ def _submitted(client: Client, waiting: deque[Cell], running: dict[Future, Cell]
             future = ended.get(timeout=_LOOK)
         except Empty:
             continue
-        if future.status in ("cancelled", "lost"):  # so are all others, and the data
+        # So are all others, and the data.
+        if future.status in ("cancelled", "lost"):
             return
         cell = running.pop(future)
         error = future.exception() if future.status == "error" else None
         if error is None:
             yield future.result()
-        elif isinstance(error, KilledWorker):  # it was tried on several workers
+        elif isinstance(error, KilledWorker):
+            # It was tried on several workers.
             yield failed(cell.key, DIED)
+        # An error of termsel, such as other versions on a worker, ends the study.
         elif isinstance(error, TermselError):
             raise error
         else:
@@ -158,9 +168,9 @@ def _held(features: FeatureSet) -> FeatureSet:
     return features
 
 
-def _on_worker(cell: Cell, features: FeatureSet, needed: Mapping[str, str]) -> Outcome:
+def _on_worker(cell: Cell, features: FeatureSet, required: Mapping[str, str]) -> Outcome:
     """Run a cell on a worker, which may have come after the study began."""
     from distributed import get_worker
 
-    require_alike(needed, versions_here(tuple(needed)), get_worker().address)
+    require_alike(required, versions_here(tuple(required)), get_worker().address)
     return do(cell, features)

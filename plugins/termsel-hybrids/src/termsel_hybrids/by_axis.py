@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from itertools import chain, product
 from typing import ClassVar
 
 import numpy as np
@@ -31,16 +32,20 @@ class PolynomialByAxis(RationalModel):
     def exponents(self) -> tuple[Exponents, Exponents]:
         """Exponents of X, Y, Z of each column, of line and of sample."""
         everything = graded_exponents(int(self.options["degree"]), len(self.coordinates))
-        line, sample = (tuple(e for e in everything if all(
-            power <= self.options[f"{axis}_{coordinate}"]
-            for coordinate, power in zip(self.coordinates, e, strict=False)))
-            for axis in ("line", "sample"))
-        return line, sample
+        exponents_of = {}
+        for axis in ("line", "sample"):
+            n = len(self.coordinates)
+            largest = np.array([self.options[f"{axis}_{coordinate}"]
+                                for coordinate in self.coordinates])
+            # Within the total degree, and within the degree of each coordinate.
+            exponents_of[axis] = tuple(powers for powers in everything
+                                       if (np.array(powers[:n]) <= largest).all())
+        return exponents_of["line"], exponents_of["sample"]
 
     @property
     def polynomial_degree(self) -> int | None:
         """Total degree."""
-        return max(sum(e) for exponents in self.exponents for e in exponents)
+        return max(map(sum, chain(*self.exponents)))
 
     def blocks(self, ground: FloatArray) -> Blocks:
         """Return the monomials of each axis."""
@@ -52,11 +57,13 @@ class PolynomialByAxis(RationalModel):
         return tuple(monomial_name(e) for e in self.exponents[block == "sample"])
 
 
-def _powers(coordinates: str, most: int) -> tuple[Option, ...]:
-    return (Option("degree", most, "Highest total degree.", int, 1, most),
-            *(Option(f"{axis}_{coordinate}", 2, f"Highest power of {coordinate.upper()} in the "
-                     f"polynomial of {axis}.", int, 0, most)
-              for axis in ("line", "sample") for coordinate in coordinates))
+def _powers(coordinates: str, largest: int) -> tuple[Option, ...]:
+    options = [Option("degree", largest, "Highest total degree.", int, 1, largest)]
+    for axis, coordinate in product(("line", "sample"), coordinates):
+        options.append(Option(
+            f"{axis}_{coordinate}", 2, f"Highest power of {coordinate.upper()} in the polynomial "
+            f"of {axis}.", int, 0, largest))
+    return tuple(options)
 
 
 class Polynomial2DByAxis(PolynomialByAxis):
@@ -77,9 +84,10 @@ class Polynomial3DByAxis(PolynomialByAxis):
 
 def degrees(inputs: Inputs) -> Problem:
     """Return the search for the degrees."""
-    own = [option.name for option in inputs.model.declared_options
-           if option.name.startswith(("line_", "sample_"))]
-    return ParameterProblem(inputs, own or ("line_x",))
+    # Models without a degree by axis have none to search: the problem then says which it needs.
+    names = [option.name for option in inputs.model.declared_options
+             if option.name.startswith(("line_", "sample_"))]
+    return ParameterProblem(inputs, names or ("line_x",))
 
 
 RECIPE = Recipe(

@@ -76,16 +76,20 @@ def _fitted(computed: FloatArray, control: FeatureSet) -> FloatArray:
         Image positions of the control's ground vertices by the polynomial.
     control : FeatureSet
     """
-    points, n = control.points, len(control.points)
+    points = control.points
+    n = len(points)
     of_lines, offset = line_normals(control.lines)
     normal = np.concatenate([np.tile(np.eye(2), (n, 1)), np.repeat(of_lines, 2, axis=0)])
     rho = np.concatenate([points.image.ravel(), np.repeat(offset, 2)])
     weight = row_weights(control, heights=False)
+    # A point is its own vertex twice, once a row; a line has two vertices with a row each.
     vertex = np.concatenate([np.repeat(np.arange(n), 2), np.arange(n, computed.shape[-2])])
     columns = _columns(computed[..., vertex, :])
+    # n (above) - rho (below) = 0, linear in the unknowns, as of a DLT.
     A = weight[:, None] * np.concatenate(
         [normal[:, :1] * columns, normal[:, 1:] * columns, -rho[:, None] * columns[..., 1:]],
         axis=-1)
+    # A step from the identity by the pseudoinverse: what control leaves open does not change.
     change = np.linalg.pinv(A, rcond=1e-8) @ (weight * rho - A @ _IDENTITY)[..., None]
     return np.asarray(_IDENTITY + change[..., 0])
 
@@ -93,8 +97,8 @@ def _fitted(computed: FloatArray, control: FeatureSet) -> FloatArray:
 def _mapped(second: FloatArray, image: FloatArray) -> FloatArray:
     """Return image positions, shape (..., n, 2), mapped by the second step."""
     columns = _columns(image)
-    above = np.stack([np.einsum("...nk,...k->...n", columns, second[..., where])
-                      for where in (slice(0, 4), slice(4, 8))], axis=-1)
+    above = np.stack([np.einsum("...nk,...k->...n", columns, second[..., columns_of])
+                      for columns_of in (slice(0, 4), slice(4, 8))], axis=-1)
     below = _denominators(second, columns)[..., None]
     return np.asarray(np.divide(above, below, out=np.full_like(above, np.inf),
                                 where=below > _LEAST_DENOMINATOR))
@@ -103,10 +107,11 @@ def _mapped(second: FloatArray, image: FloatArray) -> FloatArray:
 def _has_pole(second: FloatArray, control: FeatureSet) -> BoolArray:
     """Return whether denominators are too small around the control, shape (...)."""
     image = control.image_vertices()
-    (top, left) = image.min(axis=0)
-    (bottom, right) = image.max(axis=0)
+    (first_line, first_sample) = image.min(axis=0)
+    (last_line, last_sample) = image.max(axis=0)
     # A bilinear function has its least value over a rectangle in a corner.
-    corners = np.array([(line, sample) for line in (top, bottom) for sample in (left, right)])
+    corners = np.array([(first_line, first_sample), (first_line, last_sample),
+                        (last_line, first_sample), (last_line, last_sample)])
     below = _denominators(second, _columns(corners))
     return np.asarray((below <= _LEAST_DENOMINATOR).any(axis=-1))
 

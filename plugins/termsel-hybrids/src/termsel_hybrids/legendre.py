@@ -29,10 +29,13 @@ class RationalLegendre(RationalFunctions):
 
     def blocks(self, ground: FloatArray) -> Blocks:
         """Return the products as numerators, and without the constant as denominators."""
+        # P_0 to P_n of each coordinate at all points, by their recurrence.
         of_each = legvander(ground.T, max(max(powers) for powers in self.exponents))
-        above = np.stack([np.prod([of_each[variable, :, power]
-                                   for variable, power in enumerate(powers)], axis=0)
-                          for powers in self.exponents], axis=1)
+        products = []
+        for powers in self.exponents:
+            factors = [of_each[variable, :, power] for variable, power in enumerate(powers)]
+            products.append(np.prod(factors, axis=0))
+        above = np.stack(products, axis=1)
         separate, shared = (above[:, 1:] if self.divides == kind else None
                             for kind in ("separate", "shared"))
         return Blocks(above, above, separate, separate, shared)

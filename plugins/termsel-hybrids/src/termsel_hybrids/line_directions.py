@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,7 +102,7 @@ class LineAffine(LineDirections):
     @property
     def terms(self) -> tuple[str, ...]:
         """Names of the terms, as those of `affine`."""
-        return tuple(f"{axis}.num:{name}" for axis in ("line", "sample") for name in "1XYZ")
+        return tuple(f"{axis}.num:{name}" for axis, name in product(("line", "sample"), "1XYZ"))
 
     @property
     def axis(self) -> IntArray:
@@ -118,9 +119,9 @@ class LineAffine(LineDirections):
                                     coefficients))
 
     def _columns(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
-        one = np.column_stack([np.ones(len(ground)), ground])
-        both = np.einsum("ab,nk->nabk", np.eye(2), one)
-        return np.asarray(both.reshape(len(ground), 2, 8))
+        monomials = np.column_stack([np.ones(len(ground)), ground])
+        of_axes = np.einsum("ab,nk->nabk", np.eye(2), monomials)
+        return np.asarray(of_axes.reshape(len(ground), 2, 8))
 
 
 class LineConformal(LineDirections):
@@ -154,16 +155,20 @@ class LineConformal(LineDirections):
         """Return a solution: the rotation next to the affine model, after some steps."""
         equations = LineAffine().prepared(self.scaling, self.crs).equations(features) \
             if self.scaling is not None else LineAffine().equations(features)
+        # The affine model first, which is linear; its two rows need not be orthogonal.
         affine = np.linalg.lstsq(equations.A, equations.b, rcond=1e-9)[0].reshape(2, 4)
         line, sample = affine[:, 1:] / self._units
-        left, sizes, right = np.linalg.svd(np.stack([sample, -line]), full_matrices=False)
-        a, b = left @ right
+        left_vectors, sizes, right_vectors = np.linalg.svd(np.stack([sample, -line]),
+                                                           full_matrices=False)
+        # The nearest pair of orthogonal rows of one length: U V^T of the singular value
+        # decomposition.
+        a, b = left_vectors @ right_vectors
         turn = _quaternion(np.stack([a, b, np.cross(a, b)]))
-        found = np.array([*affine[:, 0], *turn * np.sqrt(sizes.mean())])
+        solution = np.array([*affine[:, 0], *turn * np.sqrt(sizes.mean())])
         for _ in range(_STEPS):
-            step = self.linearised(features, found)
-            found = np.linalg.lstsq(step.A, step.b, rcond=1e-9)[0]
-        return found
+            step = self.linearised(features, solution)
+            solution = np.linalg.lstsq(step.A, step.b, rcond=1e-9)[0]
+        return solution
 
     def equations(self, features: FeatureSet) -> Equations:
         """Return the equations about the start."""
@@ -184,6 +189,7 @@ class LineConformal(LineDirections):
 def _turned(q: FloatArray, ground: FloatArray) -> FloatArray:
     """Return the derivatives of line and sample by a quaternion (..., 4), shape (..., n, 2, 4)."""
     w, i, j, k = np.moveaxis(q, -1, 0)[..., None]
+    # Rows of the rotation matrix of q are quadratic in q: their derivatives are linear.
     x, y, z = ground.T
     sample = (w * x - k * y + j * z, i * x + j * y + k * z, -j * x + i * y + w * z,
               -k * x - w * y + i * z)
@@ -204,11 +210,11 @@ def _quaternion(turn: FloatArray) -> FloatArray:
 
 def _weights(features: FeatureSet) -> tuple[FloatArray, FloatArray]:
     """Return the median standard deviation over that of each row of points, and of each line."""
-    parts = features.points.sigma, features.lines.sigma
-    known = [one.ravel() for one in parts if one is not None]
-    unit = float(np.median(np.concatenate(known))) if known else 1.0
-    return (np.ones(2 * len(features.points)) if parts[0] is None else unit / parts[0].ravel(),
-            np.ones(len(features.lines)) if parts[1] is None else unit / parts[1])
+    sigmas = features.points.sigma, features.lines.sigma
+    stated = [sigma.ravel() for sigma in sigmas if sigma is not None]
+    unit = float(np.median(np.concatenate(stated))) if stated else 1.0
+    return (np.ones(2 * len(features.points)) if sigmas[0] is None else unit / sigmas[0].ravel(),
+            np.ones(len(features.lines)) if sigmas[1] is None else unit / sigmas[1])
 
 
 def _lengths(lines: FloatArray) -> FloatArray:

@@ -43,8 +43,8 @@ class Multiquadric(Polynomial2D):
         If control points have the same X and Y, the mean of their residuals is interpolated; a
         single control point corrects nothing.
         """
-        places = np.ascontiguousarray(control[:, :2])
-        return np.asarray(_distances(ground, control) @ _inverse(places.tobytes()))
+        positions = np.ascontiguousarray(control[:, :2])
+        return np.asarray(_distances(ground, control) @ _inverse(positions.tobytes()))
 
 
 class Hybrid3(Multiquadric):
@@ -68,9 +68,9 @@ class Hybrid3(Multiquadric):
 
 
 @lru_cache(maxsize=8)
-def _inverse(places: bytes) -> FloatArray:
+def _inverse(positions: bytes) -> FloatArray:
     """Return inv(F) of control points; a search needs the same one many times."""
-    control = np.frombuffer(places).reshape(-1, 2)
+    control = np.frombuffer(positions).reshape(-1, 2)
     # F has full rank for distinct points; only repeated positions lower it.
     return np.asarray(np.linalg.pinv(_distances(control, control), rcond=1e-12, hermitian=True))
 

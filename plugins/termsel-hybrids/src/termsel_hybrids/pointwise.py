@@ -10,7 +10,8 @@ from termsel import Option, Polynomial2D
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-_AT_ONCE = 1e-4  # of the reach: keeps the weight at a control point finite
+# Of the reach: keeps the weight at a control point finite.
+_AT_ONCE = 1e-4
 
 WEIGHTS = {
     "uniform": lambda u: np.ones_like(u),
@@ -56,6 +57,7 @@ class Pointwise(Polynomial2D):
 
     def residual_weights(self, control: FloatArray, ground: FloatArray) -> FloatArray:
         """Return the weight of each residual in the local constant (see `SensorModel`)."""
+        # From each place to each control point, in X and Y.
         offset = control[None, :, :2] - ground[:, None, :2]
         distance = np.linalg.norm(offset, axis=2)
         near = self._neighbours(offset, distance)
@@ -63,6 +65,8 @@ class Pointwise(Polynomial2D):
         reach[reach == 0.0] = 1.0
         root = np.sqrt(np.where(near, WEIGHTS[self.options["weight"]](distance / reach), 0.0))
         columns = self._columns_around(offset / reach[..., None], near.sum(axis=1))
+        # The first row of the pseudoinverse gives the constant of the local polynomial, at its
+        # middle.
         return np.asarray(
             np.linalg.pinv(root[..., None] * columns, rcond=1e-8)[:, 0] * root)
 
@@ -70,6 +74,7 @@ class Pointwise(Polynomial2D):
         """Return the control points used at each place, shape (m, n)."""
         if self.options["neighbours"] == "nearest":
             return _nearest(distance, self.options["count"] or 8)
+        # Four quadrants around each place, numbered by the signs of both offsets.
         quadrant = 2 * (offset[..., 0] < 0) + (offset[..., 1] < 0)
         count = self.options["count"] or 2
         return np.asarray(np.any([_nearest(np.where(quadrant == i, distance, np.inf), count)
@@ -81,13 +86,15 @@ class Pointwise(Polynomial2D):
         y = offset[..., 1]
         columns = []
         for degree in range(self.options["local_degree"] + 1):
-            enough = count >= (degree + 1) * (degree + 2) // 2
-            columns += [enough[:, None] * x**(degree - j) * y**j for j in range(degree + 1)]
+            # A polynomial of a degree has (d + 1) (d + 2) / 2 terms.
+            has_enough = count >= (degree + 1) * (degree + 2) // 2
+            columns += [has_enough[:, None] * x**(degree - j) * y**j for j in range(degree + 1)]
         return np.stack(columns, axis=-1)
 
 
 def _nearest(distance: FloatArray, count: int) -> BoolArray:
     """Return which control points are the nearest of finite distance, shape (m, n)."""
+    # Stable, so that of points at one distance the first ones are taken, on every machine.
     near = np.zeros(distance.shape, dtype=bool)
     order = np.argsort(distance, axis=1, kind="stable")[:, :count]
     np.put_along_axis(near, order, True, axis=1)

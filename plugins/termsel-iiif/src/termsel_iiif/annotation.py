@@ -46,10 +46,10 @@ class Feature(msgspec.Struct):
     @property
     def image(self) -> list[float]:
         """Column and row from the upper left corner of the image."""
-        found = self.properties.resourceCoords or self.properties.pixelCoords
-        if found is None:
+        position = self.properties.resourceCoords or self.properties.pixelCoords
+        if position is None:
             raise ValueError("Object missing required field `resourceCoords`")
-        return found
+        return position
 
 
 class _Body(msgspec.Struct):
@@ -122,34 +122,37 @@ def maps_of(text: bytes) -> list[Map]:
     ValueError
         Saying what is wrong, and where as a path in the JSON.
     """
-    whole = msgspec.json.decode(text)
-    if not isinstance(whole, dict):
+    # A page of several maps, or one map by itself.
+    content = msgspec.json.decode(text)
+    if not isinstance(content, dict):
         raise ValueError("Expected an object - at `$`")  # noqa: TRY004
-    if whole.get("type") == "AnnotationPage":
-        items = whole.get("items")
+    if content.get("type") == "AnnotationPage":
+        items = content.get("items")
         if not isinstance(items, list):
             raise ValueError("Expected an array of annotations - at `$.items`")
         return [_map(item, f"$.items[{i}]") for i, item in enumerate(items)]
-    return [_map(whole, "$")]
+    return [_map(content, "$")]
 
 
 def _map(item: Any, path: str) -> Map:
     """Return one map, or refuse it with its place in the file."""
     try:
-        given = msgspec.convert(item, Annotation)
+        annotation = msgspec.convert(item, Annotation)
     except msgspec.ValidationError as error:
+        # msgspec names the place within the item: the path of the item comes before it.
         raise ValueError(str(error).replace("`$", f"`{path}")) from error
     points = []
-    for i, feature in enumerate(given.body.features):
+    for i, feature in enumerate(annotation.body.features):
         try:
             column, row = feature.image[:2]
         except ValueError as error:
             raise ValueError(f"{error} - at `{path}.body.features[{i}].properties`") from error
         lon, lat = feature.geometry.coordinates[:2]
         points.append((column, row, lon, lat))
-    size = _size_and_mask(given.target.selector.value, path)
-    transformation = given.body.transformation
-    return Map(given.id, _resource(given.target, size, path), given.target.selector.value,
+    size = _size_and_mask(annotation.target.selector.value, path)
+    transformation = annotation.body.transformation
+    return Map(annotation.id, _resource(annotation.target, size, path),
+               annotation.target.selector.value,
                transformation if isinstance(transformation, dict) else None, points)
 
 
@@ -163,6 +166,7 @@ def _resource(target: _Target, size: tuple[int, int] | None, path: str) -> dict[
         _require_url(name, f"{path}.target.source.id")
         width = source.width
         height = source.height
+        # Sizes that the source does not state may be those of the selector.
         if width is None or height is None:
             width, height = size or (None, None)
         return {"id": name, "type": source.type, "width": width, "height": height}
@@ -171,29 +175,32 @@ def _resource(target: _Target, size: tuple[int, int] | None, path: str) -> dict[
         raise ValueError(f"Object missing required field `service` - at `{path}.target`")
     service = target.service[0]
     _require_url(service.id, f"{path}.target.service[0].@id")
+    # Version 0 has no size of the image but that of the selector.
     width, height = size or (None, None)
     return {"id": service.id, "type": service.type, "width": width, "height": height}
 
 
 def _require_url(text: str, path: str) -> None:
     """Refuse what is no address."""
-    parts = urlsplit(text)
-    if not parts.scheme or not (parts.netloc or parts.path):
+    url = urlsplit(text)
+    if not url.scheme or not (url.netloc or url.path):
         raise ValueError(f"Invalid url {text!r} - at `{path}`")
 
 
 def _size_and_mask(value: str, path: str) -> tuple[int, int] | None:
     """Return width and height that an SVG selector states, whose polygon must be one."""
-    where = f" - at `{path}.target.selector.value`"
-    if "<!" in value:  # declarations can make a text of any length
-        raise ValueError(f"SVG with declarations{where}")
+    location = f" - at `{path}.target.selector.value`"
+    # Declarations can make a text of any length.
+    if "<!" in value:
+        raise ValueError(f"SVG with declarations{location}")
     try:
         svg = ElementTree.fromstring(value)
     except ElementTree.ParseError as error:
-        raise ValueError(f"Invalid SVG: {error}{where}") from error
-    polygon = next((part for part in svg.iter() if part.tag.rpartition("}")[2] == "polygon"), None)
+        raise ValueError(f"Invalid SVG: {error}{location}") from error
+    polygon = next((element for element in svg.iter()
+                    if element.tag.rpartition("}")[2] == "polygon"), None)
     if polygon is None or len(corners(polygon.get("points", ""))) < 3:
-        raise ValueError(f"Invalid SVG, expected a polygon of three corners or more{where}")
+        raise ValueError(f"Invalid SVG, expected a polygon of three corners or more{location}")
     try:
         return int(float(svg.get("width", ""))), int(float(svg.get("height", "")))
     except ValueError:
@@ -202,18 +209,21 @@ def _size_and_mask(value: str, path: str) -> tuple[int, int] | None:
 
 def corners(points: str) -> list[tuple[float, float]]:
     """Return the corners of the attribute `points` of a polygon; none if it is not one."""
-    found = []
+    pairs = []
     at = 0
+    # One pair of numbers after the other, as SVG separates them by commas or blanks.
     while at < len(points.rstrip()):
         match = _POINT.match(points, at)
         if match is None:
             return []
-        found.append((float(match[1]), float(match[2])))
+        pairs.append((float(match[1]), float(match[2])))
         at = match.end()
-    return found
+    return pairs
 
 
-def kept(one: Map) -> dict[str, str]:
+def kept(georeferenced: Map) -> dict[str, str]:
     """Return what of a map is no point, as texts of attributes."""
-    return {SOURCE: json.dumps({"annotation": one.id, **one.resource}), MASK: one.mask,
-            TRANSFORMATION: json.dumps(one.transformation) if one.transformation else ""}
+    return {SOURCE: json.dumps({"annotation": georeferenced.id, **georeferenced.resource}),
+            MASK: georeferenced.mask,
+            TRANSFORMATION: json.dumps(georeferenced.transformation) if georeferenced.transformation
+            else ""}

@@ -40,32 +40,34 @@ class AnnotationReader(Reader):
         text = head.lstrip()
         if not text.startswith(b"{"):
             return False
+        # A page of annotations, or an annotation with target and body: other JSON has neither.
         return b'"AnnotationPage"' in head or (
             b'"Annotation"' in head and b'"target"' in head and b'"body"' in head)
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points of a map."""
-        chosen = self._chosen(self._maps(path), path)
-        if not chosen.features:
+        map_ = self._chosen(self._maps(path), path)
+        if not map_.features:
             raise TermselError("this map has no control points", file=path,
                                hint="Add some, for example in Allmaps Editor.")
-        table = np.array(chosen.features)
+        table = np.array(map_.features)
         n = len(table)
+        # The IIIF has columns before rows; termsel has lines before samples.
         image = table[:, 1::-1] - CENTRE
         ground = np.column_stack([table[:, 2:], np.full(n, np.nan)])
         attributes = {name: np.array([text] + [""] * (n - 1), dtype=object)
-                      for name, text in kept(chosen).items()}
+                      for name, text in kept(map_).items()}
         points = Points(tuple(f"P{i}" for i in range(1, n + 1)), image, ground,
                         attributes=attributes)
-        kind = kind_of(chosen.transformation)
+        kind = kind_of(map_.transformation)
         if kind is not None:
             options = "".join(f" --set {name}={value}" for name, value in kind.options.items()
                               if value)
             log.info("The map is drawn with %s; --model %s%s %s fits that kind to all points in "
                      "Web Mercator, as viewers do, but from the ground to the image.", kind.label,
                      kind.model, options, ALL_POINTS)
-        width = chosen.resource["width"]
-        height = chosen.resource["height"]
+        width = map_.resource["width"]
+        height = map_.resource["height"]
         size = (height, width) if width and height else None
         return FeatureSet(points, crs="EPSG:4326", image_size=size)
 
@@ -86,19 +88,21 @@ class AnnotationReader(Reader):
 
     def _chosen(self, maps: list[Map], path: Path) -> Map:
         """Return the map that the option names, or the only one."""
-        asked = str(self.options["map"])
-        known = ", ".join(f"{i}" + (f" ({one.id})" if one.id else "")
-                          for i, one in enumerate(maps[:8], 1))
+        wanted_map = str(self.options["map"])
+        listed = ", ".join(f"{i} ({map_.id})" if map_.id else str(i)
+                           for i, map_ in enumerate(maps[:8], 1))
         if not maps:
             raise TermselError("this page has no maps", file=path, hint="Add a map to it.")
-        if not asked:
+        if not wanted_map:
             if len(maps) > 1:
                 raise TermselError(f"this page has {len(maps)} maps", file=path,
-                                   hint=f"Choose one with --set map=N: {known}.")
+                                   hint=f"Choose one with --set map=N: {listed}.")
             return maps[0]
-        if asked.isdigit() and 1 <= int(asked) <= len(maps):
-            return maps[int(asked) - 1]
-        for one in maps:
-            if one.id == asked:
-                return one
-        raise TermselError(f"this page has no map {asked!r}", file=path, hint=f"Its maps: {known}.")
+        # A number, or the id that a map has in its file.
+        if wanted_map.isdigit() and 1 <= int(wanted_map) <= len(maps):
+            return maps[int(wanted_map) - 1]
+        for map_ in maps:
+            if map_.id == wanted_map:
+                return map_
+        raise TermselError(f"this page has no map {wanted_map!r}", file=path,
+                           hint=f"Its maps: {listed}.")

@@ -23,7 +23,8 @@ from termsel.toolkit import FloatArray
 EARTH = 6378137.0
 """Radius of the sphere of Web Mercator [m]."""
 
-_ACROSS = 15  # places along either side of the image at which a viewer is compared with the model
+# Places along either side of the image at which a viewer is compared with the model.
+_ACROSS = 15
 
 Forward = Callable[[FloatArray], FloatArray]
 """From line and sample (n, 2) to Web Mercator (n, 2) [m]."""
@@ -37,7 +38,7 @@ class Kind:
     ----------
     label : str
         What messages call it.
-    stated : dict
+    statement : dict
         As the extension states it.
     model : str
         The model of termsel that is the same from the ground to the image, or next to it.
@@ -46,7 +47,7 @@ class Kind:
     """
 
     label: str
-    stated: dict[str, Any]
+    statement: dict[str, Any]
     model: str
     options: Mapping[str, Any]
 
@@ -73,9 +74,10 @@ def kind_of(stated: Any) -> Kind | None:
     if not isinstance(stated, dict):
         return None
     options = stated.get("options")
+    # Nothing of a file is trusted to be of the type that the extension says.
     order = options.get("order", 1) if isinstance(options, dict) else 1
     for kind in KINDS.values():
-        if stated.get("type") == kind.stated["type"] and (
+        if stated.get("type") == kind.statement["type"] and (
                 kind.model != "poly2d" or order == kind.options["degree"]):
             return kind
     return None
@@ -88,6 +90,7 @@ def kind_of_fit(fitted: Fit) -> str | None:
     """
     model = fitted.model
     for key, kind in KINDS.items():
+        # All terms in use, and the options that the transformation stands for.
         if model.name == kind.model and fitted.terms.all() and all(
                 model.options.get(name) == value for name, value in kind.options.items()):
             return key
@@ -96,6 +99,7 @@ def kind_of_fit(fitted: Fit) -> str | None:
 
 def mercator(degrees: FloatArray) -> FloatArray:
     """Return longitude and latitude (n, 2) [degrees] in Web Mercator [m]."""
+    # Northing R artanh(sin lat), which is R ln tan(45 deg + lat / 2).
     lon, lat = np.radians(degrees).T
     return EARTH * np.column_stack([lon, np.arctanh(np.sin(lat))])
 
@@ -118,15 +122,16 @@ def forward(key: str, image: FloatArray, plane: FloatArray) -> Forward | None:
     plane : ndarray, shape (n, 2)
         Web Mercator [m].
     """
+    # About the mean and in units of the extent, so that least squares are well conditioned.
     middle = plane.mean(axis=0)
     far = float(np.abs(plane - plane.mean(axis=0)).max()) or 1.0
     centre = image.mean(axis=0)
     unit = float(np.abs(image - image.mean(axis=0)).max()) or 1.0
-    known = (image - centre) / unit
-    place = (plane - middle) / far
-    made = _scaled(key, known, place)
-    return None if made is None else lambda at: np.asarray(
-        middle + far * made((at - centre) / unit))
+    scaled_image = (image - centre) / unit
+    scaled_plane = (plane - middle) / far
+    scaled = _scaled(key, scaled_image, scaled_plane)
+    return None if scaled is None else lambda at: np.asarray(
+        middle + far * scaled((at - centre) / unit))
 
 
 SPLINED = 5000
@@ -146,6 +151,7 @@ def _scaled(key: str, image: FloatArray, plane: FloatArray) -> Forward | None:
         spline = RBFInterpolator(image, plane, kernel="thin_plate_spline")
         return lambda at: np.asarray(spline(at))
     if key == "similarity":
+        # Both axes share their unknowns: equations of x above those of y.
         design = np.concatenate([_turned(image, 0), _turned(image, 1)])
         if n < 2 or np.linalg.matrix_rank(design) < 4:
             return None
@@ -163,16 +169,18 @@ def _scaled(key: str, image: FloatArray, plane: FloatArray) -> Forward | None:
 def _turned(image: FloatArray, axis: int) -> FloatArray:
     """Return the columns of the similarity: two shifts, cosine and sine, for x or for y."""
     (line, sample) = image.T
-    one = np.ones(len(image))
+    unit = np.ones(len(image))
     none = np.zeros(len(image))
     # x = a + c * sample + s * line,  y = b + s * sample - c * line
-    return np.column_stack([one, none, sample, line] if axis == 0 else [none, one, -line, sample])
+    return np.column_stack([unit, none, sample, line] if axis == 0 else [none, unit, -line, sample])
 
 
 def _monomials(image: FloatArray, order: int) -> FloatArray:
     line, sample = image.T
-    return np.column_stack([line**i * sample**j for i in range(order + 1)
-                            for j in range(order + 1 - i)])
+    columns = []
+    for i in range(order + 1):
+        columns += [line**i * sample**j for j in range(order + 1 - i)]
+    return np.column_stack(columns)
 
 
 def _projective(image: FloatArray, plane: FloatArray) -> Forward | None:
@@ -180,15 +188,19 @@ def _projective(image: FloatArray, plane: FloatArray) -> Forward | None:
     if len(image) < 4:
         return None
     source = np.column_stack([image, np.ones(len(image))])
+    # x (h3 p) = h1 p and y (h3 p) = h2 p, homogeneous in the nine numbers of H.
     rows = np.concatenate([
         np.hstack([source, 0 * source, -plane[:, :1] * source]),
         np.hstack([0 * source, source, -plane[:, 1:] * source])])
-    sizes, directions = np.linalg.svd(np.linalg.qr(rows, mode="r"))[1:]  # U would be (2 n, 2 n)
+    # U would be (2 n, 2 n).
+    sizes, directions = np.linalg.svd(np.linalg.qr(rows, mode="r"))[1:]
+    # A second direction without change: the points do not determine the transformation.
     if sizes[7] < 1e-10 * sizes[0]:
         return None
     matrix = directions[-1].reshape(3, 3)
 
     def project(at: FloatArray) -> FloatArray:
+        # Homogeneous coordinates, divided by the third.
         above = np.column_stack([at, np.ones(len(at))]) @ matrix.T
         return np.asarray(above[:, :2] / above[:, 2:])
 
@@ -197,6 +209,7 @@ def _projective(image: FloatArray, plane: FloatArray) -> Forward | None:
 
 def places(fitted: Fit) -> FloatArray:
     """Return line and sample of places over the image (m, 2)."""
-    (top, left), (bottom, right) = fitted.image_box()
-    return np.stack(np.meshgrid(np.linspace(top, bottom, _ACROSS), np.linspace(left, right, _ACROSS)
+    (first_line, first_sample), (last_line, last_sample) = fitted.image_box()
+    return np.stack(np.meshgrid(np.linspace(first_line, last_line, _ACROSS),
+                                np.linspace(first_sample, last_sample, _ACROSS)
                                 ), axis=-1).reshape(-1, 2)

@@ -23,7 +23,8 @@ from termsel_iiif.viewer import (
     places,
 )
 
-_ALIKE = 0.01  # px
+# In px.
+_ALIKE = 0.01
 
 _IMAGE = Option("image_id", "", "Address of the IIIF image, such as https://example.org/iiif/map1; "
                                 "by default that of the annotation that was read.")
@@ -61,10 +62,12 @@ class AnnotationWriter(Writer):
         points = result.features.points
         wrong = {outlier.id for outlier in result.outliers if outlier.excluded}
         use = [role != "off" and name not in wrong
+               # What was left out as a blunder would bend the transformation of a viewer.
                for name, role in zip(points.ids, points.roles, strict=True)]
         used = points.take(use)
         source = self._source(result)
         ground = used.ground.copy()
+        # Heights do not matter for longitude and latitude, but none must be unknown.
         ground[:, 2] = np.nan_to_num(ground[:, 2])
         places_on_earth = to_wgs84(result.features.crs)(ground)
         features = [{
@@ -73,8 +76,8 @@ class AnnotationWriter(Writer):
             "geometry": {"type": "Point", "coordinates": [_plain(lon), _plain(lat)]},
         } for (line, sample), (lon, lat) in zip(
             used.image.tolist(), places_on_earth[:, :2].tolist(), strict=True)]
-        kept = _kept(result, TRANSFORMATION)
-        stated = _transformation(result.exported, used.image, places_on_earth[:, :2], kept)
+        stated_before = _kept(result, TRANSFORMATION)
+        stated = _transformation(result.exported, used.image, places_on_earth[:, :2], stated_before)
         annotation = source.pop("annotation", None)
         content = {"type": "Annotation", **({"id": annotation} if annotation else {}),
                   "@context": ["http://iiif.io/api/extension/georef/1/context.json",
@@ -89,6 +92,7 @@ class AnnotationWriter(Writer):
 
     def _source(self, result: Result) -> dict[str, Any]:
         """Return the image: of the options, or of the annotation that was read."""
+        # What was read comes back as it was, but for what the options say.
         source = _kept(result, SOURCE) or {}
         if self.options["image_id"]:
             source = {"id": self.options["image_id"], "type": self.options["service"]}
@@ -113,44 +117,51 @@ class AnnotationWriter(Writer):
         else:
             low = np.zeros(2)
             high = np.array(result.features.image_size, dtype=float)
-        top, left, bottom, right = (round(value) for value in (*low, *high))
-        size = f' width="{right}" height="{bottom}"' if result.features.image_size else ""
-        return (f'<svg{size}><polygon points="{left},{top} {left},{bottom} {right},{bottom} '
-                f'{right},{top}" /></svg>')
+        first_line, first_sample, last_line, last_sample = (round(value) for value in (*low, *high))
+        size = f' width="{last_sample}" height="{last_line}"' if result.features.image_size else ""
+        return (f'<svg{size}><polygon points="{first_sample},{first_line} '
+                f'{first_sample},{last_line} {last_sample},{last_line} '
+                f'{last_sample},{first_line}" /></svg>')
 
 
 def _transformation(fitted: Fit, image: FloatArray, lonlat: FloatArray,
-                    kept: Any) -> dict[str, Any] | None:
+                    stated_before: Any) -> dict[str, Any] | None:
     """Return the transformation to state, and log what a viewer makes of it.
 
     `kept` is what an annotation that was read stated: it comes back as it was where it is the same
     transformation. None where the points determine none; a viewer then takes its own.
     """
     plane = mercator(lonlat)
-    made = {key: by_points for key in KINDS
-            if (by_points := forward(key, image, plane)) is not None}
+    by_kind = {}
+    for key in KINDS:
+        by_points = forward(key, image, plane)
+        if by_points is not None:
+            by_kind[key] = by_points
     named = kind_of_fit(fitted)
-    seen = {key: _seen(fitted, by_points) for key, by_points in made.items()
-            if named in (None, key)}
-    if not seen:
-        return kept if isinstance(kept, dict) else None
+    viewed = {key: _seen(fitted, by_points) for key, by_points in by_kind.items()
+              if named in (None, key)}
+    if not viewed:
+        return stated_before if isinstance(stated_before, dict) else None
     worst = {key: float(np.nan_to_num(np.hypot(*(fitted.project(ground) - at).T), nan=np.inf
-                                      ).max(initial=0.0)) for key, (ground, at) in seen.items()}
-    key = next(key for key in seen if worst[key] <= min(worst.values()) + _ALIKE)
+                                      ).max(initial=0.0)) for key, (ground, at) in viewed.items()}
+    # The simplest kind that is nearly as near as the nearest.
+    key = next(key for key in viewed if worst[key] <= min(worst.values()) + _ALIKE)
     kind = KINDS[key]
-    ignored = ", and ignores heights" * fitted.model.uses_height
-    say_deviation(NAME, fitted, *seen[key], f", by a viewer with {kind.label}{ignored}")
-    return kept if kind_of(kept) is kind else kind.stated
+    ignored = ", and ignores heights" if fitted.model.uses_height else ""
+    say_deviation(NAME, fitted, *viewed[key], f", by a viewer with {kind.label}{ignored}")
+    return stated_before if kind_of(stated_before) is kind else kind.statement
 
 
 def _seen(fitted: Fit, by_points: Forward) -> tuple[FloatArray, FloatArray]:
     """Return where a viewer puts places of the image: on the ground (m, 3), and in the image."""
+    # All over the image, as a viewer shows all of it, and not at the points alone.
     at = places(fitted)
     height = float(fitted.ground_box()[0][2]) if fitted.model.uses_height else 0.0
+    # Web Mercator ends at the poles, and a transformation may leave it.
     lonlat = degrees(by_points(at))
-    known = np.isfinite(lonlat).all(axis=1)
-    at = at[known]
-    lonlat = lonlat[known]
+    is_finite = np.isfinite(lonlat).all(axis=1)
+    at = at[is_finite]
+    lonlat = lonlat[is_finite]
     to_crs = transformation("EPSG:4979", fitted.control.crs, strict=False)
     ground = to_crs(np.column_stack([lonlat, np.full(len(at), height)]))
     finite = np.isfinite(ground[:, :2]).all(axis=1)
@@ -159,6 +170,7 @@ def _seen(fitted: Fit, by_points: Forward) -> tuple[FloatArray, FloatArray]:
 
 def _first(result: Result, name: str) -> str:
     """Return what an attribute says at the first point that has it."""
+    # The reader puts it at the first point, which a selection may have left out since.
     cells = result.features.points.attributes.get(name, ())
     return next((str(cell) for cell in cells if cell), "")
 

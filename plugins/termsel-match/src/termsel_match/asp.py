@@ -18,7 +18,7 @@ __all__ = ["AspMatches", "is_matches", "read_matches"]
 _DIGITS = 19
 # Of an interest point as text, before its descriptor.
 _POINT_CELLS = 11
-# bytes of the two counts.
+# Bytes of the two counts.
 _COUNTS = 16
 # x, y, both as whole numbers, orientation, scale, interest, polarity, octave, level, and the
 # length of the descriptor, as VisionWorkbench writes them without gaps.
@@ -108,7 +108,7 @@ def _counts(head: bytes) -> tuple[int, int] | None:
 
 def _binary(content: bytes, count: int, path: Path) -> tuple[FloatArray, FloatArray]:
     """Return line and sample of the points of both images, of a binary file."""
-    # bytes of a number of the descriptor, by the version of ASP.
+    # Bytes of a number of the descriptor, by the version of ASP.
     for width in (4, 8):
         positions: list[tuple[float, float]] = []
         # The descriptors have lengths of their own, so that records are read one after the other.

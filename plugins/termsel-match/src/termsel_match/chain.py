@@ -32,7 +32,7 @@ Bounds = tuple[float, float, float, float]
 CANDIDATES, REPORT, PICTURE, RESULT = ("candidates.csv", "report.txt", "residuals.png",
                                         "result")
 
-# In px for lines, from the model of the points.
+# Px for lines, from the model of the points.
 _SEARCH = 12.0
 
 
@@ -266,14 +266,14 @@ def _shown(files: list[Path], picture: GreyRaster, model: Start, dem: Path | str
     bounds = []
     repeats = (0.0, 0.0)
     for file in files:
-        # Tiles beside the image do not show it, which is no error of the whole.
+        # Tiles away from the image do not show it, which is no error of the whole.
         with suppress(NotShown), open_reference(file, model, dem, picture.size,
                                                 masks=masks) as opened:
             overlap |= opened.shown(picture)
             bounds.append(opened.bounds(crs))
             at_reference = opened.seen(grid(picture.size, (COVERS, COVERS)))
             repeats = max(repeats, repetition(opened.picture, at_reference),
-                          key=lambda repetition_: repetition_[1])
+                          key=lambda candidate: candidate[1])
     low = np.min(bounds, axis=0)
     high = np.max(bounds, axis=0)
     return overlap, (float(low[0]), float(low[1]), float(high[2]), float(high[3])), repeats

@@ -18,7 +18,7 @@ from termsel.toolkit import (
 from termsel_match.matchers import Matcher, Matches, Window, fault
 
 SEARCH = 20.0
-# In px of the first window, and of the second around it.
+# Px of the first window, and of the second around it.
 _WINDOW_SIDE, _WINDOW_BORDER = 160, 24
 # In px: the second shows the ground so much further down and to the left.
 _TRUE_SHIFT = (7.0, -5.0)

@@ -104,15 +104,21 @@ def simulate_map(
         if not 0 <= value < float("inf"):
             raise TermselError(f"a map with {name} = {value} cannot be simulated",
                                hint="Give numbers of at least 0, and at least one sheet.")
+    # A generator for each part, so that without one of them the others stay the same.
     of_paper, of_sheets, of_field, of_places, of_noise = np.random.default_rng(
         [1900, seed or 0]).spawn(5)
-    drawn = _places(of_places, n_points)
+    positions = _places(of_places, n_points)
     extent = np.array(SIZE) - 1.0
-    image = drawn + _field(of_field, local, drawn)
-    image += _joined(of_sheets, sheets, joints, drawn)
-    image = _shrunk(of_paper, shrinkage, image) + noise * of_noise.standard_normal(drawn.shape)
-    image = image.round(DIGITS)  # processors differ in the last bits
-    up, right = -(drawn - extent / 2).T * [[1.0], [-1.0]] * GSD
+    # Distorted as drawn, then by the sheets, then by the paper, then measured.
+    image = positions + _field(of_field, local, positions)
+    image += _joined(of_sheets, sheets, joints, positions)
+    image = _shrunk(of_paper, shrinkage, image) + noise * of_noise.standard_normal(positions.shape)
+    # Processors differ in the last bits.
+    image = image.round(DIGITS)
+    # Lines count downwards from the upper edge, northings upwards.
+    from_middle = (positions - extent / 2) * GSD
+    up = -from_middle[:, 0]
+    right = from_middle[:, 1]
     ground = np.column_stack([ORIGIN[0] + right, ORIGIN[1] + up, np.full(n_points, np.nan)])
     roles = tuple(ASSIGNABLE[i % 3] for i in range(n_points))
     points = Points(tuple(f"M{i + 1:03d}" for i in range(n_points)), image, ground, None, roles)
@@ -121,38 +127,42 @@ def simulate_map(
 
 def _places(rng: Generator, count: int) -> FloatArray:
     """Return places on the map [px], spread out by best candidates (Mitchell 1991)."""
-    places = np.empty((count, 2))
+    positions = np.empty((count, 2))
     for i in range(count):
-        tried = rng.uniform(_EDGE, 1 - _EDGE, (_CANDIDATES, 2)) * (np.array(SIZE) - 1.0)
-        apart = np.linalg.norm(tried[:, None] - places[:i], axis=2)
-        places[i] = tried[apart.min(axis=1, initial=np.inf).argmax()]
-    return places
+        candidates = rng.uniform(_EDGE, 1 - _EDGE, (_CANDIDATES, 2)) * (np.array(SIZE) - 1.0)
+        # Of several candidates the one farthest from all that are placed.
+        distances = np.linalg.norm(candidates[:, None] - positions[:i], axis=2)
+        positions[i] = candidates[distances.min(axis=1, initial=np.inf).argmax()]
+    return positions
 
 
-def _field(rng: Generator, size: float, places: FloatArray) -> FloatArray:
+def _field(rng: Generator, size: float, positions: FloatArray) -> FloatArray:
     """Return the local distortion at places [px], shape (n, 2)."""
     length = REACH * max(SIZE)
-    shift = np.empty(places.shape)
+    shift = np.empty(positions.shape)
     for axis in (0, 1):
         # Waves whose numbers are drawn from the spectrum of a Matern field of smoothness 5/2, a
         # Student distribution with 5 degrees of freedom.
         stretched = np.sqrt(5 / rng.chisquare(5, (WAVES, 1)))
         waves = stretched * rng.standard_normal((WAVES, 2)) / length
         phases = rng.uniform(0, 2 * np.pi, WAVES)
-        shift[:, axis] = np.sqrt(2 / WAVES) * np.cos(places @ waves.T + phases).sum(axis=1)
+        # The sum of many waves of random phase is about normal; this factor makes its variance 1.
+        shift[:, axis] = np.sqrt(2 / WAVES) * np.cos(positions @ waves.T + phases).sum(axis=1)
     return size * shift
 
 
 def _joined(rng: Generator, sheets: tuple[int, int], size: float,
-            places: FloatArray) -> FloatArray:
+            positions: FloatArray) -> FloatArray:
     """Return the shift of places by the sheets they are on [px], shape (n, 2)."""
     if sheets == (1, 1):
-        return np.zeros(places.shape)
+        return np.zeros(positions.shape)
     extent = np.array(SIZE) / sheets
-    which = np.minimum(places // extent, np.array(sheets) - 1).astype(int)
-    number = which[:, 0] * sheets[1] + which[:, 1]
-    line, sample = ((places - (which + 0.5) * extent) / (extent.max() / 2)).T
+    sheet = np.minimum(positions // extent, np.array(sheets) - 1).astype(int)
+    number = sheet[:, 0] * sheets[1] + sheet[:, 1]
+    # From the middle of each sheet, in half its longer side.
+    line, sample = ((positions - (sheet + 0.5) * extent) / (extent.max() / 2)).T
     shift = size * rng.standard_normal((sheets[0] * sheets[1], 2))[number]
+    # A small scale and turn move the edge of a sheet by as much as its shift.
     scale, turn = size * rng.standard_normal((2, sheets[0] * sheets[1]))[:, number]
     return np.asarray(shift + np.stack([scale * line - turn * sample,
                                         turn * line + scale * sample], axis=1))
@@ -163,10 +173,11 @@ def _shrunk(rng: Generator, shrinkage: float, image: FloatArray) -> FloatArray:
     middle = (np.array(SIZE) - 1.0) / 2
     u = (image - middle) / middle
     uneven = rng.uniform(-1, 1, (2, 3)) * WARP / 3
+    # Uneven shrinkage: a quadratic form of the position, 0 in the middle.
     bent = np.stack([u[:, 0] ** 2, u[:, 0] * u[:, 1], u[:, 1] ** 2], axis=1) @ uneven.T
     turn = rng.uniform(-0.01, 0.01)
-    kept = 1.0 - shrinkage * np.array([1.0, 1.5])
-    flat = (image - middle) * kept
+    remaining = 1.0 - shrinkage * np.array([1.0, 1.5])
+    flat = (image - middle) * remaining
     return np.asarray(middle + flat @ np.array([[np.cos(turn), np.sin(turn)],
                                                 [-np.sin(turn), np.cos(turn)]]) + bent)
 

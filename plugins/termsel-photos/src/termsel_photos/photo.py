@@ -51,6 +51,7 @@ _POINTS, _SEED, _STEPS = 120, 1971, 50
 def photo() -> FeatureSet:
     """Return the measured points of the photo: easting, northing in UTM zone 33 and height [m]."""
     rng = np.random.default_rng(_SEED)
+    # Ground beyond the image on all sides, so that its corners have points, too.
     reach = 0.62 * SIZE[0] / FOCAL * HEIGHT
     ground = rng.uniform(-reach, reach, (20 * _POINTS, 3))
     ground[:, 2] = RELIEF * (np.sin(ground[:, 0] / 700.0) + np.cos(ground[:, 1] / 900.0)) / 2
@@ -72,15 +73,20 @@ def seen(ground: FloatArray) -> FloatArray:
     `ground`, shape (n, 3), is from the point below the camera [m].
     """
     omega, phi, kappa = TURNS
-    (so, co), (sp, cp), (sk, ck) = ((np.sin(a), np.cos(a)) for a in (omega, phi, kappa))
-    turned = (np.array([[1, 0, 0], [0, co, -so], [0, so, co]])
-              @ np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
-              @ np.array([[ck, -sk, 0], [sk, ck, 0], [0, 0, 1]]))
+    (sin_omega, cos_omega), (sin_phi, cos_phi), (sin_kappa,
+        cos_kappa) = ((np.sin(a), np.cos(a)) for a in (omega, phi, kappa))
+    # R = R_x(omega) R_y(phi) R_z(kappa).
+    turned = (np.array([[1, 0, 0], [0, cos_omega, -sin_omega], [0, sin_omega, cos_omega]])
+              @ np.array([[cos_phi, 0, sin_phi], [0, 1, 0], [-sin_phi, 0, cos_phi]])
+              @ np.array([[cos_kappa, -sin_kappa, 0], [sin_kappa, cos_kappa, 0], [0, 0, 1]]))
     x, y, z = ((ground - [0.0, 0.0, HEIGHT]) @ turned).T
-    ideal = FOCAL * np.column_stack([y / z, -x / z])  # lines count downwards
+    # Lines count downwards.
+    ideal = FOCAL * np.column_stack([y / z, -x / z])
     distorted = ideal.copy()
+    # Brown's distortion acts on measured places, so that the ideal one is inverted by steps.
     k1, k2 = DISTORTION
-    for _ in range(_STEPS):  # m + m (k1 r^2 + k2 r^4) = ideal
+    # m + m (k1 r^2 + k2 r^4) = ideal.
+    for _ in range(_STEPS):
         squared = (distorted**2).sum(axis=1, keepdims=True)
         distorted = ideal / (1.0 + k1 * squared + k2 * squared**2)
     return distorted + CENTRE

@@ -16,4 +16,5 @@ RECIPE = Recipe(
     "distortion", "Which terms of a polynomial and of radial distortion to use, and where the "
     "centre of distortion is.", centre_and_terms, model="radial3d", dataset="aerial-photo",
     solver="pso",
-    options=tuple(one for one in term_options() if one.name != "mixed"))  # distortion bends lines
+    # Distortion bends lines, so that the problem takes none.
+    options=tuple(option for option in term_options() if option.name != "mixed"))

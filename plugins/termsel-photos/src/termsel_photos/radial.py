@@ -62,8 +62,8 @@ class Radial(SensorModel):
     @property
     def axis(self) -> IntArray:
         """Image axis of each term: the distortion acts on both."""
-        both = np.full(len(POWERS), 2, dtype=np.intp)
-        return np.concatenate([self._plain.axis, both])
+        on_both = np.full(len(POWERS), 2, dtype=np.intp)
+        return np.concatenate([self._plain.axis, on_both])
 
     def equations(self, features: FeatureSet) -> Equations:
         """Return the equations of points, exact in the terms; refuse lines, which distortion bends.
@@ -74,10 +74,11 @@ class Radial(SensorModel):
         points = features.points
         away = points.image - self._centre
         squared = (away**2).sum(axis=1)[:, None, None]
+        # The unknown k moved to the side of the polynomials: P - (m - c) (k1 r^2 + ...) = m.
         radial = -away[:, :, None] * squared ** (np.array(POWERS) // 2)
         columns = self._plain.blocks(points.ground).line
-        plain = np.einsum("ab,ne->nabe", np.eye(2), columns).reshape(len(columns), 2, -1)
-        rows = np.concatenate([plain, radial], axis=2)
+        undistorted = np.einsum("ab,ne->nabe", np.eye(2), columns).reshape(len(columns), 2, -1)
+        rows = np.concatenate([undistorted, radial], axis=2)
         return image_equations(features, rows, np.zeros((0, 2, rows.shape[2])),
                                heights=self.uses_height)
 
@@ -95,6 +96,7 @@ class Radial(SensorModel):
         k = [coefficients[..., n + i, None] * squared ** (power // 2)
              for i, power in enumerate(POWERS)]
         s = np.ones(squared.shape)
+        # Far from the control the distortion may overflow, or have no place at all.
         with np.errstate(all="ignore"):
             for _ in range(_STEPS):
                 value = s - 1.0 + sum(kp * s ** (p + 1) for kp, p in zip(k, POWERS, strict=True))
@@ -103,6 +105,7 @@ class Radial(SensorModel):
                 s = s - step
                 if not (np.abs(step) > _CLOSE).any():
                     break
+            # Where Newton's method ends, unless it has not settled or is beyond the centre.
             imaged = (np.abs(step) <= 1e-9) & (s > 0)
             # Only where the distortion grows with the radius up to there is there one such place.
             for share in _SHARES:
@@ -111,8 +114,8 @@ class Radial(SensorModel):
         return np.asarray(self._centre + np.where(imaged, s, np.nan)[..., None] * away)
 
 
-def _options(degree: int, most: int) -> tuple[Option, ...]:
-    return (Option("degree", degree, "Total degree of the polynomials.", int, 1, most),
+def _options(degree: int, largest: int) -> tuple[Option, ...]:
+    return (Option("degree", degree, "Total degree of the polynomials.", int, 1, largest),
             Option("centre_line", 0.0, _CENTRE.format("line"), float, -1.0, 1.0),
             Option("centre_sample", 0.0, _CENTRE.format("sample"), float, -1.0, 1.0))
 

@@ -63,14 +63,10 @@ NEVER = 50.0
 class Grid:
     """Solutions before anything is measured: standard deviations of coefficients, and of noise."""
 
-    # (c,): number in KINDS.
-    kind: FloatArray
-    # (c, 6): of line, then of sample [px].
-    scales: FloatArray
-    # (c,) [px].
-    noise: FloatArray
-    # (c,): logarithm of the prior probability.
-    log: FloatArray
+    kind: FloatArray  # (c,): number in KINDS
+    scales: FloatArray  # (c, 6): of line, then of sample [px]
+    noise: FloatArray  # (c,) [px]
+    log: FloatArray  # (c,): logarithm of the prior probability
 
 
 def grid(kinds: Iterable[int], usual: float = USUAL) -> Grid:

@@ -271,16 +271,16 @@ def _suspects(control: Control, model: RpcAffine) -> Suspects | None:
         return Belief(full.rows[is_kept], full.right[is_kept], number[full.feature[is_kept]],
                       full.grid)
 
-    def away(feature: int, belief_: Belief) -> float:
+    def away(feature: int, remaining: Belief) -> float:
         rows = full.feature == feature
-        return float(np.abs(full.right[rows] - full.rows[rows] @ belief_.coefficients).max())
+        return float(np.abs(full.right[rows] - full.rows[rows] @ remaining.coefficients).max())
 
     def weigh(*hypothesis: int) -> None:
-        belief_ = without(hypothesis)
+        remaining = without(hypothesis)
         # A blunder is anywhere: its distance is log-uniform, and its direction uniform.
         anywhere = [np.log((n - 1) * 2 * np.pi * reach)
-                    + 2 * np.log(max(away(feature, belief_), NEAREST)) for feature in hypothesis]
-        logs[hypothesis] = belief_.log - sum(anywhere)
+                    + 2 * np.log(max(away(feature, remaining), NEAREST)) for feature in hypothesis]
+        logs[hypothesis] = remaining.log - sum(anywhere)
 
     for feature in range(n):
         weigh(feature)

@@ -171,7 +171,7 @@ class RpcShift(Refinement):
         offset = (middle + self.scaling.image_scale * constant
                   + linear @ (np.array(rpc.image_offset) - middle))
         refined = replace(rpc, image_offset=tuple(offset), error_bias=None)
-        # In px per unit of the quotients of line and sample.
+        # Px per unit of the quotients of line and sample.
         scale = linear * rpc.image_scale
         if not (linear * (1 - np.eye(2))).any():
             return replace(refined, image_scale=tuple(np.diag(scale)))

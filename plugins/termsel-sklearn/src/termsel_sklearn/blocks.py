@@ -36,13 +36,14 @@ def spatial_blocks(X: Any, across: int = 3) -> IntArray:
     >>> spatial_blocks([[0, 0], [0, 9], [9, 0], [9, 9]], across=2).tolist()
     [0, 1, 2, 3]
     """
-    places = np.asarray(X, dtype=np.float64)
-    if places.ndim != 2 or places.shape[1] < 2 or across < 2:
+    positions = np.asarray(X, dtype=np.float64)
+    if positions.ndim != 2 or positions.shape[1] < 2 or across < 2:
         raise ValueError("blocks need x and y of each point, and at least 2 blocks each way")
-    column = _strips(places[:, 0], across)
-    row = np.zeros(len(places), dtype=np.intp)
-    for one in range(across):
-        row[column == one] = _strips(places[column == one, 1], across)
+    # Columns first, then rows within each of them: all blocks have about as many points.
+    column = _strips(positions[:, 0], across)
+    row = np.zeros(len(positions), dtype=np.intp)
+    for number in range(across):
+        row[column == number] = _strips(positions[column == number, 1], across)
     return column * across + row
 
 

@@ -19,28 +19,31 @@ class WithOptions(BaseEstimator):  # type: ignore[misc]
     `options` holds those of a part that is given by its name or class. An instance has its own.
     """
 
-    part: ClassVar[str]
+    extension: ClassVar[str]
     """The parameter that is the part, such as "model"."""
 
     options: dict[str, Any] | None
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
         """Return the parameters; with `deep` the options of the model or solver as well."""
-        own: dict[str, Any] = super().get_params(deep)
-        return {**self._values(), **own} if deep else own
+        parameters: dict[str, Any] = super().get_params(deep)
+        # Parameters of the estimator come before options of the same name.
+        return {**self._values(), **parameters} if deep else parameters
 
     def set_params(self, **params: Any) -> Any:
         """Set parameters, or options of the model or solver by their names."""
-        own = {name: params.pop(name) for name in list(params)
-               if name.partition("__")[0] in self._get_param_names()}
-        super().set_params(**own)
-        known = self._values()
+        # Nested parameters have their own name before two underscores, as scikit-learn has it.
+        own_parameters = {name: params.pop(name) for name in list(params)
+                          if name.partition("__")[0] in self._get_param_names()}
+        super().set_params(**own_parameters)
+        option_values = self._values()
         for name in params:
-            if name not in known:
-                given = getattr(self, self.part)
-                names = [*self._get_param_names(), *known]
+            if name not in option_values:
+                extension = getattr(self, self.extension)
+                names = [*self._get_param_names(), *option_values]
                 raise ValueError(f"Invalid parameter {name!r} for {type(self).__name__} with "
-                                 f"{self.part} {given!r:.100}. Valid are: {', '.join(names)}.")
+                                 f"{self.extension} {extension!r:.100}. Valid are: "
+                                 f"{', '.join(names)}.")
         if params:
             self.options = {**(self.options or {}), **params}
         return self
@@ -48,30 +51,34 @@ class WithOptions(BaseEstimator):  # type: ignore[misc]
     def _values(self) -> dict[str, Any]:
         """Return the options by name, as they are set; none of an instance or unknown name."""
         try:
-            given = self._taken()
-        except TermselError:  # which `fit` says
+            extension = self._taken()
+        except TermselError:
+            # Which `fit` says.
             return {}
-        if not isinstance(given, type):
+        if not isinstance(extension, type):
             return {}
-        set_ones = self.options if isinstance(self.options, dict) else {}  # `fit` refuses others
+        # `fit` refuses others.
+        set_ones = self.options if isinstance(self.options, dict) else {}
         return {option.name: set_ones.get(option.name, option.default)
-                for option in given.declared_options}  # type: ignore[attr-defined]
+                for option in extension.declared_options}  # type: ignore[attr-defined]
 
     def _taken(self) -> Any:
         """Return the class or instance that is given, perhaps by name."""
-        return termsel.get(f"{self.part}s", getattr(self, self.part))
+        return termsel.get(f"{self.extension}s", getattr(self, self.extension))
 
     def _made(self, **further: Any) -> Any:
         """Return the part with its options."""
-        part = self._taken()
+        extension = self._taken()
         options = {**further, **(self.options or {})}
-        if isinstance(part, type):
-            return part(**options)
+        if isinstance(extension, type):
+            return extension(**options)
+        # An instance was made with its options: others for it would be ignored.
         if options:
-            raise TermselError(f"option {next(iter(options))!r} is for the {self.part} "
-                               f"{part.name!r}, which has its options already",
-                               hint=f"Give them with the name or the class of the {self.part}.")
-        return part
+            raise TermselError(f"option {next(iter(options))!r} is for the {self.extension} "
+                               f"{extension.name!r}, which has its options already",
+                               hint="Give them with the name or the class of the "
+                                    f"{self.extension}.")
+        return extension
 
 
 def weights_of(sample_weight: Any, X: FloatArray) -> FloatArray:

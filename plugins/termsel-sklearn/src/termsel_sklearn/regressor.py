@@ -80,7 +80,7 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
     True
     """
 
-    part = "model"
+    extension = "model"
 
     def __init__(self, model: Any = "polynomial", degree: int | None = None,
                  strategy: str = "least-squares", options: dict[str, Any] | None = None) -> None:
@@ -117,12 +117,14 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
         self._columns = None if np.ndim(y) == 1 else image.shape[1]
         # One image coordinate stands for both, of which `predict` returns one.
         image = np.broadcast_to(image, (len(X), 2))
-        places, image, weights = _merged(X, image, weights_of(sample_weight, X))
+        positions, image, weights = _merged(X, image, weights_of(sample_weight, X))
+        # Only ratios count: with equal weights there are no standard deviations to state.
         sigma = None if np.ptp(weights) == 0 else \
             np.column_stack([np.sqrt(weights.mean() / weights)] * 2)
         try:
-            points = Points(tuple(f"{i}" for i in range(len(places))), image, _ground(places),
+            points = Points(tuple(f"{i}" for i in range(len(positions))), image, _ground(positions),
                             sigma)
+            # Heights that are all alike, or absent, say nothing: then the plane model is fitted.
             high, flat = self._models()
             if self.strategy in ("shrunken", "selected") and (flat.polynomial_degree or 0) < 2:
                 raise ValueError(f"strategy {self.strategy!r} needs a polynomial of at least "
@@ -167,14 +169,16 @@ def _merged(X: FloatArray, image: FloatArray, weights: FloatArray,
     X = X[use]
     image = image[use]
     weights = weights[use]
-    _, first, which = np.unique(X, axis=0, return_index=True, return_inverse=True)
+    _, first, place_of = np.unique(X, axis=0, return_index=True, return_inverse=True)
     if len(first) == len(X):
         return X, image, weights
     # In the order in which they first occur.
     order = np.argsort(first)
-    which = np.argsort(order)[which.ravel()]
-    total = np.bincount(which, weights).astype(np.float64)
-    mean = np.column_stack([np.bincount(which, weights * one) / total for one in image.T])
+    place_of = np.argsort(order)[place_of.ravel()]
+    # Weights of points of one place add up, and their positions are averaged by them.
+    total = np.bincount(place_of, weights).astype(np.float64)
+    mean = np.column_stack([np.bincount(place_of, weights * coordinate) / total
+                            for coordinate in image.T])
     return X[first[order]], mean, total
 
 

@@ -41,44 +41,49 @@ class ColumnProblem(Problem):
 
     objectives = ("ebic",)
 
-    def __init__(self, X: FloatArray, y: FloatArray, weights: FloatArray, most: int) -> None:
+    def __init__(self, X: FloatArray, y: FloatArray, weights: FloatArray, max_columns: int) -> None:
         self._n = weights.sum()
         k = X.shape[1]
+        # Rows times the roots of their weights: plain least squares are then weighted ones.
         root = np.sqrt(weights)[:, None]
-        X, y = (root * (one - np.average(one, axis=0, weights=weights)) for one in (X, y))
+        X, y = (root * (values - np.average(values, axis=0, weights=weights)) for values in (X, y))
         # A constant is always in the fit: nothing is left of another once the mean is taken off.
         size = np.linalg.norm(X, axis=0)
         constant = size <= _SMALL * np.maximum(np.abs(X).max(initial=0.0), np.sqrt(self._n))
         if constant.all():
             raise TermselError("every column of X is constant, so that there is none to select")
+        # Unit columns, so that what is small in the Gram matrix is small for all of them.
         X = X / np.where(constant, 1.0, size)
         self._gram = X.T @ X
         self._right = X.T @ y
         self._total = float((y**2).sum())
         self._design = np.column_stack([root, X])
         self._target = y
+        # The penalty of Chen and Chen for each number of columns.
         self._penalty = np.array([s * log(self._n) + 2.0 * log(comb(k, s)) for s in range(k + 1)])
         names = tuple(f"{i}" for i in range(k))
         self.genome = Genome(
-            [Bits("columns", ("constant", *names), 2, min(most, int((~constant).sum())) + 1)],
+            [Bits("columns", ("constant", *names), 2,
+                  min(max_columns, int((~constant).sum())) + 1)],
             on=["constant"], off=[name for name, off in zip(names, constant, strict=True) if off])
 
     def evaluate(self, genes: BoolArray) -> Evaluation:
         """Return the criterion; columns that depend on others in use violate it."""
         violation = (genes & self.genome.off).sum(axis=1).astype(np.float64)
         genes = genes[:, 1:]
-        both = genes[:, :, None] & genes[:, None, :]
+        in_use_together = genes[:, :, None] & genes[:, None, :]
         # Columns that are not in use are those of the unit matrix, so that all systems have one
         # size.
-        system = np.where(both, self._gram, np.eye(genes.shape[1]))
+        system = np.where(in_use_together, self._gram, np.eye(genes.shape[1]))
         violation += np.linalg.eigvalsh(system)[:, 0] < _SMALL
         right = np.where(genes[:, :, None], self._right, 0.0)
-        good = violation == 0
+        is_feasible = violation == 0
         rss = np.full(len(genes), np.inf)
-        solved = np.linalg.solve(system[good], right[good])
-        rss[good] = self._total - (solved * right[good]).sum(axis=(1, 2))
+        solved = np.linalg.solve(system[is_feasible], right[is_feasible])
+        # RSS = y^T y - b^T X^T y at the solution b.
+        rss[is_feasible] = self._total - (solved * right[is_feasible]).sum(axis=(1, 2))
         value = self._criterion(rss, genes.sum(axis=1))
-        return Evaluation(np.where(good, value, _WORST)[:, None], violation)
+        return Evaluation(np.where(is_feasible, value, _WORST)[:, None], violation)
 
     def _criterion(self, rss: FloatArray, size: IntArray) -> FloatArray:
         # An exact fit has a residual of rounding alone, whose logarithm would choose by chance.
@@ -89,7 +94,8 @@ class ColumnProblem(Problem):
     def parts(self) -> tuple[EnumerablePart, ...]:
         """Return the one linear system, its constant forced."""
         genome = self.genome
-        sizes = np.maximum(np.arange(genome.size + 1) - 1, 0)  # without the constant
+        # Without the constant.
+        sizes = np.maximum(np.arange(genome.size + 1) - 1, 0)
         return (EnumerablePart(
             np.arange(genome.size),
             SubsetSystem(self._design, self._target, forced=genome.on, forbidden=genome.off),
@@ -138,7 +144,7 @@ class TermSelector(SelectorMixin, WithOptions):  # type: ignore[misc]
     [1, 4]
     """
 
-    part = "solver"
+    extension = "solver"
 
     def __init__(self, solver: Any = "swap", max_terms: int | None = None,
                  generations: int | None = None, seed: int = 1,
@@ -171,9 +177,9 @@ class TermSelector(SelectorMixin, WithOptions):  # type: ignore[misc]
         use = weights > 0
         # Rows that are there twice leave no more freedom than one with their weight.
         distinct = len(np.unique(np.column_stack([X, y])[use], axis=0))
-        most = max(1, distinct // 3) if self.max_terms is None else self.max_terms
+        max_columns = max(1, distinct // 3) if self.max_terms is None else self.max_terms
         try:
-            problem = ColumnProblem(X[use], y[use], weights[use], most)
+            problem = ColumnProblem(X[use], y[use], weights[use], max_columns)
             self.search_ = search(problem, self._made(), seed=self.seed,
                                   generations=self.generations)
         except TermselError as error:

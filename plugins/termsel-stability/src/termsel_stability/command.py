@@ -40,7 +40,7 @@ _SOLVER, _CRITERION = "all-terms", "press"
 @run_options
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path),
               help="Folder for stability.json, the result of the stable terms, and exports.")
-def stability(repeats: int, threshold: float, **given: Any) -> None:
+def stability(repeats: int, threshold: float, **arguments: Any) -> None:
     """Show how often each term is selected as control and check points change.
 
     Terms selected often are fitted to control and check points together. Independent points judge
@@ -52,46 +52,50 @@ def stability(repeats: int, threshold: float, **given: Any) -> None:
       termsel stability --points gcp.csv --crs EPSG:4979
       termsel stability --problem rfm-terms --points gcp.csv --crs EPSG:4979 --set order=2
     """
-    asked = Asked(**given)
+    run_settings = Asked(**arguments)
     show_messages()
 
     from termsel import require_replaceable
     from termsel.toolkit import STABILITY, claimed, problem_for, write_text
     from termsel_stability import frequencies as module
 
-    exported = asked.exported()
-    page = asked.page()
-    features, options = asked.read()
-    problem = asked.problem or problem_for(features, asked.dataset)
-    if asked.out is not None:
-        require_replaceable([asked.out / STABILITY], reads=asked.reads,
-                            overwrite=asked.overwrite, makes_folder=True)
-        click.get_current_context().with_resource(claimed(asked.out, overwrite=asked.overwrite))
-    if asked.strategy == "auto":
+    # All that can be refused is refused before the searches, which take long.
+    exported = run_settings.exported()
+    page = run_settings.page()
+    features, options = run_settings.read()
+    problem = run_settings.problem or problem_for(features, run_settings.dataset)
+    if run_settings.out is not None:
+        require_replaceable([run_settings.out / STABILITY], reads=run_settings.reads,
+                            overwrite=run_settings.overwrite, makes_folder=True)
+        click.get_current_context().with_resource(claimed(run_settings.out,
+                                                          overwrite=run_settings.overwrite))
+    if run_settings.strategy == "auto":
         echo("Note: the strategy auto searches for no terms. Each repetition runs the problem's "
              "solver instead.", err=True)
-    with search_bar(problem, asked.quiet) as observe:
+    with search_bar(problem, run_settings.quiet) as observe:
         repeated = module.stability(
             problem, repeats=repeats, threshold=threshold, features=features, options=options,
-            dataset=asked.dataset, model=asked.model, solver=asked.solver,
-            criterion=asked.criterion, **asked.budget, observers=[observe] if observe else [])
-    if asked.as_json:
+            dataset=run_settings.dataset, model=run_settings.model, solver=run_settings.solver,
+            criterion=run_settings.criterion, **run_settings.budget,
+            observers=[observe] if observe else [])
+    if run_settings.as_json:
         print_json(repeated.to_dict())
     else:
         _show(repeated)
-    others = [term for term in repeated.terms if term not in repeated.stable]
-    if repeated.determined and others and not asked.as_json:
-        echo("For a result with the stable terms run\n  " + asked.command(
-            problem, _SOLVER, _CRITERION, _for_stable(problem, asked, asked.options, others)))
-    if asked.out is not None and not repeated.determined:
-        write_text(asked.out / STABILITY, json_text(repeated.to_dict()))
-        say_written([asked.out / STABILITY])
+    unstable = [term for term in repeated.terms if term not in repeated.stable]
+    if repeated.determined and unstable and not run_settings.as_json:
+        echo("For a result with the stable terms run\n  " + run_settings.command(
+            problem, _SOLVER, _CRITERION,
+            _for_stable(problem, run_settings, run_settings.options, unstable)))
+    if run_settings.out is not None and not repeated.determined:
+        write_text(run_settings.out / STABILITY, json_text(repeated.to_dict()))
+        say_written([run_settings.out / STABILITY])
     if (exported or page) and not repeated.determined:
         raise TermselError("the stable terms alone are no model, so nothing is exported",
                            hint="Lower --threshold.")
-    if asked.out is not None and repeated.determined:
-        _write(repeated, exported, page, problem, asked, features,
-               _for_stable(problem, asked, options, others))
+    if run_settings.out is not None and repeated.determined:
+        settings = _for_stable(problem, run_settings, options, unstable)
+        _write(repeated, (exported, page), problem, run_settings, features, settings)
     if repeated.interrupted:
         echo(f"Interrupted after {len(repeated.selections)} of {repeats} selections.", err=True)
         sys.exit(INTERRUPTED)
@@ -99,6 +103,7 @@ def stability(repeats: int, threshold: float, **given: Any) -> None:
 
 def _show(repeated: Stability) -> None:
     """Print the frequencies and what became of the stable terms."""
+    # The most frequent first; terms that are alike stay in the order of the model.
     order = (-repeated.frequency).argsort(kind="stable")
     print_table(("term", "frequency", ""), [
         (repeated.terms[i], f"{repeated.frequency[i]:.2f}",
@@ -114,37 +119,45 @@ def _show(repeated: Stability) -> None:
              f"{independent.n} independent points.")
 
 
-def _for_stable(problem: str, asked: Asked, options: Mapping[str, str],
+def _for_stable(problem: str, run_settings: Asked, options: Mapping[str, str],
                 off: Sequence[str]) -> dict[str, str]:
     """Return the options of a fit without some terms: not those of the searches alone."""
     from termsel.toolkit import DATA_OPTIONS, registry
 
     names = registry()
     recipe = names.get("problems", problem)
-    parts = [names.get("models", asked.model or recipe.model), names.get("criteria", _CRITERION),
-             *(entry.object for entry in names.entries("readers"))]
-    known = {option.name for group in (
-        recipe.options, DATA_OPTIONS, *(part.declared_options for part in parts))
-        for option in group}
-    settings = {key: value for key, value in options.items() if key in known}
+    extensions = [names.get("models", run_settings.model or recipe.model),
+                  names.get("criteria", _CRITERION),
+                  *(entry.object for entry in names.entries("readers"))]
+    declared = [*recipe.options, *DATA_OPTIONS]
+    for extension in extensions:
+        declared += extension.declared_options
+    names_of_options = {option.name for option in declared}
+    # Options of the searches alone, such as a population, would be refused by a plain fit.
+    settings = {key: value for key, value in options.items() if key in names_of_options}
+    # Terms that the user forced off stay off.
     before = settings.get("force_off", "").split(",")
     return {**settings, "force_off": ",".join(dict.fromkeys([*filter(None, before), *off]))}
 
 
-def _write(repeated: Stability, exported: Mapping[str, Path], page: Path | None, problem: str,
-           asked: Asked, features: FeatureSet | None, options: Mapping[str, str]) -> None:
+def _write(repeated: Stability, outputs: tuple[Mapping[str, Path], Path | None], problem: str,
+           run_settings: Asked, features: FeatureSet | None, options: Mapping[str, str]) -> None:
     """Write the fit of the stable terms: its record with the frequencies, exports, its page."""
     from termsel import run
     from termsel.toolkit import RECORD, STABILITY, TermFrequencies, write_result
 
-    assert asked.out is not None
-    fitted = run(problem, features=features, dataset=asked.dataset, source=asked.source,
-                         model=asked.model, solver=_SOLVER, criterion=_CRITERION,
+    # Exports by format, and the page of the report, as far as they are asked for.
+    exported, page = outputs
+    assert run_settings.out is not None
+    fitted = run(problem, features=features, dataset=run_settings.dataset,
+                 source=run_settings.source,
+                         model=run_settings.model, solver=_SOLVER, criterion=_CRITERION,
                          options=options)
-    said = repeated.to_dict()
+    content = repeated.to_dict()
     result = replace(fitted, stability=TermFrequencies(
-        said["repeats"], said["threshold"], said["frequency"]),
-        files={**fitted.files, STABILITY: json_text(said)})  # both, or neither
-    write_result(result, asked.out)
-    say_written([asked.out / STABILITY, asked.out / RECORD])
-    asked.write(result, exported, page)
+        content["repeats"], content["threshold"], content["frequency"]),
+        # Both, or neither.
+        files={**fitted.files, STABILITY: json_text(content)})
+    write_result(result, run_settings.out)
+    say_written([run_settings.out / STABILITY, run_settings.out / RECORD])
+    run_settings.write(result, exported, page)

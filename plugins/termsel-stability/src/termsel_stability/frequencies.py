@@ -157,46 +157,52 @@ def stability(
     request = Request(problem=problem, features=features, dataset=dataset, model=model,
                       solver=solver, criterion=criterion, options=options)
     task = prepared(request.setup())
-    others = {"features" if segment.name == "features" else "other values than terms"
-              for segment in task.problem.genome.segments
-              if segment.name == "features" or not isinstance(segment, Bits)}
-    if others:
-        raise TermselError(f"the problem {problem} selects {min(others)}",
+    other_segments = {"features" if segment.name == "features" else "other values than terms"
+                      for segment in task.problem.genome.segments
+                      if segment.name == "features" or not isinstance(segment, Bits)}
+    if other_segments:
+        raise TermselError(f"the problem {problem} selects {min(other_segments)}",
                            hint="Choose a problem that selects terms alone: rfm-terms, "
                                 "poly-terms.")
-    shown = notebook_observer(f"stability of {task.recipe.name}")
-    if shown is not None:
-        observers = (*observers, shown)
+    notebook = notebook_observer(f"stability of {task.recipe.name}")
+    if notebook is not None:
+        observers = (*observers, notebook)
+    # One generator draws all shares; each search has a seed of its own.
     rng = np.random.default_rng(seed)
     # The drawn roles are those of the features, which take the place of roles that are named.
-    given = {key: value for key, value in (options or {}).items() if key not in ("off", "role")}
+    fixed_options = {key: value for key, value in (options or {}).items()
+                     if key not in ("off", "role")}
     rows: list[BoolArray] = []
     interrupted = False
     for repetition in range(repeats):
         try:
-            again = prepared(replace(request, features=_with_drawn_roles(task, rng), options={
-                **given, "roles": "file"}).setup())
-            found = search(again.problem, again.solver, seed=seed + repetition,
-                           generations=generations, evaluations=evaluations, seconds=seconds,
-                           patience=patience, **again.options["search"],
-                           observers=[_of_all(observe, repetition, repeats)
-                                      for observe in observers])
-            interrupted = found.interrupted
+            redrawn = prepared(replace(request, features=_with_drawn_roles(task, rng), options={
+                **fixed_options, "roles": "file"}).setup())
+            outcome = search(redrawn.problem, redrawn.solver, seed=seed + repetition,
+                             generations=generations, evaluations=evaluations, seconds=seconds,
+                             patience=patience, **redrawn.options["search"],
+                             observers=[_of_all(observe, repetition, repeats)
+                                        for observe in observers])
+            # A search that was interrupted is no selection like the others.
+            interrupted = outcome.interrupted
             if not interrupted:
-                genes = recommended(again, found).genes
-                rows.append(np.isin(task.model.terms, again.problem.decode(genes).terms))
+                genes = recommended(redrawn, outcome).genes
+                rows.append(np.isin(task.model.terms, redrawn.problem.decode(genes).terms))
         except KeyboardInterrupt:
             interrupted = True
         if interrupted:
+            # One selection has no frequencies.
             if len(rows) < 2:
                 raise KeyboardInterrupt
             answered()
             break
     selections = np.array(rows)
-    chosen = selections.mean(axis=0) >= threshold
-    determined, rmse = _fitted(task, chosen)
-    return Stability(task.model.terms, selections, threshold,
-                     select(task.model.terms, chosen), determined, rmse, interrupted)
+    is_stable = selections.mean(axis=0) >= threshold
+    determined, rmse = _fitted(task, is_stable)
+    return Stability(
+        terms=task.model.terms, selections=selections, threshold=threshold,
+        stable=select(task.model.terms, is_stable), determined=determined, rmse=rmse,
+        interrupted=interrupted)
 
 
 def _of_all(observe: Observer, repetition: int, repeats: int) -> Observer:
@@ -219,31 +225,39 @@ def _with_drawn_roles(task: Task, rng: np.random.Generator) -> FeatureSet:
     n_check = len(observations.check)
     if n_control:
         movable = np.flatnonzero(np.isin(roles, ("control", "check")))
+        # Points of one place move together: one of them would give the other away.
         group = twins(points.ground[movable])
         order = np.argsort(rng.permutation(group.max() + 1)[group], kind="stable")
-        kept, rest = (n_control, "check") if n_check else (n_control // 2, "off")
-        drawn = np.where(np.arange(len(order)) < kept, "control", rest)
+        # Without check points there is nothing to exchange: half of the control is left out.
+        n_kept = n_control if n_check else n_control // 2
+        other_role = "check" if n_check else "off"
+        drawn = np.where(np.arange(len(order)) < n_kept, "control", other_role)
         # Twins follow each other; all of them take the role of the first.
-        _, first, which = np.unique(group[order], return_index=True, return_inverse=True)
-        roles[movable[order]] = drawn[first[which]]
+        _, first, group_of = np.unique(group[order], return_index=True, return_inverse=True)
+        roles[movable[order]] = drawn[first[group_of]]
     elif len(lines):
+        # Lines have no other role: half of them is drawn, vertices and all.
         names = np.unique(lines.ids)
         lines = lines.take(np.isin(lines.ids, rng.permutation(names)[:(len(names) + 1) // 2]))
     return features.with_(points=replace(points, roles=tuple(roles)), lines=lines)
 
 
-def _fitted(task: Task, chosen: BoolArray) -> tuple[bool, dict[str, Rmse | None]]:
+def _fitted(task: Task, is_stable: BoolArray) -> tuple[bool, dict[str, Rmse | None]]:
     """Return whether terms are a model of control and check together, and its RMSE."""
-    both = task.observations.together
+    control_and_check = task.observations.together
     axis = task.model.axis
-    scaling = scaling_of(both)
-    if not chosen[axis == 0].any() or not chosen[axis == 1].any():
+    scaling = scaling_of(control_and_check)
+    # A model needs terms for line and for sample.
+    if not is_stable[axis == 0].any() or not is_stable[axis == 1].any():
         return False, {}
-    fitted = LeastSquares().fit(task.model, both, scaling, chosen,
-                                np.ones(len(both), dtype=bool))
-    guard = guard_points(scaling.features(both), scaling.points(both.points))
+    # By plain least squares, which tell whether the terms are determined.
+    fitted = LeastSquares().fit(task.model, control_and_check, scaling, is_stable,
+                                np.ones(len(control_and_check), dtype=bool))
+    # Poles anywhere in the area of the points would make the model useless there.
+    guard = guard_points(scaling.features(control_and_check),
+                         scaling.points(control_and_check.points))
     if not fitted.adjustment.feasible or pole_violation(
             task.model, fitted.adjustment.coefficients[None], guard,
-            pole_margin(scaling.points(both.points))).any():
+            pole_margin(scaling.points(control_and_check.points))).any():
         return False, {}
     return True, figures(in_role(fitted, task.observations), task.observations)

@@ -49,9 +49,9 @@ _LEVELS = 12
 _AROUND = 4
 # Places where a grid is tested.
 _TESTED = 400
-# pixels along the longer side.
+# Pixels along the longer side.
 _USUAL = 500
-# pixels along either side.
+# Pixels along either side.
 _LARGEST = 2e4
 # Of the extent of the control: differences for the moves on the ground.
 _STEP = 1e-4

@@ -310,10 +310,11 @@ def distribution_of(ground_errors: GroundErrors) -> Distribution:
     quadrants = tuple(int(quadrant.sum()) for quadrant in (
         ~east & ~north, east & ~north, ~east & north, east & north))
     diagonal = float(np.linalg.norm(np.ptp(corners, axis=0)))
-    distances_ = np.linalg.norm(positions[:, None] - positions[None], axis=2)[np.triu_indices(n, 1)]
+    separations = np.linalg.norm(positions[:, None] - positions[None],
+                                 axis=2)[np.triu_indices(n, 1)]
     return Distribution(n, min(required, MOST_POINTS), area,
                         (quadrants[0], quadrants[1], quadrants[2], quadrants[3]),
-                        float(distances_.min()) / diagonal if n > 1 and diagonal > 0 else None)
+                        float(separations.min()) / diagonal if n > 1 and diagonal > 0 else None)
 
 
 def _notes(ground_errors: GroundErrors, total: float, survey: float | None,

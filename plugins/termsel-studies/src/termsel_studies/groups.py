@@ -19,7 +19,7 @@ class Runs:
     """The runs of one method on one instance."""
 
     rows: list[Row] = field(default_factory=list)
-    # what they are compared by, lower is better; infinite without a result
+    # What they are compared by, lower is better; infinite without a result
     values: list[float] = field(default_factory=list)
     records: list[CellRecord] = field(default_factory=list)
 

@@ -88,8 +88,8 @@ def _folders(methods: Iterable[str]) -> dict[str, str]:
     folders: dict[str, str] = {}
     used_names: set[str] = set()
     for method in methods:
-        name_ = file_word(method, "all")
-        names = chain([name_], (f"{name_}-{n}" for n in count(2)))
+        file_name = file_word(method, "all")
+        names = chain([file_name], (f"{file_name}-{n}" for n in count(2)))
         folders[method] = next(name for name in names if name.lower() not in used_names)
         used_names.add(folders[method].lower())
     return folders

@@ -119,8 +119,8 @@ def expected_running_time(hits: Sequence[float], lengths: Sequence[float]) -> fl
     # The time spent in all runs, per run that reached it: Hansen, Auger, Finck and Ros 2009,
     # Real-parameter black-box optimization benchmarking: experimental setup.
     successes = sum(map(math.isfinite, hits))
-    total = sum(at if math.isfinite(at) else length_
-                for at, length_ in zip(hits, lengths, strict=True))
+    total = sum(at if math.isfinite(at) else run_length
+                for at, run_length in zip(hits, lengths, strict=True))
     return total / successes if successes else math.inf
 
 

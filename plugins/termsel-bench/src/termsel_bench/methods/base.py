@@ -57,9 +57,9 @@ class Method:
         """What tables call it."""
         suffixes = [*filter(None, [self.problem]),
                     *(f"{name}={value}" for name, value in self.options.items())]
-        name_ = "auto" if self.kind == "auto" else self.name if self.kind == "peer" else \
+        label = "auto" if self.kind == "auto" else self.name if self.kind == "peer" else \
             f"{self.kind} {self.name}"
-        return " ".join([name_, *suffixes])
+        return " ".join([label, *suffixes])
 
     def require(self) -> None:
         """Raise TermselError for an unknown solver, model, package or peer, or refused options."""
@@ -119,15 +119,15 @@ class Method:
         project = self.applied(features, seed)
         # What a package returns is not trusted: shape and numbers are looked at.
         with blamed(project, "project", "Correct the function, then repeat the command."):
-            positions_ = np.asarray(project(points.ground.copy()), dtype=np.float64)
-        if positions_.shape != (len(points), 2):
-            raise TermselError(f"{self.title} returned positions of the shape {positions_.shape}, "
+            positions = np.asarray(project(points.ground.copy()), dtype=np.float64)
+        if positions.shape != (len(points), 2):
+            raise TermselError(f"{self.title} returned positions of the shape {positions.shape}, "
                                f"expected {(len(points), 2)}",
                                hint="Return line and sample of each place.")
-        if missing := int((~np.isfinite(positions_).all(axis=1)).sum()):
+        if missing := int((~np.isfinite(positions).all(axis=1)).sum()):
             raise TermselError(f"{self.title} has no position for {missing} of {len(points)} "
                                "places")
-        return positions_
+        return positions
 
 
 AUTO = Method("auto", "auto")
@@ -145,16 +145,16 @@ def function_of(name: str) -> Callable[[FeatureSet], Any]:
     module, _, function = name.partition(":")
     try:
         with modules_here():
-            function_ = getattr(import_module(module), function or FUNCTION)
+            target = getattr(import_module(module), function or FUNCTION)
     except ImportError as error:
         raise TermselError(f"the package {module!r} cannot be imported: {error}",
                            hint="Install it, or run the command in its folder.") from error
     except AttributeError as error:
         raise TermselError(f"the package {module!r} has no function {function or FUNCTION!r}",
                            hint="Name it: --package MODULE:FUNCTION.") from error
-    if not callable(function_):
+    if not callable(target):
         raise TermselError(f"{name} is no function", hint="Name one: --package MODULE:FUNCTION.")
-    return function_  # type: ignore[no-any-return]
+    return target  # type: ignore[no-any-return]
 
 
 def _projection(returned: Any, name: str) -> Projection:

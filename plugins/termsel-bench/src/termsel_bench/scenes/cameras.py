@@ -39,7 +39,7 @@ class Ranges:
     tilt: tuple[float, float]
     # On the ground from orbit [m].
     pixel: tuple[float, float]
-    # lines and samples [px].
+    # Lines and samples [px].
     size: tuple[int, int]
     # Of the scene's width.
     relief: tuple[float, float]

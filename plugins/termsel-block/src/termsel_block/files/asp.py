@@ -9,7 +9,7 @@ from pathlib import Path
 from termsel import TermselError
 from termsel.toolkit import require_regular
 
-# bytes by which a file is known.
+# Bytes by which a file is known.
 _HEAD = 4096
 
 Place = tuple[str, float, float]

@@ -42,9 +42,9 @@ _KINDS = {"str": "text in quotes", "int": "a whole number", "float": "a number",
 _NAMED_TIES = 5
 # Ties and control features of an image.
 _MIN_FEATURES = 3
-# bytes of an image's name, in UTF-8.
+# Bytes of an image's name, in UTF-8.
 _LONGEST = 100
-# lines or samples: no image has as many.
+# Lines or samples: no image has as many.
 _LARGEST = 1e7
 # Times the reach of the other ties of the image.
 _TOO_FAR = 20.0

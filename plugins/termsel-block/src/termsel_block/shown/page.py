@@ -38,7 +38,7 @@ _DRAWN_TIES = 3000
 _IMAGES = 40
 # Images whose outlines have colours of their own.
 _TOLD_APART = 20
-# In px of a map: its longer side, and the least of the other.
+# Px of a map: its longer side, and the least of the other.
 _SIDE, _NARROW = 560.0, 220.0
 # Measurements left out that the page names.
 _LISTED = 50

@@ -23,7 +23,7 @@ log = logging.getLogger("termsel.match")
 NONE = "none"
 """Name of a mask that is none: clouds and water are looked at, too."""
 
-# In px along either side of the reduced image from which thresholds are learned.
+# Px along either side of the reduced image from which thresholds are learned.
 _LEARNED_SIDE = 400
 # Of all variance, between two classes that are really two.
 _MIN_SEPARATION = 0.75

@@ -16,9 +16,9 @@ from termsel_match.matchers.sift import alike, described
 
 log = logging.getLogger("termsel.match")
 
-# In px of all bands, which take some 3 s.
+# Px of all bands, which take some 3 s.
 _MANY_PIXELS = 4e8
-# In px of what is compared.
+# Px of what is compared.
 _REDUCED_SIDE = 1000
 _RATIO = 0.8
 # Pairs that agree, and their share of all.

@@ -24,9 +24,9 @@ log = logging.getLogger("termsel.match")
 
 # Percentiles that become 0 and 255.
 _DARK_PERCENTILE, _BRIGHT_PERCENTILE = 1.0, 99.0
-# In px along either side of a raster that is reduced to see where it has data.
+# Px along either side of a raster that is reduced to see where it has data.
 _LOOKED_UP_SIDE = 200
-# In px along either side of an area of zeros that are no data.
+# Px along either side of an area of zeros that are no data.
 _BLANK_SIDE = 15
 # Distinct pixels; fewer have no texture.
 _MIN_PIXELS = 16

@@ -17,7 +17,7 @@ from termsel_match.images.masks import on_the_ground
 from termsel_match.images.rasters import FloatArray, Grey, GreyRaster, Mask, grid, open_picture
 from termsel_match.images.starts import Heights, Start
 
-# In px between places that are computed; those between are interpolated.
+# Px between places that are computed; those between are interpolated.
 _REFERENCE_MESH = 24
 COVERS = 33
 """Places along either side of an image by which its overlap is judged."""
@@ -259,11 +259,11 @@ def open_reference(path: Path | str, start: Start, dem: Path | str | None, size:
         crs = crs_of(picture)
         picture = replace(picture, excluded=on_the_ground(masks, crs, picture.raster.transform))
         heights: list[Heights] = []
-        for crs_ in (start.crs, crs):
+        for of_crs in (start.crs, crs):
             if dem is None:
                 heights.append(start.height)
             else:
-                heights.append(stack.enter_context(open_dem(Path(dem), crs_)))
+                heights.append(stack.enter_context(open_dem(Path(dem), of_crs)))
         try:
             to_map = Transformer.from_crs(CRS.from_user_input(start.crs).to_2d(), crs,
                                           always_xy=True)

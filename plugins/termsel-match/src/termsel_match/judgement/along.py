@@ -10,7 +10,7 @@ from termsel import FeatureSet, Fit, Points
 from termsel_match.judgement.selection import Selected
 from termsel_match.judgement.structures import Correction
 
-# lines at which a step is looked for.
+# Lines at which a step is looked for.
 _STEP_LINES = 32
 # Points on either side.
 _MIN_CANDIDATES = 3
@@ -78,13 +78,13 @@ def along(selected: Selected, agree: Points, lines: int) -> Along:
     wide = lines * min(_WIDEST, 1 / correction.options["intervals"])
     largest_at = 0.0
     step = np.zeros(2)
-    for line_ in np.linspace(0, lines, _STEP_LINES):
-        before, after = ((line > low) & (line <= low + wide) for low in (line_ - wide, line_))
+    for at_line in np.linspace(0, lines, _STEP_LINES):
+        before, after = ((line > low) & (line <= low + wide) for low in (at_line - wide, at_line))
         # On both sides there must be some candidates, of which the means are compared.
         if min(before.sum(), after.sum()) >= _MIN_CANDIDATES:
             change = away[after].mean(axis=0) - away[before].mean(axis=0)
             if np.linalg.norm(change) > np.linalg.norm(step):
-                largest_at = float(line_)
+                largest_at = float(at_line)
                 step = change
     return Along(float(np.sqrt((away**2).sum(axis=1).mean())), largest_at,
                  (float(step[0]), float(step[1])))

@@ -14,10 +14,10 @@ from termsel_match.judgement.selection import Selected
 
 # In px, at most.
 _PICTURE_SIDE = 1200
-# In px of the picture: the arrow of a residual that nine in ten do not exceed.
+# Px of the picture: the arrow of a residual that nine in ten do not exceed.
 _ARROW = 40.0
 _NICE = (1, 2, 5)
-# In px of the legend.
+# Px of the legend.
 _BAR = 34
 # Blue, green, red, of Okabe and Ito's colours, which differ for colour-blind eyes too.
 _BLUE = (233, 180, 86)

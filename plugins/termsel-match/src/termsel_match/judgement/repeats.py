@@ -11,15 +11,15 @@ from scipy.ndimage import maximum_filter
 
 from termsel_match.images.rasters import FloatArray, GreyRaster
 
-# In px of the reference that are compared with themselves.
+# Px of the reference that are compared with themselves.
 _COMPARED_SIDE = 512
-# In px of the standard deviation of what is taken for brightness, and not for texture.
+# Px of the standard deviation of what is taken for brightness, and not for texture.
 _COARSE = 8.0
 # In px: nearer places look alike anyway.
 _MIN_DISTANCE = 20
 # Part of the window that a displaced copy must share with it.
 _OVERLAP = 0.2
-# In px that it must share at least: parts of small chips are alike by chance.
+# Px that it must share at least: parts of small chips are alike by chance.
 _ENOUGH = 128**2
 # Of the largest correlation.
 _AS_MUCH = 0.9
@@ -58,8 +58,8 @@ def repetition(picture: GreyRaster, positions: FloatArray) -> tuple[float, float
     # One window in the middle; towards the corners only where the area is larger than a window.
     corners = {(0.5, 0.5), *(product((0.2, 0.8), repeat=2) if min(room) else ())}
     for share in sorted(corners):
-        first_line, first_sample = (int(first + free * share_)
-                                    for first, free, share_ in zip(low, room, share, strict=True))
+        first_line, first_sample = (int(first + free * fraction)
+                                    for first, free, fraction in zip(low, room, share, strict=True))
         pixels, is_known = picture.read(first_line, first_sample,
                                         *(min(_COMPARED_SIDE, extent)
                                           for extent in extents.tolist()))

@@ -18,7 +18,7 @@ from termsel_match.images.starts import turned
 from termsel_match.judgement.structures import Correction, called_for, corrections
 from termsel_match.searching import searched
 
-# In px at which a candidate counts half in the search.
+# Px at which a candidate counts half in the search.
 TOLERANCE = 2.0
 _LEAST_CHECK = 2
 NEAR = 2 * TOLERANCE
@@ -26,7 +26,7 @@ NEAR = 2 * TOLERANCE
 _SIGMAS = 3.5
 # In px.
 _MIN_AGREEMENT = 0.5
-# In px that a model misses by RMS, from which on it is said; right ones miss 0.2.
+# Px that a model misses by RMS, from which on it is said; right ones miss 0.2.
 _MISSED = 0.35
 _FIT_ROUNDS = 20
 # Of the correction.

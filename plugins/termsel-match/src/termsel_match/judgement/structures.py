@@ -14,7 +14,7 @@ from termsel import FeatureSet, Fit, TermselError
 from termsel_match.images.rasters import FloatArray
 
 _FOLDS = 5
-# In px beyond which all errors count alike: such candidates are wrong.
+# Px beyond which all errors count alike: such candidates are wrong.
 _CAP = 4.0
 # Candidates for each interval.
 _PER_INTERVAL = 3

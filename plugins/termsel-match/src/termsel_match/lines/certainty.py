@@ -14,11 +14,11 @@ from termsel_match.images.starts import Start, turned
 
 # Ratio of standard deviations across and along.
 _WEAK_RATIO = 3.0
-# In px along the lines, beyond which the start holds the image.
+# Px along the lines, beyond which the start holds the image.
 _HELD = 2.0
 # Vectors that are tried in turn, those with most lines.
 _ASKED = 60
-# In px by which the image may move without one vector.
+# Px by which the image may move without one vector.
 UNCERTAIN = 1.0
 
 

@@ -9,21 +9,21 @@ import numpy as np
 
 from termsel_match.images.rasters import FloatArray, GreyRaster
 
-# In px across.
+# Px across.
 _PROFILE_STEP = 0.5
-# In px of a band.
+# Px of a band.
 _WIDTHS = (4.0, 6.0, 8.0, 10.0, 13.0)
-# In px on either side that are compared with it.
+# Px on either side that are compared with it.
 _FLANK = 4.0
-# In px along, in which the place across is found.
+# Px along, in which the place across is found.
 _BLOCK_LENGTH = 12.0
-# In px between bands.
+# Px between bands.
 _BAND_DISTANCE = 5.0
-# In px about an edge in which its slope counts.
+# Px about an edge in which its slope counts.
 _EDGE_WIDTH = 2.5
-# In px about a band in which its blocks are placed.
+# Px about a band in which its blocks are placed.
 _BAND_REACH = 3.0
-# In px to either side, at least, whose responses are compared.
+# Px to either side, at least, whose responses are compared.
 _COMPARED = 40.0
 # Response of a band, in standard deviations of those of the strip.
 _MIN_RESPONSE = 3.0

@@ -30,9 +30,9 @@ _MAX_ROUNDS = 6
 _NARROWER = 4.0
 # In px.
 _NARROWEST = 8.0
-# In px at which a piece counts half, in the first round and later.
+# Px at which a piece counts half, in the first round and later.
 _HALF_AT = 2.0, 1.0
-# In px by which the last round moves the image.
+# Px by which the last round moves the image.
 _SETTLED_MOVE = 0.1
 # In px: in the end the clearest band within the one must be within the other.
 _PROOF, _AT = 40.0, 3.0
@@ -186,11 +186,11 @@ def iterate_lines(
         search = min(search, max(_NARROWEST, search / _NARROWER))
         at = _start(fitted, candidates.crs, selected)
     # Whether the model is right is asked of the image again, in a wide search from it.
-    in_place_ = in_place(image, vectors, _start(fitted, candidates.crs, selected), dem=dem,
+    confirmed = in_place(image, vectors, _start(fitted, candidates.crs, selected), dem=dem,
                          search=max(_PROOF, first), band=band)
-    if in_place_.mean() < _LEAST_SHARE:
+    if confirmed.mean() < _LEAST_SHARE:
         raise TermselError(
-            f"not enough lines agree: for {int(in_place_.sum())} of {len(in_place_)} pieces of "
+            f"not enough lines agree: for {int(confirmed.sum())} of {len(confirmed)} pieces of "
             f"vectors the clearest band of the image is at its place", file=Path(image),
             hint="Is the start off by more than --search? Do the vectors show what can be seen?")
     lines = replace(selected, sigma=np.full(len(selected), rms))

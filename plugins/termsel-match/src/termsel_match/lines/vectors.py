@@ -18,11 +18,11 @@ from termsel_match.images.rasters import FloatArray
 from termsel_match.images.starts import Start
 
 _KINDS = ("LineString", "MultiLineString", "Polygon", "MultiPolygon")
-# In px by which a vector may bend within a piece.
+# Px by which a vector may bend within a piece.
 _STRAIGHT = 0.5
-# In px of a piece.
+# Px of a piece.
 SHORTEST, _LONGEST = 40.0, 150.0
-# In px between vertices that are projected.
+# Px between vertices that are projected.
 _VERTEX_STEP = 16.0
 # Of the image, around it, where vectors may be that it shows.
 _MARGIN = 0.5

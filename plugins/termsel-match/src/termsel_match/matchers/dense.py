@@ -17,13 +17,13 @@ HALF = 20
 """Px: parts have 41 px along either side."""
 REACH = 6
 """Px by which the shift of a part may differ from that of the window."""
-# In px between places that are tried.
+# Px between places that are tried.
 _PLACE_DISTANCE = 9
-# In px for each place, the most distinct.
+# Px for each place, the most distinct.
 _PLACE_AREA = 900
 # Standard deviations of all shifts by which the best must exceed their mean.
 _DISTINCT = 5.0
-# In px around the best shift that are not another one.
+# Px around the best shift that are not another one.
 _ALIKE = 3
 
 

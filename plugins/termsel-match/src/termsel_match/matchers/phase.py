@@ -67,7 +67,7 @@ class Phase(Matcher):
             clear.append(next_best / best if best > 0 else 1.0)
             score.append(best)
         near = np.abs(moved).max(axis=1) <= REACH
-        # The clearest first: the next peak is small beside the best.
+        # The clearest first: the next peak is far below the best.
         order = np.argsort(clear, kind="stable")
         order = order[near[order]]
         return Matches(positions[order], (positions + shift + moved)[order], np.array(score)[order])

@@ -21,7 +21,7 @@ _HALF = 10
 _MAX_STEPS = 15
 # In px.
 _SETTLED_STEP = 1e-3
-# In px between the keypoints and the refined place.
+# Px between the keypoints and the refined place.
 _FARTHEST = 2.5
 # Correlation.
 LEAST_SCORE = 0.5

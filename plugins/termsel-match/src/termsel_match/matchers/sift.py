@@ -19,7 +19,7 @@ from termsel_match.matchers import Matcher, Matches, Window
 
 # Of the distances to the nearest and the second nearest descriptor.
 RATIO = 0.9
-# In px for each keypoint, the strongest.
+# Px for each keypoint, the strongest.
 _KEYPOINT_AREA = 60
 _CONTRAST = 0.015
 

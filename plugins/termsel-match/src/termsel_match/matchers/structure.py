@@ -29,7 +29,7 @@ from termsel_match.matchers.refinement import Layers, refined
 _EDGE_DIRECTIONS = 6
 # In px: grey is smoothed before its gradient, and each layer after.
 _GREY_BLUR, _LAYER_BLUR = 1.0, 1.5
-# In px from unknown pixels, whose edges are none of the ground.
+# Px from unknown pixels, whose edges are none of the ground.
 _UNKNOWN_EDGE = 5
 # Correlation of layers.
 _MIN_CORRELATION = 0.35

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from termsel_match.images.rasters import FloatArray, Mask
 
-# In px of displacement within which matches are taken for the same at first.
+# Px of displacement within which matches are taken for the same at first.
 _REACH = 6.0
 # Matches that agree; of fewer nothing is said.
 _MIN_MATCHES = 12

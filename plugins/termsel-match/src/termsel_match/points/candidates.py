@@ -40,6 +40,7 @@ LEAST_CANDIDATES = 8
 # Part of those wanted, below which another matcher may find more.
 _SMALL_PART = 8
 
+
 @dataclass(frozen=True, eq=False)
 class Candidates:
     """Candidates of control points, many of which may be wrong.

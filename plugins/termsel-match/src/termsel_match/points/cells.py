@@ -114,7 +114,6 @@ def in_cells(picture: GreyRaster, reference: Reference, looking: Looking, area: 
             if _count(matches_of_cells) >= _EACH:
                 break
         of_cells[number] = matches_of_cells
-        of_cells[number] = matches_of_cells
         ends[FOUND] += len(matches_of_cells)
         ends[end] += inner**2 - len(matches_of_cells)
         if looking.progress is not None:
@@ -125,7 +124,6 @@ def in_cells(picture: GreyRaster, reference: Reference, looking: Looking, area: 
 
 def joined(several: list[Matches]) -> Matches:
     """Return all matches of several parts, which have standard deviations."""
-    none = np.empty((0, 2))
     none = np.empty((0, 2))
     first = np.concatenate([none, *(matches.first for matches in several)])
     second = np.concatenate([none, *(matches.second for matches in several)])
@@ -145,9 +143,9 @@ def _windows(size: tuple[int, int], across: int, block: tuple[int, int], step: i
     window_size = [min(extent, largest) for extent in extents]
     windows = []
     for share in _WINDOW_PLACES if extents != window_size else _WINDOW_PLACES[:1]:
-        first_line, first_sample = (start + int((extent - size_) * share_)
-                                    for start, extent, size_,
-                                    share_ in zip(low, extents, window_size, share, strict=True))
+        first_line, first_sample = (start + int((extent - wanted_extent) * fraction)
+                                    for start, extent, wanted_extent,
+                                    fraction in zip(low, extents, window_size, share, strict=True))
         windows.append((first_line, first_sample, window_size[0], window_size[1]))
     return windows
 

@@ -19,7 +19,7 @@ from termsel_match.points.readers import NEEDS_REFERENCE, MatchesCsv
 
 log = logging.getLogger("termsel.match")
 
-# bytes by which readers recognise a file.
+# Bytes by which readers recognise a file.
 _HEAD = 4096
 
 

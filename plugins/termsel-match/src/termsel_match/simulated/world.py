@@ -18,7 +18,7 @@ from termsel_match.simulated.scenery import Bytes, FloatArray, Scenery, scenery
 Shakes = tuple[tuple[tuple[float, float, float], ...], ...]
 
 CRS = "EPSG:32633"
-# In px along either side of an image.
+# Px along either side of an image.
 SMALLEST, LARGEST = 200, 4000
 
 _LON, _LAT = 14.2, 47.2
@@ -28,15 +28,15 @@ _HEIGHT, _RELIEF = 520.0, 35.0
 _TALLEST = 11.0
 # Of height, along a ray that may meet a house [m].
 _RAY_STEP = 0.6
-# In px between rays that are computed; those between are interpolated by splines.
+# Px between rays that are computed; those between are interpolated by splines.
 _RAY_MESH = 16
-# lines rendered at once.
+# Lines rendered at once.
 _RENDERED_LINES = 200
 # Cells of the ground along a pixel.
 _CELLS_PER_PIXEL = 2
 # Of the ground beyond the image, on either side.
 _MARGIN = 0.12
-# In m between the heights that are interpolated.
+# Metres between the heights that are interpolated.
 _TERRAIN = 4.0
 SPACING = 2 * _TERRAIN
 """Distance of the heights of the DEM [m]."""

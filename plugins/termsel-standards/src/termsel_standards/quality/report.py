@@ -22,7 +22,7 @@ from termsel_standards.outline import outline_of
 RMSEP = "47"
 """Identifier of the root mean square error of planimetry among the measures of ISO 19157."""
 
-# bytes of a file that are read at once.
+# Bytes of a file that are read at once.
 _CHUNK = 1 << 20
 
 OPTIONS = (
