@@ -25,6 +25,21 @@ class Note:
 
 
 @dataclass(frozen=True)
+class Fact:
+    """A line of the first screen.
+
+    Parameters
+    ----------
+    text, label : str
+        What is said, and the word in front of it: a blank where the line goes on from the one
+        above, nothing where the line stands alone.
+    """
+
+    text: str
+    label: str = ""
+
+
+@dataclass(frozen=True)
 class Statement:
     """A statement that can be pasted elsewhere as it is."""
 
@@ -104,7 +119,7 @@ class Detail:
     block: Block
 
 
-Block = str | Note | Detail | Statement | Code | Names | TableBlock | Figure
+Block = str | Note | Fact | Detail | Statement | Code | Names | TableBlock | Figure
 """A block; text alone is a paragraph."""
 
 

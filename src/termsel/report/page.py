@@ -10,7 +10,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from html import escape
 from importlib.resources import files
 from itertools import groupby
@@ -22,6 +22,7 @@ from termsel.report.blocks import (
     Code,
     Detail,
     Document,
+    Fact,
     Figure,
     Names,
     Note,
@@ -90,9 +91,21 @@ def _sharing(specs: dict[str, Any]) -> dict[str, Any]:
 
 def _blocks(blocks: Iterable[Block], specs: dict[str, Any]) -> Iterator[str]:
     """Yield blocks as HTML, with charts that follow each other side by side where there is room."""
-    for are_charts, group in groupby(blocks, lambda block: isinstance(block, Figure)):
+    for kind, group in groupby(blocks, type):
+        if kind is Fact:
+            yield _facts([block for block in group if isinstance(block, Fact)])
+            continue
         shown = "\n".join(_block(block, specs) for block in group)
-        yield f'<div class="figures">{shown}</div>' if are_charts else shown
+        yield f'<div class="figures">{shown}</div>' if kind is Figure else shown
+
+
+def _facts(facts: Sequence[Fact]) -> str:
+    """Return the lines of the first screen: those without a label as text, others as a list."""
+    alone = [f"<p>{_text(fact.text)}</p>" for fact in facts if not fact.label and fact.text]
+    rows = [f"<dt>{_text(fact.label.strip())}</dt><dd>{_text(fact.text)}</dd>"
+            for fact in facts if fact.label]
+    listed = f'<dl class="facts">{"".join(rows)}</dl>' if rows else ""
+    return "\n".join([*alone, listed])
 
 
 def _block(block: Block, specs: dict[str, Any]) -> str:

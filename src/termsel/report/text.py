@@ -11,6 +11,7 @@ from termsel.report.blocks import (
     Code,
     Detail,
     Document,
+    Fact,
     Figure,
     Names,
     Note,
@@ -22,6 +23,8 @@ _WIDTH = 88
 _LONGEST_TABLE = 40
 """Rows of a table; of a longer one there is only their number."""
 _WIDEST_COLUMN = 60
+_LABEL = 10
+"""Characters of the column of labels on the first screen."""
 
 
 def text_of(document: Document, *, whole: bool = True, titled: bool = True) -> str:
@@ -36,6 +39,11 @@ def text_of(document: Document, *, whole: bool = True, titled: bool = True) -> s
             lines += ["", section.title, *_lines(shown)]
     # File names may have what a terminal would obey.
     return printable("\n".join(lines)) + "\n"
+
+
+def first_screen_of(document: Document) -> str:
+    """Return the first screen alone, as text."""
+    return printable("\n".join(_lines(document.facts))) + "\n"
 
 
 def _shown(blocks: Iterable[Block], whole: bool) -> Iterator[Block]:
@@ -63,12 +71,23 @@ def _block(block: Block) -> Iterator[str]:
         yield from _table(block)
     elif isinstance(block, Note):
         yield from _wrapped(f"{block.label}: {block.text}", 4)
+    elif isinstance(block, Fact):
+        yield from _fact(block)
     elif isinstance(block, Names):
         yield from _wrapped(f"{block.title}: {' '.join(block.names)}", 2)
     elif isinstance(block, Code):
         yield from block.text.splitlines()
     elif isinstance(block, str | Statement):
         yield from _wrapped(block if isinstance(block, str) else block.text)
+
+
+def _fact(fact: Fact) -> Iterator[str]:
+    """Yield a line of the first screen: the label in a column of its own."""
+    if fact.label:
+        yield from textwrap.wrap(fact.text, _WIDTH, initial_indent=fact.label.ljust(_LABEL),
+                                 subsequent_indent=" " * _LABEL, break_on_hyphens=False)
+    else:
+        yield from _wrapped(fact.text, 4) or [""]
 
 
 def _table(table: TableBlock) -> Iterator[str]:

@@ -1,0 +1,399 @@
+"""The first screen of a run: what was read, the model, its accuracy, outliers, and a comparison."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import PurePath
+
+from termsel.auto.structures import named
+from termsel.core.display.numbers import rounded
+from termsel.core.errors import amount, counted, cut, percent
+from termsel.data.coordinates.crs import LOCAL, short
+from termsel.data.record.figures import MANY_INDEPENDENT, BaselineRow, Outlier
+from termsel.data.record.record import Record, WhatWasRead
+from termsel.report.accuracy import accuracy_lines
+from termsel.report.blocks import Fact
+from termsel.report.compared import label_of
+from termsel.report.verdict import off_option
+
+LINES = 12
+"""Lines of the first screen, the command that comes last included."""
+_SOURCE = 32
+"""Characters of the names of files and of ids."""
+_NAMED = 3
+"""Outliers that are named."""
+_LONGEST_OPTION = 60
+"""Characters of the option that leaves out outliers."""
+_WIDTH = 76
+"""Characters of a line next to its label."""
+_NO_FIT, _BLUNT = 0.01, 0.005
+"""Shares of the extent of the features in the image: of an RMSE, beyond which no model fits, and of
+an error that must be exceeded to be detected."""
+_CONTRADICTED = 2.0
+"""Times the upper end of the predicted RMSE beyond which independent points contradict it."""
+_ALIKE = 1.05
+"""Ratio of two RMSE below which the difference is of no practical use."""
+_DEGREES = {1: "affine", 2: "quadratic", 3: "cubic"}
+_DIMENSIONS = {"poly2d": "2-D", "poly3d": "3-D"}
+
+
+def first_screen(record: Record) -> list[Fact]:
+    """Return the facts of the first screen: at most ten lines, and two for the command."""
+    facts = [*_data(record), Fact(""), Fact(_model(record), "Model"),
+             *_labelled("Accuracy", accuracy_lines(record)),
+             *_labelled("Outliers", outlier_lines(record)),
+             *_labelled("Compared", _compared(record)), *_labelled("Search", _search(record))]
+    return [*facts, *_cautions(record, LINES - 1 - sum(map(_height, facts)))]
+
+
+def _labelled(label: str, lines: Sequence[str]) -> Iterator[Fact]:
+    """Yield one fact for each line; the first has the label."""
+    for i, line in enumerate(lines):
+        yield Fact(line, label if i == 0 else " ")
+
+
+def _height(fact: Fact) -> int:
+    """Return how many lines of text a fact takes."""
+    return 1 + len(fact.text) // _WIDTH
+
+
+def _data(record: Record) -> Iterator[Fact]:
+    """Yield what was read, and the features of each role."""
+    data = record.data
+    names = ", ".join(PurePath(name).name for name in data.source.split(", "))
+    read = data.read or _read_by_earlier_versions(record)
+    kinds = ", ".join(counted(number, noun) for number, noun in (
+        (read.points, "point"), (read.lines, "line")) if number)
+    heights = ""
+    if read.without_height:
+        heights = " without heights" if read.without_height == read.points + read.lines else \
+            f" ({read.without_height} without a height)"
+    crs = "coordinates without a CRS" if data.crs == LOCAL else short(data.crs)
+    place = f" ({read.place})" if read.place else ""
+    unit = f"; z in {read.z_unit}" if read.z_unit else ""
+    origin = f"; image coordinates from {read.image_origin}" if read.image_origin else ""
+    yield Fact(f"{cut(names, _SOURCE)}: {kinds}{heights}, {crs}{place}{unit}{origin}")
+    yield Fact(f"{roles_of(record)}{_not_used(read)}")
+
+
+def roles_of(record: Record) -> str:
+    """Return how many features have which role, in the words of the field."""
+    counts = record.data.counts
+    independent = _number(counts.independent, "independent check point")
+    if record.strategy:
+        kinds = [counted(number, noun) for number, noun in (
+            (counts.lines, "line"), (counts.control + counts.check, "point")) if number]
+        return f"{' and '.join(kinds)} to choose and fit the model, {independent}"
+    kinds = [counted(number, noun) for number, noun in (
+        (counts.control, "control point"), (counts.lines, "control line")) if number]
+    return f"{', '.join(kinds)}, {_number(counts.check, 'selection point')}, {independent}"
+
+
+def _number(number: int, noun: str) -> str:
+    return counted(number, noun) if number else f"no {noun}s"
+
+
+def _not_used(read: WhatWasRead) -> str:
+    """Return how many features take no part, and why."""
+    reasons = [f"{len(ids)} {reason}" for reason, ids in read.left_out.items()]
+    text = f"; not used: {'; '.join(reasons)}"
+    if len(text) > _WIDTH:
+        text = f"; {sum(map(len, read.left_out.values()))} not used"
+    return text if reasons else ""
+
+
+def _read_by_earlier_versions(record: Record) -> WhatWasRead:
+    counts = record.data.counts
+    return WhatWasRead(counts.control + counts.check + counts.independent + counts.off,
+                       counts.lines, 0, "", "", {})
+
+
+def title_of(record: Record) -> str:
+    """Return the structure of the model in words, without an article."""
+    strategy = record.strategy
+    if strategy is None:
+        degree = record.options.model.get("degree")
+        if record.model in _DIMENSIONS and isinstance(degree, int):
+            shape = f"{_DIMENSIONS[record.model]} polynomial"
+            return f"{_DEGREES[degree]} {shape}" if degree in _DEGREES else \
+                f"{shape} of degree {degree}"
+        return "rational function model" if record.model == "rfm" else record.model
+    if shift := _shift_of(record):
+        return f"vendor RPC plus {shift}"
+    candidate = named(strategy.chosen)
+    return label_of(strategy.chosen) if candidate is None else \
+        candidate.title.partition(" ")[2]
+
+
+def _shift_of(record: Record) -> str:
+    """Return the correction of a vendor's RPC in the middle of the control; "" for other models.
+
+    The constants of the correction are in the scaled units of the image.
+    """
+    coefficients = record.coefficients
+    if record.data.rpc is None or not {"line.bias:1", "sample.bias:1"} <= coefficients.keys():
+        return ""
+    line = coefficients["line.bias:1"] * record.scaling.line_scale
+    sample = coefficients["sample.bias:1"] * record.scaling.sample_scale
+    return f"shift ({line:+.2f}, {sample:+.2f} px in line, sample)"
+
+
+def _model(record: Record) -> str:
+    """Return the model, and how it was chosen or selected."""
+    title = title_of(record)
+    strategy = record.strategy
+    if strategy:
+        figures = {row.name: row.predicted for row in strategy.candidates
+                   if row.predicted is not None}
+        best = min(figures, key=lambda name: figures[name], default="") == strategy.chosen
+        how = f" ({'best of' if best else 'chosen among'} {len(figures)} in cross-validation)" \
+            if len(figures) > 1 else ""
+        rpc = f". {strategy.rpc}" if strategy.rpc else ""
+        return f"{title}{how}{rpc}"
+    selection = record.selection
+    offered = record.offered
+    excluded = sum(outlier.excluded and outlier.role == "control" for outlier in record.outliers)
+    text = (f"{title}, {share(selection.n_terms, offered.n_terms)} terms, "
+            f"{share(selection.n_features, offered.n_features - excluded)} "
+            f"{record.data.counts.word}")
+    if record.stability:
+        return f"{text}; stable over {record.stability.repeats} selections"
+    whole = (selection.n_terms, selection.n_features) == (offered.n_terms, offered.n_features)
+    return text if whole else f"{text}, selected by {record.solver} ({record.criterion})"
+
+
+def share(chosen: int, offered: int) -> str:
+    """Return how many of those on offer are chosen."""
+    return f"all {offered}" if chosen == offered else f"{chosen} of {offered}"
+
+
+def outlier_lines(record: Record) -> list[str]:
+    """Return the worst outliers of each kind, with the option that leaves out those in use."""
+    rejected, used, independent = groups = _grouped(record)
+    if not any(groups):
+        return [_none_detected(record)]
+    word = record.data.counts.word
+    lines = []
+    if rejected:
+        lines.append(f"{_counted(rejected, word)} rejected: {_listed(rejected)}")
+    if used:
+        lines.append(f"{_counted(used, word)} still in use: {_listed(used)}")
+    if independent:
+        lines.append(f"{counted(len(independent), 'independent check point')} "
+                     f"contradict{'s' if len(independent) == 1 else ''} the model: "
+                     f"{_listed(independent)}")
+    off = off_option(record)
+    if off and len(off) <= _LONGEST_OPTION:
+        lines[-1] += f". Leave {'them' if ',' in off else 'it'} out with {off}"
+    elif off:
+        lines[-1] += ". --verbose shows the option --off that leaves them out"
+    return lines
+
+
+def _counted(outliers: Sequence[Outlier], word: str) -> str:
+    return counted(len(outliers), word.removesuffix("s"))
+
+
+def _none_detected(record: Record) -> str:
+    """Return that no outlier was detected, and why this may say little."""
+    test = record.blunder_test
+    accuracy = record.accuracy
+    predicted = record.predicted
+    if record.options.data.get("tested"):
+        return "tested in an earlier run, not in this one"
+    if accuracy and predicted and accuracy.image.total > _CONTRADICTED * predicted.high:
+        return (f"none among the others, but the "
+                f"{counted(accuracy.image.n, 'independent check point')} contradict"
+                f"{'s' if accuracy.image.n == 1 else ''} the prediction: check "
+                f"{'it' if accuracy.image.n == 1 else 'them'}")
+    if test is None:
+        return "not tested"
+    features = counted(test.features, record.data.counts.word.removesuffix("s"))
+    if test.limit is None or test.limit > test.extent:
+        return f"not detectable: {features} {'is' if test.features == 1 else 'are'} too few"
+    if _size_of_errors(record) > _NO_FIT * test.extent:
+        return (f"not detectable: no model fits these {record.data.counts.word}; several are wrong, "
+                "or no model holds")
+    if test.limit > _BLUNT * test.extent:
+        return (f"none found among {features}; errors below {rounded(test.limit)} px would go "
+                "unnoticed at half of them")
+    return f"none among {features}"
+
+
+def _size_of_errors(record: Record) -> float:
+    """Return the RMSE that features which took no part have, or are predicted to have [px]."""
+    sizes = []
+    if record.predicted:
+        sizes.append(record.predicted.rmse)
+    if record.accuracy:
+        sizes.append(record.accuracy.image.total)
+    return min(sizes, default=0.0)
+
+
+def _grouped(record: Record) -> tuple[list[Outlier], list[Outlier], list[Outlier]]:
+    """Return outliers that were rejected, those in use, and independent ones; the worst first."""
+    worst = sorted(record.outliers, key=lambda outlier: -outlier.error)
+    others = [outlier for outlier in worst if outlier.role != "independent"]
+    return ([outlier for outlier in others if outlier.excluded],
+            [outlier for outlier in others if not outlier.excluded],
+            [outlier for outlier in worst if outlier.role == "independent"])
+
+
+def are_all_named(record: Record) -> bool:
+    """Return whether the first screen names all outliers, with the option that leaves them out."""
+    return max(map(len, _grouped(record))) <= _NAMED and \
+        len(off_option(record)) <= _LONGEST_OPTION
+
+
+def _listed(outliers: Sequence[Outlier]) -> str:
+    """Return the worst outliers with their errors; the unit stands at the first."""
+    texts = []
+    for i, outlier in enumerate(outliers[:_NAMED]):
+        certainty = "" if outlier.certainty == "certain" else f" ({outlier.certainty})"
+        unit = " px" if i == 0 else ""
+        texts.append(f"{cut(outlier.id, _SOURCE)} {rounded(outlier.error)}{unit}{certainty}")
+    if len(outliers) > _NAMED:
+        texts.append(f"{len(outliers) - _NAMED} more")
+    return ", ".join(texts)
+
+
+def _compared(record: Record) -> Iterator[str]:
+    """Yield the best rival that needs no search, and the conventional fit; "" figures are left out.
+    """
+    if not record.feasible:
+        yield ("Do not use this fit: it did not converge" if record.adjustment.converged is False
+               else "Do not use this fit: it breaks a condition (rank, pole or number of terms)")
+        return
+    rival = next((row for row in record.baselines if row.name == record.reference), None)
+    if rival is not None:
+        yield from _against(record, rival)
+    if record.strategy is None and record.baselines:
+        yield from _conventional(record, record.baselines[0])
+
+
+def _against(record: Record, rival: BaselineRow) -> Iterator[str]:
+    """Yield how a rival compares, at the independent check points or else in cross-validation."""
+    own, other = _comparable(record, rival)
+    if own is None or other is None:
+        return
+    name = label_of(rival.name) if record.strategy else "automatic choice without a search"
+    yield f"{name} {rounded(other)} px: {_verdict(record, own, other)}"
+
+
+def _comparable(record: Record, rival: BaselineRow) -> tuple[float | None, float | None]:
+    """Return the RMSE of this fit and of a rival that may be compared [px]."""
+    by_points = record.accuracy_without or record.accuracy
+    enough = by_points is not None and (
+        record.predicted is None or by_points.image.n >= MANY_INDEPENDENT)
+    if record.strategy and not enough:
+        return record.predicted.rmse if record.predicted else None, rival.predicted
+    return (record.rmse.independent.total if by_points is None else by_points.image.total,
+            rival.rmse.independent.total)
+
+
+def _verdict(record: Record, own: float, other: float) -> str:
+    """Return in a few words what the ratio of two RMSE is worth."""
+    alike = own <= _ALIKE * other and other <= _ALIKE * own
+    if record.strategy:
+        if alike:
+            return "no practical difference"
+        return f"{_times(other / own)} as large" if other > own else \
+            f"smaller, by {percent(1 - other / own)}"
+    if alike:
+        return "the search gains nothing"
+    return f"the search is better, by {percent(1 - own / other)}" if other > own else \
+        "more accurate; omit --problem and --solver"
+
+
+def _times(ratio: float) -> str:
+    return f"{ratio:.1f} times" if ratio < 10 else f"{ratio:,.0f} times"
+
+
+def _conventional(record: Record, row: BaselineRow) -> Iterator[str]:
+    """Yield the RMSE of the fit of all terms to all control features."""
+    total = row.rmse.independent.total
+    if total is None or not row.determined or record.solver == row.name:
+        return
+    excluded = any(outlier.excluded for outlier in record.outliers)
+    lacks_features = record.selection.n_features < record.offered.n_features
+    what = f"all {record.offered.n_features} {record.data.counts.word}" if lacks_features else \
+        f"all {record.offered.n_terms} terms"
+    yield f"{what}{', outliers included' if excluded else ''}: {rounded(total)} px"
+
+
+def _search(record: Record) -> Iterator[str]:
+    """Yield what was proven, and the size of the Pareto front."""
+    certificate = record.certificate
+    if certificate is not None and not certificate.claimed_by:
+        subsets = amount(certificate.subsets, "subset")
+        if certificate.optimal:
+            yield f"proven optimum: {subsets} enumerated or excluded by bounds"
+        elif certificate.feasible is False:
+            yield f"proven: no selection is feasible ({subsets})"
+        elif isinstance(certificate.optimum, float) and isinstance(certificate.gap, float):
+            yield f"optimality gap {percent(certificate.gap)}; --solver exact finds the optimum"
+        elif isinstance(certificate.gap, float):
+            yield f"not proven: optimality gap at most {percent(certificate.gap)}"
+    if len(record.front) > 1:
+        sizes = [int(next(iter(member.objectives.values()))) for member in record.front]
+        noun = next(iter(record.front[0].objectives)).removeprefix("n_")
+        yield (f"Pareto front of {len(sizes)} selections, {min(sizes)} to {max(sizes)} {noun}; "
+               "--verbose lists them")
+
+
+def _cautions(record: Record, room: int) -> Iterator[Fact]:
+    """Yield the most urgent warnings as far as there is room, each in its first sentence."""
+    warnings = [*_urgent(record), *filter(None, (_first_sentence(note) for note in record.notes
+                                                 if not _is_shown(note)))]
+    label = "Caution"
+    for i, warning in enumerate(warnings):
+        rest = len(warnings) - i
+        fact = Fact(warning, label)
+        reserved = 1 if rest > 1 else 0
+        if _height(fact) + reserved > room and i:
+            yield Fact(f"{counted(rest, 'more note')}: --verbose", label)
+            return
+        yield fact
+        room -= _height(fact)
+        label = " "
+
+
+def _first_sentence(note: str) -> str:
+    """Return the first sentence of a note, without its full stop."""
+    head, stop, _ = note.partition(". ")
+    return head if stop else note.removesuffix(".")
+
+
+def _is_shown(note: str) -> bool:
+    """Return whether the lines above a warning say the same as a note."""
+    return note.startswith(("The vendor's RPC", "The search removed", "With ", "Left out for"))
+
+
+def _urgent(record: Record) -> Iterator[str]:
+    """Yield what must be looked at before any figure is believed."""
+    read = record.data.read
+    if read and read.doubt:
+        yield f"{read.doubt.partition(':')[0]}: check them before anything else"
+    if read and read.height_doubt:
+        yield f"check what heights refer to: {read.height_doubt}"
+    if read and read.two_groups:
+        yield f"check the datum of the points: {read.two_groups}"
+    if record.interrupted:
+        yield "the run was interrupted; run it again to its end"
+    if not record.feasible:
+        yield "measure more control, or choose a smaller model"
+
+
+def next_step(record: Record, folder: str = "") -> str:
+    """Return what to do next, as a command where one can be typed.
+
+    `folder` is where the result was written, if it was.
+    """
+    off = off_option(record)
+    if off and len(off) <= _LONGEST_OPTION:
+        return f"Next: run again with {off}"
+    if not folder:
+        return "Not saved: add --out DIR, then termsel report DIR"
+    if not record.data.counts.independent and record.data.counts.word == "points":
+        return f"Next: termsel plan {folder}   (where to measure check points)"
+    return f"Next: termsel report {folder}"
