@@ -9,7 +9,8 @@ from msgspec import convert
 
 from termsel.data.record.record import Record
 from termsel.report.answers import document
-from termsel.report.text import text_of
+from termsel.report.first_screen import next_step as next_command
+from termsel.report.text import first_screen_of, text_of
 
 
 def outlier(name: str, error: float, excluded: bool, certainty: str = "certain",
@@ -82,14 +83,20 @@ def text(whole: bool = True, **changed: Any) -> str:
     return text_of(document(convert(record(**changed), Record)), whole=whole, titled=False)
 
 
-def opening(**changed: Any) -> list[str]:
-    """Return the lines before the first heading."""
-    return text(False, **changed).partition("\n\n")[0].splitlines()
+def first_screen(**changed: Any) -> list[str]:
+    """Return the lines of the first screen, but for the command that comes last."""
+    return first_screen_of(document(convert(record(**changed), Record))).splitlines()
+
+
+def next_step(folder: str, **changed: Any) -> str:
+    """Return the last line of the first screen of a result in a folder."""
+    return next_command(convert(record(**changed), Record), folder)
 
 
 def page(**changed: Any) -> list[str]:
     """Return the lines of the whole summary from the first heading on."""
-    return text(**changed).partition("\n\n")[2].splitlines()
+    lines = text(**changed).splitlines()
+    return lines[lines.index("How accurate is it?"):]
 
 
 def added(**changed: Any) -> list[str]:

@@ -98,7 +98,7 @@ def test_the_reason_states_the_figures_that_decided(
     assert found.chosen.name == chosen
     cubic = by_shrunken("shrunken-cubic", "shrunken-quadratic", judged)
     assert found.reason.startswith(
-        f"shrunken cubic is {'better' if cubic > 0 else 'worse'} than shrunken quadratic by "
+        f"regularised cubic is {'better' if cubic > 0 else 'worse'} than regularised quadratic by "
         f"{abs(cubic):.2g} standard errors; it must be better by more than 1. ")
     against = "shrunken-cubic" if cubic > 1 else "shrunken-quadratic"
     rival, gain = max(((name, by_shrunken(name, against, judged)) for name in judged
@@ -110,7 +110,7 @@ def test_the_reason_states_the_figures_that_decided(
     assert (f"is {words} than {against.replace('-', ' ')} by {abs(gain):.2g} standard errors; it "
             f"must be better by more than {asked}") in found.reason
     least = min(judged, key=lambda name: judged[name].predicted)
-    assert ("is a limit of the shrunken polynomials" in found.reason) == (
+    assert ("is a limit of the regularised polynomials" in found.reason) == (
         least in ("affine", "quadratic", "cubic"))
 
 

@@ -216,7 +216,7 @@ def test_a_picture_is_written(call: Call, searched: Path, tmp_path: Path, suffix
     (("{}", "terms", "-o", "x.gif"), ".svg, .png, .pdf"),
     (("{}", "terms", "-o", "x"), ".svg, .png, .pdf"),
     (("{}", "termz", "-o", "x.svg"), "terms"),
-    (("{}", "candidates", "-o", "x.svg"), "it was not made by the strategy auto"),
+    (("{}", "candidates", "-o", "x.svg"), "it was not chosen automatically (strategy auto)"),
     (("nowhere", "terms", "-o", "x.svg"), "there is no result here"),
     (("{}", "terms", "-o", "-"), "cannot write to stdout"),
     (("{}", "terms", "-o", "no/folder/x.svg"), "there is no such folder"),
@@ -264,9 +264,9 @@ def test_the_six_answers_come_in_order(searched: Path, tmp_path: Path) -> None:
     result.report(tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text()
     assert re.findall(r"<h2[^>]*>(.*?)</h2>", text[:text.index("<script")]) == [
-        "How accurate is it?", "Is it better than plain structures?",
-        "Which points or lines are bad?", "Where is the model weak?",
-        "What was selected, and why?", "How is it repeated?"]
+        "How accurate is it?", "Is it better than conventional models?",
+        "Which points or lines are outliers?", "Where is the model uncertain?",
+        "What was selected, and why?", "How can it be repeated?"]
     assert f"RMSE {result.rmse['independent'].total:.3g} px" in text
     assert f"{result.accuracy.ground.total:.3g} m on the ground" in text  # type: ignore[union-attr]
     sums = json.loads((searched / "result.json").read_text())["checksums"]

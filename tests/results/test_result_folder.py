@@ -144,7 +144,7 @@ def test_residuals_are_a_table_for_pandas_and_features_for_geopandas() -> None:
 
 def test_notebook_shows_the_summary() -> None:
     assert example_results()[0]._repr_html_().startswith(
-        "<div><strong>Result: rfm, ")
+        "<div><strong>Result: rational function model, ")
 
 
 @pytest.mark.slow

@@ -101,7 +101,7 @@ def test_what_must_be_better_by_how_much(cubic: float, dlt: float, chosen: str,
     one = np.random.default_rng(2).uniform(1, 2, 40)
     squares = {"shrunken-quadratic": one, "shrunken-cubic": one * gain_of(cubic),
                "dlt": one * gain_of(dlt), "quadratic": 0.1 * one}
-    # The quadratic one is contained in the shrunken one, so that it cannot win.
+    # The quadratic one is contained in the regularised one, so that it cannot win.
     monkeypatch.setattr(Candidate, "judge", lambda candidate, control: (
         Judged(candidate, candidate.fit_control(control),
                squares[candidate.name]) if candidate.name in squares else None))

@@ -99,7 +99,7 @@ def test_a_conventional_fit_that_is_not_determined_is_said_to_be() -> None:
      "together, which the rule of auto chooses (1.05 px)."),
     ("affine", 1.0, 1.051, "It beats an affine polynomial over control and check together, which "
      "the rule of auto chooses, by 1.1 times (1.05 px)."),
-    ("shrunken-cubic", 4.0, 2.0, "Let auto choose instead: a shrunken cubic polynomial over "
+    ("shrunken-cubic", 4.0, 2.0, "Let auto choose instead: a regularised cubic polynomial over "
      "control and check together, which the rule of auto chooses, is 2.0 times better (2.00 px)."),
     ("rfm-3", 4.0, 2.0, "Let auto choose instead: a third-order RFM over control and check "
      "together, which the rule of auto chooses, is 2.0 times better (2.00 px)."),
@@ -134,7 +134,7 @@ def candidate(name: str) -> Candidate:
 def test_a_choice_states_its_prediction_if_there_is_one() -> None:
     none = rmse(None)
     assert judge_choice(candidate("shrunken-cubic"), 0.8765, none, (), 0.5) == (
-        "From control and check auto chooses a shrunken cubic polynomial, with a "
+        "From control and check auto chooses a regularised cubic polynomial, with a "
         "predicted RMSE of 0.88 px. There are no independent points to confirm it.")
     assert judge_choice(candidate("affine"), None, none, (), 0.5) == (
         "From control and check auto chooses an affine polynomial. There are no "

@@ -242,7 +242,7 @@ class Candidate(ABC):
     def suspects(self, control: Control) -> Suspects | None:
         """Return which features contradict what the candidate knows of the image.
 
-        None, the default, leaves them to the test by shrunken polynomials.
+        None, the default, leaves them to the test by regularised polynomials.
         """
         return None
 

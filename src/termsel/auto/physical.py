@@ -1,4 +1,4 @@
-"""A polynomial with the prior of known cameras, next to shrunken ones in one average."""
+"""A polynomial with the prior of known cameras, next to regularised ones in one average."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ STRONG = 20 / 21
 odds of twenty to one, beyond which the evidence is strong (Kass and Raftery 1995)."""
 
 WORSE = 1.0
-"""Standard errors by which the shrunken polynomials alone must predict left-out points better to
+"""Standard errors by which the regularised polynomials alone must predict left-out points better to
 remain alone; beyond few points they must be as much worse not to."""
 
 
@@ -71,7 +71,7 @@ class Averaged(Average):
     physical: tuple[Solutions, ...]
     shrunken: tuple[tuple[Posterior, Exponents], ...]
     shares: FloatArray  # (p,): of the physical ones, then of the others
-    worse: float  # standard errors by which the shrunken ones predict left-out points better
+    worse: float  # standard errors by which the regularised ones predict left-out points better
 
     @property
     def probability(self) -> float:
@@ -181,7 +181,7 @@ def averaged_of(fitted: Fit) -> Averaged:
 
 
 class Physical(Estimator):
-    """The average of polynomials with a physical prior and of shrunken ones."""
+    """The average of polynomials with a physical prior and of regularised ones."""
 
     name = "physical"
 

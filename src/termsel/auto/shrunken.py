@@ -60,7 +60,7 @@ class Average:
 
 
 class Averaging(Estimator):
-    """The average of a polynomial's shrunken solutions."""
+    """The average of a polynomial's regularised solutions."""
 
     name = "averaging"
 

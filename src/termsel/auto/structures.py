@@ -140,7 +140,7 @@ def _polynomials(degree: int) -> tuple[SensorModel, SensorModel]:
 
 _LIMITS = ("affine", "quadratic", "cubic")
 _SHRUNKEN = ("shrunken-quadratic", "shrunken-cubic")
-_FAMILY = "the shrunken polynomials"
+_FAMILY = "the regularised polynomials"
 
 ROBUST = (
     Structure("huber", "a quadratic polynomial by Huber's estimator", *_polynomials(2),
@@ -169,13 +169,13 @@ CANDIDATES: tuple[Structure, ...] = (
               estimator=RidgeByOrder(), short="full RFM, ridge", only_shown=True),
     _Selected("selected", "a cubic polynomial of selected terms", *_polynomials(3),
               estimator=ForwardSelection(), short="selected cubic"),
-    Structure("shrunken-quadratic", "a shrunken quadratic polynomial", *_polynomials(2),
-              estimator=Averaging(), short="shrunken quadratic", has_prior=True, contains=_LIMITS,
+    Structure("shrunken-quadratic", "a regularised quadratic polynomial", *_polynomials(2),
+              estimator=Averaging(), short="regularised quadratic", has_prior=True,
+              contains=_LIMITS, family=_FAMILY),
+    Structure("shrunken-cubic", "a regularised cubic polynomial", *_polynomials(3),
+              estimator=Averaging(), short="regularised cubic", has_prior=True, contains=_LIMITS,
               family=_FAMILY),
-    Structure("shrunken-cubic", "a shrunken cubic polynomial", *_polynomials(3),
-              estimator=Averaging(), short="shrunken cubic", has_prior=True, contains=_LIMITS,
-              family=_FAMILY),
-    _WithField("field", "a shrunken cubic polynomial with a random field", Field3D(), Field(),
+    _WithField("field", "a regularised cubic polynomial with a random field", Field3D(), Field(),
                estimator=Interpolated(), short="random field", has_prior=True,
                contains=(*_LIMITS, *_SHRUNKEN), family=_FAMILY),
     Structure("tps", "a thin-plate spline", None, ThinPlate(), estimator=Interpolated(),

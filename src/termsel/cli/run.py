@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -61,8 +62,12 @@ def run(verbose: bool, **given: Any) -> None:
             observers=[observe] if observe else [], out=out, overwrite=asked.overwrite)
     echo(result.to_json() if asked.as_json else result.summary(verbose=verbose), nl=False)
     if out is not None:
-        say_written([f"{out}/{RECORD}", *names_of(result.features)[1:]])
         asked.write(result, exported, page)
+    if not asked.as_json:
+        saved = f"Saved     {out}{os.sep}    " if out is not None else ""
+        echo(f"{saved}{result.next_step(out or '')}")
+    elif out is not None:
+        say_written([f"{out}/{RECORD}", *names_of(result.features)[1:]])
     if result.interrupted:
         echo("Interrupted: this is the best so far. The same command"
              f"{' with --overwrite' if out else ''} repeats the whole run.", err=True)

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 from termsel.core.version import __version__
-from termsel.report.opening import expected_of, predicted_first
+from termsel.report.accuracy import expected_of, predicted_first
 
 if TYPE_CHECKING:
     from termsel.results.result import Result

@@ -85,7 +85,7 @@ class ThinPlate(Interpolating):
 class Field(Interpolating):
     """Plane polynomial with a random field: collocation, averaged over its scales.
 
-    A shrunken cubic polynomial of X and Y, a stationary random field with Matern covariance, for
+    A regularised cubic polynomial of X and Y, a stationary random field with Matern covariance, for
     what is local, and noise. The lengths, size and noise of the field are not set: solutions on
     a grid are averaged with their probabilities, those without a field among them (see
     `termsel.fitting.bayesian.field`). For old maps, sheets and scanners that shake.

@@ -10,6 +10,8 @@ from termsel.report.verdict import contradicting
 
 _ROUNDING = 1e-9
 """Predicted RMSE [px] below which points without errors leave only rounding."""
+_MEASURABLE = 0.01
+"""RMSE [px] below which points were computed: nobody measures so well."""
 
 PREDICTED_BY = "predicted by cross-validation"
 
@@ -33,6 +35,10 @@ def accuracy_of(record: Record) -> str:
 def accuracy_lines(record: Record) -> list[str]:
     """Return the accuracy in one to four short lines: the surer figure first."""
     accuracy = record.accuracy
+    if lattice_of(record) is not None and accuracy is None:
+        return _between_points(record)
+    if are_computed(record):
+        return [agreement_of_computed(record)]
     predicted = record.predicted if accuracy and not predicted_first(record) else \
         expected_of(record)
     if accuracy is None:
@@ -42,10 +48,48 @@ def accuracy_lines(record: Record) -> list[str]:
     if predicted_first(record):
         if predicted.high < _ROUNDING:
             return ["the points fit exactly", _measured(accuracy), *_doubts(record, accuracy)]
-        return [_prediction(predicted), f"{_measured(accuracy)}{_agreement(accuracy, predicted)}",
+        measured = _measured(accuracy).replace("RMSE at", "at")  # the line above names it
+        return [_prediction(predicted), f"{measured}{_agreement(accuracy, predicted)}",
                 *_doubts(record, accuracy)]
     return [_measured(accuracy), f"{PREDICTED_BY} {rounded(predicted.rmse)} px"
             f"{_agreement(accuracy, predicted)}", *_doubts(record, accuracy)]
+
+
+def lattice_of(record: Record) -> tuple[int, int] | None:
+    """Return the lines and columns of the lattice that the points are, if they are one."""
+    return record.data.read.lattice if record.data.read else None
+
+
+def are_computed(record: Record) -> bool:
+    """Return whether the model meets points that took no part closer than anyone measures."""
+    # Of simulated data the noise is known, and may be none.
+    if record.data.noise is not None or lattice_of(record) is not None:
+        return False
+    expected = expected_of(record)
+    if record.accuracy is not None:
+        return max(record.accuracy.image.total, expected.high if expected else 0.0) < _MEASURABLE
+    return expected is not None and _ROUNDING <= expected.high < _MEASURABLE
+
+
+def agreement_of_computed(record: Record) -> str:
+    """Return that a model meets points that were computed, and that this is no accuracy."""
+    expected = expected_of(record)
+    size = record.accuracy.image.total if record.accuracy else expected.rmse if expected else 0.0
+    agreement = f"to {rounded(size)} px" if size >= _ROUNDING else "to rounding"
+    return (f"the model meets points that took no part {agreement}, closer than anyone measures. "
+            "They were computed, or one column is a copy of another: nothing tells the accuracy")
+
+
+def _between_points(record: Record) -> list[str]:
+    """Return how well a model interpolates between the points of a lattice, or meets them."""
+    expected = expected_of(record)
+    unknown = "the points were computed, so the accuracy of the product is not known"
+    if expected is not None:
+        return [f"{rounded(expected.rmse)} px   RMSE {PREDICTED_BY} between the points of the "
+                f"lattice {interval(expected.low, expected.high, 100 * expected.level)}", unknown]
+    control = record.rmse.control
+    return [unknown] if control.total is None else [
+        f"the model meets the points of the lattice to {rounded(control.total)} px", unknown]
 
 
 def _unverified(predicted: Predicted | None) -> list[str]:
@@ -74,12 +118,12 @@ def _agreement(accuracy: Accuracy, predicted: Predicted) -> str:
     """Return whether the measured RMSE lies in the interval of the predicted one."""
     measured = accuracy.image.total
     if measured > predicted.high:
-        return ", larger than predicted"
-    return ", smaller than predicted" if measured < predicted.low else ", as predicted"
+        return ": the prediction was too small"
+    return ": the prediction was too large" if measured < predicted.low else ": consistent"
 
 
 def _doubts(record: Record, accuracy: Accuracy) -> list[str]:
-    """Return what makes the measured RMSE doubtful: blunders among the points, earlier use."""
+    """Return what weakens the measured RMSE: blunders among the points, and earlier use."""
     lines = []
     if without := record.accuracy_without:
         lines.append(f"{rounded(without.image.total)} px without {contradicting(record)}")

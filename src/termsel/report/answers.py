@@ -10,11 +10,19 @@ import platform
 from collections.abc import Iterator
 
 from termsel.auto.portfolio import EXACT
+from termsel.core.display.numbers import rounded
 from termsel.core.errors import counted, first_of
 from termsel.data.record.base import plain
 from termsel.data.record.figures import Accuracy, InImage, OnGround, Predicted, RoleRmse
 from termsel.data.record.record import Record
 from termsel.fitting.figures import LEAVE_ONE_OUT
+from termsel.report.accuracy import (
+    agreement_of_computed,
+    are_computed,
+    expected_of,
+    lattice_of,
+    predicted_first,
+)
 from termsel.report.blocks import (
     Block,
     Code,
@@ -26,17 +34,8 @@ from termsel.report.blocks import (
     TableBlock,
 )
 from termsel.report.charts import bars, maps
-from termsel.report.compared import fits_of, label_of
-from termsel.report.opening import (
-    are_all_named,
-    are_computed,
-    expected_of,
-    lattice_of,
-    opening,
-    predicted_first,
-    rounded,
-    said_of_computed,
-)
+from termsel.report.compared import ROLE_WORDS, fits_of, label_of
+from termsel.report.first_screen import are_all_named, first_screen
 from termsel.report.plots import figure, missing
 from termsel.report.selected import selected
 from termsel.report.tables import sigma_table
@@ -68,14 +67,14 @@ def document(record: Record, view: View | None = None, picture: str = "",
     title = record.data.source if record.strategy else f"{record.data.source}: {record.problem}"
     return Document(
         title, _made_by(record),
-        (*opening(record), *_fitted_in(record)),
+        (*first_screen(record), *_fitted_in(record)),
         (*(Section(title, blocks) for title, answer in (
             ("How accurate is it?", _accuracy(record)),
-            ("Is it better than plain structures?", _compared(record, view)),
-            ("Which points or lines are bad?", _bad(record, view, picture)),
-            ("Where is the model weak?", _weak(view)),
+            ("Is it better than conventional models?", _compared(record, view)),
+            ("Which points or lines are outliers?", _bad(record, view, picture)),
+            ("Where is the model uncertain?", _weak(view)),
             ("What was selected, and why?", selected(record, view, picture)),
-            ("How is it repeated?", _repeated(record, view))) if (blocks := tuple(answer))),
+            ("How can it be repeated?", _repeated(record, view))) if (blocks := tuple(answer))),
          *further))
 
 
@@ -98,17 +97,18 @@ def _accuracy(record: Record) -> Iterator[Block]:
             yield _prediction(predicted)
     if (strategy := record.strategy) and strategy.predicted is not None:
         if predicted and rounded(predicted.rmse) != rounded(strategy.predicted):
-            yield ("The independent points have heights unlike the control's. At the control's "
-                   f"heights the predicted RMSE is {rounded(strategy.predicted)} px.")
+            yield ("The independent check points have other heights than the control points. At "
+                   "the heights of the control points the predicted RMSE is "
+                   f"{rounded(strategy.predicted)} px.")
         yield Detail(
-            f"The predicted RMSE is that of the whole choice, repeated in {strategy.folds} folds."
+            f"Cross-validation repeated the whole choice in {strategy.folds} folds."
             if strategy.folds > EXACT + 1 else
-            "The predicted RMSE is that of this candidate without each point.")
+            "Cross-validation left out each point in turn from the chosen model.")
     if record.final:
         what = "features" if record.data.counts.lines else "points"
-        yield (f"Exported: the same structure fitted to all {len(record.final.features)} "
-               f"{what}; --no-final exports the fit without the independent points, whose figures "
-               "these are.")
+        yield (f"Exported: the refit to all {len(record.final.features)} {what}. The measured "
+               "accuracy refers to the fit without independent check points, which --no-final "
+               "exports.")
 
 
 def _seen_before(accuracy: Accuracy) -> str:
@@ -116,8 +116,8 @@ def _seen_before(accuracy: Accuracy) -> str:
     if not accuracy.spent_by:
         return ""
     few = accuracy.spent_count < accuracy.image.n
-    return (f" of this run; {first_of(accuracy.spent_by)} showed "
-            f"{f'{accuracy.spent_count} of them' if few else 'them'} before")
+    reused = f"{accuracy.spent_count} of them" if few else "they"
+    return f" of this run ({reused} already assessed the fit in {first_of(accuracy.spent_by)})"
 
 
 def statement(record: Record) -> str:
@@ -126,21 +126,21 @@ def statement(record: Record) -> str:
     expected = expected_of(record)
     sentences = []
     if are_computed(record):
-        said = said_of_computed(record)
-        return f"{said[:1].upper()}{said[1:]}"
+        text = agreement_of_computed(record)
+        return f"{text[:1].upper()}{text[1:]}."
     if expected and predicted_first(record):
         sentences.append(_prediction(expected, exported=_of_all(record),
                                      lattice=lattice_of(record) is not None))
     if accuracy:
         sentences += _measured(record, accuracy)
     elif lattice_of(record) is not None:
-        sentences.append("The points of the lattice were computed, so that nothing tells the "
-                         "accuracy of the product.")
+        sentences.append("The points of the lattice were computed, so the accuracy of the product "
+                         "is not known.")
     elif expected:
-        sentences.append("There are no independent points.")
+        sentences.append("It is not verified: there are no independent check points.")
     else:
-        sentences.append("The accuracy is not known: there are no independent points. Give some "
-                         "points the role independent.")
+        sentences.append("The accuracy is not known: there are no independent check points. Give "
+                         "some points the role independent.")
     return " ".join(sentences)
 
 
@@ -150,15 +150,15 @@ def _of_all(record: Record) -> bool:
 
 
 def _measured(record: Record, accuracy: Accuracy) -> Iterator[str]:
-    """Yield what independent points say of the accuracy, and whether they still can."""
+    """Yield the RMSE at independent check points, and whether they are still independent."""
     yield _rmse_on(accuracy)
     if less := record.accuracy_without:
         yield f"Without {contradicting(record)}: {_rmse_on(less)}"
     spent = accuracy.spent_count
     n = accuracy.image.n
     if spent and 2 * spent >= n:
-        which = "The points" if spent == n else f"{spent} of the points"
-        yield f"{which} are spent: errors of another fit had been shown."
+        which = "These check points" if spent == n else f"{spent} of these check points"
+        yield f"{which} already assessed another fit; this RMSE may be optimistic."
 
 
 def _rmse_on(accuracy: Accuracy) -> str:
@@ -166,7 +166,8 @@ def _rmse_on(accuracy: Accuracy) -> str:
     ground = accuracy.ground
     low, high = image.interval
     metres = f", {rounded(ground.total)} m on the ground" if ground else ""
-    return (f"RMSE {rounded(image.total)} px{metres} on {counted(image.n, 'independent point')} "
+    points = counted(image.n, "independent check point")
+    return (f"RMSE {rounded(image.total)} px{metres} at {points} "
             f"(90 % interval {rounded(low)} to {rounded(high)} px).")
 
 
@@ -178,12 +179,12 @@ def _figures(accuracy: Accuracy, of: str) -> Iterator[Block]:
     if ground:
         rows.append(("on the ground", *_distances(ground, "m", ground.x, ground.y)))
         shapes += _shape(ground, "m", {"x": ground.x, "y": ground.y})
-    yield TableBlock(f"{counted(image.n, 'independent point')}{of}",
+    yield TableBlock(f"{counted(image.n, 'independent check point')}{of}",
                      ("", "RMSE", "line or x", "sample or y", "maximum", "CE90"), rows)
     yield from shapes
     for standard, title, meaning in (
             (accuracy.nssda, "NSSDA", "horizontal accuracy at 95 % confidence"),
-            (accuracy.asprs, "ASPRS 2024", "RMSE without the error of the survey itself")):
+            (accuracy.asprs, "ASPRS 2024", "RMSE, survey error excluded")):
         value = standard.value
         yield (f"{title}: {rounded(value)} m, {meaning}." if value is not None else
                Detail(f"{title}: no figure ({standard.reason})."))
@@ -196,7 +197,7 @@ def _shape(of: InImage | OnGround, unit: str, rmse: dict[str, float]) -> Iterato
     means = dict(zip(rmse, of.mean, strict=True))
     said = f"Mean error: {', '.join(f'{axis} {one:+.3g} {unit}' for axis, one in means.items())}."
     far = [axis for axis, one in means.items() if abs(one) > _FAR * of.n**-0.5 * rmse[axis] > 0]
-    yield f"{said} That of {' and '.join(far)} is more than chance explains." if far \
+    yield f"{said} The bias of {' and '.join(far)} is significant." if far \
         else Detail(said)
     if of.normal:
         ground = isinstance(of, OnGround)  # nothing new, as they are those in the image
@@ -208,10 +209,10 @@ def _shape(of: InImage | OnGround, unit: str, rmse: dict[str, float]) -> Iterato
 
 
 def _prediction(predicted: Predicted, *, exported: bool = False, lattice: bool = False) -> str:
-    of = f"of {counted(predicted.points, 'independent point')}" if predicted.points \
-        else "of further points like the control's"
+    of = f"at {counted(predicted.points, 'independent check point')}" if predicted.points \
+        else "of new points within the control area"
     of = "between the points of the lattice" if lattice else of
-    of += ", by the fit to all points that is exported" * exported
+    of += ", for the exported fit to all points" * exported
     return (f"Predicted RMSE {of}: {rounded(predicted.rmse)} px "
             f"({100 * predicted.level:.0f} % interval {rounded(predicted.low)} to "
             f"{rounded(predicted.high)} px).")
@@ -239,17 +240,18 @@ def _legend(record: Record, view: View | None) -> Iterator[str]:
         yield (f"{LEAVE_ONE_OUT}: each control feature by the fit without it, as "
                f"{record.model} corrects by control")
     if any("check" in baseline.fitted_to for baseline in baselines):
-        yield ("* fitted to control and check together; its check figure is a fit"
-               + " (a hollow symbol in the chart)" * (view is not None))
+        yield ("* also fitted to the selection points, so their RMSE is a fit"
+               + (" (a hollow symbol in the chart)" if view is not None else ""))
     if any(not any(rmse.n for rmse in baseline.rmse.by_role.values()) for baseline in baselines):
-        yield "- not determined with redundancy"
+        yield "- no redundancy"
     objective = next(iter(record.objectives), "")
     if record.strategy or not objective or record.solver == "all-terms":  # nothing was minimised
-        yield "independent = the accuracy"
+        yield "Accuracy: the RMSE at independent check points."
     elif objective == "check-rmse":
-        yield "check = the fitness, which the search minimised; independent = the accuracy"
+        yield ("The search minimised the RMSE at selection points, so it is optimistic; the "
+               "accuracy is the RMSE at independent check points.")
     else:
-        yield f"the search minimised {objective}; independent = the accuracy"
+        yield f"The search minimised {objective}. Accuracy: the RMSE at independent check points."
 
 
 def _fits(record: Record) -> TableBlock:
@@ -267,7 +269,7 @@ def _fits(record: Record) -> TableBlock:
             rows.append((f"  {LEAVE_ONE_OUT}", "", _figure(rmse.leave_one_out), *[""] * 4))
             keys.append(name)
     return TableBlock("RMSE [px], with 90 % intervals", (
-        "fit", "terms", "control", "check", "interval", "independent", "interval"), rows,
+        "fit", "terms", "control", "selection", "interval", "independent check", "interval"), rows,
         choice="fit", keys=keys, page_only=(4,))
 
 
@@ -294,8 +296,9 @@ def _bad(record: Record, view: View | None, picture: str) -> Iterator[Block]:
     which = f"{len(view.worst):,}" if view.partly else "all"
     yield TableBlock(f"Residuals of {which} features, the largest first", (
         "feature", "kind", "role", "residual [px]", "on the ground [m]", "blunder"), [
-            (row["id"], row["kind"], row["role"], f"{row['distance']:.3g}",
-             f"{on_ground[row['id']]:.3g}" if row["id"] in on_ground else "-",
+            (row["id"], row["kind"], ROLE_WORDS.get(row["role"], row["role"]),
+             rounded(row["distance"]),
+             rounded(on_ground[row["id"]]) if row["id"] in on_ground else "-",
              row["blunder"]) for row in view.worst],
         choice="picked", keys=[row["id"] for row in view.worst], folded=True)
 
@@ -309,7 +312,7 @@ def _weak(view: View | None) -> Iterator[Block]:
     yield from figure(view, "ground")
     if not why:
         yield sigma_table(view)
-    yield "termsel plan names the places where further points help most."
+    yield "termsel plan suggests where further points help most."
 
 
 def _made_by(record: Record) -> str:
@@ -326,12 +329,12 @@ def _repeated(record: Record, view: View | None) -> Iterator[Block]:
                      f"{_made_by(record)}")
         return
     if view.command:
-        yield "In the folder of this result:"
+        yield "Run in the folder of this result:"
         yield Code(f"{view.command} --out again")
     else:
         yield view.no_command
     if record.interrupted:
-        yield "This run was interrupted, and the command runs to its end."
+        yield "This run was interrupted; the command repeats it to its end."
     elif record.budget.seconds:
         yield ("The run had a limit of time, so the result depends on the machine. It took "
                f"{counted(record.evaluations, 'evaluation')}.")

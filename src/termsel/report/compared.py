@@ -11,13 +11,19 @@ from termsel.data.record.record import Record
 
 THIS = "this result"
 
+ROLE_WORDS = {"control": "control", "check": "selection", "independent": "independent check",
+              "off": "not used"}
+"""What tables and charts call the points of a role of files and options."""
+
 
 def label_of(name: str) -> str:
     """Return what tables and charts call a fit without a search: a baseline or a candidate of auto.
     """
     candidate = named(name)
-    return {"all-terms": "all terms", WITHOUT_BLUNDERS: "without blunders"}.get(name, name) \
-        if candidate is None else candidate.label
+    if candidate is not None:
+        return candidate.label
+    words = {"all-terms": "all terms", WITHOUT_BLUNDERS: "without blunders"}
+    return words.get(name, name.replace("-", " ").replace("rpc", "RPC"))
 
 
 def fits_of(record: Record) -> Iterator[tuple[str, bool, int, RmseByRole]]:

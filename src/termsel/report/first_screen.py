@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import PurePath
 
 from termsel.auto.structures import named
@@ -11,7 +11,7 @@ from termsel.core.errors import amount, counted, cut, percent
 from termsel.data.coordinates.crs import LOCAL, short
 from termsel.data.record.figures import MANY_INDEPENDENT, BaselineRow, Outlier
 from termsel.data.record.record import Record, WhatWasRead
-from termsel.report.accuracy import accuracy_lines
+from termsel.report.accuracy import accuracy_lines, lattice_of
 from termsel.report.blocks import Fact
 from termsel.report.compared import label_of
 from termsel.report.verdict import off_option
@@ -24,8 +24,8 @@ _NAMED = 3
 """Outliers that are named."""
 _LONGEST_OPTION = 60
 """Characters of the option that leaves out outliers."""
-_WIDTH = 76
-"""Characters of a line next to its label."""
+_WIDTH, _FULL_WIDTH = 76, 86
+"""Characters of a line next to its label, and of one without a label."""
 _NO_FIT, _BLUNT = 0.01, 0.005
 """Shares of the extent of the features in the image: of an RMSE, beyond which no model fits, and of
 an error that must be exceeded to be detected."""
@@ -38,15 +38,33 @@ _DIMENSIONS = {"poly2d": "2-D", "poly3d": "3-D"}
 
 
 def first_screen(record: Record) -> list[Fact]:
-    """Return the facts of the first screen: at most ten lines, and two for the command."""
-    facts = [*_data(record), Fact(""), Fact(_model(record), "Model"),
-             *_labelled("Accuracy", accuracy_lines(record)),
-             *_labelled("Outliers", outlier_lines(record)),
-             *_labelled("Compared", _compared(record)), *_labelled("Search", _search(record))]
-    return [*facts, *_cautions(record, LINES - 1 - sum(map(_height, facts)))]
+    """Return the facts of the first screen; one more line is left for the command that follows."""
+    warnings = _warnings(record)
+    room = LINES - 1 - min(len(warnings), 2)
+    facts = _facts(record, brief=0)
+    for brief in (1, 2):
+        if _total_height(facts) > room:
+            facts = _facts(record, brief)
+    return [*facts, *_cautions(warnings, LINES - 1 - _total_height(facts))]
 
 
-def _labelled(label: str, lines: Sequence[str]) -> Iterator[Fact]:
+def _facts(record: Record, brief: int) -> list[Fact]:
+    """Return all facts but cautions: briefly (1) without second lines, or (2) counting outliers."""
+    compared = list(_compared(record))
+    search = list(_search(record))
+    if brief:
+        compared, search = compared[:1], search[:1]
+    outliers = _counted_outliers(record) if brief == 2 else outlier_lines(record)
+    return [*_data(record, brief), Fact(""), Fact(_model(record), "Model"),
+            *_labelled("Accuracy", accuracy_lines(record)), *_labelled("Outliers", outliers),
+            *_labelled("Compared", compared), *_labelled("Search", search)]
+
+
+def _total_height(facts: Sequence[Fact]) -> int:
+    return sum(map(_height, facts))
+
+
+def _labelled(label: str, lines: Iterable[str]) -> Iterator[Fact]:
     """Yield one fact for each line; the first has the label."""
     for i, line in enumerate(lines):
         yield Fact(line, label if i == 0 else " ")
@@ -54,16 +72,18 @@ def _labelled(label: str, lines: Sequence[str]) -> Iterator[Fact]:
 
 def _height(fact: Fact) -> int:
     """Return how many lines of text a fact takes."""
-    return 1 + len(fact.text) // _WIDTH
+    return 1 + len(fact.text) // (_WIDTH if fact.label else _FULL_WIDTH)
 
 
-def _data(record: Record) -> Iterator[Fact]:
+def _data(record: Record, brief: int) -> Iterator[Fact]:
     """Yield what was read, and the features of each role."""
     data = record.data
     names = ", ".join(PurePath(name).name for name in data.source.split(", "))
     read = data.read or _read_by_earlier_versions(record)
     kinds = ", ".join(counted(number, noun) for number, noun in (
         (read.points, "point"), (read.lines, "line")) if number)
+    if read.lattice is not None:
+        kinds += f", a lattice of {read.lattice[0]} lines and {read.lattice[1]} columns"
     heights = ""
     if read.without_height:
         heights = " without heights" if read.without_height == read.points + read.lines else \
@@ -73,7 +93,10 @@ def _data(record: Record) -> Iterator[Fact]:
     unit = f"; z in {read.z_unit}" if read.z_unit else ""
     origin = f"; image coordinates from {read.image_origin}" if read.image_origin else ""
     yield Fact(f"{cut(names, _SOURCE)}: {kinds}{heights}, {crs}{place}{unit}{origin}")
-    yield Fact(f"{roles_of(record)}{_not_used(read)}")
+    yield Fact(roles_of(record))
+    unused = _not_used(read)
+    if unused and not brief:
+        yield Fact(unused)
 
 
 def roles_of(record: Record) -> str:
@@ -96,9 +119,9 @@ def _number(number: int, noun: str) -> str:
 def _not_used(read: WhatWasRead) -> str:
     """Return how many features take no part, and why."""
     reasons = [f"{len(ids)} {reason}" for reason, ids in read.left_out.items()]
-    text = f"; not used: {'; '.join(reasons)}"
+    text = f"not used: {'; '.join(reasons)}"
     if len(text) > _WIDTH:
-        text = f"; {sum(map(len, read.left_out.values()))} not used"
+        text = f"not used: {counted(sum(map(len, read.left_out.values())), 'feature')}"
     return text if reasons else ""
 
 
@@ -153,13 +176,13 @@ def _model(record: Record) -> str:
     selection = record.selection
     offered = record.offered
     excluded = sum(outlier.excluded and outlier.role == "control" for outlier in record.outliers)
+    n_features = max(offered.n_features - excluded, selection.n_features)
     text = (f"{title}, {share(selection.n_terms, offered.n_terms)} terms, "
-            f"{share(selection.n_features, offered.n_features - excluded)} "
-            f"{record.data.counts.word}")
+            f"{share(selection.n_features, n_features)} {record.data.counts.word}")
     if record.stability:
         return f"{text}; stable over {record.stability.repeats} selections"
     whole = (selection.n_terms, selection.n_features) == (offered.n_terms, offered.n_features)
-    return text if whole else f"{text}, selected by {record.solver} ({record.criterion})"
+    return text if whole else f"{text}, selected by {record.solver}"
 
 
 def share(chosen: int, offered: int) -> str:
@@ -168,8 +191,10 @@ def share(chosen: int, offered: int) -> str:
 
 
 def outlier_lines(record: Record) -> list[str]:
-    """Return the worst outliers of each kind, with the option that leaves out those in use."""
+    """Return the worst outliers of each kind: rejected, in use, and independent check points."""
     rejected, used, independent = groups = _grouped(record)
+    if lattice_of(record) is not None:
+        return ["not tested: the points of a lattice were computed"]
     if not any(groups):
         return [_none_detected(record)]
     word = record.data.counts.word
@@ -182,12 +207,19 @@ def outlier_lines(record: Record) -> list[str]:
         lines.append(f"{counted(len(independent), 'independent check point')} "
                      f"contradict{'s' if len(independent) == 1 else ''} the model: "
                      f"{_listed(independent)}")
-    off = off_option(record)
-    if off and len(off) <= _LONGEST_OPTION:
-        lines[-1] += f". Leave {'them' if ',' in off else 'it'} out with {off}"
-    elif off:
-        lines[-1] += ". --verbose shows the option --off that leaves them out"
+    if len(off_option(record)) > _LONGEST_OPTION:
+        lines[-1] += "; --verbose shows the option that leaves them out"
     return lines
+
+
+def _counted_outliers(record: Record) -> list[str]:
+    """Return how many outliers there are in one line, which takes the place of `outlier_lines`."""
+    rejected, used, independent = _grouped(record)
+    if not any((rejected, used, independent)):
+        return outlier_lines(record)
+    in_use = len(used) + len(independent)
+    return [f"{len(rejected) + in_use} detected, {in_use or 'none'} of them in use; --verbose "
+            "lists them"]
 
 
 def _counted(outliers: Sequence[Outlier], word: str) -> str:
@@ -212,11 +244,11 @@ def _none_detected(record: Record) -> str:
     if test.limit is None or test.limit > test.extent:
         return f"not detectable: {features} {'is' if test.features == 1 else 'are'} too few"
     if _size_of_errors(record) > _NO_FIT * test.extent:
-        return (f"not detectable: no model fits these {record.data.counts.word}; several are wrong, "
-                "or no model holds")
+        return (f"not detectable: no model fits these {record.data.counts.word}; several are "
+                "wrong, or no model holds")
     if test.limit > _BLUNT * test.extent:
-        return (f"none found among {features}; errors below {rounded(test.limit)} px would go "
-                "unnoticed at half of them")
+        return (f"none found among {features}; below {rounded(test.limit)} px most cannot be "
+                "detected")
     return f"none among {features}"
 
 
@@ -258,11 +290,8 @@ def _listed(outliers: Sequence[Outlier]) -> str:
 
 
 def _compared(record: Record) -> Iterator[str]:
-    """Yield the best rival that needs no search, and the conventional fit; "" figures are left out.
-    """
+    """Yield the best rival that needs no search, and the conventional fit."""
     if not record.feasible:
-        yield ("Do not use this fit: it did not converge" if record.adjustment.converged is False
-               else "Do not use this fit: it breaks a condition (rank, pole or number of terms)")
         return
     rival = next((row for row in record.baselines if row.name == record.reference), None)
     if rival is not None:
@@ -276,19 +305,42 @@ def _against(record: Record, rival: BaselineRow) -> Iterator[str]:
     own, other = _comparable(record, rival)
     if own is None or other is None:
         return
-    name = label_of(rival.name) if record.strategy else "automatic choice without a search"
-    yield f"{name} {rounded(other)} px: {_verdict(record, own, other)}"
+    if record.strategy is None:
+        name, where = "automatic choice without a search", ""
+    elif _by_points(record):
+        name, where = label_of(rival.name), ""
+    else:
+        name, where = label_of(rival.name), f", this model {rounded(own)} px in leave-one-out"
+    yield f"{name} {rounded(other)} px{where}: {_verdict(record, own, other)}"
+    if _shift_of(record):
+        yield from _as_delivered(record)
+
+
+def _as_delivered(record: Record) -> Iterator[str]:
+    """Yield the RMSE of the vendor's RPC without a correction."""
+    for row in record.baselines:
+        size = row.rmse.independent.total or row.predicted
+        if row.name == "rpc-as-delivered" and size is not None:
+            yield f"RPC as delivered: {rounded(size)} px"
 
 
 def _comparable(record: Record, rival: BaselineRow) -> tuple[float | None, float | None]:
     """Return the RMSE of this fit and of a rival that may be compared [px]."""
-    by_points = record.accuracy_without or record.accuracy
-    enough = by_points is not None and (
-        record.predicted is None or by_points.image.n >= MANY_INDEPENDENT)
-    if record.strategy and not enough:
-        return record.predicted.rmse if record.predicted else None, rival.predicted
-    return (record.rmse.independent.total if by_points is None else by_points.image.total,
+    strategy = record.strategy
+    if strategy and not _by_points(record):
+        # Of both the model alone: the prediction of the whole choice is larger than either.
+        return next((row.predicted for row in strategy.candidates
+                     if row.name == strategy.chosen), None), rival.predicted
+    accuracy = record.accuracy_without or record.accuracy
+    return (record.rmse.independent.total if accuracy is None else accuracy.image.total,
             rival.rmse.independent.total)
+
+
+def _by_points(record: Record) -> bool:
+    """Return whether independent check points compare models more surely than cross-validation."""
+    accuracy = record.accuracy_without or record.accuracy
+    return accuracy is not None and (
+        record.predicted is None or accuracy.image.n >= MANY_INDEPENDENT)
 
 
 def _verdict(record: Record, own: float, other: float) -> str:
@@ -298,11 +350,11 @@ def _verdict(record: Record, own: float, other: float) -> str:
         if alike:
             return "no practical difference"
         return f"{_times(other / own)} as large" if other > own else \
-            f"smaller, by {percent(1 - other / own)}"
+            f"smaller by {100 * (1 - other / own):.0f} %"
     if alike:
         return "the search gains nothing"
-    return f"the search is better, by {percent(1 - own / other)}" if other > own else \
-        "more accurate; omit --problem and --solver"
+    return f"the search is better by {100 * (1 - own / other):.0f} %" if other > own else \
+        "better; omit --problem, --solver"
 
 
 def _times(ratio: float) -> str:
@@ -341,16 +393,22 @@ def _search(record: Record) -> Iterator[str]:
                "--verbose lists them")
 
 
-def _cautions(record: Record, room: int) -> Iterator[Fact]:
-    """Yield the most urgent warnings as far as there is room, each in its first sentence."""
-    warnings = [*_urgent(record), *filter(None, (_first_sentence(note) for note in record.notes
-                                                 if not _is_shown(note)))]
+def _warnings(record: Record) -> list[str]:
+    """Return what is urgent, then the first sentence of each note that nothing above it says."""
+    return [*_urgent(record), *(_first_sentence(note) for note in record.notes
+                                if note and not _is_shown(note))]
+
+
+def _cautions(warnings: Sequence[str], room: int) -> Iterator[Fact]:
+    """Yield the most urgent warnings as far as there is room, and how many more there are."""
     label = "Caution"
     for i, warning in enumerate(warnings):
         rest = len(warnings) - i
         fact = Fact(warning, label)
-        reserved = 1 if rest > 1 else 0
-        if _height(fact) + reserved > room and i:
+        line_for_the_count = 1 if rest > 1 else 0
+        if _height(fact) + line_for_the_count > room and i == 0:
+            fact = Fact(cut(warning, _WIDTH), label)
+        if _height(fact) + line_for_the_count > room and i > 0:
             yield Fact(f"{counted(rest, 'more note')}: --verbose", label)
             return
         yield fact
@@ -371,6 +429,10 @@ def _is_shown(note: str) -> bool:
 
 def _urgent(record: Record) -> Iterator[str]:
     """Yield what must be looked at before any figure is believed."""
+    if not record.feasible:
+        why = "it did not converge" if record.adjustment.converged is False else \
+            "it breaks a condition (rank, pole or number of terms)"
+        yield f"do not use this fit: {why}. Measure more control points or take a smaller model"
     read = record.data.read
     if read and read.doubt:
         yield f"{read.doubt.partition(':')[0]}: check them before anything else"
@@ -380,8 +442,6 @@ def _urgent(record: Record) -> Iterator[str]:
         yield f"check the datum of the points: {read.two_groups}"
     if record.interrupted:
         yield "the run was interrupted; run it again to its end"
-    if not record.feasible:
-        yield "measure more control, or choose a smaller model"
 
 
 def next_step(record: Record, folder: str = "") -> str:
@@ -394,6 +454,7 @@ def next_step(record: Record, folder: str = "") -> str:
         return f"Next: run again with {off}"
     if not folder:
         return "Not saved: add --out DIR, then termsel report DIR"
-    if not record.data.counts.independent and record.data.counts.word == "points":
+    if not record.data.counts.independent and record.data.counts.word == "points" \
+            and lattice_of(record) is None:
         return f"Next: termsel plan {folder}   (where to measure check points)"
     return f"Next: termsel report {folder}"

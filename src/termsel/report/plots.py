@@ -71,7 +71,7 @@ def _linked(first: Any, second: Any) -> Any:
 KINDS = {kind.name: kind for kind in (
     ChartKind(
         "residuals", "Residuals in the image",
-        "Arrows should point every way. Where neighbours agree, the model lacks a term there; a "
+        "Arrows should point in all directions. Where neighbours agree, the model lacks a term; a "
         "single long arrow is a blunder.", maps.image_map, keeps_ratio=True,
         more=lambda view: view.partly),
     ChartKind(
@@ -84,34 +84,37 @@ KINDS = {kind.name: kind for kind in (
         "from noise.", _worst, more=bars.broken),
     ChartKind(
         "baselines", "Compared with fits without a search",
-        "This result should be left of the plain structures on independent points, by more than "
-        "the intervals overlap.", bars.baseline_bars,
-        lambda view: "" if bars.fit_rows(view) else "it has no check or independent points"),
+        "This result should lie left of the conventional models at independent check points. Where "
+        "intervals overlap, the difference may be noise.", bars.baseline_bars,
+        lambda view: "" if bars.fit_rows(view) else
+        "it has neither selection points nor independent check points"),
     ChartKind(
-        "candidates", "Candidates of the strategy auto",
-        "A plain candidate next to the chosen one is nearly as good, and easier to defend.",
+        "candidates", "Models that the automatic choice compared",
+        "Prefer the simpler of two models that are equally good.",
         bars.candidate_bars,
-        lambda view: "" if view.record.strategy else "it was not made by the strategy auto"),
+        lambda view: "" if view.record.strategy else
+        "it was not chosen automatically (strategy auto)"),
     ChartKind(
-        "front", "Front of accuracy against size",
-        "Where independent points turn upwards while check points still fall, terms fit noise.",
+        "front", "Pareto front: accuracy against size",
+        "Where the error at independent check points rises while that at selection points still "
+        "falls, further terms fit noise.",
         _front, lambda view: "" if view.record.front else "its search had one objective"),
     ChartKind(
         "convergence", "Convergence of the search",
-        "The best should be level at the end. If it still falls, give the search more "
+        "The best value should be level at the end. If it still falls, give the search more "
         "evaluations.", search.convergence,
         lambda view: "" if len(view.record.history) > 1 else
         "it has no history of a search"),
     ChartKind(
         "empires", "Empires of the search",
-        "The imperialist competitive algorithm ends where one band is left. Many bands at the end "
-        "mean that the budget ended it.", search.empires,
+        "The imperialist competitive algorithm ends when one band remains. Many bands at the end "
+        "mean that the budget stopped it.", search.empires,
         lambda view: "" if any(one.empires for one in view.record.history)
         else "its solver was not the ICA"),
     ChartKind(
         "frequency", "How often terms are selected",
-        "Terms that nearly all selections have can be relied on. Those that few have fit noise, "
-        "or stand for each other.", terms.frequency_bars, terms.no_frequencies),
+        "Terms in nearly all selections are reliable. Terms in few selections fit noise, or "
+        "replace each other.", terms.frequency_bars, terms.no_frequencies),
     ChartKind(
         "terms", "Terms and their significance",
         "Terms in orange could be zero. Many of them mean that fewer terms would do.",
@@ -119,12 +122,13 @@ KINDS = {kind.name: kind for kind in (
         "its terms are not those of a least-squares fit with redundancy"),
     ChartKind(
         "correlations", "Correlation of coefficients",
-        "Dark cells are pairs that the control cannot tell apart; one term of each pair may go.",
+        "Dark cells are pairs of terms that the control points cannot separate: one of each pair "
+        "may be omitted.",
         terms.correlation_map, lambda view: "" if view.correlations else
         "its coefficients are not those of a least-squares fit with redundancy", True),
     ChartKind(
         "sigma", "Where the model is uncertain",
-        "Dark areas, mostly outside the hull of the control, need further points.",
+        "Dark areas, mostly outside the control points, need further points.",
         maps.sigma_map, lambda view: "" if view.sigma else
         "its control has no redundancy to estimate it from", True),
 )}

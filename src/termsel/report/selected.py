@@ -14,7 +14,7 @@ from termsel.report import sizes
 from termsel.report.blocks import Block, Detail, Figure, Names, TableBlock
 from termsel.report.charts import search
 from termsel.report.compared import label_of
-from termsel.report.opening import share
+from termsel.report.first_screen import share
 from termsel.report.plots import figure, missing
 from termsel.report.tables import OF_TERMS
 from termsel.report.view import View
@@ -53,18 +53,18 @@ def _iterated(adjustment: AdjustmentFigures) -> str:
 
 
 def _choice(record: Record, strategy: Strategy, view: View | None) -> Iterator[Block]:
-    """Yield the candidates with their leave-one-out RMSE, the chosen one marked."""
-    candidates = strategy.candidates
-    yield Detail(f"Chosen: {label_of(strategy.chosen)}, fitted to control and check together; "
+    """Yield the models with their leave-one-out RMSE, the chosen one marked."""
+    models = strategy.candidates
+    yield Detail(f"Chosen: {label_of(strategy.chosen)}, fitted to control and selection points; "
                  f"{record.seconds:.1f} s")
     if strategy.reason:  # records of version 0.1 do not say it
         yield Detail(strategy.reason)
     yield from figure(view, "candidates")
-    names = [one.name for one in candidates]
+    names = [row.name for row in models]
     yield Detail(TableBlock(
-        "Candidates", ("candidate", "terms", "effective", "leave-one-out RMSE [px]"), [
-            (label_of(one.name), str(one.n_terms), f"{one.effective:.1f}",
-             "-" if one.predicted is None else f"{one.predicted:.3f}") for one in candidates],
+        "Models", ("model", "terms", "effective", "leave-one-out RMSE [px]"), [
+            (label_of(row.name), str(row.n_terms), f"{row.effective:.1f}",
+             "-" if row.predicted is None else f"{row.predicted:.3f}") for row in models],
         marked=names.index(strategy.chosen) if strategy.chosen in names else None))
 
 
@@ -74,7 +74,7 @@ def _search(record: Record) -> Iterator[Block]:
     if stability := record.stability:
         yield (f"{selection.n_terms} of {offered.n_terms} terms are in at least "
                f"{stability.threshold:.0%} of {stability.repeats} selections, each with "
-               "other control and check points.")
+               "other control and selection points.")
     yield (f"Selected: {share(selection.n_features, offered.n_features)} control features, "
            f"{share(selection.n_terms, offered.n_terms)} terms; "
            f"redundancy {record.adjustment.redundancy}{_iterated(record.adjustment)}")
@@ -84,10 +84,10 @@ def _search(record: Record) -> Iterator[Block]:
             for name, value in parameters.items())
     most = _max_share(record)
     if most < 1:
-        yield (f"Terms are {100 * most:.0f} % of their equations at most; --set max_share=1 lifts "
-               "this")
-    yield (f"Search: {counted(record.evaluations, 'evaluation')} ({record.lookups} looked "
-           f"up), {counted(record.generations, 'generation')}, {record.seconds:.1f} s")
+        yield (f"Limit: terms number at most {100 * most:.0f} % of their equations; --set "
+               "max_share=1 removes it")
+    yield (f"Search: {counted(record.evaluations, 'evaluation')} ({record.lookups} from the "
+           f"cache), {counted(record.generations, 'generation')}, {record.seconds:.1f} s")
     if refined := record.polish:
         yield (f"Local refinement: {record.criterion} {refined.found:.4g} as "
                f"{record.solver} found it, {refined.polished:.4g} after it "
@@ -108,7 +108,7 @@ def _proven(record: Record) -> Iterator[Block]:
 
 def _certificate(certificate: Certificate, exact: str) -> str:
     """Return what a certificate proves; `exact` is what would find the optimum."""
-    decided = f"{amount(certificate.subsets, 'subset')} decided"
+    decided = f"{amount(certificate.subsets, 'subset')} enumerated"
     proven = f"{decided}, {certificate.space}"
     _, _, limit = certificate.space.partition("selections of ")
     capped = f" of {limit}" if limit else ""
@@ -118,18 +118,18 @@ def _certificate(certificate: Certificate, exact: str) -> str:
     if certificate.optimal:
         how = [decided]
         if certificate.bounded:
-            how.append(f"{amount(certificate.bounded)} of them by bounds")
+            how.append(f"{amount(certificate.bounded)} of them fathomed by bounds")
         return (f"Proven: no selection{capped} has a better criterion "
                 f"({', '.join(how if limit else [*how, certificate.space])})")
     if isinstance(certificate.optimum, float):
         if not isinstance(certificate.gap, float):
             return (f"The proven optimum is {certificate.optimum:.4g}, below this ({proven}); "
                     f"{exact} finds it")
-        return (f"Gap: {percent(certificate.gap)} above the proven optimum "
+        return (f"Optimality gap: {percent(certificate.gap)} above the proven optimum "
                 f"{certificate.optimum:.4g} ({proven}); {exact} finds it")
     if certificate.feasible is False:
         return f"Proven: no selection{capped} is feasible ({decided if limit else proven})"
-    done = f"{amount(certificate.subsets)} of {amount(certificate.of, 'subset')} decided"
+    done = f"{amount(certificate.subsets)} of {amount(certificate.of, 'subset')} enumerated"
     if isinstance(certificate.gap, float):
         return (f"Not proven: at most {percent(certificate.gap)} above the optimum{capped}, "
                 f"which is {certificate.bound:.4g} or more ({done})")
@@ -151,8 +151,8 @@ def _front(record: Record, view: View | None, picture: str) -> Iterator[Block]:
     size, criterion = list(members[0].objectives)[:2]
     counts, names = sizes.counted_by(members), size.removeprefix("n_")
     proven = {one.objectives[size]: sizes.proven(one) for one in by_size}
-    yield TableBlock("Front", (
-        counts, *list(members[0].objectives)[1:], "check [px]", "independent [px]",
+    yield TableBlock("Pareto front", (
+        counts, *list(members[0].objectives)[1:], "selection [px]", "independent check [px]",
         *[sizes.TITLE] * bool(proven), names), [
             (*("-" if value is None else f"{value:.5g}" for value in one.objectives.values()),
              _px(one.rmse.check), _px(one.rmse.independent),
@@ -164,12 +164,12 @@ def _front(record: Record, view: View | None, picture: str) -> Iterator[Block]:
                    len(members[0].objectives) + 2 + bool(proven)))
     rule = record.options.problem.get("recommend")
     if rule and (len(record.objectives) > 1 or rule != "best"):
-        yield (f"The marked one is the selection, recommended by the rule {rule} (--set "
+        yield (f"The arrow marks the selection; the rule {rule} recommends it (--set "
                "recommend=...).")
     if by_size:
         yield from sizes.others(by_size, criterion)
         yield TableBlock("Best selection of each size", (
-            counts, criterion, "lower bound", sizes.TITLE, "independent [px]", names), [
+            counts, criterion, "lower bound", sizes.TITLE, "independent check [px]", names), [
                 (f"{one.objectives[size]:g}", f"{one.objectives[criterion]:.4g}",
                  "-" if one.bound is None else f"{one.bound:.4g}", sizes.proven(one),
                  _px(one.rmse.independent), " ".join(getattr(one.selection, names)))

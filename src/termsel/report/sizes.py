@@ -20,8 +20,8 @@ def proven(row: SizeRow) -> str:
     if row.gap is None:
         return "not proven"
     if row.gap > 1:
-        return f"at most {1 + row.gap:.3g} times as high"
-    return f"at most {percent(row.gap)} above it"
+        return f"at most {1 + row.gap:.3g} times the optimum"
+    return f"gap at most {percent(row.gap)}"
 
 
 def others(by_size: Sequence[SizeRow], criterion: str) -> Iterator[str]:

@@ -28,6 +28,10 @@ ROLE_COLOURS = {"control": CONTROL, "check": CHECK, "independent": INDEPENDENT,
 ROLE_SHAPES = {"control": "circle", "check": "square", "independent": "triangle-up",
                "left out": "cross"}
 
+ROLE_LABELS = ("datum.label == 'check' ? 'selection' : "
+               "datum.label == 'independent' ? 'independent check' : datum.label")
+"""What a legend calls the roles of files and options, as an expression of Vega."""
+
 WIDTH = 560
 """Of a chart [px of the screen]."""
 
@@ -102,6 +106,11 @@ def legend_of(kinds: dict[str, str], present: set[str]) -> Any:
     """Return the colours of those kinds that are present, in the order of the kinds."""
     names = [name for name in kinds if name in present]
     return require_altair().Scale(domain=names, range=[kinds[name] for name in names])
+
+
+def role_legend() -> Any:
+    """Return a legend that calls roles what the field calls them."""
+    return require_altair().Legend(labelExpr=ROLE_LABELS)
 
 
 def spread_scale(values: list[float], *, zero: bool) -> tuple[Any, str]:

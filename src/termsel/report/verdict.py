@@ -1,12 +1,14 @@
-"""The verdict on blunders as a table: which, how certain, and what to type."""
+"""The outlier test as a table: which features, how certain, and what to type."""
 
 from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator
 
+from termsel.core.display.numbers import rounded
 from termsel.data.record.record import Record
 from termsel.report.blocks import Block, TableBlock
+from termsel.report.compared import ROLE_WORDS
 
 CERTAINTY = {"certain": "blunder", "probable": "probable blunder", "possible": "possible blunder"}
 """What a feature is called that contradicts all others."""
@@ -14,15 +16,15 @@ CERTAINTY = {"certain": "blunder", "probable": "probable blunder", "possible": "
 
 def off_option(record: Record) -> str:
     """Return the option that leaves out blunders in use, independent ones too; "" for none."""
-    wrong = [one.id for one in record.outliers
-             if not one.excluded and one.certainty != "possible"]
+    wrong = [outlier.id for outlier in record.outliers
+             if not outlier.excluded and outlier.certainty != "possible"]
     return f"--off {shlex.quote(','.join(wrong))}" if wrong else ""
 
 
 def contradicting(record: Record) -> str:
     """Return which independent points contradict all others, of which there are some."""
-    wrong = [one.id for one in record.outliers if one.role == "independent"]
-    return wrong[0] if len(wrong) == 1 else f"the {len(wrong)} that contradict all others"
+    wrong = [outlier.id for outlier in record.outliers if outlier.role == "independent"]
+    return wrong[0] if len(wrong) == 1 else f"{len(wrong)} outliers among them"
 
 
 def verdict_table(record: Record) -> Iterator[Block]:
@@ -30,25 +32,26 @@ def verdict_table(record: Record) -> Iterator[Block]:
     outliers = record.outliers
     if outliers:
         yield TableBlock(
-            "Features that contradict all others: how far off these predict them", (
-                "feature", "kind", "role", "error [px]", "verdict", "use"), [
-                (one.id, one.kind, one.role, f"{one.error:.3g}", CERTAINTY[one.certainty],
-                 "left out" if one.excluded else
-                 "in the figures" if one.role == "independent" else "in use")
-                for one in outliers])
+            "Outliers and their prediction errors", (
+                "feature", "kind", "role", "error [px]", "outlier test", "use"), [
+                (outlier.id, outlier.kind, ROLE_WORDS[outlier.role], rounded(outlier.error),
+                 CERTAINTY[outlier.certainty],
+                 "rejected" if outlier.excluded else
+                 "in the figures" if outlier.role == "independent" else "in use")
+                for outlier in outliers])
         if off := off_option(record):
-            yield f"Leave out those in use by {off} and run again."
+            yield f"Leave out those in use with {off} and run again."
     else:
-        yield "Blunders were looked for before, not here." if record.options.data.get("tested") \
-            else "No feature is a blunder, as far as the others tell."
-    found = {one.certainty for one in outliers}
-    if "probable" in found:
-        yield ("A probable blunder is more likely wrong than right, but not for certain: look at "
-               "it in the image.")
-    if "possible" in found:
-        yield ("A possible blunder lies where the others are too few or too far to tell: look at "
-               "it in the image.")
+        yield "Outliers were tested in an earlier run, not here." \
+            if record.options.data.get("tested") else \
+            "No outliers detected; the first lines say how large an outlier must be to be found."
+    certainties = {outlier.certainty for outlier in outliers}
+    if "probable" in certainties:
+        yield "A probable blunder is more likely wrong than right: look at it in the image."
+    if "possible" in certainties:
+        yield ("A possible blunder lies where the other features are too few or too far away to "
+               "test it: look at it in the image.")
     spare = set(record.data.roles.control).difference(
-        record.selection.features, (one.id for one in outliers))
+        record.selection.features, (outlier.id for outlier in outliers))
     if spare and not record.strategy:
-        yield f"Left out though they fit: {len(spare)}; they were not needed."
+        yield f"{len(spare)} more {record.data.counts.word} fit but were not selected."

@@ -46,11 +46,12 @@ from termsel.fitting.figures import Baseline, Rmses, in_role, residuals_of, rmse
 from termsel.fitting.fit import Fit
 from termsel.fitting.locate import Surface
 from termsel.fitting.residuals import Residuals
+from termsel.report.accuracy import accuracy_of
 from termsel.report.answers import document
-from termsel.report.opening import accuracy_of, title_of
+from termsel.report.first_screen import next_step, title_of
 from termsel.report.page import page
 from termsel.report.plots import Plots
-from termsel.report.text import text_of
+from termsel.report.text import first_screen_of, text_of
 from termsel.results.checksums import SEALS, checksums_of
 from termsel.results.extras import further_sections
 from termsel.results.same_fit import adjustment_figures, fit_record, least_squares_of
@@ -63,17 +64,17 @@ if TYPE_CHECKING:
 
 CARRIED = (
     "problem", "model", "solver", "criterion", "seed", "data", "feasible", "judgement", "notes",
-    "outliers", "blunder_test", "predicted", "accuracy", "accuracy_without", "objectives", "front",
+    "reference", "outliers", "blunder_test", "predicted", "accuracy", "accuracy_without",
+    "objectives", "front",
     "certificate", "strategy", "evaluations", "lookups", "generations", "seconds", "history",
     "budget", "stability", "by_size", "interrupted", "polish", "versions", "shared_sigma")
 """What a result and its record hold alike."""
 
-_SHORTENED = "All tables, terms and proofs: --verbose, in Python summary(verbose=True)."
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result(Glance):
-    """What a run found, with the accuracy it has on points no choice has seen.
+    """Fitted model, accuracy and outliers of a run.
 
     Parameters
     ----------
@@ -90,7 +91,9 @@ class Result(Glance):
         By role. "independent" is the accuracy; "check" is not, where the search minimised it.
     baselines : tuple of Baseline
     judgement : str
-        A plain sentence on what the selection is worth.
+        The comparison with models that need no search, in one or two sentences.
+    reference : str
+        Name of the baseline that the comparison is with; empty if there is none.
     notes : tuple of str
         What else the reader must know.
     objectives : mapping
@@ -198,6 +201,7 @@ class Result(Glance):
     by_size: tuple[SizeRow, ...] = ()
     shared_sigma: tuple[float, float] | None = None
     files: Mapping[str, str] = field(default_factory=dict)
+    reference: str = ""
 
     @property
     def hit_rate(self) -> float:
@@ -393,23 +397,34 @@ class Result(Glance):
                                        further_sections(self))))
 
     def summary(self, *, verbose: bool = False) -> str:
-        """Return the answer, how good it is and what it is worth, as text.
+        """Return the first screen as text: data, model, accuracy, outliers and a comparison.
 
         Parameters
         ----------
         verbose : bool
             Whether to return all of it, as summary.txt has it: every table, term and proof.
         """
-        text = text_of(document(self.record, further=further_sections(self) if verbose else ()),
-                       whole=verbose, titled=False)
-        return text if verbose else f"{text}\n{_SHORTENED}\n"
+        if not verbose:
+            return first_screen_of(document(self.record))
+        return text_of(document(self.record, further=further_sections(self)), titled=False)
+
+    def next_step(self, folder: Path | str = "") -> str:
+        """Return the command that comes next, for the last line of the first screen.
+
+        Parameters
+        ----------
+        folder : path-like
+            Where the result was written; by default nowhere.
+        """
+        return next_step(self.record, str(folder))
 
     def _glance(self) -> tuple[str, Mapping[str, str]]:
         counts = self.data.counts
         record = self.record
         features = [counted(n, word) for n, word in (
             (counts.control, "control point"), (counts.lines, "control line"),
-            (counts.check, "check point"), (counts.independent, "independent point")) if n]
+            (counts.check, "selection point"), (counts.independent, "independent check point"))
+            if n]
         used = len(record.selection.features) + counts.check * bool(self.strategy)
         out = [outlier.id for outlier in self.outliers if outlier.excluded]
         title = title_of(record) + f" ({self.model})" * bool(self.strategy)

@@ -97,7 +97,7 @@ def run(
     dataset, source, model, solver, criterion, options
         As for `prepare`; not for a task.
     strategy : {"auto", "as-asked"}, optional
-        "auto" chooses the model itself, among plain and shrunken ones, by what it predicts for
+        "auto" chooses the model itself, among plain and regularised ones, by what it predicts for
         points that took no part; "as-asked" runs the problem's solver. By default "auto" where
         the problem allows it and neither model, solver, criterion, budget nor any option but
         those of the data is given; for problems that select features only where none is named. A

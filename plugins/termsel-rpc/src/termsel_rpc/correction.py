@@ -35,7 +35,7 @@ from termsel_rpc.refinement import FloatArray
 BoolArray = np.ndarray[tuple[int], np.dtype[np.bool_]]
 
 FEW = 17
-"""Number of features from which on blunders are left to the test by shrunken polynomials."""
+"""Number of features from which on blunders are left to the test by regularised polynomials."""
 
 MOST = 1 / 3
 """Largest share of blunders."""

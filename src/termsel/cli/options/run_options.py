@@ -78,7 +78,7 @@ _OPTIONS = (
     click.option("--criterion", metavar="NAME", shell_complete=complete("criteria"),
                  help="What is minimised; see `termsel list criteria`."),
     click.option("--strategy", type=click.Choice(["auto", "as-asked"]),
-                 help="`auto` chooses among plain and shrunken models of points and lines by "
+                 help="`auto` chooses among plain and regularised models of points and lines by "
                       "predicted RMSE; `as-asked` runs the problem's solver. auto is the default "
                       "for rfm-terms, poly-terms, and where no problem is named, unless you ask "
                       "for a method or a budget."),

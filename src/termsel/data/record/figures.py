@@ -251,7 +251,7 @@ class AdjustmentFigures(RecordPart, frozen=True):
     equations: Count
     """Number of equations."""
     terms: Count
-    """Number of terms; effective parameters, rounded, of a shrunken polynomial."""
+    """Number of terms; effective parameters, rounded, of a regularised polynomial."""
     redundancy: int
     """Equations less terms."""
     rank: Count

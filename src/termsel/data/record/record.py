@@ -316,6 +316,9 @@ class Record(RecordPart, frozen=True, kw_only=True):
     """The sentences of the report that say what the result is worth."""
     notes: tuple[str, ...]
     """Further sentences of the report."""
+    reference: str = ""
+    """Name of the baseline that the judgement compares with: the automatic choice without a search,
+    or of that choice the best conventional model; empty if there is none, and before 0.4."""
     outliers: tuple[Outlier, ...]
     """The verdict on blunders: every feature that contradicts all others, used or not."""
     blunder_test: BlunderTest | None = None

@@ -20,6 +20,7 @@ from termsel.report.theme import (
     chart_rows,
     legend_of,
     require_altair,
+    role_legend,
     spread_scale,
 )
 from termsel.report.verdict import CERTAINTY
@@ -49,7 +50,8 @@ def worst_bars(view: View) -> Any:
     x = alt.X("end:Q", title="residual [px]", scale=alt.Scale(
         domain=[0, end], nice=False) if np.isfinite(end) else alt.Undefined)
     bars = base.mark_bar(cursor="pointer", height={"band": 0.72}).encode(
-        x=x, color=alt.Color("role:N", scale=legend_of(ROLE_COLOURS, roles)),
+        x=x, color=alt.Color("role:N", scale=legend_of(ROLE_COLOURS, roles),
+                             legend=role_legend()),
         stroke=alt.condition(picked, alt.value(INK), alt.value(None)),
         strokeWidth=alt.condition(picked, alt.value(2.5), alt.value(0)),
         tooltip=[alt.Tooltip("id:N"), alt.Tooltip("role:N"),
@@ -96,20 +98,21 @@ def baseline_bars(view: View) -> Any:
             ticks=False, domain=False, grid=True, labelLimit=160, labelFontWeight=alt.condition(
                 f"datum.value == '{THIS}'", alt.value("bold"), alt.value("normal")))),
         yOffset=alt.YOffset("role:N", sort=list(roles)),
-        color=alt.Color("role:N", scale=colours))
+        color=alt.Color("role:N", scale=colours, legend=role_legend()))
     chosen = alt.selection_point(name="fit", fields=["fit"], empty=False)
     tooltip = [alt.Tooltip("fit:N"), alt.Tooltip("role:N", title="points"),
             alt.Tooltip("rmse:Q", title="RMSE [px]", format=".3f"),
             alt.Tooltip("low:Q", format=".3f"), alt.Tooltip("high:Q", format=".3f"),
-            alt.Tooltip("note:N", title="check points")]
+            alt.Tooltip("note:N", title="selection points")]
     shape = alt.Shape("role:N", scale=alt.Scale(
-        domain=list(roles), range=[ROLE_SHAPES[role] for role in roles]))
+        domain=list(roles), range=[ROLE_SHAPES[role] for role in roles]), legend=role_legend())
     return alt.layer(
         base.mark_rule(strokeWidth=2.2, opacity=0.65).encode(x=x, x2="high:Q").transform_calculate(
             rmse="datum.low"),
         base.mark_point(opacity=1, strokeWidth=1.8, cursor="pointer").encode(
             x=x, shape=shape, tooltip=tooltip, fill=alt.condition(
-                "datum.note == 'fitted'", alt.value(GROUND), alt.Fill("role:N", scale=colours)),
+                "datum.note == 'fitted'", alt.value(GROUND),
+                alt.Fill("role:N", scale=colours, legend=role_legend())),
             size=alt.condition(chosen, alt.value(150), alt.value(62))).add_params(chosen),
     ).properties(width=WIDTH, height=1.55 * ROW * len(order))
 
@@ -120,26 +123,26 @@ def candidate_bars(view: View) -> Any:
     strategy = view.record.strategy
     assert strategy is not None
     rows: list[Row] = [
-        {"fit": label_of(candidate.name), "rmse": candidate.predicted, "terms": candidate.n_terms,
-         "effective": float(f"{candidate.effective:.4g}"),
-         "state": "chosen" if candidate.name == strategy.chosen else "candidate"}
-        for candidate in strategy.candidates if candidate.predicted is not None]
+        {"fit": label_of(model.name), "rmse": model.predicted, "terms": model.n_terms,
+         "effective": float(f"{model.effective:.4g}"),
+         "state": "chosen" if model.name == strategy.chosen else "other model"}
+        for model in strategy.candidates if model.predicted is not None]
     scale, kind = spread_scale([row["rmse"] for row in rows], zero=True)
     order = [row["fit"] for row in sorted(rows, key=lambda row: row["rmse"])]
-    colour = alt.Color("state:N", scale=alt.Scale(domain=["chosen", "candidate"],
+    colour = alt.Color("state:N", scale=alt.Scale(domain=["chosen", "other model"],
                                                   range=[CONTROL, UNUSED]))
     base = alt.Chart(chart_rows(rows)).encode(
-        y=alt.Y("fit:N", sort=order, title="candidate", axis=alt.Axis(
+        y=alt.Y("fit:N", sort=order, title="model", axis=alt.Axis(
             ticks=False, domain=False, grid=True, labelLimit=160)),
         x=alt.X("rmse:Q", title=f"leave-one-out RMSE [px]{kind}", scale=scale))
     return alt.layer(
         base.mark_point(filled=True, size=90, opacity=1).encode(
             color=colour, tooltip=[
-                alt.Tooltip("fit:N", title="candidate"), alt.Tooltip("terms:Q"),
+                alt.Tooltip("fit:N", title="model"), alt.Tooltip("terms:Q"),
                 alt.Tooltip("effective:Q", title="effective parameters"),
                 alt.Tooltip("rmse:Q", title="leave-one-out RMSE [px]", format=".3f")]),
         base.mark_text(align="left", dx=9, fontSize=10.5, color=FAINT).encode(
-            text=alt.Text("rmse:Q", format=".2f")),
+            text=alt.Text("rmse:Q", format=".3f")),
     ).properties(width=WIDTH, height=1.2 * ROW * len(rows))
 
 

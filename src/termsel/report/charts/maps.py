@@ -13,11 +13,13 @@ from termsel.report.theme import (
     GROUND,
     INK,
     ROLE_COLOURS,
+    ROLE_LABELS,
     ROLE_SHAPES,
     WIDTH,
     chart_rows,
     legend_of,
     require_altair,
+    role_legend,
 )
 from termsel.report.view import Row, View, nice
 
@@ -160,7 +162,8 @@ def _arrows(view: View, rows: list[Row], x: Any, y: Any, vector: tuple[str, str]
     tooltip = [alt.Tooltip("id:N"), alt.Tooltip("role:N"),
             alt.Tooltip("distance:Q", title="residual [px]", format=".3g"),
             *[alt.Tooltip("metres:Q", title="on the ground [m]", format=".3g")] * metres]
-    shape = alt.Shape("role:N", scale=legend_of(ROLE_SHAPES, _roles(view, rows)))
+    shape = alt.Shape("role:N", scale=legend_of(ROLE_SHAPES, _roles(view, rows)),
+                      legend=role_legend())
     layers = [
         base.mark_rule(strokeWidth=1.5, clip=True, aria=False).encode(
             x=x, y=y, x2="end_x:Q", y2="end_y:Q", color=colour),
@@ -227,7 +230,7 @@ def _roles(view: View, rows: list[Row]) -> set[str]:
 def _colour(view: View, rows: list[Row]) -> Any:
     alt = require_altair()
     return alt.Color("role:N", scale=legend_of(ROLE_COLOURS, _roles(view, rows)),
-                     legend=alt.Legend(symbolStrokeWidth=0, symbolOpacity=1))
+                     legend=alt.Legend(symbolStrokeWidth=0, symbolOpacity=1, labelExpr=ROLE_LABELS))
 
 
 def _exaggeration(lengths: list[float], wide: float) -> float:

@@ -19,6 +19,7 @@ from termsel.report.theme import (
     WIDTH,
     chart_rows,
     require_altair,
+    role_legend,
     spread_scale,
 )
 from termsel.report.view import Row, View
@@ -42,8 +43,10 @@ def front(view: View) -> Any:
                 axis=alt.Axis(tickMinStep=1, format="d")),
         y=alt.Y("rmse:Q", title=f"RMSE [px]{kind}", scale=scale))
     kinds = ["check", "independent"]
-    colour = alt.Color("points:N", scale=alt.Scale(domain=kinds, range=[CHECK, INDEPENDENT]))
-    shape = alt.Shape("points:N", scale=alt.Scale(domain=kinds, range=["square", "triangle-up"]))
+    colour = alt.Color("points:N", scale=alt.Scale(domain=kinds, range=[CHECK, INDEPENDENT]),
+                       legend=role_legend())
+    shape = alt.Shape("points:N", scale=alt.Scale(domain=kinds, range=["square", "triangle-up"]),
+                      legend=role_legend())
     return alt.layer(
         base.mark_line(strokeWidth=1.4, opacity=0.7).encode(color=colour),
         base.transform_filter("datum.recommended").mark_point(

@@ -38,7 +38,7 @@ from termsel.fitting.fit import Fit
 from termsel.models.base import SensorModel
 from termsel.plugins.registry import registry
 from termsel.results.result import Result
-from termsel.runs.judgement.judge import judge_choice
+from termsel.runs.judgement.judge import best_conventional, judge_choice
 from termsel.runs.task.data_notes import notes_on_data, notes_on_dem
 from termsel.runs.task.given import all_candidates
 from termsel.runs.task.provenance import data_of, plugins_of, versions
@@ -211,6 +211,7 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
         feasible=True, rmse=figures(fitted, observations), baselines=others(clean),
         judgement=judge_choice(chosen.candidate, None if expected is None else expected.rmse,
                                figures(fitted, agreeing), others(agreeing), setup.features.noise),
+        reference=best_conventional(chosen.candidate, others(clean)),
         notes=(*notes_on_dem(setup.features, fitted), *filter(None, (rpc, correction)), *of_data,
                *_notes(setup.model, clean, errors, said, plane=not model.uses_height,
                        determined=not enough, known=chosen.candidate.from_one),

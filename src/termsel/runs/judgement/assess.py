@@ -136,6 +136,7 @@ def assessed(task: Task, found: Search, verdict: Verdict | None = None) -> Resul
                         task.features.noise, converged=chosen.adjustment.converged,
                         candidate=comparison.candidate,
                         blunders=comparison.blunders),
+        reference=comparison.reference,
         notes=(*notes_on_dem(task.features, chosen),
                *notes_on_data(task.features, observations, task.model.uses_height,
                               task.blank, observations.control),

@@ -128,6 +128,14 @@ def judge_choice(chosen: Candidate, predicted: float | None, rmse: Rmses,
     return " ".join(sentences)
 
 
+def best_conventional(chosen: Candidate, baselines: tuple[Baseline, ...]) -> str:
+    """Return the name of the conventional model that cross-validation prefers; "" for none."""
+    rivals = {row.name: row.predicted for row in baselines if row.predicted is not None
+              and (candidate := registry().known("candidates", row.name))
+              and candidate.is_plain and candidate is not chosen}
+    return min(rivals, key=lambda name: rivals[name], default="")
+
+
 def _in_hindsight(mine: float, named: Baseline,
                   plain: list[tuple[Baseline, str]]) -> Iterator[str]:
     """Yield which plain structure is better at the independent points, if one but `named` is."""

@@ -139,7 +139,7 @@ def note_on_pole(features: FeatureSet, control: FeatureSet) -> str:
 def with_polar(observations: Observations) -> Observations:
     """Return observations to be fitted in a polar projection where control is around a pole.
 
-    Only where no CRS is asked for, and the best of the plain and shrunken models predicts better
+    Only where no CRS is asked for, and the best of the plain and regularised models predicts better
     there, by leave-one-out over control and check, than in the coordinates as they are.
     """
     both = observations.together
@@ -155,7 +155,7 @@ def with_polar(observations: Observations) -> Observations:
 
 
 def _best(observations: Observations, spatial: bool) -> str:
-    """Return the CRS in which the best of the plain and shrunken models predicts best."""
+    """Return the CRS in which the best of the plain and regularised models predicts best."""
     both = observations.together
     predicted: dict[str, float] = {}
     for system in SYSTEMS:

@@ -1,0 +1,185 @@
+"""The first screen: at most twelve lines on data, model, accuracy, outliers and what is next."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from msgspec import convert
+
+from termsel.data.record.record import Record
+from termsel.report.first_screen import LINES
+from tests.records import (
+    baseline,
+    counts,
+    data,
+    first_screen,
+    next_step,
+    outlier,
+    record,
+    roles,
+    text,
+)
+from tests.snapshots import require_same
+
+SCREENS = Path(__file__).parent / "screens"
+
+READ = {"points": 60, "lines": 0, "without_height": 0, "place": "47.4 N, 11.0 E", "doubt": "",
+        "left_out": {}}
+IMAGE = {"n": 9, "line": 3.0, "sample": 4.0, "total": 5.0, "maximum": 9.0, "ce90": 8.0}
+ACCURACY = {"image": IMAGE, "ground": None, **{
+    name: {"value": None, "reason": "too few"} for name in ("nssda", "asprs")}}
+PREDICTED = {"rmse": 4.5, "low": 3.1, "high": 6.2}
+
+
+def accuracy(total: float, n: int, **changed: Any) -> dict[str, Any]:
+    """The accuracy at n independent check points."""
+    return {**ACCURACY, "image": {**IMAGE, "total": total, "n": n}, **changed}
+
+
+def outlier_test(limit: float | None, features: int = 36, extent: float = 4000.0) -> dict[str, Any]:
+    return {"features": features, "limit": limit, "extent": extent}
+
+
+def choice(*names: str, predicted: float | None = 0.5) -> dict[str, Any]:
+    """A choice by auto: the first model, each later one worse in cross-validation."""
+    return {"name": "auto", "chosen": names[0], "reason": "", "predicted": predicted, "folds": 20,
+            "fitted_to": ["control", "check"],
+            "candidates": [{"name": name, "model": "poly3d", "n_terms": 20, "effective": 8.25,
+                            "predicted": 0.5 + 0.1 * i} for i, name in enumerate(names)]}
+
+
+def compared(name: str, total: float, predicted: float | None = None) -> dict[str, Any]:
+    return {**baseline(name, 20, roles(1.0, 1.0, total)), "predicted": predicted}
+
+
+SEARCHED = {"accuracy": accuracy(3.0, 26), "reference": "quadratic",
+            "baselines": [baseline("all-terms", 20, roles(0.5, 5.0, 6.0), fitted_to=("control",)),
+                          compared("quadratic", 2.4)]}
+CHOSEN = {"strategy": choice("shrunken-cubic", "affine", "quadratic"), "reference": "affine",
+          "baselines": [compared("affine", 3.2, 0.6), compared("quadratic", 2.9, 0.7)]}
+MANY = [outlier(f"{i}" * 200, 1e6 / (i + 1), i % 2 == 0) for i in range(9)]
+
+CASES: dict[str, dict[str, Any]] = {
+    "search": {**SEARCHED, "blunder_test": outlier_test(9.0)},
+    "auto": {**CHOSEN, "accuracy": accuracy(2.5, 32, ground={**{
+        key: value for key, value in IMAGE.items() if key not in ("line", "sample")},
+        "x": 1.0, "y": 1.0, "total": 2.49}), "predicted": {"rmse": 2.44, "low": 2.1, "high": 2.8},
+        "blunder_test": outlier_test(9.0)},
+    "auto-few-check-points": {**CHOSEN, "accuracy": accuracy(5.0, 9), "predicted": PREDICTED,
+                              "blunder_test": outlier_test(60.0)},
+    "auto-without-check-points": {
+        **CHOSEN, "predicted": PREDICTED, "data": counts(independent=0, check=0, control=9),
+        "blunder_test": outlier_test(None, 9)},
+    "no-redundancy": {"strategy": choice("affine", predicted=None),
+                      "data": counts(independent=0, check=0, control=4),
+                      "blunder_test": outlier_test(None, 4),
+                      "notes": ["4 points determine the model exactly, so nothing is left over."]},
+    "outliers": {**SEARCHED, "outliers": [
+        outlier("L027", 14.31, True), outlier("L006", 12.6, True), outlier("P1", 4.0, False),
+        outlier("P9", 3.0, False, "probable", "check"),
+        outlier("P7", 80.0, False, role="independent")],
+        "accuracy_without": accuracy(0.5, 25)},
+    "reused-check-points": {"accuracy": accuracy(5.0, 25, spent_by=["r15"])},
+    "lines": {**SEARCHED, "data": counts(control=0, lines=40),
+              "options": {**record()["options"], "model": {"degree": 2}},
+              "offered": {"n_terms": 20, "n_features": 40}, "blunder_test": outlier_test(9.0)},
+    "swapped-axes": {"data": data(read={**READ, "doubt": "x and y look swapped: they do"})},
+    "no-model-fits": {**CHOSEN, "predicted": {"rmse": 153.0, "low": 43.0, "high": 335.0},
+                      "blunder_test": outlier_test(20.0, 12)},
+    "infeasible": {"feasible": False},
+    "long-names": {"outliers": MANY, "data": data(
+        source="/very/long/" + "name" * 70, crs="EPSG:25832+7837",
+        read={**READ, "lines": 120, "without_height": 12,
+              "left_out": {"without a height": ["A"] * 12, "marked off": ["B"]}})},
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_first_screen_reads_as_it_was_looked_at(name: str) -> None:
+    lines = first_screen(**CASES[name])
+    require_same(SCREENS / f"{name}.txt", "\n".join([*lines, next_step("result", **CASES[name])])
+                 + "\n")
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_first_screen_is_short(name: str) -> None:
+    lines = first_screen(**CASES[name])
+    assert len(lines) + 1 <= LINES == 12
+    assert max(map(len, lines)) <= 88
+
+
+@pytest.mark.parametrize("limit", [None, 5000.0])
+def test_none_is_never_said_of_outliers_that_cannot_be_found(limit: float | None) -> None:
+    [line] = [line for line in first_screen(blunder_test=outlier_test(limit, 6))
+              if line.startswith("Outliers")]
+    assert "none" not in line
+    assert "6 points are too few" in line
+
+
+def test_each_figure_of_the_accuracy_stands_once() -> None:
+    lines = " ".join(first_screen(**CASES["auto"]))
+    assert lines.count("2.50 px") == lines.count("2.49 m") == lines.count("2.44 px") == 1
+
+
+def test_notes_that_do_not_fit_are_counted() -> None:
+    notes = [f"Note {i} is long enough to be a line of its own. More of it." for i in range(9)]
+    lines = first_screen(**CASES["outliers"], notes=notes)
+    assert len(lines) + 1 <= LINES
+    shown = sum("is long enough" in line for line in lines)
+    assert f"{9 - shown} more notes: --verbose" in lines[-1]
+
+
+@pytest.mark.parametrize(("changed", "folder", "step"), [
+    ({}, "", "Not saved: add --out DIR, then termsel report DIR"),
+    ({}, "result", "Next: termsel report result"),
+    ({"data": counts(independent=0)}, "r",
+     "Next: termsel plan r   (where to measure check points)"),
+    ({"outliers": [outlier("P 2", 9.0, False)]}, "r", "Next: run again with --off 'P 2'"),
+    ({"outliers": [outlier("P2", 9.0, False, "possible")]}, "r", "Next: termsel report r")])
+def test_one_command_comes_next(changed: dict[str, Any], folder: str, step: str) -> None:
+    assert next_step(folder, **changed) == step
+
+
+@pytest.mark.parametrize(("changed", "line"), [
+    (counts(control=0, lines=40),
+     "40 control lines, 12 selection points, 9 independent check points"),
+    (counts(lines=40), "24 control points, 40 control lines, 12 selection points, 9 independent "
+                       "check points"),
+    (counts(control=1, lines=1, check=1, independent=0),
+     "1 control point, 1 control line, 1 selection point, no independent check points")])
+def test_roles_are_named_in_the_words_of_the_field(changed: dict[str, Any], line: str) -> None:
+    assert line in first_screen(data=changed)
+
+
+def test_points_that_choose_and_fit_are_counted_together_in_a_choice() -> None:
+    lines = first_screen(strategy=choice("affine"))
+    assert "36 points to choose and fit the model, 9 independent check points" in lines
+
+
+def test_all_outliers_are_in_the_table_of_the_whole_text() -> None:
+    given = {"outliers": MANY}
+    assert "Outliers and their prediction errors" in text(**given)
+    assert "Outliers and their prediction errors" not in text()
+
+
+def test_accuracy_is_given_with_and_without_an_independent_blunder() -> None:
+    given = {"accuracy": ACCURACY, "accuracy_without": accuracy(0.5, 8),
+             "outliers": [outlier("P7", 80.0, False, role="independent")]}
+    assert "          0.50 px without P7" in first_screen(**given)
+    assert "Without P7: RMSE 0.50 px at 8 independent check points" in " ".join(
+        text(**given).split())
+
+
+def test_a_vendor_rpc_is_shown_with_its_shift() -> None:
+    rpc = {**{f"{kind}_{part}": [1.0] * n for kind, n in (("image", 2), ("ground", 3))
+              for part in ("offset", "scale")},
+           **{f"{axis}_{part}": [1.0] * 20 for axis in ("line", "sample")
+              for part in ("numerator", "denominator")}}
+    changed = record(strategy=choice("rpc", "affine"), data=data(rpc=rpc),
+                     coefficients={"line.bias:1": -0.5, "sample.bias:1": 0.25})
+    changed["scaling"] = {**changed["scaling"], "line_scale": 28.0, "sample_scale": 36.0}
+    assert convert(changed, Record).data.rpc
+    assert any(line.startswith("Model     vendor RPC plus shift (-14.00, +9.00 px in line, sample)")
+               for line in first_screen(**changed))
