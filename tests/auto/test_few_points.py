@@ -73,7 +73,7 @@ def test_two_and_more_points_are_answered(n: int, heights: bool, call: Call,
     done = call("run", "--points", tmp_path / "p.csv", "--out", tmp_path / "r", "--quiet")
     assert done.exit_code == 0, done.stderr
     result = termsel.read_result(tmp_path / "r")
-    assert result.summary() == done.stdout
+    assert done.stdout.startswith(result.summary())
     assert result.strategy is not None
     told = any("determine the model exactly" in note for note in result.notes)
     if n <= 3:
@@ -115,7 +115,7 @@ def test_so_few_points_are_held_out_from_what_all_choose(n: int, heights: bool) 
 
 
 @pytest.mark.parametrize(("rows", "words"), [
-    (["a,10,10,0,0,5"], "Of your 1 feature 1 is control; rfm-terms needs at least 2"),
+    (["a,10,10,0,0,5"], "only 1 control point; rfm-terms needs at least 2"),
     (["a,10,10,0,0,5", "b,20,20,10,10,6", "c,30,30,20,20,5"], "on one straight line"),
     (["a,10,10,0,0,5", "b,10,10,10,10,6"], "the same place in the image"),
     (["a,10,10,0,0,5", "b,20,20,0,0,5"], "have the same ground coordinates"),

@@ -194,5 +194,5 @@ def test_all_that_uses_a_result_takes_the_same_fit_and_says_which(
 
 
 def test_summary_says_what_is_exported(result: Result) -> None:
-    assert "Exported: the same structure fitted to all 42 points; --no-final" in result.summary()
+    assert "Exported: the refit to all 42 points." in result.summary(verbose=True)
     assert "Exported" not in result.as_exported(final=True).summary(verbose=True)

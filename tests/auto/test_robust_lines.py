@@ -203,7 +203,7 @@ def test_auto_for_lines_leaves_out_blunders_and_says_which(of_lines: termsel.Res
     assert not out & set(of_lines.selection.features)
     assert {one.kind for one in of_lines.outliers} == {"line"}
     assert {one.role for one in of_lines.outliers} == {"control"}
-    assert "and 5 more left out." in of_lines.summary()
+    assert "8 lines rejected: " in of_lines.summary()
     searched = termsel.run("owdis-lines", generations=8, options=QUICK)
     assert of_lines.rmse["independent"].total < searched.rmse["independent"].total
     assert of_lines.data.counts.lines == 120
@@ -223,7 +223,7 @@ def test_auto_for_lines_is_read_back(of_lines: termsel.Result, folder: Path, tmp
     assert again.final.control.ids == found.final.control.ids
     assert not {one.id for one in found.outliers} & set(again.final.control.ids)
     assert list(again.as_exported().residuals) == list(found.as_exported().residuals)
-    assert f"all {len(found.final.control)} features; --no-final" in found.summary(verbose=True)
+    assert f"all {len(found.final.control)} features. The measured" in found.summary(verbose=True)
     termsel.export(again, "lines-csv", tmp_path / "all.csv")
     rows = [row.split(",") for row in (tmp_path / "all.csv").read_text().splitlines()[2:]]
     assert {row[0] for row in rows if row[2] == "0"} == {one.id for one in found.outliers}
@@ -300,7 +300,7 @@ def test_a_search_leaves_no_blunder_in_use_that_it_names() -> None:
     assert clean.outliers
     assert [one.id for one in clean.outliers] == [one.id for one in kept.outliers]
     assert not {one.id for one in clean.outliers} & set(clean.selection.features)
-    said = "The search did without blunders; --set blunders=keep searches with them."
+    said = "Outliers were removed before the search; --set blunders=keep keeps them."
     assert said in clean.notes
     assert said not in kept.notes
     assert clean.rmse["independent"].total < 1.1 * kept.rmse["independent"].total

@@ -165,7 +165,7 @@ BAD_FILES = {
         "line 9, column 'id': id 'P003' is already used on line 4. Give every point an id"),
     "three points for 39 terms": (
         lambda f, t: some_points(f, t, 3),
-        "Of your 3 features 1 is control; rfm-terms needs at least 3."),
+        "only 1 control point; rfm-terms needs at least 3."),
     "all points on one line": (
         straight_line, "all control features lie on one straight line on the ground. Add control "
         "away from that line: a model needs an area."),
@@ -369,7 +369,7 @@ def test_a_problem_follows_from_features_in_python() -> None:
 @pytest.mark.slow
 def test_a_problem_follows_from_a_data_set(call: Call) -> None:
     done = call("run", "--dataset", "hamedan-candidates", "--generations", 1, "--quiet")
-    assert done.stdout.startswith("Read: hamedan-candidates (simulated): 240 points; ")
+    assert done.stdout.startswith("hamedan-candidates (simulated): 240 points, ")
 
 
 @pytest.mark.parametrize(("crs", "message"), [

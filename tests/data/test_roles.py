@@ -14,6 +14,7 @@ from click.testing import CliRunner
 
 import termsel
 from termsel.cli.main import cli
+from termsel.core.display.numbers import rounded
 from termsel.data.coordinates.crs import transformation
 from termsel.data.features import FeatureSet, FloatArray, Points
 from termsel.data.roles import observe
@@ -168,13 +169,12 @@ def test_few_independent_points_come_after_the_prediction(tmp_path: Path) -> Non
     expected, accuracy = result.predicted_final, result.accuracy
     assert expected is not None
     assert accuracy is not None
-    first = f"{expected.rmse:.3g} px predicted ({expected.low:.3g} to {expected.high:.3g} px); " \
-        f"{accuracy.image.total:.3g} px"
     shown = " ".join(result.summary().split())
-    assert f"Accuracy: {first}" in shown
-    assert f"(RMSE of {accuracy.image.n} independent points)" in shown
-    assert shown.index("Predicted RMSE") < shown.index("(90 % interval", shown.index("on the "))
-    assert first in repr(result)
+    first = f"{rounded(expected.rmse)} px RMSE predicted by cross-validation"
+    then = f"at {accuracy.image.n} independent check points"
+    assert f"Accuracy {first}" in shown
+    assert shown.index(first) < shown.index(then, shown.index(first))
+    assert " ".join(repr(result).split()).count(first) == 1
     tags = accuracy_tags(result)
     assert tags["ACCURACY_STATED"].startswith(f"predicted RMSE {expected.rmse:.3g} px")
     assert termsel.read_result(tmp_path / "r").summary() == result.summary()
@@ -183,15 +183,15 @@ def test_few_independent_points_come_after_the_prediction(tmp_path: Path) -> Non
 def test_many_independent_points_come_first() -> None:
     result = termsel.run(features=sheet(84), options={"fractions": "2:1:1"})
     assert result.accuracy is not None
-    assert f"Accuracy: {result.accuracy.image.total:.3g} px, " in result.summary()
-    assert accuracy_tags(result)["ACCURACY_STATED"].startswith("by independent points")
+    assert f"Accuracy  {rounded(result.accuracy.image.total)} px / " in result.summary()
+    assert accuracy_tags(result)["ACCURACY_STATED"].startswith("by independent check points")
 
 
 Call = Callable[..., SimpleNamespace]
 
 
 def spent_note(result: termsel.Result) -> str:
-    return next((note for note in result.notes if "spent" in note), "")
+    return next((note for note in result.notes if "no longer independent" in note), "")
 
 
 def test_a_sibling_that_used_few_of_the_points_is_not_held_against_them(tmp_path: Path) -> None:
@@ -207,10 +207,12 @@ def test_a_sibling_that_used_few_of_the_points_is_not_held_against_them(tmp_path
     result = termsel.run(features=mine, out=tmp_path / "mine")
     assert result.accuracy is not None
     assert result.accuracy.spent == ("P0",)
-    assert spent_note(result).startswith("1 of 10 independent points is spent: other showed its")
-    assert "(RMSE of 10 independent points)" in " ".join(result.summary().split())
-    assert "The points are spent" not in result.summary()
-    assert "other showed 1 of them before" in " ".join(result.summary(verbose=True).split())
+    assert spent_note(result).startswith("1 of 10 independent check points is no longer "
+                                         "independent: it already assessed another fit, in other")
+    assert "at 10 independent check points" in " ".join(result.summary().split())
+    assert "these points already assessed" not in result.summary()
+    whole = " ".join(result.summary(verbose=True).split())
+    assert "1 of them already assessed the fit in other" in whole
     assert "an earlier result showed 1 of them" in accuracy_tags(result)["ACCURACY_STATED"]
     assert termsel.read_result(tmp_path / "mine").accuracy == result.accuracy
 
@@ -249,7 +251,7 @@ def test_a_plain_structure_that_is_better_in_the_table_is_named() -> None:
         if better:
             assert f"{best:.2f} px)" in result.judgement
         else:
-            assert "in hindsight" not in result.judgement
+            assert "only these points" not in result.judgement
     assert named
 
 
@@ -259,7 +261,7 @@ def test_few_independent_points_compare_predictions() -> None:
     for result in (few, none):
         assert result.predicted is not None
         assert f"({result.predicted.rmse:.2f} px against " in result.judgement
-        assert "at held-out features" in result.judgement
+        assert "in cross-validation" in result.judgement
 
 
 def test_the_command_line_says_the_same(tmp_path: Path) -> None:
@@ -267,7 +269,7 @@ def test_the_command_line_says_the_same(tmp_path: Path) -> None:
     write_points_csv(features.points, tmp_path / "p.csv", crs=features.crs)
     done = CliRunner().invoke(cli, ["run", "--points", str(tmp_path / "p.csv"), "--quiet"])
     assert done.exit_code == 0
-    assert "Control: 12 points; no check points; no independent points." in done.output
+    assert "12 points to choose and fit the model, no independent check points" in done.output
     done = CliRunner().invoke(cli, ["run", "--points", str(tmp_path / "p.csv"), "--quiet",
                                     "--set", "fractions=1:1:1"])
-    assert "Control: 4 points; 4 check points; 4 independent points." in done.output
+    assert "8 points to choose and fit the model, 4 independent check points" in done.output

@@ -117,7 +117,7 @@ def test_the_optimum_with_a_hierarchy_does_not_depend_on_the_origin() -> None:
 
 
 @pytest.mark.parametrize(("options", "says"), [
-    ({"criterion": "press"}, "by check points"), ({"solver": "exact"}, "equations of its own")])
+    ({"criterion": "press"}, "by selection points"), ({"solver": "exact"}, "equations of its own")])
 def test_what_needs_one_linear_system_is_refused(options: dict[str, str], says: str) -> None:
     with pytest.raises(termsel.TermselError, match=says):
         termsel.run("rfm-terms", options={"order": 1, "weighted": True}, evaluations=50,

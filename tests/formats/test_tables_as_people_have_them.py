@@ -322,7 +322,7 @@ def test_the_command_line_shows_a_command_that_runs(tmp_path: Path,
     with pytest.raises(SystemExit) as ended:
         cli.main(shlex.split(ready))
     assert not ended.value.code
-    assert capsys.readouterr().out.startswith(f"Read: {path.name}: {N} points; EPSG:4979")
+    assert capsys.readouterr().out.startswith(f"{path.name}: {N} points, EPSG:4979")
 
 
 def test_a_command_to_complete_has_what_was_given_once(tmp_path: Path,

@@ -71,7 +71,7 @@ def surface(tmp_path: Path, above: float = 0.0) -> Path:
 
 
 def opening(result: termsel.Result) -> str:
-    return result.summary().partition("Control:")[0].replace("\n    ", " ")
+    return result.summary().partition("\n\n")[0].replace("\n    ", " ")
 
 
 @pytest.mark.parametrize(("asked", "unit", "words"), [

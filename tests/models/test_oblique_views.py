@@ -199,7 +199,7 @@ def chosen_of(result: termsel.Result) -> str:
 
 
 def line_on_blunders(result: termsel.Result) -> str:
-    return next(line for line in result.summary().splitlines() if line.startswith("Blunders:"))
+    return next(line for line in result.summary().splitlines() if line.startswith("Outliers"))
 
 
 def test_four_sound_corners_of_an_oblique_view_get_a_projective_transformation() -> None:

@@ -158,7 +158,7 @@ def test_a_result_shows_structure_points_blunders_and_accuracy() -> None:
     assert shown[0].startswith("<Result: ")
     assert shown[2:4] == ["  fitted to: 39 points; exported: fitted to 59",
                           f"  blunders left out: {features.points.ids[0]}"]
-    assert shown[4].endswith("m on the ground (RMSE of 20 independent points).")
+    assert shown[4].endswith("m on the ground (RMSE of 20 independent check points).")
 
 
 @pytest.mark.slow

@@ -347,8 +347,8 @@ def test_control_and_check_points_are_used_together(criterion: str) -> None:
         assert result.rmse["independent"].total < 20
         assert result.rmse["check"] is None
         assert json.loads(result.to_json())["rmse"]["check"]["total"] is None
-        assert "independent points" in result.judgement
-        assert "control: 48 points; no check points" in result.summary(verbose=True).lower()
+        assert "independent check points" in result.judgement
+        assert "control: 48 points; no selection points" in result.summary(verbose=True).lower()
         assert result.options["data"]["check_as"] == "control"
     # The points come in another order, of which the folds and rounding take notice.
     assert set(results[0].fit.control.ids) == set(results[1].fit.control.ids)
@@ -362,7 +362,8 @@ def test_check_points_next_to_lines_alone_stay_apart() -> None:
     assert len(task.observations.check) == 24
     mixed = termsel.prepare("owdis-lines", criterion="press", options={"mixed": True})
     assert len(mixed.observations.control.points) == 48
-    with pytest.raises(termsel.TermselError, match="0 are check points; the criterion check-rmse"):
+    with pytest.raises(termsel.TermselError, match="0 are selection points; the criterion "
+                                                   "check-rmse"):
         termsel.prepare("rfm-terms", options={"check_as": "control"})
 
 

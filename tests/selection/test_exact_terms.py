@@ -208,7 +208,8 @@ def test_an_interrupted_proof_proves_nothing_but_has_the_best_so_far() -> None:
     assert plain(result.certificate) == found.certificate
     assert not result.front
     assert not all(one.optimal for one in result.by_size)
-    assert re.search(r"^Front\n.* best of its size$", result.summary(verbose=True), re.MULTILINE)
+    assert re.search(r"^Pareto front\n.* best of its size$", result.summary(verbose=True),
+                     re.MULTILINE)
 
 
 def test_a_heuristic_states_its_gap() -> None:

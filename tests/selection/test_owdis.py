@@ -33,7 +33,7 @@ def test_blunders_are_told_from_lines_not_needed() -> None:
     wrong = {"L005", "L006", "L027", "L049", "L050", "L086", "L098", "L099"}
     assert {one.id for one in result.outliers} == wrong
     spare = set(result.fit.control.ids) - set(result.selection.features) - wrong
-    assert f"Left out though they fit: {len(spare)}; they were not needed." in result.summary()
+    assert f"{len(spare)} more lines fit but were not selected." in result.summary(verbose=True)
     assert all(one["certainty"] == "certain" for one in result.to_dict()["outliers"])
 
 

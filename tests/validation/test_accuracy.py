@@ -182,7 +182,7 @@ def test_record_and_folder_hold_prediction_and_accuracy(tmp_path: Path) -> None:
     assert back.accuracy == result.accuracy
     text = result.summary(verbose=True)
     assert "90 % interval" in text
-    assert "Predicted RMSE of 26 independent points" in text
+    assert "Predicted RMSE at 26 independent check points" in text
 
 
 @pytest.mark.slow
@@ -192,7 +192,7 @@ def test_without_independent_points_the_interval_is_for_the_true_accuracy() -> N
     assert result.accuracy is None
     assert result.predicted is not None
     assert result.predicted.points is None
-    assert "Predicted RMSE of further points like the control" in result.summary(verbose=True)
+    assert "Predicted RMSE of new points within the control area" in result.summary(verbose=True)
 
 
 def test_a_search_has_accuracy_and_no_prediction() -> None:
@@ -227,13 +227,12 @@ def test_the_summary_tells_a_mean_error_and_errors_that_are_not_normal() -> None
     def said(**image: tuple[float, float]) -> str:
         accuracy = msgspec.structs.replace(result.accuracy, image=msgspec.structs.replace(
             result.accuracy.image, line=1.0, sample=1.0, **image))
-        return " ".join(replace(result, accuracy=accuracy).summary().split())
+        return " ".join(replace(result, accuracy=accuracy).summary(verbose=True).split())
 
     usual = said(mean=(0.1, -0.1), normal=(0.4, 0.3))
-    assert "Mean error" not in usual.partition("on the ground")[0]
+    assert "is significant" not in usual
     assert "not normal" not in usual
-    assert "That of sample is more than chance explains." in said(mean=(0.1, -0.9),
-                                                                  normal=(0.4, 0.3))
+    assert "The bias of sample is significant." in said(mean=(0.1, -0.9), normal=(0.4, 0.3))
     assert "errors are not normal" in said(mean=(0.1, 0.1), normal=(0.4, 0.001))
 
 
@@ -294,8 +293,8 @@ def test_standards_have_figures_only_where_their_rules_hold() -> None:
 @pytest.mark.slow
 def test_the_summary_says_why_a_standard_has_no_figure() -> None:
     text = termsel.run("rfm-terms", features=_all_points(independent=10)).summary(verbose=True)
-    assert "NSSDA: no figure (10 independent points, at least 20 needed)" in text
-    assert "ASPRS 2024: no figure (10 independent points, at least 30 needed" in text
+    assert "NSSDA: no figure (10 independent check points, at least 20 needed)" in text
+    assert "ASPRS 2024: no figure (10 independent check points, at least 30 needed" in text
 
 
 @pytest.mark.slow

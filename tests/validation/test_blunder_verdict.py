@@ -45,12 +45,12 @@ def test_every_problem_names_the_blunder_and_no_other(problem: str, role: str) -
     assert found.error == pytest.approx(60, abs=3)
     searched = "owdis" in problem or "strategy" in PROBLEMS[problem]
     assert found.excluded == (role != "independent" and searched)
-    said = next(one for one in result.summary().splitlines() if one.startswith("Blunders: "))
+    said = result.summary().partition("Outliers ")[2]
     assert name in said
-    assert (f"--off {name}" in result.summary()) != found.excluded
+    assert (f"--off {name}" in result.next_step("r")) != found.excluded
     assert (result.accuracy_without is not None) == (role == "independent")
     assert {r.id for r in result.residuals if r.blunder == "certain"} == {name}
-    assert not any("fitted to the check points" in note for note in result.notes) \
+    assert not any("fitted to the selection points" in note for note in result.notes) \
         or problem == "poly-terms"
     if role == "independent":
         assert result.accuracy_without.image.total < 0.7 * result.accuracy.image.total
@@ -82,8 +82,8 @@ def test_what_was_tested_before_is_not_tested_again(problem: str) -> None:
     assert features.points.ids[0] in {one.id for one in result.residuals}
     assert "--set tested=true" in command(result.record)
     clean = termsel.run(problem, features=scene({}), **how)
-    assert "Blunders: looked for before, not here." in clean.summary()
-    assert "Blunders were looked for before, not here." in clean.summary(verbose=True)
+    assert "Outliers  tested in an earlier run, not in this one" in clean.summary()
+    assert "Outliers were tested in an earlier run, not here." in clean.summary(verbose=True)
 
 
 def test_six_control_points_and_others_tell_an_independent_blunder() -> None:

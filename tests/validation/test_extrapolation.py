@@ -52,7 +52,7 @@ def test_control_in_one_corner_is_warned_of() -> None:
     roles[::3] = "independent"
     corner = FeatureSet(replace(scene.points, roles=tuple(roles)), image_size=scene.image_size)
     found = termsel.run("rfm-terms", model="affine", solver="all-terms", features=corner)
-    assert any("check points and 3 of 4 corners of the image lie far outside" in note
+    assert any("selection points and 3 of 4 corners of the image lie far outside" in note
                for note in found.notes)
 
 

@@ -76,7 +76,7 @@ def test_the_prediction_holds_where_heights_differ_from_those_of_control(
     assert (np.abs(errors) < 1.645 * sigma).mean() > 0.75
     assert any(re.search(f"covers {covers}.*px for each 100 m", note) for note in result.notes)
     said = result.summary(verbose=True)
-    assert "The independent points have heights unlike the control's" in said
+    assert "The independent check points have other heights than the control points" in said
     assert not re.search(r"\d{7}", said.replace(",", ""))
 
 

@@ -26,12 +26,12 @@ def photograph(count: int, wrong: int = 0, noise: float = 0.5, roles: tuple[str,
 
 def line_on_blunders(result: termsel.Result) -> str:
     text = " ".join(result.summary().split())
-    return text.partition("Blunders: ")[2].partition(" Next: ")[0]
+    return text.partition("Outliers ")[2].partition(" Compared ")[0].partition(" Caution ")[0]
 
 
 @pytest.mark.parametrize(("count", "said"), [
-    (3, "none can be found with 3 points."), (5, "none can be found with 5 points."),
-    (6, "none can be found with 6 points; any may be one.")])
+    (3, "not detectable: 3 points are too few"), (5, "not detectable: 5 points are too few"),
+    (6, "not detectable: 6 points are too few")])
 def test_too_few_points_find_none(count: int, said: str) -> None:
     assert line_on_blunders(termsel.run(features=photograph(count))) == said
 
@@ -41,22 +41,21 @@ def test_the_error_that_would_not_be_seen_is_said_where_it_is_large() -> None:
     assert result.blunder_test is not None
     assert result.blunder_test.features == 8
     said = line_on_blunders(result)
-    assert said.startswith("none found; with 8 points errors below ")
-    assert said.endswith(" px may go unseen.")
+    assert said.startswith("none found among 8 points; below ")
+    assert said.endswith(" px most cannot be detected")
 
 
 def test_many_points_find_none_plainly() -> None:
     result = termsel.run(features=photograph(30))
-    assert line_on_blunders(result) == "none found."
+    assert line_on_blunders(result) == "none among 30 points"
     assert result.blunder_test is not None
     assert result.blunder_test.limit is not None
     assert result.blunder_test.limit < 10
 
 
 @pytest.mark.parametrize(("count", "wrong", "said"), [
-    (8, 3, "none can be found with 8 points; any may be one."),
-    (11, 4, "none can be told, as no model agrees with the points better than 128 px: several are "
-            "wrong, or no model holds.")])
+    (8, 3, "not detectable: 8 points are too few"),
+    (11, 4, "not detectable: no model fits these points; several are wrong, or no model holds")])
 def test_points_of_which_a_third_is_wrong_are_not_called_free_of_blunders(
         count: int, wrong: int, said: str) -> None:
     assert line_on_blunders(termsel.run(features=photograph(count, wrong))) == said
@@ -64,8 +63,7 @@ def test_points_of_which_a_third_is_wrong_are_not_called_free_of_blunders(
 
 def test_points_that_agree_with_no_model_are_not_called_free_of_blunders() -> None:
     said = line_on_blunders(termsel.run(features=photograph(30, noise=90.0)))
-    assert said.startswith("none can be told, as no model agrees with the points better than ")
-    assert said.endswith(" px: several are wrong, or no model holds.")
+    assert said.startswith("not detectable: no model fits these points")
 
 
 def test_an_independent_point_far_from_what_is_predicted_is_not_passed_over() -> None:
@@ -74,7 +72,7 @@ def test_an_independent_point_far_from_what_is_predicted_is_not_passed_over() ->
     wrong[8, 0] += 900.0
     points = Points(features.points.ids, wrong, features.points.ground, None, features.points.roles)
     said = line_on_blunders(termsel.run(features=features.with_(points=points)))
-    assert "P8" in said or said.startswith("none found, but 1 independent point is ")
+    assert "P8" in said or "the 1 independent check point contradicts the prediction" in said
 
 
 def test_a_point_whose_error_could_be_any_is_not_given_a_size_beyond_the_image() -> None:
@@ -100,4 +98,4 @@ def test_points_without_errors_fit_exactly() -> None:
     ground = np.column_stack([500000.0 + image[:, 1], 5e6 - image[:, 0], np.full(4, np.nan)])
     corners = FeatureSet(Points(tuple("abcd"), image, ground), crs="EPSG:32633")
     first = " ".join(termsel.run(features=corners).summary().split())
-    assert "Accuracy: the points fit exactly; no independent point confirms it." in first
+    assert "Accuracy the points fit exactly; not verified: no independent check points" in first

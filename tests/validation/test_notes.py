@@ -98,11 +98,11 @@ def test_an_ordinary_result_has_no_note() -> None:
 
 def test_the_notes_of_the_search_come_first() -> None:
     assert notes(observed(), found(notes=("One.", "Two."), interrupted=True)) == [
-        "One.", "Two.", "The search was interrupted; this is the best it had found."]
+        "One.", "Two.", "The search was interrupted; this is the best selection so far."]
 
 
 FITTED_TO_CHECK = ("The independent RMSE is {} times the check RMSE: the selection is fitted to "
-                   "the check points.")
+                   "the selection points.")
 
 
 @pytest.mark.parametrize(("check", "independent", "times"), [
@@ -123,7 +123,7 @@ def test_without_points_of_a_role_they_are_not_compared(role: str, named: list[s
 
 
 OTHER_POINTS = ("The search minimised an RMSE of {} px over the points that the problem judges "
-                "by, which are not the check points alone.")
+                "by, which are not the selection points alone.")
 
 
 @pytest.mark.parametrize(("seen", "named"), [
@@ -180,7 +180,7 @@ def test_an_adjustment_without_redundancy() -> None:
     used = np.zeros(25, dtype=bool)
     used[[0, 4, 20, 24]] = True
     assert notes(four, chosen=fitted(four, used=used)) == [
-        "The adjustment has no redundancy: its residuals say nothing."]
+        "The adjustment has no redundancy: its residuals are no measure of accuracy."]
     used[12] = True
     assert notes(five, chosen=fitted(five, used=used)) == []
 
@@ -198,9 +198,9 @@ WIDE = np.linspace(0, np.pi, 25, endpoint=False)
 
 @pytest.mark.parametrize(("off", "text"), [
     (0, []),
-    (1, ["1 control point of the file stays out, as lines are the control here; --set mixed=true "
+    (1, ["1 control point of the file is unused: lines are the control; --set mixed=true "
          "uses both."]),
-    (7, ["7 control points of the file stay out, as lines are the control here; --set mixed=true "
+    (7, ["7 control points of the file are unused: lines are the control; --set mixed=true "
          "uses both."])])
 def test_points_that_stay_out_where_lines_are_the_control(off: int, text: list[str]) -> None:
     assert notes(of_lines(WIDE, off)) == text
@@ -223,8 +223,8 @@ def spread_by(spread: float) -> FloatArray:
 
 @pytest.mark.parametrize(("spread", "text"), [
     (0.055, []),
-    (0.045, ["The lines in use run nearly alike (orientation spread 0.045 of 1): along them the "
-             "model is hardly determined."])])
+    (0.045, ["The lines in use run nearly alike (orientation spread 0.045 of 1): the model "
+             "is hardly determined along them."])])
 def test_lines_that_run_nearly_alike(spread: float, text: list[str]) -> None:
     observations = of_lines(spread_by(spread))
     # The image is the ground turned and scaled, but for heights, of which these lines have one.
@@ -281,8 +281,8 @@ OUTSIDE = "Extrapolation: {} far outside the control in use. The given RMSE does
 
 @pytest.mark.parametrize(("image", "text"), [
     ([(15.0, 5.0)], []),
-    ([(15.1, 5.0)], [OUTSIDE.format("1 of 1 check point lies")]),
-    ([(5.0, 5.0), (5.0, -5.1), (5.0, 15.1)], [OUTSIDE.format("2 of 3 check points lie")])])
+    ([(15.1, 5.0)], [OUTSIDE.format("1 of 1 selection point lies")]),
+    ([(5.0, 5.0), (5.0, -5.1), (5.0, 15.1)], [OUTSIDE.format("2 of 3 selection points lie")])])
 def test_check_points_beyond_half_the_side_of_the_control(
         image: FloatArray, text: list[str]) -> None:
     ground = np.array([(i, 5.0, 5.0) for i in range(len(image))])
@@ -306,7 +306,7 @@ def test_both_are_told_in_one_note() -> None:
     control = FeatureSet(at(SQUARE), image_size=(17, 11))
     check = at([(5, 5, 5.0)], [(15.1, 5.0)])
     assert list(warnings_of(control, ALL, check)) == [
-        OUTSIDE.format("1 of 1 check point and 2 of 4 corners of the image lie")]
+        OUTSIDE.format("1 of 1 selection point and 2 of 4 corners of the image lie")]
 
 
 def test_only_control_in_use_reaches_anywhere() -> None:
@@ -314,13 +314,13 @@ def test_only_control_in_use_reaches_anywhere() -> None:
     check = at([(16, 16, 5.0)])
     assert list(warnings_of(control, np.ones(5, dtype=bool), check)) == []
     assert list(warnings_of(control, np.arange(5) < 4, check)) == [
-        OUTSIDE.format("1 of 1 check point lies")]
+        OUTSIDE.format("1 of 1 selection point lies")]
 
 
 @pytest.mark.parametrize(("heights", "text"), [
     ([15.0, -5.0], []),
-    ([15.1], ["Extrapolation: 1 check point lies far above or below the control."]),
-    ([-5.1, 5.0, 15.1], ["Extrapolation: 2 check points lie far above or below the control."])])
+    ([15.1], ["Extrapolation: 1 selection point lies far above or below the control."]),
+    ([-5.1, 5.0, 15.1], ["Extrapolation: 2 selection points lie far above or below the control."])])
 def test_check_points_beyond_half_the_relief_of_the_control(
         heights: list[float], text: list[str]) -> None:
     check = at(np.array([(5.0, 5.0, z) for z in heights]))

@@ -1,4 +1,4 @@
-"""Who looks at independent points and then takes another fit is told that they are spent."""
+"""Who looks at independent points and then takes another fit has no independent ones left."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _fit(out: Path, degree: int = 2, features: termsel.FeatureSet = SCENE,
 
 def _spent(result: termsel.Result) -> tuple[str, ...] | None:
     assert result.accuracy is not None
-    noted = [note for note in result.notes if "are spent" in note]
+    noted = [note for note in result.notes if "no longer independent" in note]
     assert len(noted) == bool(result.accuracy.spent_by)
     return result.accuracy.spent_by
 
@@ -30,9 +30,10 @@ def test_another_fit_over_the_same_points_spends_them(tmp_path: Path) -> None:
     assert _spent(_fit(tmp_path / "first")) is None
     again = _fit(tmp_path / "second", degree=3)
     assert _spent(again) == ("first",)
-    assert "26 independent points are spent: first showed their errors" in again.notes[-1]
-    assert "26 spent independent points" in again.summary()
-    assert "The points are spent" in again.summary()
+    assert "26 independent check points are no longer independent" in again.notes[-1]
+    assert "already assessed another fit, in first." in again.notes[-1]
+    assert "these points already assessed another fit" in again.summary()
+    assert "These check points already assessed" in again.summary(verbose=True)
     read = termsel.read_result(tmp_path / "second")
     assert _spent(read) == ("first",)
     assert read.summary() == again.summary()
@@ -83,5 +84,5 @@ def test_the_command_says_it(tmp_path: Path) -> None:
     command = ["run", "--problem", "poly-terms", "--solver", "all-terms", "--out"]
     first = CliRunner().invoke(cli, [*command, str(tmp_path / "a"), "--set", "degree=2"])
     second = CliRunner().invoke(cli, [*command, str(tmp_path / "b"), "--set", "degree=3"])
-    assert "spent" not in first.output
-    assert "spent: a showed" in " ".join(second.output.split())
+    assert "already assessed" not in first.output
+    assert "already assessed another fit" in " ".join(second.output.split())

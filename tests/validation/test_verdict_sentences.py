@@ -32,7 +32,7 @@ def judged(mine: float | None, theirs: float = 1.0, *, determined: bool = True, 
                  noise)
 
 
-NONE = " No plain polynomial is determined by control and check together."
+NONE = " Control and selection points together determine no polynomial."
 
 
 def test_an_infeasible_selection_gets_one_verdict_and_no_figure() -> None:
@@ -44,8 +44,8 @@ def test_an_infeasible_selection_gets_one_verdict_and_no_figure() -> None:
 
 def test_without_independent_points_nothing_is_compared() -> None:
     assert judged(None, reference="affine", noise=0.5) == (
-        "There are no independent points, so the accuracy of this selection is not known. The "
-        "search minimised press.")
+        "There are no independent check points, so the accuracy of this selection is not known. "
+        "The search minimised press.")
 
 
 @pytest.mark.parametrize(("mine", "theirs", "sentence"), [
@@ -63,54 +63,55 @@ def test_without_independent_points_nothing_is_compared() -> None:
     (0.00123, 0.00246, "2.0 times better than all lines (0.0012 px against 0.0025 px)"),
     (0.0, 0.0, "no better than all lines (0 px against 0 px)")])
 def test_the_selection_against_all_of_it(mine: float, theirs: float, sentence: str) -> None:
-    assert judged(mine, theirs) == f"The selection is {sentence} on 20 independent points.{NONE}"
+    assert judged(mine, theirs) == (
+        f"The selection is {sentence} at 20 independent check points.{NONE}")
 
 
 def test_better_than_a_failure_is_no_praise() -> None:
     others = (baseline("affine", 254.0),)
     assert judged(764.0, 369_000.0, others=others, reference="affine") == (
-        "The RMSE of the selection is 764.00 px on 20 independent points. Use something plainer: "
-        "an affine polynomial over control and check together, which the rule of auto chooses, is "
-        "3.0 times better (254.00 px).")
+        "The RMSE of the selection is 764.00 px at 20 independent check points. A simpler "
+        "model, an affine polynomial fitted to control and selection points, is 3.0 times better "
+        "(254.00 px).")
     assert judged(762.0, 369_000.0, others=others, reference="affine").startswith(
         "The selection is 484 times better than all lines")
 
 
 def test_one_independent_point_is_a_point() -> None:
     assert judged(1.0, n=1) == ("The selection is no better than all lines (1.00 px against 1.00 "
-                                f"px) on 1 independent point.{NONE}")
+                                f"px) at 1 independent check point.{NONE}")
     assert judge_choice(candidate("dlt"), None, rmse(1.0, 1), (), None) == (
-        "From control and check auto chooses a DLT. The RMSE of 1 independent point, "
+        "The automatic choice is a DLT. The RMSE at 1 independent check point, "
         "which took no part, is 1.00 px.")
 
 
 def test_a_conventional_fit_that_is_not_determined_is_said_to_be() -> None:
     assert judged(1.0, 2.0, determined=False) == (
-        "The selection is 2.0 times better than all lines (1.00 px against 2.00 px, which the "
-        f"control does not even determine) on 20 independent points.{NONE}")
+        "The selection is 2.0 times better than all lines (1.00 px against 2.00 px, which "
+        f"is rank-deficient) at 20 independent check points.{NONE}")
 
 
 @pytest.mark.parametrize(("name", "mine", "theirs", "sentence"), [
-    ("affine", 1.051, 1.0, "Use something plainer: an affine polynomial over control and check "
-     "together, which the rule of auto chooses, is 1.1 times better (1.00 px)."),
-    ("affine", 1.049, 1.0, "It is no better than an affine polynomial over control and check "
-     "together, which the rule of auto chooses (1.00 px)."),
-    ("affine", 1.0, 1.049, "It is no better than an affine polynomial over control and check "
-     "together, which the rule of auto chooses (1.05 px)."),
-    ("affine", 1.0, 1.051, "It beats an affine polynomial over control and check together, which "
-     "the rule of auto chooses, by 1.1 times (1.05 px)."),
-    ("shrunken-cubic", 4.0, 2.0, "Let auto choose instead: a regularised cubic polynomial over "
-     "control and check together, which the rule of auto chooses, is 2.0 times better (2.00 px)."),
-    ("rfm-3", 4.0, 2.0, "Let auto choose instead: a third-order RFM over control and check "
-     "together, which the rule of auto chooses, is 2.0 times better (2.00 px)."),
-    ("rfm-2", 4.0, 2.0, "Use something plainer: a second-order RFM over control and check "
-     "together, which the rule of auto chooses, is 2.0 times better (2.00 px).")])
+    ("affine", 1.051, 1.0, "A simpler model, an affine polynomial fitted to control and selection "
+     "points, is 1.1 times better (1.00 px)."),
+    ("affine", 1.049, 1.0, "It is no better than the automatic choice, an affine polynomial fitted "
+     "to control and selection points (1.00 px)."),
+    ("affine", 1.0, 1.049, "It is no better than the automatic choice, an affine polynomial fitted "
+     "to control and selection points (1.05 px)."),
+    ("affine", 1.0, 1.051, "It is 1.1 times better than the automatic choice, an affine polynomial "
+     "fitted to control and selection points (1.05 px)."),
+    ("shrunken-cubic", 4.0, 2.0, "The automatic choice, a regularised cubic polynomial fitted to "
+     "control and selection points, is 2.0 times better (2.00 px): omit --problem and --solver."),
+    ("rfm-3", 4.0, 2.0, "The automatic choice, a third-order RFM fitted to control and selection "
+     "points, is 2.0 times better (2.00 px): omit --problem and --solver."),
+    ("rfm-2", 4.0, 2.0, "A simpler model, a second-order RFM fitted to control and selection "
+     "points, is 2.0 times better (2.00 px).")])
 def test_the_selection_against_the_choice_of_auto(
         name: str, mine: float, theirs: float, sentence: str) -> None:
     others = (baseline("cubic", 0.001), baseline(name, theirs))
     text = judged(mine, mine, others=others, reference=name)
     start = f"The selection is no better than all lines ({mine:.2f} px against {mine:.2f} px)"
-    assert text == f"{start} on 20 independent points. {sentence}"
+    assert text == f"{start} at 20 independent check points. {sentence}"
 
 
 @pytest.mark.parametrize("reference", ["", "quadratic", "all-terms"])
@@ -134,32 +135,34 @@ def candidate(name: str) -> Candidate:
 def test_a_choice_states_its_prediction_if_there_is_one() -> None:
     none = rmse(None)
     assert judge_choice(candidate("shrunken-cubic"), 0.8765, none, (), 0.5) == (
-        "From control and check auto chooses a regularised cubic polynomial, with a "
-        "predicted RMSE of 0.88 px. There are no independent points to confirm it.")
+        "The automatic choice is a regularised cubic polynomial, with a "
+        "predicted RMSE of 0.88 px. It is not verified: there are no independent check points.")
     assert judge_choice(candidate("affine"), None, none, (), 0.5) == (
-        "From control and check auto chooses an affine polynomial. There are no "
-        "independent points to confirm it.")
+        "The automatic choice is an affine polynomial. It is not verified: there are no "
+        "independent check points.")
 
 
-CHOSEN = ("From control and check auto chooses a quadratic polynomial, with a predicted "
-          "RMSE of 2.00 px. The RMSE of 20 independent points, which took no part, is 1.00 px.")
+CHOSEN = ("The automatic choice is a quadratic polynomial, with a predicted "
+          "RMSE of 2.00 px. The RMSE at 20 independent check points, which took no part, is 1.00 "
+          "px.")
 
 
 @pytest.mark.parametrize(("others", "sentence"), [
     ((), ""),
-    ((baseline("dlt", 2.0, predicted=3.0),), " That is 2.0 times better than a DLT, the best of "
-     "the other plain structures at held-out features (1.00 px against 2.00 px)."),
+    ((baseline("dlt", 2.0, predicted=3.0),), " That is 2.0 times better than a DLT, the best "
+     "conventional model in cross-validation (1.00 px against 2.00 px)."),
     # The best by leave-one-out, not by independent points; of the plain ones; not the choice.
     ((baseline("affine", 0.5, predicted=4.0), baseline("dlt", 2.0, predicted=3.0)),
-     " That is 2.0 times better than a DLT, the best of the other plain structures at "
-     "held-out features (1.00 px against 2.00 px). At these points an affine polynomial is 2.0 "
-     "times better (0.50 px), in hindsight: nothing told so before."),
+     " That is 2.0 times better than a DLT, the best conventional model in "
+     "cross-validation (1.00 px against 2.00 px). At these points an affine polynomial is 2.0 "
+     "times better (0.50 px), which only these points show."),
     ((baseline("dlt", 1.02, predicted=3.0), baseline("rfm-3", 0.1, predicted=0.1),
       baseline("selected", 0.1, predicted=0.1), baseline("quadratic", 0.1, predicted=0.1)),
-     " That is no better than a DLT, the best of the other plain structures at held-out features "
-     "(1.00 px against 1.02 px)."),
+     " That is no better than a DLT, the best conventional model in "
+     "cross-validation (1.00 px against 1.02 px)."),
     ((baseline("rfm-2", 0.25, predicted=3.0),), " That is 4.0 times worse than a second-order "
-     "RFM, the best of the other plain structures at held-out features (1.00 px against 0.25 px)."),
+     "RFM, the best conventional model in cross-validation (1.00 px against 0.25 "
+     "px)."),
     ((baseline("dlt", 2.0),), ""),
     ((baseline("quadratic", 2.0, predicted=1.0),), ""),
     ((baseline("all-terms", 2.0, predicted=1.0),), "")])

@@ -164,7 +164,7 @@ def test_the_dock_works_in_qt_6(tmp_path: Path, example_files: Path) -> None:
     told = json.loads(ran.stdout)
     assert told["qt"].startswith("6.")
     assert told["rows"] == 97
-    assert "independent points" in told["accuracy"]
+    assert "independent check points" in told["accuracy"]
     assert told["candidates"] > 5
     assert (told["before"], told["left out"]) == ([], [told["first"]])
     name, asked = told["asked"]

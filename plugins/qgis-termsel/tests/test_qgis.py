@@ -229,7 +229,7 @@ def test_a_result_becomes_places_a_report_and_an_rpc(told: dict[str, Any], place
 def test_the_dock_shows_a_result_and_runs_it_again(told: dict[str, Any], place: Place) -> None:
     dock = told["dock"]
     assert dock["rows"] == 97
-    assert "independent points" in dock["accuracy"]
+    assert "independent check points" in dock["accuracy"]
     assert dock["first"] == ["C40", True]  # the blunder, and no check point
     assert {"residuals", "vectors", "blunders"} <= set(dock["layers"])
     assert dock["red"] > 5

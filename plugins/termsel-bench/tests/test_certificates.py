@@ -287,7 +287,7 @@ def test_axes_of_other_points_or_pixels_are_not_added(proof: tuple[dict[str, Any
     small = {**axis, **most, "errors": [[0.0, 1e-3]]}
     assert _checked({**content, "axes": [small]}, folder)[1] == 0
     for axes in (_copies(axis, **{**most, "errors": small["errors"]}), _copies(axis, pixels=0.5)):
-        with pytest.raises(check.Refused, match="same number of check points and pixels"):
+        with pytest.raises(check.Refused, match="same number of selection points and pixels"):
             _checked({**content, "axes": axes}, folder)
     for axes in ([], [axis, axis]):
         with pytest.raises(check.Refused, match="twice, or none"):
@@ -387,9 +387,9 @@ def test_the_whole_theorem_is_printed_before_what_is_proved(
     text = "\n".join(lines)
     start = lines.index("What is proved of it:")
     forced = ", ".join(f"t{j}" for j in smaller["forced"])
-    for said in ("SHA-256 " + "a" * 64, "10 equations", "7 check points",
+    for said in ("SHA-256 " + "a" * 64, "10 equations", "7 selection points",
                  f"forced into every selection, 2: {forced}", "room: at most 4 terms",
-                 "margin: denominators at the check points are at least 0.1",
+                 "margin: denominators at the selection points are at least 0.1",
                  f"limit of the sum of squared errors: {made['limit']:.12g}"):
         assert said in text
         assert said not in "\n".join(lines[start:])

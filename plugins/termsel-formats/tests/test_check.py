@@ -104,7 +104,7 @@ def test_a_raster_without_place_has_no_transformation(result: termsel.Result, tm
                                                       ) -> None:
     found, _ = compared(raster(tmp_path / "plain.tif"), result)
     assert all(one.over_image is None for one in found)
-    assert found[0].transformation == "none: places are pixels"
+    assert found[0].transformation == "none: no georeferencing"
 
 
 @pytest.mark.slow

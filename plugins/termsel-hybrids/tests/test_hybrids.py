@@ -385,7 +385,7 @@ def test_features_are_judged_with_the_correction_by_those_in_use(name: str) -> N
 
 @pytest.mark.parametrize("name", MODELS)
 def test_features_are_not_selected_without_check_points(name: str) -> None:
-    with pytest.raises(termsel.TermselError, match="cannot be selected without check points"):
+    with pytest.raises(termsel.TermselError, match="cannot be selected without selection points"):
         termsel.prepare("owdis-points", dataset="ikonos-hamedan", model=name, criterion="press")
 
 

@@ -118,8 +118,8 @@ def test_command() -> None:
     assert done.output.splitlines()[-4:-2] == [
         f"3 selections of {min(sizes)} to {max(sizes)} terms; {len(record['stable'])} terms in at "
         "least 60% of them.",
-        f"Fitted to control and check together: {independent['total']:.3f} px on "
-        f"{independent['n']} independent points."]
+        f"Fitted to control and selection points together: {independent['total']:.3f} px on "
+        f"{independent['n']} independent check points."]
     command = done.output.strip().splitlines()[-1].split()[1:]
     again = invoke(*command, "--json")
     assert again.exit_code == 0, again.output

@@ -131,7 +131,7 @@ def test_without_independent_points_the_metadata_say_so(files: Path, tmp_path: P
     write_sigma(result, tmp_path / "s.tif")
     with rasterio.open(tmp_path / "s.tif") as raster:
         assert raster.tags()["ACCURACY_STATED"].startswith(
-            "no: the result has no independent points")
+            "no: the result has no independent check points")
         assert "ACCURACY_RMSE_M" not in raster.tags()
 
 

@@ -145,7 +145,7 @@ def _theorem(content: dict[str, Any], axes: Sequence[Axis]) -> list[str]:
             f"  columns forced into every selection, {len(axis.forced)}: "
             f"{', '.join(axis.terms[j] for j in sorted(axis.forced)) or 'none'}",
             f"  room: at most {axis.room} terms in a selection",
-            f"  margin: denominators at the check points are at least {float(axis.margin):.6g}"
+            f"  margin: denominators at the selection points are at least {float(axis.margin):.6g}"
             if axis.rational else "  margin: none, as there are no denominators",
             f"  limit of the sum of squared errors: {float(axis.limit):.12g}, of pixels of "
             f"{float(axis.pixels):.6g}",
@@ -161,7 +161,7 @@ def require_together(axes: Sequence[Axis]) -> None:
     if not axes or len({axis.name for axis in axes}) < len(axes):
         raise Refused("an axis is there twice, or none is")
     if len({(axis.checks, axis.pixels) for axis in axes}) > 1:
-        raise Refused("the axes have not the same number of check points and pixels")
+        raise Refused("the axes have not the same number of selection points and pixels")
 
 
 def checksum(content: Any) -> str:

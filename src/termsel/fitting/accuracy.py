@@ -203,7 +203,7 @@ def asprs(points: int, ground: OnGround | None) -> StandardFigure:
 
 def _missing(points: int, ground: OnGround | None, fewest: int, more: str = "") -> str | None:
     if points < fewest:
-        return f"{counted(points, 'independent point')}, at least {fewest} needed{more}"
+        return f"{counted(points, 'independent check point')}, at least {fewest} needed{more}"
     if ground is None:
         return "the errors on the ground are not known in metres"
     return None

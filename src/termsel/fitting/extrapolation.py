@@ -57,7 +57,7 @@ def warnings_of(control: FeatureSet, used: BoolArray, check: Points) -> Iterator
         far = beyond(mine, check.image) > FAR
         if far.any():
             n += int(far.sum())
-            found.append(f"{far.sum()} of {counted(len(far), 'check point')}")
+            found.append(f"{far.sum()} of {counted(len(far), 'selection point')}")
     if control.image_size is not None:
         lines, samples = control.image_size
         corners = np.array([(i, j) for i in (0.0, lines - 1.0) for j in (0.0, samples - 1.0)])
@@ -75,5 +75,5 @@ def warnings_of(control: FeatureSet, used: BoolArray, check: Points) -> Iterator
         above = np.maximum(others - heights.max(), heights.min() - others)
         n = int((above > FAR * span).sum())
         if n:
-            yield (f"Extrapolation: {counted(n, 'check point')} lie{'s' * (n == 1)} far above or "
-                   "below the control.")
+            yield (f"Extrapolation: {counted(n, 'selection point')} lie{'s' * (n == 1)} far above "
+                   "or below the control.")

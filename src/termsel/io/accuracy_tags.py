@@ -28,10 +28,10 @@ def accuracy_tags(result: Result) -> dict[str, str]:
         f"predicted RMSE {expected.rmse:.3g} px "
         f"({100 * expected.level:g} % interval {expected.low:.3g} to {expected.high:.3g} px)")
     if accuracy is None:
-        tags["ACCURACY_STATED"] = "no: the result has no independent points" + (
+        tags["ACCURACY_STATED"] = "no: the result has no independent check points" + (
             f"; {predicted}" if predicted else "")
         return tags
-    stated = "by independent points, which took no part in any choice" + (
+    stated = "by independent check points, which took no part in any choice" + (
         f" of this run; an earlier result showed {accuracy.spent_count} of them"
         if accuracy.spent_count else "")
     tags["ACCURACY_STATED"] = f"{predicted}; below {stated}" if predicted_first(record) else stated

@@ -37,11 +37,11 @@ def _of_others(writer: type[Writer]) -> set[str]:
 def as_exported(result: Result, final: bool | None) -> Result:
     """Return the result with the fit that is exported (see `Result.as_exported`), and say so."""
     if result.final is not None and final is False:
-        log.info("Fit: to control and check points, without independent ones.")
+        log.info("Exporting the fit without independent check points.")
     elif result.final is not None:
         control = result.final.control
-        log.info("Fit: to all %d %s, independent ones included. --no-final takes the fit "
-                 "without them, whose accuracy is known.", len(control), control.word)
+        log.info("Exporting the refit to all %d %s; the accuracy refers to the fit without "
+                 "independent check points (--no-final).", len(control), control.word)
     return result.as_exported(final)
 
 

@@ -55,11 +55,11 @@ def with_spent(result: Result, folder: Path) -> Result:
     named = tuple(sorted(names))
     single = len(shown) == 1
     of_all = "" if len(shown) == len(mine) else f" of {len(mine)}"
-    note = (f"{len(shown)}{of_all} independent point{'s' * (len(mine) > 1)} "
-            f"{'is' if single else 'are'} spent: "
-            f"{first_of(named)} showed {'its error' if single else 'their errors'} under another "
-            "fit. A fit that is chosen by them looks better than it is. Compare fits by check "
-            "points or by the predicted RMSE, or measure new independent points.")
+    note = (f"{len(shown)}{of_all} independent check point{'s' * (len(mine) > 1)} "
+            f"{'is' if single else 'are'} no longer independent: {'it' if single else 'they'} "
+            "already assessed another fit, in "
+            f"{first_of(named)}. A fit that is chosen by them looks better than it is. Compare "
+            "fits by selection points or by the predicted RMSE, or measure new check points.")
     return replace(result, notes=(*result.notes, note), accuracy=msgspec.structs.replace(
         result.accuracy, spent_by=named,
         spent=tuple(name for name in result.features.points.ids if name in shown)))

@@ -12,7 +12,7 @@ from termsel.models.quotient import MonomialModel
 WEIGHTED = Option(
     "weighted", False, "Divide the equations by the denominators and iterate, to the least squares "
     "of distances in the image: each fit, and with control points each selection that a search "
-    "judges by check points.", bool)
+    "judges by selection points.", bool)
 
 
 class Projective(MonomialModel):

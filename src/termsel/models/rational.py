@@ -53,7 +53,7 @@ class RationalFunctions(MonomialModel):
                float, 0.0, 1e6),
         Option("weighted", False, "Divide the equations by the denominators and iterate, to the "
                "least squares of distances in the image: each fit, and with control points each "
-               "selection that a search judges by check points.", bool),
+               "selection that a search judges by selection points.", bool),
     )
 
     @cached_property

@@ -26,6 +26,8 @@ _LONGEST_OPTION = 60
 """Characters of the option that leaves out outliers."""
 _WIDTH, _FULL_WIDTH = 76, 86
 """Characters of a line next to its label, and of one without a label."""
+_MOST_OF_A_WARNING = 3
+"""Lines that other facts leave to the first warning."""
 _NO_FIT, _BLUNT = 0.01, 0.005
 """Shares of the extent of the features in the image: of an RMSE, beyond which no model fits, and of
 an error that must be exceeded to be detected."""
@@ -40,7 +42,8 @@ _DIMENSIONS = {"poly2d": "2-D", "poly3d": "3-D"}
 def first_screen(record: Record) -> list[Fact]:
     """Return the facts of the first screen; one more line is left for the command that follows."""
     warnings = _warnings(record)
-    room = LINES - 1 - min(len(warnings), 2)
+    reserved = min(_height(Fact(warnings[0], "Caution")), _MOST_OF_A_WARNING) if warnings else 0
+    room = LINES - 1 - reserved - (1 if len(warnings) > 1 else 0)
     facts = _facts(record, brief=0)
     for brief in (1, 2):
         if _total_height(facts) > room:
@@ -394,25 +397,29 @@ def _search(record: Record) -> Iterator[str]:
 
 
 def _warnings(record: Record) -> list[str]:
-    """Return what is urgent, then the first sentence of each note that nothing above it says."""
-    return [*_urgent(record), *(_first_sentence(note) for note in record.notes
-                                if note and not _is_shown(note))]
+    """Return what is urgent, then each note that nothing above it says."""
+    return [*_urgent(record), *(note for note in record.notes if note and not _is_shown(note))]
 
 
 def _cautions(warnings: Sequence[str], room: int) -> Iterator[Fact]:
-    """Yield the most urgent warnings as far as there is room, and how many more there are."""
+    """Yield the most urgent warnings as far as there is room, and how many more there are.
+
+    A warning that does not fit as a whole is given by its first sentence.
+    """
     label = "Caution"
     for i, warning in enumerate(warnings):
         rest = len(warnings) - i
-        fact = Fact(warning, label)
-        line_for_the_count = 1 if rest > 1 else 0
-        if _height(fact) + line_for_the_count > room and i == 0:
-            fact = Fact(cut(warning, _WIDTH), label)
-        if _height(fact) + line_for_the_count > room and i > 0:
+        space = room - (1 if rest > 1 else 0)
+        texts = [warning.removesuffix("."), _first_sentence(warning)]
+        if i == 0:
+            texts.append(cut(_first_sentence(warning), _WIDTH - 1))
+        fitting = [fact for fact in (Fact(text, label) for text in texts)
+                   if _height(fact) <= max(space, 1 if i == 0 else 0)]
+        if not fitting:
             yield Fact(f"{counted(rest, 'more note')}: --verbose", label)
             return
-        yield fact
-        room -= _height(fact)
+        yield fitting[0]
+        room -= _height(fitting[0])
         label = " "
 
 

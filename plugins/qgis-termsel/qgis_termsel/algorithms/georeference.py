@@ -103,7 +103,7 @@ class Georeference(Algorithm):
         self.addOutput(QgsProcessingOutputVectorLayer("VECTORS", "Residual vectors"))
         self.addOutput(QgsProcessingOutputVectorLayer("WRONG", "Layer of blunders"))
         self.addOutput(QgsProcessingOutputHtml("SUMMARY", "Summary"))
-        self.addOutput(QgsProcessingOutputNumber("RMSE", "RMSE of independent points [px]"))
+        self.addOutput(QgsProcessingOutputNumber("RMSE", "RMSE of independent check points [px]"))
         self.addOutput(QgsProcessingOutputString("BLUNDERS", "Blunders"))
 
     def processAlgorithm(self, parameters, context, feedback):
@@ -164,7 +164,7 @@ class Georeference(Algorithm):
             # here.
             if _WITHOUT_CHECK not in str(error):
                 raise
-            feedback.pushInfo("The points are too few for check points: none are set aside.")
+            feedback.pushInfo("The points are too few for selection points: none are set aside.")
             printed = run([*command, *_WITHOUT_CHECK.split()], feedback)
         record = json.loads(printed)
         rpc = self.parameterAsFile(parameters, "RPC", context)

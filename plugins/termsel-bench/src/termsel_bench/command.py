@@ -24,7 +24,7 @@ REFUTED = 2
 @click.option("--solver", "solvers", multiple=True, metavar="NAME", help="A solver of terms.")
 @click.option("--problem", metavar="NAME", help="Problem of the solvers; that of the set else.")
 @click.option("--model", "models", multiple=True, metavar="NAME",
-              help="A model, fitted to control and check points.")
+              help="A model, fitted to control and selection points.")
 @click.option("--package", "packages", multiple=True, metavar="MODULE[:FUNCTION]",
               help="A function of your own; georeference, if none is named. With --check: one "
                    "that results may be of.")
@@ -134,7 +134,7 @@ def _run(methods: Sequence[Method], names: Sequence[str], real: Path | None, pro
             echo(f"{len(scored)} of {total}: {score.set_name}", err=True)
     header, rows = by_kind(scored)
     print_table(header, rows)
-    echo("\nMedian ratio of the RMSE of independent points to the least of each set.")
+    echo("\nMedian ratio of the RMSE of independent check points to the least of each set.")
     lost_sets = losses(scored, methods[0].title)
     if len(methods) > 1:
         names_of_lost = ", ".join(loss.set_name for loss, _ in lost_sets)

@@ -36,9 +36,10 @@ def document(scores: Sequence[Score], title: str = AUTO.title) -> Document:
     named = any(score.method.title == title for score in scores)
     return Document(
         "termsel-bench", f"sets of version {VERSION}, termsel {__version__}",
-        (f"{len(rows)} methods on {len(sets)} sets. A method sees control and check points, lines, "
-         "the image's size and the RPC of a set. Independent points, which no method sees, judge "
-         "it.",),
+        (f"{len(rows)} methods on {len(sets)} sets. A method sees control and selection points, "
+         "lines, "
+         "the image's size and the RPC of a set. Independent check points, which no method sees, "
+         "judge it.",),
         (Section("Which method is best on which kind of image?", (summary,)),
          *([Section(f"Where does {title} lose?", (
              f"It loses on {len(worse)} of {len(sets)} sets.", *([lost] if worse else [])))]

@@ -381,11 +381,11 @@ def text_of(selected: Selected) -> str:
     """Return a summary."""
     lines = [f"Selected: {len(selected.control)} control features and {len(selected.ties)} ties, "
              f"by {selected.search.evaluations} evaluations.",
-             f"Check points: RMSE {selected.check:.2f} px; {selected.check_of_all:.2f} px with all "
-             "candidates. They chose, so that this is no accuracy."]
+             f"Selection points: RMSE {selected.check:.2f} px; {selected.check_of_all:.2f} px with "
+             "all candidates. They chose, so that this is no accuracy."]
     if selected.independent is not None and selected.independent_of_all is not None:
-        lines.append(f"Independent points: RMSE {selected.independent:.2f} px; "
+        lines.append(f"Independent check points: RMSE {selected.independent:.2f} px; "
                      f"{selected.independent_of_all:.2f} px with all control and ties.")
     if selected.search.certificate and selected.search.certificate.get("optimal"):
-        lines.append("The selection is proven to be the best of all for the check points.")
+        lines.append("The selection is proven to be the best of all for the selection points.")
     return "\n".join(lines) + "\n"

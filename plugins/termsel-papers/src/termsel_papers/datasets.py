@@ -30,7 +30,7 @@ SIMULATED = {
 # They are read from files of the package, not simulated, so that every machine has the same digits.
 DATASETS = [
     DatasetSpec(f"{scene}-{control}-{check}",
-                f"simulated scene {scene}: {control} control and {check} check points as in "
+                f"simulated scene {scene}: {control} control and {check} selection points as in "
                 f"{source}; {_INDEPENDENT} independent ones",
                 partial(kept_features, "termsel_papers", f"{scene}-{control}-{check}"),
                 simulated=True)

@@ -27,7 +27,7 @@ class E50PerArea(Criterion):
         """Return the figure [px]; infinite for points on a straight line."""
         if not len(fits.check):
             raise TermselError("the criterion e50-area requires points that judge, and there are "
-                               "none", hint="Choose --set judged_by=all, or give check points.")
+                               "none", hint="Choose --set judged_by=all, or give selection points.")
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             errors = np.hypot(fits.check_errors[..., 0], fits.check_errors[..., 1])
             covered = 1.0 - uncovered_share(fits.control.image, fits.in_use[:, :len(fits.control)])

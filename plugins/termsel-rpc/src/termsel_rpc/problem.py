@@ -22,8 +22,8 @@ from termsel_rpc.refinement import FloatArray
 from termsel_rpc.simulated import CANDIDATES
 
 JUDGED_BY = Option(
-    "judged_by", "all", "Points of the criterion: all control candidates and check points, as in "
-                        "Konugurthi et al. 2016, or only the check points.",
+    "judged_by", "all", "Points of the criterion: all control candidates and selection points, as "
+                        "in Konugurthi et al. 2016, or only the selection points.",
     choices=("all", "check"))
 
 

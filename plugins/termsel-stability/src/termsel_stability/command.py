@@ -34,7 +34,7 @@ _SOLVER, _CRITERION = "all-terms", "press"
 
 @click.command()
 @click.option("--repeats", type=click.IntRange(2, 10_000), default=20, show_default=True,
-              help="How many times control and check points are drawn.")
+              help="How many times control and selection points are drawn.")
 @click.option("--threshold", type=click.FloatRange(0, 1, min_open=True), default=0.6,
               show_default=True, help="Frequency from which on a term is stable.")
 @run_options
@@ -115,8 +115,8 @@ def _show(repeated: Stability) -> None:
     if not repeated.determined:
         echo("The stable terms alone are no model. Lower --threshold.")
     elif independent is not None:
-        echo(f"Fitted to control and check together: {independent.total:.3f} px on "
-             f"{independent.n} independent points.")
+        echo(f"Fitted to control and selection points together: {independent.total:.3f} px on "
+             f"{independent.n} independent check points.")
 
 
 def _for_stable(problem: str, run_settings: Asked, options: Mapping[str, str],

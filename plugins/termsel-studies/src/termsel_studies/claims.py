@@ -65,9 +65,10 @@ def _single(groups: Groups) -> list[str]:
         best = min(repeated, key=lambda method: quantiles(by_method[method].values, (0.5,)))
         sizes = {rival: effect_size(by_method[best].values, by_method[rival].values)
                  for rival in repeated if rival != best}
-        words = [f"{size_in_words(value)} difference from {rival} ({value:.2f})"
+        words = [f"{size_in_words(value)} difference from {rival} (A12 = {value:.2f})"
                  for rival, value in sizes.items()]
-        sentences.append(f"On {name}, {best} has the lowest median of those with several runs: "
+        sentences.append(f"On {name}, {best} has the lowest median of the methods with several "
+                         "runs: "
                          f"{'; '.join(words)}.")
     return sentences
 

@@ -35,7 +35,7 @@ FILES = ("summary.md", "summary.tex", REPORT, "figures")
 """Files and folders that `write` writes."""
 
 _SMALL = ("Arrows are the residuals of all features: blue of control, orange of check, black "
-          "(white on a dark page) of independent points. Red rings are probable "
+          "(white on a dark page) of independent check points. Red rings are probable "
           "blunders. Each drawing has its own scale.")
 
 

@@ -41,7 +41,7 @@ def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Seque
     text = ",".join(pairs)
     error.options["--columns"] = text
     doubt = " Put the column for each ?." if "?" in text else \
-        " Check which is which: the file does not tell." if columns.keys() - found else ""
+        " This column mapping is a guess: check it." if columns.keys() - found else ""
     error.hint = f"{error.hint or ''} Declare the columns: --columns {text!r}.{doubt}"
     return error
 

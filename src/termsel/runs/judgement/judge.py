@@ -45,14 +45,14 @@ def judge(conventional: str, criterion: str, rmse: Rmses,
     """
     if not converged:
         return ("The fit of this selection did not converge: its coefficients are those of the "
-                "last step. Do not use it: give more control or choose a plainer model.")
+                "last step. Do not use it: measure more control points or choose a simpler model.")
     if not feasible:
         return ("This selection does not satisfy all conditions, and no better one was found. It "
                 "has undetermined or too many terms, an axis without terms, or a pole in the "
-                "scene. Do not use it: give more control or choose a smaller model.")
+                "scene. Do not use it: measure more control points or choose a smaller model.")
     mine = rmse["independent"]
     if mine is None:
-        return ("There are no independent points, so the accuracy of this selection is not "
+        return ("There are no independent check points, so the accuracy of this selection is not "
                 f"known. The search minimised {criterion}.")
     best = next((b for b in baselines if b.name == reference), None)
     # Better than what fails is nothing to be proud of.
@@ -64,25 +64,25 @@ def judge(conventional: str, criterion: str, rmse: Rmses,
     else:
         first = _compare("The selection is", mine.total, _independent(baselines[0]), conventional,
                          determined=baselines[0].determined)
-    sentences = [f"{first} on {counted(mine.n, 'independent point')}."]
+    sentences = [f"{first} at {counted(mine.n, 'independent check point')}."]
     candidate = candidate or named(reference)
     if best is not None and candidate is not None:
-        without = f" without {counted(blunders, 'blunder')}" if blunders else ""
-        title = (f"{candidate.title} over control and check together{without}, which the rule of "
-                 "auto chooses")
+        removed = ", outliers removed" if blunders else ""
+        title = f"{candidate.title} fitted to control and selection points{removed}"
         ratio = _ratio(mine.total, _independent(best))
-        if ratio > ALIKE:
-            advice = ("Let auto choose instead" if blunders or not candidate.is_plain else
-                      "Use something plainer")
-            sentences.append(f"{advice}: {title}, is {_times(ratio)} better "
-                             f"({_px(_independent(best))}).")
+        size = _px(_independent(best))
+        if ratio > ALIKE and (blunders or not candidate.is_plain):
+            sentences.append(f"The automatic choice, {title}, is {_times(ratio)} better ({size}): "
+                             "omit --problem and --solver.")
+        elif ratio > ALIKE:
+            sentences.append(f"A simpler model, {title}, is {_times(ratio)} better ({size}).")
         elif ratio > 1 / ALIKE:
-            sentences.append(f"It is no better than {title} ({_px(_independent(best))}).")
+            sentences.append(f"It is no better than the automatic choice, {title} ({size}).")
         else:
-            sentences.append(f"It beats {title}, by {_times(1 / ratio)} "
-                             f"({_px(_independent(best))}).")
+            sentences.append(f"It is {_times(1 / ratio)} better than the automatic choice, {title} "
+                             f"({size}).")
     else:
-        sentences.append("No plain polynomial is determined by control and check together.")
+        sentences.append("Control and selection points together determine no polynomial.")
     if noise is not None:
         sentences.append(f"Measurement noise alone gives {_px(noise * np.sqrt(2))}.")
     return " ".join(sentences)
@@ -100,12 +100,12 @@ def judge_choice(chosen: Candidate, predicted: float | None, rmse: Rmses,
     """
     measured = rmse["independent"]
     expected = "" if predicted is None else f", with a predicted RMSE of {_px(predicted)}"
-    sentences = [f"From control and check auto chooses {chosen.title}{expected}."]
+    sentences = [f"The automatic choice is {chosen.title}{expected}."]
     if measured is None:
-        sentences.append("There are no independent points to confirm it.")
+        sentences.append("It is not verified: there are no independent check points.")
     else:
-        sentences.append(f"The RMSE of {counted(measured.n, 'independent point')}, which took no "
-                         f"part, is {_px(measured.total)}.")
+        sentences.append(f"The RMSE at {counted(measured.n, 'independent check point')}, which "
+                         f"took no part, is {_px(measured.total)}.")
     rivals = [(b.predicted, b, candidate.title) for b in baselines if b.predicted is not None
               and (candidate := registry().known("candidates", b.name))
               and candidate.is_plain and candidate is not chosen]
@@ -113,7 +113,7 @@ def judge_choice(chosen: Candidate, predicted: float | None, rmse: Rmses,
         by_points = measured is not None and (predicted is None
                                               or measured.n >= MANY_INDEPENDENT)
         held_out, best, title = min(rivals, key=lambda rival: rival[0])
-        title = f"{title}, the best of the other plain structures at held-out features"
+        title = f"{title}, the best conventional model in cross-validation"
         if by_points and measured is not None:
             sentences.append(_compare("That is", measured.total, _independent(best), title,
                                       determined=best.determined) + ".")
@@ -143,7 +143,7 @@ def _in_hindsight(mine: float, named: Baseline,
     ratio = _ratio(mine, _independent(best))
     if ratio > ALIKE and best is not named:
         yield (f"At these points {title} is {_times(ratio)} better ({_px(_independent(best))}), "
-               "in hindsight: nothing told so before.")
+               "which only these points show.")
 
 
 def name_conventional(genome: Genome, observations: Observations) -> str:
@@ -179,7 +179,7 @@ def _times(ratio: float) -> str:
 
 def _compare(start: str, mine: float, theirs: float, title: str, *, determined: bool) -> str:
     figures = f"({_px(mine)} against {_px(theirs)}"
-    figures += ")" if determined else ", which the control does not even determine)"
+    figures += ")" if determined else ", which is rank-deficient)"
     ratio = _ratio(theirs, mine)
     if ratio > ALIKE:
         return f"{start} {_times(ratio)} better than {title} {figures}"
@@ -195,14 +195,14 @@ def notes_on(observations: Observations, criterion: Criterion, found: Search,
     if len(observations.control.lines) and not len(observations.control.points):
         idle = len(observations.off)
         if idle:
-            yield (f"{counted(idle, 'control point')} of the file stay{'s' * (idle == 1)} out, as "
-                   "lines are the control here; --set mixed=true uses both.")
+            yield (f"{counted(idle, 'control point')} of the file {'is' if idle == 1 else 'are'} "
+                   "unused: lines are the control; --set mixed=true uses both.")
     lines = chosen.control.take(chosen.used).lines
     if len(lines) and not len(observations.control.points):
         spread = orientation_spread(lines)
         if spread < PARALLEL:
             yield (f"The lines in use run nearly alike (orientation spread {spread:.2g} of 1): "
-                   "along them the model is hardly determined.")
+                   "the model is hardly determined along them.")
     prior = chosen.model.equations(chosen.scaled_control).prior
     if prior is not None and prior[chosen.terms].any() and chosen.estimator.least_squares:
         yield (f"Pseudo-observations of weight {prior.max()**2:.3g} hold coefficients of "
@@ -212,13 +212,13 @@ def notes_on(observations: Observations, criterion: Criterion, found: Search,
                "linear solution about the fit of all terms; the selection itself took "
                f"{counted(chosen.adjustment.steps or 0, 'step')}.")
     if found.interrupted:
-        yield "The search was interrupted; this is the best it had found."
+        yield "The search was interrupted; this is the best selection so far."
     check = chosen.rmse(observations.check)
     independent = chosen.rmse(observations.independent)
     if (criterion.needs_check and check and independent
             and independent.total > 1.5 * check.total):
         yield (f"The independent RMSE is {independent.total / check.total:.1f} times the check "
-               "RMSE: the selection is fitted to the check points.")
+               "RMSE: the selection is fitted to the selection points.")
     yield from warnings_of(observations.control, chosen.used, observations.check)
     seen = found.objectives[0]
     if (criterion.name == "check-rmse" and check and chosen.estimator.least_squares
@@ -230,6 +230,6 @@ def notes_on(observations: Observations, criterion: Criterion, found: Search,
                    "the fit was then iterated.")
         else:
             yield (f"The search minimised an RMSE of {seen:.4g} px over the points that the "
-                   "problem judges by, which are not the check points alone.")
+                   "problem judges by, which are not the selection points alone.")
     if chosen.adjustment.redundancy == 0:
-        yield "The adjustment has no redundancy: its residuals say nothing."
+        yield "The adjustment has no redundancy: its residuals are no measure of accuracy."

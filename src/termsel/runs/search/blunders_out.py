@@ -48,7 +48,7 @@ def search_without_blunders(task: Task, verdict: Verdict | None = None,
         # A second search would have no time.
         if not found.violation or found.interrupted or how.get("seconds") is not None:
             return less, replace(found, notes=(*found.notes, (
-                "The search did without blunders; --set blunders=keep searches with them.")))
+                "Outliers were removed before the search; --set blunders=keep keeps them.")))
     found = recommended(task, search_in_steps(task, **how))
     return task, replace(found, notes=(*found.notes, (
         "Blunders are in use: without them no selection satisfies all conditions.")))

@@ -139,8 +139,8 @@ def _on_flat(control: Control, others: Points) -> Iterator[str]:
         covered = f"the height {low} m alone" if low == high else \
             f"heights from {low} to {high} m on one plane"
         each = _rounded(HIGH / unit * does[0] / above[0])
-        yield (f"The control covers {covered}. A place is uncertain by some {each} px for each "
-               f"{HIGH:g} m above or below it.")
+        yield (f"The control covers {covered}. Expect about {each} px error per "
+               f"{HIGH:g} m outside it.")
     off, effect = off_plane(control, others.ground)
     far = effect > MEASURED
     if far.any():
@@ -164,8 +164,8 @@ def _on_twins(both: Points, independent: Points) -> Iterator[str]:
     shared = [group for group in groups(every.ids, twins(every.ground, both.ground))
               if 0 < len(apart.intersection(group)) < len(group)]
     if shared:
-        yield (f"Independent points at the places of control or check points do not test the "
-               f"model: {_listed(shared)}.")
+        yield ("Independent check points at the places of control or selection points do not test "
+               f"the model: {_listed(shared)}.")
 
 
 def _listed(found: list[tuple[str, ...]]) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from termsel.core.errors import TermselError, counted
+from termsel.data.features import FeatureSet
 from termsel.data.roles import Observations
 from termsel.fitting.diagnosis import orientation_spread
 from termsel.models.base import SensorModel
@@ -31,19 +32,16 @@ def require_enough(observations: Observations, recipe: Recipe, criterion: Criter
     check = observations.check
     if len(control) < least:
         raise TermselError(
-            f"Of your {counted(_count(observations), 'feature')} {len(control)} "
-            f"{'is' if len(control) == 1 else 'are'} control; "
-            f"{recipe.name} needs at least {least}",
-            hint="Measure more, or give more of them the role control."
-                 + " --criterion press needs no check points." * criterion.needs_check
+            f"only {_given(control)}; {recipe.name} needs at least {least}",
+            hint="Measure more, or give more features the role control."
+                 + " --criterion press needs no selection points." * criterion.needs_check
                  + CORRECTED * ("rpc" in model.options))
     if criterion.needs_check and len(check) < MIN_CHECK:
         raise TermselError(
-            f"Of your {counted(_count(observations), 'feature')} "
-            + ("1 is a check point" if len(check) == 1 else f"{len(check)} are check points")
-            + f"; the criterion {criterion.name} needs at least {MIN_CHECK}",
-            hint="Give more points the role check; they judge the fitness of a selection. The "
-                 "criterion press needs none (--criterion press).")
+            f"only {counted(len(check), 'selection point')} (role check); the criterion "
+            f"{criterion.name} needs at least {MIN_CHECK}",
+            hint="Give more points the role check: they choose among selections. The criterion "
+                 "press needs none (--criterion press).")
     if least == 1:
         return  # what is known of the image makes up for what they do not determine
     if not np.ptp(control.image_vertices(), axis=0).any():
@@ -61,6 +59,7 @@ def require_enough(observations: Observations, recipe: Recipe, criterion: Criter
             hint="Add lines of another direction, or control points with --set mixed=true.")
 
 
-def _count(observations: Observations) -> int:
-    """Return how many features there are, in whatever role."""
-    return len(observations.features.points) + len(observations.control.lines.features)
+def _given(control: FeatureSet) -> str:
+    """Return how many control features there are, such as "1 control point"."""
+    word = control.word.removesuffix("s")
+    return counted(len(control), f"control {word}")

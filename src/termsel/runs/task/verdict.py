@@ -158,8 +158,8 @@ def judge_independent(observations: Observations, choice: Choice | None,
     if found is None or not found.blunders.any():
         return Verdict(), observations
     if found.blunders.mean() > MOST and known is None:
-        said = ("The independent point contradicts" if len(points) == 1 else
-                f"{int(found.blunders.sum())} of {len(points)} independent points contradict")
+        said = ("The independent check point contradicts" if len(points) == 1 else
+                f"{int(found.blunders.sum())} of {len(points)} independent check points contradict")
         return Verdict(notes=(
             f"{said} control and check. Either {'it was' if len(points) == 1 else 'they were'} "
             "measured differently, or the model does not hold there.",)), observations

@@ -115,8 +115,8 @@ RECOMMEND_TERMS = replace(RECOMMEND, doc=RECOMMEND.doc.replace(
     choices=(*RECOMMEND.choices, "ebic"))
 
 BLUNDERS = Option(
-    "blunders", "leave-out", "What becomes of blunders among control and check points: leave-out "
-    "searches without them; keep is the search as published.",
+    "blunders", "leave-out", "What becomes of blunders among control and selection points: "
+    "leave-out searches without them; keep is the search as published.",
     choices=("leave-out", "keep"))
 
 CAP = next(option for option in TERM_OPTIONS if option.name == "max_share")

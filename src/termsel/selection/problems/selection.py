@@ -67,7 +67,7 @@ class SelectionProblem(Problem):
         self.objectives = (inputs.criterion.name, *further)
         self.equations = first_order(model, control)
         if _weighted(inputs) and not inputs.criterion.needs_check:
-            raise TermselError("weighted=true judges selections by check points",
+            raise TermselError("weighted=true judges selections by selection points",
                                hint="Choose --criterion check-rmse.")
         # Denominators must be positive at all of these, wherever the image is used.
         self._guard = guard_points(control, inputs.check)
@@ -88,7 +88,8 @@ class SelectionProblem(Problem):
         if features:
             if model.corrects and not inputs.criterion.needs_check:
                 raise TermselError(
-                    f"features of model {model.name!r} cannot be selected without check points: it "
+                    f"features of model {model.name!r} cannot be selected without selection "
+                    "points: it "
                     "corrects its predictions by control", hint="Choose --criterion check-rmse.")
             min_features, max_features = _feature_counts(inputs)
             if subset and min_features == max_features:

@@ -57,7 +57,7 @@ def described(sets: Iterable[BenchSet]) -> dict[str, Any]:
         "@context": CONTEXT, "@type": "sc:Dataset", "conformsTo":
         "http://mlcommons.org/croissant/1.0", "name": "termsel-bench", "version": VERSION,
         "description": "Simulated ground control of images of nine kinds, to compare methods of "
-                       f"georeferencing. Each set has {INDEPENDENT:,} independent points.",
+                       f"georeferencing. Each set has {INDEPENDENT:,} independent check points.",
         "license": "https://spdx.org/licenses/MIT.html", "isLiveDataset": False,
         "creator": {"@type": "sc:Organization", "name": "The termsel developers"},
         "citeAs": "The termsel developers, termsel-bench " + VERSION,

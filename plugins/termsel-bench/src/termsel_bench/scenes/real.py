@@ -84,7 +84,7 @@ def real_set(folder: Path) -> BenchSet:
     judging = roles == "independent"
     is_seen = (roles == "control") | (roles == "check")
     if judging.sum() < 2 or not is_seen.any():
-        raise TermselError(f"{declared['points']} has {judging.sum()} independent points and "
+        raise TermselError(f"{declared['points']} has {judging.sum()} independent check points and "
                            f"{is_seen.sum()} others", file=str(file),
                            hint="Give points the roles control, check and independent.")
     points: Points = features.points

@@ -75,8 +75,8 @@ def page_of(result: BlockResult, record: BlockRecord) -> str:
             f"</h1><pre>{html.escape(opening(record))}</pre><section><h2>Images</h2>"
             f"<div class=wide tabindex=0><table><thead><tr>{heads}</tr></thead><tbody>{rows}"
             "</tbody></table></div><p>Predicted is the RMSE of points measured as the control is, "
-            "at the places of the independent points, or of the ties where there are none.</p>"
-            f"</section>{figures}{_left_out(record)}</main></body></html>\n")
+            "at the places of the independent check points, or of the ties where there are "
+            f"none.</p></section>{figures}{_left_out(record)}</main></body></html>\n")
 
 
 def _figure(title: str, text: str, draw: Callable[[], str]) -> str:

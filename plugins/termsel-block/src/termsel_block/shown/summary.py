@@ -17,36 +17,37 @@ def text_of(record: BlockRecord, *, verbose: bool = True) -> str:
 def opening(record: BlockRecord) -> str:
     """Return what was read, how accurate it is, and what to do next."""
     points = sum(image.control for image in record.images)
-    measured = (f"{len(record.images)} images, {record.ties} ties measured {record.measurements} "
-                f"times, {points} measurements of control, CRS {record.crs}.")
+    measured = (f"{len(record.images)} images, {record.ties} ties with {record.measurements} "
+                f"observations, {points} GCP observations, CRS {record.crs}.")
     worst = max(record.images, key=lambda image: image.uncertainty)
     with_accuracy = [image for image in record.images if image.independent is not None]
     lines = ["Read: " + measured, "Datum: " + record.datum,
-             f"Precision: a tie is measured to {record.sigma_ties:.2f} px, control to "
+             f"Sigma of image measurements: ties {record.sigma_ties:.2f} px, control points "
              f"{record.sigma_control:.2f} px."]
     if with_accuracy:
         # The mean over all measurements, not over images.
         squares = sum(image.n_independent * (image.independent or 0.0)**2
                       for image in with_accuracy)
         n = sum(image.n_independent for image in with_accuracy)
-        lines.append(f"Accuracy: RMSE {(squares / n) ** 0.5:.2f} px on {n} measurements of "
-                     f"independent points in {len(with_accuracy)} images.")
+        lines.append(f"Accuracy: RMSE {(squares / n) ** 0.5:.2f} px on {n} observations of "
+                     f"independent check points in {len(with_accuracy)} images.")
     if record.independent is not None:
         space = record.independent
         lines.append(f"In space: east {space.east:.2f} m, north {space.north:.2f} m, up "
-                     f"{space.up:.2f} m, RMSE of {space.n} independent points by intersection.")
-    lines.append("Blunders: " + _blunders(record))
+                     f"{space.up:.2f} m, RMSE of {space.n} independent check points by "
+                     "intersection.")
+    lines.append("Outliers: " + _blunders(record))
     lines.append(f"Next: {worst.name} is the least certain image, {worst.uncertainty:.2f} px over "
-                 "its ties. More control or ties in it help most.")
+                 "its ties. More control points or ties in it help most.")
     if not record.converged:
-        lines.append("The adjustment did not settle: read the figures with care.")
+        lines.append("The adjustment did not converge: do not rely on the figures.")
     lines += [f"Note: {note}" for note in record.notes]
     if len(record.parts) > 1:
         joined_images = []
         for names in record.parts[:_SHOWN]:
             joined_images.append(", ".join(names[:4]) + (", ..." if len(names) > 4 else ""))
         lines.append(f"Note: no tie joins {len(record.parts)} parts of this block, so that each "
-                     f"stands by itself: {' | '.join(joined_images)}.")
+                     f"is adjusted by itself: {' | '.join(joined_images)}.")
     return "\n".join(lines)
 
 
@@ -55,19 +56,19 @@ def _blunders(record: BlockRecord) -> str:
     ties = len(record.wrong_ties)
     control = len(record.wrong_control)
     if not ties and not control:
-        return "none."
+        return "none detected."
     named = ", ".join(f"{wrong.id} in {wrong.image} ({wrong.error:.1f} px)"
                       for wrong in record.wrong_control[:3])
     if not control:
-        return f"{ties} measurements of ties and {control} of control left out."
+        return f"{ties} tie and {control} GCP observations rejected."
     further = ", ..." if control > 3 else ""
-    return f"{ties} measurements of ties and {control} of control left out: {named}{further}."
+    return f"{ties} tie and {control} GCP observations rejected: {named}{further}."
 
 
 def _table(record: BlockRecord, verbose: bool) -> list[str]:
     """Return a row for each image."""
-    rows = [("image", "model", "control", "ties", "ties px", "predicted px", "90 %",
-             "independent px")]
+    rows = [("image", "model", "GCPs", "ties", "ties px", "predicted px", "90 %",
+             "ICPs px")]
     # The least certain first where not all are listed.
     listed = record.images if verbose else sorted(
         record.images, key=lambda image: -image.uncertainty)[:_SHOWN]
@@ -95,7 +96,7 @@ def _wrong(record: BlockRecord, verbose: bool) -> list[str]:
     wrong = record.wrong_ties if verbose else record.wrong_ties[:_SHOWN]
     if not wrong:
         return []
-    lines = ["", "Ties left out:"]
+    lines = ["", "Tie observations rejected:"]
     for tie in wrong:
         reason = reason_of(tie, record)
         lines.append(f"  {tie.id} in {tie.image}: {tie.error:.1f} px"
@@ -108,5 +109,5 @@ def _wrong(record: BlockRecord, verbose: bool) -> list[str]:
 def reason_of(wrong: WrongTie | WrongControl, record: BlockRecord) -> str:
     """Return why what is near the model was left out; empty where it is far off."""
     if isinstance(wrong, WrongTie) and wrong.error <= WRONG * record.sigma_ties:
-        return "no other image is left that sees it"
+        return "now in one image only"
     return ""

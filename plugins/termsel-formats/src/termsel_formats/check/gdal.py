@@ -129,7 +129,7 @@ def taken(path: Path, found: Header) -> Iterator[Taken]:
     program = found.version
     places = transformed(path)
     if not found.kind:
-        yield Taken(program, "none: places are pixels")
+        yield Taken(program, "none: no georeferencing")
     elif found.kind == "geotransform":
         yield Taken(program, "affine transformation", found.crs, places)
     elif found.kind == "geolocation":

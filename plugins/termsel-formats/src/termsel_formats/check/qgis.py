@@ -67,7 +67,7 @@ def taken(path: Path, found: Header) -> Taken | None:
     except (ValueError, KeyError):
         raise NoAnswer("qgis_process gave an answer of another form") from None
     if not found.kind:
-        return Taken(name, "none: places are pixels")
+        return Taken(name, "none: no georeferencing")
     by_gdal = transformed(path)
     border = outline(found.size)
     words = {"geotransform": "affine transformation", "gcps": "as GDAL, through GCPs",

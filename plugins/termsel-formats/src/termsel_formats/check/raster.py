@@ -32,7 +32,7 @@ def taken(path: Path) -> Iterator[Taken]:
             yield Taken(program, "RPC at the height 0 (RPCTransformer)", WGS84,
                         _by(RPCTransformer, rpcs))
         else:
-            yield Taken(program, "none: places are pixels")
+            yield Taken(program, "none: no georeferencing")
 
 
 def size_of(path: Path) -> tuple[int, int]:
