@@ -217,7 +217,7 @@ def test_a_run_says_that_a_dem_contradicts_the_surveyed_heights(tmp_path: Path, 
     side = "above" if above > 0 else "below"
     assert f"m {side} the control (median of 2 heights" in said
     assert "px on a map; geoid and ellipsoid?" in said
-    assert "Caution check what heights refer to: the DEM dem.tif is" in said
+    assert "Caution check what heights refer to: the DEM dem.tif" in said
 
 
 @needs_rpc

@@ -39,7 +39,7 @@ def test_an_infeasible_selection_gets_one_verdict_and_no_figure() -> None:
     assert judged(1.0, feasible=False, reference="affine", noise=0.5) == (
         "This selection does not satisfy all conditions, and no better one was found. It has "
         "undetermined or too many terms, an axis without terms, or a pole in the scene. Do not "
-        "use it: give more control or choose a smaller model.")
+        "use it: measure more control points or choose a smaller model.")
 
 
 def test_without_independent_points_nothing_is_compared() -> None:

@@ -331,7 +331,7 @@ def test_the_block_is_shown(example: Example) -> None:
         near = wrong["error"] < 4 * record["sigma_ties"]
         line = f"{wrong['id']} in {wrong['image']}: {wrong['error']:.1f} px"
         assert line in text
-        assert (f"{line} (no other image is left" in text) == near
+        assert (f"{line} (now in one image only" in text) == near
     assert "http" not in page.replace("http://www.w3.org", "")
     table = (folder / "adjusted/ties.csv").read_text().splitlines()
     assert len(table) > 100

@@ -444,7 +444,8 @@ def _urgent(record: Record) -> Iterator[str]:
     if read and read.doubt:
         yield f"{read.doubt.partition(':')[0]}: check them before anything else"
     if read and read.height_doubt:
-        yield f"check what heights refer to: {read.height_doubt}"
+        doubt = f"{read.height_doubt[:1].lower()}{read.height_doubt[1:]}"
+        yield f"check what heights refer to: {doubt}"
     if read and read.two_groups:
         yield f"check the datum of the points: {read.two_groups}"
     if record.interrupted:

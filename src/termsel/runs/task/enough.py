@@ -32,13 +32,13 @@ def require_enough(observations: Observations, recipe: Recipe, criterion: Criter
     check = observations.check
     if len(control) < least:
         raise TermselError(
-            f"only {_given(control)}; {recipe.name} needs at least {least}",
+            f"{_given(control)}; {recipe.name} needs at least {least}",
             hint="Measure more, or give more features the role control."
                  + " --criterion press needs no selection points." * criterion.needs_check
                  + CORRECTED * ("rpc" in model.options))
     if criterion.needs_check and len(check) < MIN_CHECK:
         raise TermselError(
-            f"only {counted(len(check), 'selection point')} (role check); the criterion "
+            f"{_number(len(check), 'selection point')} (role check); the criterion "
             f"{criterion.name} needs at least {MIN_CHECK}",
             hint="Give more points the role check: they choose among selections. The criterion "
                  "press needs none (--criterion press).")
@@ -62,4 +62,8 @@ def require_enough(observations: Observations, recipe: Recipe, criterion: Criter
 def _given(control: FeatureSet) -> str:
     """Return how many control features there are, such as "1 control point"."""
     word = control.word.removesuffix("s")
-    return counted(len(control), f"control {word}")
+    return _number(len(control), f"control {word}")
+
+
+def _number(number: int, noun: str) -> str:
+    return f"only {counted(number, noun)}" if number else f"no {noun}s"
