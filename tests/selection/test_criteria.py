@@ -362,7 +362,7 @@ def test_check_points_next_to_lines_alone_stay_apart() -> None:
     assert len(task.observations.check) == 24
     mixed = termsel.prepare("owdis-lines", criterion="press", options={"mixed": True})
     assert len(mixed.observations.control.points) == 48
-    with pytest.raises(TermselError, match="no selection points"):
+    with pytest.raises(termsel.TermselError, match="no selection points"):
         termsel.prepare("rfm-terms", options={"check_as": "control"})
 
 

@@ -159,6 +159,12 @@ def run(
                   [*request.method(), *["a budget"] * limited], unnamed=problem is None):
             return _chosen(request, seed, observers, out, overwrite)
         task = prepared(request.setup())
+        if strategy is None and task.recipe.portfolio and problem is None:
+            named = [*request.method(), *["a budget"] * limited]
+            log.warning("Note: %s asks for a search by %s, which takes the place of the automatic "
+                        "choice. Leave %s out to have the model chosen automatically.",
+                        " and ".join(named), task.solver.name,
+                        "it" if len(named) == 1 else "them")
         if task.features.rpc is not None and "rpc" not in task.model.options:
             log.warning("Warning: the model %s makes no use of the RPC. Leave model, solver and "
                         "criterion out to have it corrected.", task.model.name)
