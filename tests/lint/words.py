@@ -14,19 +14,30 @@ _START, _END = r"(?<![a-z])", r"(?![a-z])"
 # Underscores do not end a word in identifiers, so the ends are letters, not \b.
 WORDS = {
     r"mend(s|ed|ing|able)?": "correct, fix",
-    r"besides?": "next to, compared with",
     r"shar(e|es|ed|ing)[\s_]out": "assign",
     r"(bears?|borne)": "support, determine",
     r"dr(ive|ives|iven|ove)[\s_](it[\s_])?down": "minimised",
     r"(wrong|doubtful)[\s_](lines?|points?|features?|ones)": "blunder, outlier",
-    r"doubtful": "blunder, outlier",
-    r"anew": "again, or the verb with re-",
     r"sp(eak|eaks|oke)[\s_]of": "requires, contains",
     r"free[\s_]in[\s_]effect": "effective parameters",
     r"accurac(y|ies)[\s_]that[\s_]can[\s_]be[\s_]believed": "estimate, predicted RMSE",
 }
+TERMS = Path(__file__).parents[2] / "docs" / "reference" / "terms.md"
+"""The page whose table has the field's term and, in its second column, those to avoid."""
+
+
+def terms_to_avoid(page: str) -> Iterator[tuple[str, str]]:
+    """Yield each term of the second column of a table, with the one to write instead."""
+    for written, avoided in re.findall(r"^\| ([^|]+) \| ([^|]+) \|$", page, re.MULTILINE):
+        for term in avoided.split(", "):
+            if avoided != "not":
+                yield term, written
+
+
 REFUSED = [(re.compile(f"{_START}{word}{_END}", re.IGNORECASE), instead)
            for word, instead in WORDS.items()]
+REFUSED += [(re.compile(f"{_START}{re.escape(term)}s?{_END}", re.IGNORECASE), written)
+            for term, written in terms_to_avoid(TERMS.read_text(encoding="utf-8"))]
 REFUSED.append((re.compile(
     r"\[(nano-)?pixels?\b|(?<![\w.])\d[\d,.]*[ -]pixels?\b|\}\s?pixels?\b|"
     r"\bin pixels\b|\bpixels? per\b", re.IGNORECASE), "px"))
@@ -73,6 +84,8 @@ def left_out_words(path: Path, text: str) -> Iterator[tuple[int, str]]:
 def violations(root: Path) -> Iterator[Violation]:
     """Yield every left-out word below a root."""
     for path in (*code_files(root), *pages(root)):
+        if path == TERMS:
+            continue
         text = path.read_text(encoding="utf-8")
         for line, message in left_out_words(path, text):
             yield Violation(path, line, message)
