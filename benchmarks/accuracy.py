@@ -41,14 +41,14 @@ COUNTS = (12, 20, 40, 74, 150)
 FEW = (12, 20)
 GA_COUNTS, GA_SPLITS = (20, 40, 74), 1
 BAD = 1.5
-"""Ratio to the best plain structure of a split above which auto was much worse."""
+"""Ratio to the best conventional model of a split above which auto was much worse."""
 FEWEST = 30
 """Independent points below which a split is left out."""
 
 
 @dataclass(frozen=True)
 class Split:
-    """One split: independent RMSE of auto and of plain structures, and RMSE predicted by auto."""
+    """One split: independent RMSE of auto and of conventional models, and RMSE predicted by auto."""
 
     auto: float
     predicted: float
@@ -67,7 +67,7 @@ class Row:
 
     @property
     def best(self) -> tuple[str, float]:
-        """The plain structure with the least median, chosen with hindsight."""
+        """The conventional model with the least median, chosen with hindsight."""
         medians = {name: median(s.plain.get(name, float("inf")) for s in self.splits)
                    for name in dict.fromkeys(name for s in self.splits for name in s.plain)}
         best = min(medians, key=lambda name: medians[name])
@@ -75,12 +75,12 @@ class Row:
 
     @property
     def ratio(self) -> float:
-        """Ratio of the median of auto to that of the best plain structure."""
+        """Ratio of the median of auto to that of the best conventional model."""
         return median(s.auto for s in self.splits) / self.best[1]
 
     @property
     def worst(self) -> float:
-        """Greatest ratio to the best plain structure of the split."""
+        """Greatest ratio to the best conventional model of the split."""
         return max(s.auto / min(s.plain.values()) for s in self.splits)
 
     @property
@@ -192,13 +192,13 @@ def verdict(found: list[Row]) -> str:
     named = ", ".join(f"{row.name} at {row.count} ({row.ratio:.2f})" for row in over) or "none"
     lines = [
         "| what | required | measured |", "|---|---|---|",
-        f"| ratio to the best plain structure in hindsight, median over sets | at most 1.00 | "
+        f"| ratio to the best conventional model in hindsight, median over sets | at most 1.00 | "
         f"{median(row.ratio for row in found):.2f} |",
         f"| the same at {' and '.join(map(str, FEW))} points | at most 0.95 | "
         f"{f'{median(few):.2f}' if few else '-'} |",
         f"| the same on every set | at most 1.05 | above it: {named} |",
         f"| splits with a pole | 0 | {sum(s.pole for _, s in all_splits)} of {len(all_splits)} |",
-        f"| splits worse than {BAD} times the best plain structure of that split | 0 | "
+        f"| splits worse than {BAD} times the best conventional model of that split | 0 | "
         f"{bad} of {len(all_splits)}; worst {max(row.worst for row in found):.2f} |",
         "| scenes at 74 points and more: ratio to noise sqrt(1 + 10/n), worst | at most 1.10 | "
         f"{f'{max(floors):.2f}' if floors else '-'} |",
@@ -218,7 +218,7 @@ def missed(found: list[Row]) -> str:
 
 
 def rules(found: list[Row]) -> str:
-    """Return how often auto and each plain structure are much worse than the best of the split."""
+    """Return how often auto and each conventional model are much worse than the best of the split."""
     few = [s for row in found if row.count in FEW for s in row.splits]
     oracle = [s.plain.get(row.best[0], float("inf")) for row in found if row.count in FEW
               for s in row.splits]
@@ -266,7 +266,7 @@ CONSTANTS = (
 
 
 def sensitivity(wanted: list[str], splits: int) -> str:
-    """Return the ratio to the best plain structure with each constant halved and doubled."""
+    """Return the ratio to the best conventional model with each constant halved and doubled."""
     jobs = [(name, count, seed) for name in wanted for count in (12, 20, 40)
             for seed in range(splits)]
     lines = ["| constant | halved | as it is | doubled |", "|---|---:|---:|---:|"]
@@ -326,7 +326,7 @@ Made by the studies `benchmarks/honest-accuracy.toml` and `honest-accuracy-ga.to
 `python -m benchmarks.accuracy --write` draws {splits} splits of each set and number of points, a
 file each, and runs both. Points are those that the model is fitted to; up to 300 others are
 independent.
-The best plain structure (affine, DLT or projective, quadratic, cubic, of X and Y or of X, Y and Z)
+The best conventional model (affine, DLT or projective, quadratic, cubic, of X and Y or of X, Y and Z)
 is chosen with hindsight, by the median of its independent RMSE over all splits. The embedded scenes
 are simulated. Sets derived from sensor models have Gaussian noise of {NOISE} px. Seconds are CPU
 seconds of the whole choice, the search for blunders included.
@@ -354,7 +354,7 @@ points are check points. {GA_SPLITS} of the splits at {', '.join(map(str, GA_COU
 
 ## Constants
 
-The median over splits of auto's independent RMSE divided by that of the best plain structure of
+The median over splits of auto's independent RMSE divided by that of the best conventional model of
 the split, at 12, 20 and 40 points. Each constant of `termsel.fitting.bayesian.posterior` and of
 `termsel.auto.portfolio` is halved and doubled.
 

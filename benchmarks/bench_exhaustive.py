@@ -1,6 +1,6 @@
 """Exhaustive selection: `exact` compared with mlxtend's exhaustive feature selector.
 
-Both evaluate every selection of the first terms of a plane polynomial for the line coordinate of
+Both evaluate every selection of the first terms of a 2-D polynomial for the line coordinate of
 the embedded scene `ikonos-hamedan`, by the sum of squared errors at the check points. Times are
 seconds per selection. mlxtend runs with a scikit-learn regressor, a fixed split into control and
 check, and no parallel jobs. The benchmark is skipped if mlxtend is not installed (pip install

@@ -1,6 +1,6 @@
 """The best subset of each size: `exact` compared with abess, l0bnb and scikit-learn.
 
-All select among 20 terms of a plane polynomial, 27 control points, with the constant taken out.
+All select among 20 terms of a 2-D polynomial, 27 control points, with the constant taken out.
 Times are processor seconds on one core, the least of three. `exact` proves the least sum of
 squares of every size up to the given one; abess splices subsets of each of these sizes and proves
 none; l0bnb proves one size up to a gap of 1 %, with the penalty that has this size as its optimum,

@@ -1,4 +1,4 @@
-"""Few points: auto next to the plain structure, and for maps the spline, best in hindsight.
+"""Few points: auto next to the conventional model, and for maps the spline, best in hindsight.
 
 ``python -m benchmarks.few_points --write`` makes docs/evidence/few-points.md. Sets are those of
 `benchmarks.sets`, the simulated maps of `benchmarks.old_maps` and `benchmarks.unlike_maps`, and
@@ -59,7 +59,7 @@ def split(name: str, count: int, seed: int) -> tuple[FeatureSet, Points]:
 
 @one_blas_thread
 def errors_of(name: str, count: int, seed: int) -> dict[str, float]:
-    """Return the independent RMSE [px] of auto, of plain structures and of splines."""
+    """Return the independent RMSE [px] of auto, of conventional models and of splines."""
     mine, independent = split(name, count, seed)
     control = Control.of(mine)
     choice, found = choose(control, whole=False), dict[str, float]()
@@ -80,7 +80,7 @@ def errors_of(name: str, count: int, seed: int) -> dict[str, float]:
 
 PAGE = """# Few points
 
-Six to twelve points hardly determine a model. Is `auto` then as good as the plain structure that
+Six to twelve points hardly determine a model. Is `auto` then as good as the conventional model that
 one would take in hindsight, and for maps as good as a thin-plate spline?
 
 Made by `python -m benchmarks.few_points --write`: {splits} splits of each set and number of points.

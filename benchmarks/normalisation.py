@@ -33,7 +33,7 @@ WAYS: tuple[tuple[str, float, float], ...] = (
 WEIGHTED_SEEDS = (None, 101, 102, 103)
 """Scenes of the section on iterated adjustments."""
 SPACES: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
-    ("plane polynomial, 15 terms an axis", "poly-terms", "poly2d", {"degree": 4}),
+    ("2-D polynomial, 15 terms an axis", "poly-terms", "poly2d", {"degree": 4}),
     ("RFM of second order, 19 terms an axis", "rfm-terms", "rfm", {"order": 2}),
     ("the same RFM of Legendre polynomials, an orthogonal basis", "rfm-terms", "rfm-legendre",
      {"order": 2}))

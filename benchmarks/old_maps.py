@@ -1,4 +1,4 @@
-"""Local deformation: auto next to plain structures and thin-plate splines.
+"""Local deformation: auto next to conventional models and thin-plate splines.
 
     python -m benchmarks.old_maps [--splits N] [--write]
 
@@ -162,7 +162,7 @@ def verdict(found: list[Row]) -> str:
     worse = ", ".join(text for change, text in changes if change > 1.01) or "none"
     return "\n".join([
         "| what | required | measured |", "|---|---|---|",
-        "| simulated maps: ratio to the best of plain structures and splines in hindsight | "
+        "| simulated maps: ratio to the best of conventional models and splines in hindsight | "
         f"at most 1.05 on each | {over(list(MAPS), 1.05)} |",
         *(f"| {name}: the same | at most {limit:.2f} | {over([name], limit)} |"
           for name, limit in REAL.items()),
@@ -233,7 +233,7 @@ Made by `python -m benchmarks.old_maps --write`: {asked.splits} splits of each s
 points, {MORE * asked.splits} of the measured maps. The first {len(MAPS)} sets are
 [simulated](../reference/simulated.md#old-map), each split with another seed; kastoria_1925 and
 maplat_fushimijo are measured old maps; the others are
-satellite scenes, simulated, derived from sensor models or measured. The best of plain structures
+satellite scenes, simulated, derived from sensor models or measured. The best of conventional models
 (affine, DLT or projective, quadratic, cubic) and thin-plate splines (smoothed by REML, and exact)
 is chosen with hindsight, by the median of its independent RMSE over all splits. The standard
 error of a ratio is that of the bootstrap over splits. *Without* is the

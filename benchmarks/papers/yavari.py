@@ -87,7 +87,7 @@ all lines, at the level of 1 px. Selected lines with selected terms reach better
 
 Selected lines with selected terms are `yavari-2018`: lines by GA under all terms, then terms by
 particle swarm. The RFM of 78 and 38 terms are of third and second order; 20 terms are a quadratic
-space polynomial. Denominators are held near zero (`ridge`, 0.01). {blunders} of the lines are
+3-D polynomial. Denominators are held near zero (`ridge`, 0.01). {blunders} of the lines are
 blunders where the table says so.
 """
 WORDS = """## What agrees, what does not, and why

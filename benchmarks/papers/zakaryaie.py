@@ -160,7 +160,7 @@ AGREEMENT = """### What agrees, what does not, and why
   A larger population mostly finds it more often, and changes the mean by 1 % at most.
 - **Does not agree: 21 terms help in one of four cases**, and published in all. What 15 terms can
   do, 21 can, but single runs find the larger optimum less often: the mean may be worse.
-- **Does not agree: the level for IKONOS**, 2.9 m instead of 0.2 to 0.5 m. A plane polynomial does
+- **Does not agree: the level for IKONOS**, 2.9 m instead of 0.2 to 0.5 m. A 2-D polynomial does
   not follow the relief, and the simulated relief at 20° off nadir leaves that much. For SPOT,
   where relief matters in the same way in both, the levels are alike.
 - **The RMSE of these check points is not the accuracy.** With ten check points as fitness, 24 m

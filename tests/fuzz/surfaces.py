@@ -55,7 +55,7 @@ _MODULE = b'''"""A plugin."""
 from termsel import Polynomial2D, hookimpl
 
 class Fuzzed(Polynomial2D):
-    """Plane polynomial."""
+    """2-D polynomial."""
     name = "fuzzed"
 
 @hookimpl

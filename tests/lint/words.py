@@ -84,7 +84,7 @@ def left_out_words(path: Path, text: str) -> Iterator[tuple[int, str]]:
 def violations(root: Path) -> Iterator[Violation]:
     """Yield every left-out word below a root."""
     for path in (*code_files(root), *pages(root)):
-        if path == TERMS:
+        if path == TERMS or path.name == "CHANGELOG.md":  # which tells of earlier versions
             continue
         text = path.read_text(encoding="utf-8")
         for line, message in left_out_words(path, text):

@@ -1,4 +1,4 @@
-"""One verdict on blunders, the same for every problem and in all roles; none where none is."""
+"""One outlier test, the same for every problem and in all roles; none where none is."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ def model_of(name: str, **options: object) -> SensorModel:
 
 
 def control_points(n: int = 30, seed: int = 3) -> Points:
-    """A scaled scene with relief displacement that no plane polynomial follows."""
+    """A scaled scene with relief displacement that no 2-D polynomial follows."""
     rng = np.random.default_rng(seed)
     ground = rng.uniform(-1, 1, (n, 3))
     relief = np.sin(3 * ground[:, :1]) * np.cos(2 * ground[:, 1:2])

@@ -1,6 +1,6 @@
 """Blunders among control features, found by what the other features predict for each.
 
-A point is a blunder where the shrunken polynomial of the others (see
+A point is a blunder where the regularised polynomial of the others (see
 `termsel.auto.shrunken`) predicts it worse than chance allows, and a line where it predicts
 its vertices off the image line. Under one solution on the grid the squared error of a prediction,
 over its variance, is F distributed, with the noise as the other features leave it. Its tail is
@@ -65,8 +65,8 @@ coefficients of a cubic polynomial, and a right point that shows a bend may look
 def find_blunders(control: Control, portfolio: Portfolio | None = None) -> Suspects | None:
     """Return which control features are blunders; None where they are too few for a test.
 
-    What the shrunken polynomial suspects is left out of the choice among all candidates, by default
-    those that are built in. Features that the chosen one predicts within STRAIN are no blunders:
+    What the regularised polynomial suspects is left out of the choice among all candidates, by
+    default those that are built in. Features that the chosen one predicts within STRAIN are no blunders:
     their errors were the polynomial's.
     """
     portfolio = portfolio or Portfolio()

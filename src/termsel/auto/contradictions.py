@@ -137,7 +137,7 @@ class Division:
                     (pixels[used] ** 2).sum(axis=1), local=True)
 
     def shrunken_test(self) -> Test | None:
-        """Return what the features in use predict, by the shrunken quadratic or, if better, cubic.
+        """Return what the features in use predict, by the regularised polynomial of degree 2 or 3.
 
         None where they are too few.
         """
@@ -180,7 +180,7 @@ def polynomial_of(heights: bool, degree: int) -> Polynomial:
 
 @dataclass(frozen=True, eq=False)
 class _OfPoints:
-    """What a shrunken polynomial of the points in use predicts for all points.
+    """What a regularised polynomial of the points in use predicts for all points.
 
     `order` is that of the points in `found`: those in use come first.
     """

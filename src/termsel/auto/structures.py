@@ -181,7 +181,7 @@ CANDIDATES: tuple[Structure, ...] = (
     Structure("tps", "a thin-plate spline", None, ThinPlate(), estimator=Interpolated(),
               short="thin-plate spline", needs=("field",)),
     _WithPhysics("physical-cubic",
-                 "a cubic polynomial with the prior of a known kind of camera",
+                 "a cubic polynomial with the sensor-geometry prior",
                  *_polynomials(3), estimator=Physical(), short="physical cubic", has_prior=True,
                  contains=(*_LIMITS, *_SHRUNKEN, "field", "tps"), family=_FAMILY, most=CHOSEN),
     *ROBUST,

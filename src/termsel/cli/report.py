@@ -24,7 +24,7 @@ def report(folder: Path, output: Path | None, image: str | None, overwrite: bool
     """Write a page about a result or a study that opens in any browser, without a connection.
 
     DIR is the folder that `termsel run` or `termsel compare` wrote with --out. The page of a result
-    says how accurate it is, what plain structures reach, which features are bad, where the model
+    says how accurate it is, what conventional models reach, which features are bad, where the model
     is weak, what was selected, and how to repeat it. The page of a study has its tables and
     charts; of many images the worst first, each with a drawing of its residuals.
 

@@ -117,7 +117,7 @@ def shared_variance(model: Fittable, control: FeatureSet) -> float | None:
 
 @dataclass(frozen=True, eq=False)
 class _Belief:
-    """A shrunken polynomial of the control points, and where it can be looked up."""
+    """A regularised polynomial of the control points, and where it can be looked up."""
 
     found: Posterior
     degree: int

@@ -83,7 +83,7 @@ class ThinPlate(Interpolating):
 
 
 class Field(Interpolating):
-    """Plane polynomial with a random field: collocation, averaged over its scales.
+    """2-D polynomial with a random field: collocation, averaged over its scales.
 
     A regularised cubic polynomial of X and Y, a stationary random field with Matern covariance, for
     what is local, and noise. The lengths, size and noise of the field are not set: solutions on
@@ -107,7 +107,7 @@ class Field(Interpolating):
 
 
 class Field3D(Field):
-    """Space polynomial with a random field: `field` with a polynomial of X, Y and Z."""
+    """3-D polynomial with a random field: `field` with a polynomial of X, Y and Z."""
 
     name = "field3d"
     variables = 3

@@ -29,7 +29,7 @@ class Polynomial(MonomialModel):
 
 
 class Polynomial2D(Polynomial):
-    """Plane polynomial: line and sample as polynomials of X and Y.
+    """2-D polynomial: line and sample as polynomials of X and Y.
 
     References
     ----------
@@ -57,7 +57,7 @@ class Polynomial2D(Polynomial):
 
 
 class Polynomial3D(Polynomial):
-    """Space polynomial: line and sample as polynomials of X, Y and Z."""
+    """3-D polynomial: line and sample as polynomials of X, Y and Z."""
 
     name = "poly3d"
     declared_options = (

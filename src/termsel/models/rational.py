@@ -25,7 +25,7 @@ fifty equations. A DLT is determined by lines without it."""
 
 
 class RationalFunctions(MonomialModel):
-    """Rational function model: line and sample as quotients of space polynomials.
+    """Rational function model: line and sample as quotients of 3-D polynomials.
 
     The denominators' constants are fixed to 1, so that order 3 with separate denominators
     has 78 terms. The equations are linearised by multiplication with the denominator, as is

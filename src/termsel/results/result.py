@@ -126,7 +126,7 @@ class Result(Glance):
         From `exact`, at any time: the best selection of every number of terms or features, with
         what is proven of those as large.
     outliers : tuple of Outlier
-        The verdict on blunders: every feature that contradicts all others, used or not.
+        The outlier test: every feature that contradicts all others, used or not.
     blunder_test : BlunderTest, optional
         What that verdict could find; None where no test was made.
     predicted : Predicted, optional

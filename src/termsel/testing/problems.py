@@ -115,7 +115,7 @@ def require_genes(genome: Genome, genes: object, who: str) -> None:
 
 
 def twelve_terms() -> SelectionProblem:
-    """Return the choice among the 12 terms of a plane polynomial of second degree.
+    """Return the choice among the 12 terms of a 2-D polynomial of second degree.
 
     Half of the terms are needed, and noise makes the others harmful; `optimum` enumerates
     all 4096 selections.

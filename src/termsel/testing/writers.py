@@ -145,7 +145,7 @@ SUITE = Suite((
 def example_results() -> tuple[Result, ...]:
     """Return results to write, like those of many runs.
 
-    One has rational functions and geographic coordinates, one a plane polynomial and plane
+    One has rational functions and geographic coordinates, one a 2-D polynomial and plane
     coordinates. Both select terms for 60 points that were computed, not measured.
 
     Returns

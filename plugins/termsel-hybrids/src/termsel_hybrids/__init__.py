@@ -37,7 +37,7 @@ def termsel_models() -> Iterable[type[SensorModel]]:
 @hookimpl
 def termsel_problems() -> Iterable[Recipe]:
     """Return the paper's hybrid model 2, a search rather than a model, and that for degrees."""
-    return [Recipe("hybrid-2", "Hybrid model 2: terms of a plane polynomial selected by a GA.",
+    return [Recipe("hybrid-2", "Hybrid model 2: terms of a 2-D polynomial selected by a GA.",
                    _terms_of_each_axis, model="poly2d", dataset="ikonos-hamedan",
                    source="Valadan Zoej et al. 2002, section 3.2"), RECIPE]
 

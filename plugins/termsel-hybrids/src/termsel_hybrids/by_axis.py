@@ -67,7 +67,7 @@ def _powers(coordinates: str, largest: int) -> tuple[Option, ...]:
 
 
 class Polynomial2DByAxis(PolynomialByAxis):
-    """Plane polynomial with a degree of its own for line and sample, in X and in Y."""
+    """2-D polynomial with a degree of its own for line and sample, in X and in Y."""
 
     name = "poly2d-by-axis"
     coordinates = "xy"
@@ -76,7 +76,7 @@ class Polynomial2DByAxis(PolynomialByAxis):
 
 
 class Polynomial3DByAxis(PolynomialByAxis):
-    """Space polynomial with a degree of its own for line and sample, in X, in Y and in Z."""
+    """3-D polynomial with a degree of its own for line and sample, in X, in Y and in Z."""
 
     name = "poly3d-by-axis"
     declared_options = _powers("xyz", 4)

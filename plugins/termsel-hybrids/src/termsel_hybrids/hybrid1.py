@@ -16,7 +16,7 @@ _IDENTITY = np.concatenate([[0.0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0]])
 
 
 class Hybrid1(Polynomial2D):
-    """Plane polynomial, overcorrected by an improved 2D projective transformation.
+    """2-D polynomial, overcorrected by an improved 2D projective transformation.
 
     The polynomial computes image coordinates (x, y). A second adjustment to the same control
     then maps them to the measured ones,

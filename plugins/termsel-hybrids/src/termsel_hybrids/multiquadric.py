@@ -1,4 +1,4 @@
-"""Plane polynomials whose residuals are interpolated by multiquadrics."""
+"""2-D polynomials whose residuals are interpolated by multiquadrics."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ POWERS = next(option for option in Polynomial2D.declared_options if option.name 
 
 
 class Multiquadric(Polynomial2D):
-    """Plane polynomial with multiquadric interpolation of its control residuals.
+    """2-D polynomial with multiquadric interpolation of its control residuals.
 
     F are the distances between the control points in scaled X and Y, zero on its diagonal, and v
     the residuals of the polynomial in line or sample. F a = v is solved for a, and a point at the
@@ -48,7 +48,7 @@ class Multiquadric(Polynomial2D):
 
 
 class Hybrid3(Multiquadric):
-    """Selected terms of a plane polynomial, with multiquadric interpolation of the residuals.
+    """Selected terms of a 2-D polynomial, with multiquadric interpolation of the residuals.
 
     The equations are those of `multiquadric`; a search selects from the terms of a higher degree,
     judged by the prediction with the interpolated residuals: W is the same for all selections,

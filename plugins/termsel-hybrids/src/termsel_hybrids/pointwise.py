@@ -23,7 +23,7 @@ WEIGHTS = {
 
 
 class Pointwise(Polynomial2D):
-    """Plane polynomial, corrected at each point by a polynomial of the residuals around it.
+    """2-D polynomial, corrected at each point by a polynomial of the residuals around it.
 
     A global polynomial is fitted to all control. Each point then has its own transformation: a
     local polynomial of the offsets in X and Y, fitted by weighted least squares to the residuals

@@ -18,13 +18,13 @@ AKHOUNDI_GA = {"population": 500, "mutation": 0.001}
 
 # Each is what its paper states: no limit on terms where it has none, and no refinement after it.
 PAPERS = (
-    Recipe("valadan-zoej-2002", "Terms of a plane polynomial for each axis by a GA that crosses "
+    Recipe("valadan-zoej-2002", "Terms of a 2-D polynomial for each axis by a GA that crosses "
            "the two best, IKONOS with 63 control and 31 selection points.", select_terms,
            model="poly2d", model_options={"degree": 3, "powers": "each"},
            dataset="ikonos-hamedan-63-31", options=with_defaults(OF_TERMS, max_share=1.0),
            solver="ga", solver_options={"ga": {"parents": "two-best"}}, patience=PATIENCE,
            refined=False, source="Valadan Zoej et al. 2002, sections 2.1 and 3.2, table 1"),
-    Recipe("zakaryaie-2015", "Terms of a plane polynomial for both axes by ICA, IKONOS with 35 "
+    Recipe("zakaryaie-2015", "Terms of a 2-D polynomial for both axes by ICA, IKONOS with 35 "
            "control and 39 selection points.", select_terms,
            model="poly2d", model_options={"degree": 5}, dataset="ikonos-hamedan-35-39",
            options=with_defaults(OF_TERMS, mask="shared", max_share=1.0), solver="ica",

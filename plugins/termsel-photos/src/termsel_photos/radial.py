@@ -121,7 +121,7 @@ def _options(degree: int, largest: int) -> tuple[Option, ...]:
 
 
 class Radial2D(Radial):
-    """Plane polynomial with radial distortion: a scanned photo of flat ground, or of a map.
+    """2-D polynomial with radial distortion: a scanned photo of flat ground, or of a map.
 
     See `radial3d`.
     """
@@ -133,7 +133,7 @@ class Radial2D(Radial):
 
 
 class Radial3D(Radial):
-    """Space polynomial with radial distortion: a frame camera over terrain.
+    """3-D polynomial with radial distortion: a frame camera over terrain.
 
     With m the measured place, c the centre of distortion and r = abs(m - c), m + (m - c) (k1 r^2 +
     k2 r^4 + k3 r^6) is a polynomial of X, Y and Z (Brown 1971, for the distortion). The radial

@@ -320,7 +320,7 @@ class Record(RecordPart, frozen=True, kw_only=True):
     """Name of the baseline that the judgement compares with: the automatic choice without a search,
     or of that choice the best conventional model; empty if there is none, and before 0.4."""
     outliers: tuple[Outlier, ...]
-    """The verdict on blunders: every feature that contradicts all others, used or not."""
+    """The outlier test: every feature that contradicts all others, used or not."""
     blunder_test: BlunderTest | None = None
     """What that verdict could find; absent where no test was made."""
     predicted: Predicted | None

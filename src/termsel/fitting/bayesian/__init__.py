@@ -1,1 +1,1 @@
-"""Estimates under a prior: shrunken polynomials, random fields, splines, blunders."""
+"""Estimates under a prior: regularised polynomials, random fields, splines, blunders."""

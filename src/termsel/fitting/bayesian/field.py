@@ -9,7 +9,7 @@ with distances dl, ds between places in the image. The lengths may differ: strip
 maps stretch along one axis, and scanners shake along lines. Neither lengths nor ratio, size and
 noise are known. All solutions on a grid are averaged with their posterior probabilities, those
 without a field, which are believed as likely beforehand, among them. So where the points show no
-local deformation the shrunken polynomial remains.
+local deformation the regularised polynomial remains.
 
 In a plane, few points do not tell lengths from noise. There a thin-plate spline, a field without
 lengths and next to affine functions alone, is a third course, and an affine image a fourth, all as

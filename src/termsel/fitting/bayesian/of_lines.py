@@ -1,4 +1,4 @@
-"""The posterior of a shrunken polynomial whose equations couple line and sample, as lines do.
+"""The posterior of a regularised polynomial whose equations couple line and sample, as lines do.
 
 `termsel.auto.shrunken` says what the prior is, `termsel.fitting.bayesian.posterior` how the same is
 found faster from points alone. Here the grid has one size for both axes and some ratios of that of

@@ -8,7 +8,7 @@ a width: wide, it forgets the physics by degrees. Kind of camera, width and nois
 averaged over a grid by marginal likelihood. Every solution on it is linear in the measurements, so
 that those without each point, and their probabilities, are known in closed form.
 
-The shrunken polynomials of any image are the other parts of the average, by their own marginal
+The regularised polynomials of any image are the other parts of the average, by their own marginal
 likelihood. In it Z has no prior. So that both compare, what a height does gets that of views from
 the air or space (`PARALLAX`), as a density at its estimate, and the noise its own, likewise.
 
@@ -247,7 +247,7 @@ class Solutions:
 
 def marginal(found: Posterior, coefficients: FloatArray, variables: int, height: float,
              pixel: float) -> float:
-    """Return the logarithm of the marginal likelihood of shrunken polynomials.
+    """Return the logarithm of the marginal likelihood of regularised polynomials.
 
     On the scale of `Solutions.log`. The coefficients (k, 2) are their average; `height` is what a
     scaled height of 1 moves on the ground, in scaled units of the image.

@@ -1,4 +1,4 @@
-"""The posterior of a shrunken polynomial: all solutions on a grid of scales, and their weights.
+"""The posterior of a regularised polynomial: all solutions on a grid of scales, and their weights.
 
 `termsel.auto.shrunken` says what the prior is.
 """
@@ -314,7 +314,7 @@ def polynomial_posterior(ground: FloatArray, image: FloatArray, exponents: Expon
 @lru_cache(maxsize=2)
 def _of_polynomial(ground: bytes, image: bytes, exponents: Exponents,
                    weights: bytes | None) -> Posterior | None:
-    """Return the same; a shrunken polynomial, and a field that may be none, ask for one."""
+    """Return the same; a regularised polynomial, and a field that may be none, ask for one."""
     powers = np.array(exponents)
     order = powers.sum(axis=1)
     places = np.frombuffer(image).reshape(-1, 2)

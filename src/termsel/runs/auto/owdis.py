@@ -76,7 +76,7 @@ def _selected(control: Control, seed: int) -> Control | None:
                        model="poly3d" if control.heights else "poly2d", source="control and check")
     except TermselError:  # too few lines, or all parallel
         return None
-    # The verdict on blunders has been made.
+    # The outlier test has been made.
     search = recommended(task, search_in_steps(
         task, seed=seed, generations=task.recipe.generations, patience=task.recipe.patience))
     if search.interrupted:

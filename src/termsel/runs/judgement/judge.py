@@ -26,7 +26,8 @@ ALIKE = 1.05
 """Two RMSE whose ratio is below this are called alike: with a few dozen independent points
 an RMSE is itself uncertain by more."""
 POOR = 3.0
-"""A selection with so many times the RMSE of a plain structure is not compared with all terms."""
+"""A selection with so many times the RMSE of a conventional model is not compared with all
+terms."""
 
 
 def judge(conventional: str, criterion: str, rmse: Rmses,
@@ -94,9 +95,9 @@ def judge_choice(chosen: Candidate, predicted: float | None, rmse: Rmses,
 
     `predicted` is the RMSE of the choice repeated in folds [px], `rmse` that by role, and `noise`
     the standard deviation of the measurements [px], where it is known. The choice is compared with
-    the plain structure that held-out features would have chosen, by the figure that is surer: the
-    RMSE of the independent points where there are `MANY_INDEPENDENT`, else the predicted one. A
-    plain structure that is better at so many independent points is named, too.
+    the conventional model that held-out features would have chosen, by the figure that is surer:
+    the RMSE of the independent points where there are `MANY_INDEPENDENT`, else the predicted one. A
+    conventional model that is better at so many independent points is named, too.
     """
     measured = rmse["independent"]
     expected = "" if predicted is None else f", with a predicted RMSE of {_px(predicted)}"
@@ -138,7 +139,7 @@ def best_conventional(chosen: Candidate, baselines: tuple[Baseline, ...]) -> str
 
 def _in_hindsight(mine: float, named: Baseline,
                   plain: list[tuple[Baseline, str]]) -> Iterator[str]:
-    """Yield which plain structure is better at the independent points, if one but `named` is."""
+    """Yield which conventional model is better at the independent points, if one but `named` is."""
     best, title = min(plain, key=lambda rival: _independent(rival[0]))
     ratio = _ratio(mine, _independent(best))
     if ratio > ALIKE and best is not named:

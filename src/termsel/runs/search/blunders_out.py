@@ -1,4 +1,4 @@
-"""A search without the features that the verdict on blunders names.
+"""A search without the features that the outlier test names.
 
 A wrong control feature spoils the fits, and a wrong check point what every selection is judged by.
 """

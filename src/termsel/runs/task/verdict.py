@@ -1,4 +1,4 @@
-"""The verdict on blunders, one for every run: which features contradict all others.
+"""The outlier test, one for every run: which features contradict all others.
 
 Control and check features are judged before a run, which may do without blunders; independent
 points once all is chosen, as they take no part in any choice.

@@ -62,7 +62,7 @@ class SubsetResult:
     # (k + 1,) of uint64: the subset itself: bit j is column j. Of exactly equal scores it is the
     # smallest number; 0 where none is feasible.
     masks: Masks
-    subsets: int  # subsets decided
+    subsets: int  # subsets enumerated
     total: int  # subsets to be decided
     pruned: int  # those among the decided that a lower bound ruled out
     # (k + 1,): no subset of a size scores less; the best score once every subset is decided.

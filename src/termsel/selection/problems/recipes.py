@@ -196,7 +196,7 @@ RECIPES = (
            model="rfm", dataset="ikonos-hamedan", control="lines", options=OF_TERMS,
            portfolio=True, search_first=True,
            source=f"{YAVARI}; its companion on particle swarm could not be consulted"),
-    Recipe("poly-terms", "Which terms of a plane polynomial to use.", select_terms,
+    Recipe("poly-terms", "Which terms of a 2-D polynomial to use.", select_terms,
            model="poly2d", dataset="ikonos-hamedan", options=OF_TERMS, portfolio=True,
            source="Valadan Zoej et al. 2002; Zakaryaie Nejad et al. 2015"),
     Recipe("owdis-points", "Which control points to use.", select_features,

@@ -235,7 +235,7 @@ def _datum(images: Sequence[ImageRecord]) -> str:
         return ("No control holds this block: its absolute accuracy is that of the vendor's RPCs, "
                 "and the figures that are predicted know no more than their spread.")
     holding = sum(image.control > 0 for image in images)
-    return (f"{features} measurements of control in {holding} of {len(images)} images hold the "
+    return (f"{features} GCP observations in {holding} of {len(images)} images hold the "
             "block.")
 
 

@@ -31,7 +31,7 @@ class Taken:
         Of the ground, a code or WKT; "" where the file states none.
     places : callable, optional
         From line and sample, shape (n, 2), and heights, shape (n,), to x and y, shape (n, 2).
-        None where the program takes no transformation, so that places are pixels.
+        None where the program takes no transformation, so that no georeferencing.
     by_default : bool
         Whether the program takes it without being told.
     """

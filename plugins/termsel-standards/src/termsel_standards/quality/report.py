@@ -149,7 +149,7 @@ def quality_of(result: Result, title: str = "", organisation: str = "",
                 **{f"options of the {name}": json.dumps(plain(value), sort_keys=True)
                    for name, value in result.options.items() if value}}
     sources = [Source(result.data.source,
-                      "measurements of control; the checksum is that of ids, coordinates, roles, "
+                      "GCP observations; the checksum is that of ids, coordinates, roles, "
                       "standard deviations and CRS as read", result.data.sha256)]
     if image is not None:
         sources.append(Source(_shown(image), "the image", file_sha256(Path(image))))

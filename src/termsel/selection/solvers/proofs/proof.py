@@ -54,7 +54,7 @@ class Proof:
 
     @property
     def decided(self) -> int:
-        """Subsets decided."""
+        """Subsets enumerated."""
         return sum(result.subsets for result in self.results)
 
     @property
