@@ -48,7 +48,7 @@ FEWEST = 30
 
 @dataclass(frozen=True)
 class Split:
-    """One split: independent RMSE of auto and of conventional models, and RMSE predicted by auto."""
+    """One split: independent RMSE of auto and conventional models, and RMSE that auto predicts."""
 
     auto: float
     predicted: float
@@ -218,7 +218,7 @@ def missed(found: list[Row]) -> str:
 
 
 def rules(found: list[Row]) -> str:
-    """Return how often auto and each conventional model are much worse than the best of the split."""
+    """Return how often auto and each conventional model are much worse than the best one."""
     few = [s for row in found if row.count in FEW for s in row.splits]
     oracle = [s.plain.get(row.best[0], float("inf")) for row in found if row.count in FEW
               for s in row.splits]
@@ -326,7 +326,7 @@ Made by the studies `benchmarks/honest-accuracy.toml` and `honest-accuracy-ga.to
 `python -m benchmarks.accuracy --write` draws {splits} splits of each set and number of points, a
 file each, and runs both. Points are those that the model is fitted to; up to 300 others are
 independent.
-The best conventional model (affine, DLT or projective, quadratic, cubic, of X and Y or of X, Y and Z)
+The best conventional model (affine, DLT, projective, quadratic, cubic, of X, Y or X, Y, Z)
 is chosen with hindsight, by the median of its independent RMSE over all splits. The embedded scenes
 are simulated. Sets derived from sensor models have Gaussian noise of {NOISE} px. Seconds are CPU
 seconds of the whole choice, the search for blunders included.

@@ -66,8 +66,8 @@ def find_blunders(control: Control, portfolio: Portfolio | None = None) -> Suspe
     """Return which control features are blunders; None where they are too few for a test.
 
     What the regularised polynomial suspects is left out of the choice among all candidates, by
-    default those that are built in. Features that the chosen one predicts within STRAIN are no blunders:
-    their errors were the polynomial's.
+    default those that are built in. Features that the chosen one predicts within STRAIN are no
+    blunders: their errors were the polynomial's.
     """
     portfolio = portfolio or Portfolio()
     return remembered("blunders", control, portfolio, lambda: _found(control, portfolio))

@@ -197,8 +197,8 @@ def choose(control: Control, portfolio: Portfolio | None = None, watch: Watch | 
     """Fit the portfolio to features and choose by leave-one-out; None if none is determined.
 
     A regularised polynomial is averaged over all that lies between the plain ones, by a measure
-    that needs no points to be left out. The quadratic one is taken unless the cubic one is better by
-    BETTER standard errors (the rule of Breiman et al. 1984), and likewise any further candidate
+    that needs no points to be left out. The quadratic one is taken unless the cubic one is better
+    by BETTER standard errors (the rule of Breiman et al. 1984), and likewise any further candidate
     with a prior of its own. What none of them contains is taken only if it is better by CLEARLY
     standard errors, since the best of several is so partly by luck: rational models, and few terms
     of their own. There is one central projection, for which EXPECTED is enough, and BETTER where

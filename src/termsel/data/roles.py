@@ -289,5 +289,5 @@ def parsed_shares(text: str, needs_check: bool) -> tuple[float, ...]:
         raise TermselError(f"option 'fractions' cannot be {text!r}",
                            hint="It takes three numbers for control, check and independent, "
                                 "such as 1:1:1 or 0.4:0.3:0.3; check must be above 0 "
-                                "for a criterion that needs check points.")
+                                "for a criterion that needs selection points.")
     return shares

@@ -59,7 +59,7 @@ def with_spent(result: Result, folder: Path) -> Result:
             f"{'is' if single else 'are'} no longer independent: {'it' if single else 'they'} "
             "already assessed another fit, in "
             f"{first_of(named)}. A fit that is chosen by them looks better than it is. Compare "
-            "fits by selection points or by the predicted RMSE, or measure new check points.")
+            "fits by selection points or by the predicted RMSE, or measure new selection points.")
     return replace(result, notes=(*result.notes, note), accuracy=msgspec.structs.replace(
         result.accuracy, spent_by=named,
         spent=tuple(name for name in result.features.points.ids if name in shown)))

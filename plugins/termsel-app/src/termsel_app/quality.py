@@ -137,7 +137,7 @@ def accuracy(result: Result) -> Answer | None:
     elif result.accuracy is not None:
         image = result.accuracy.image
         figure = (image.total, *image.interval)
-        kind = f"of {image.n} independent points"
+        kind = f"of {image.n} independent check points"
         level = 0.9
     else:
         return None
