@@ -11,8 +11,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from pathlib import Path
+from threading import Thread
 from typing import Any, ClassVar
 
 import numpy as np
@@ -20,6 +22,7 @@ import pytest
 import rasterio
 
 import termsel
+from termsel_app.rasters import png
 
 REQUIRED = os.environ.get("TERMSEL_BROWSER") == "required"
 """Whether the browser was installed for these tests, so that none may skip."""
@@ -471,3 +474,53 @@ def test_what_is_refused_is_said_and_nothing_is_lost(browser: Any, example: Path
     screen.push("#undo")
     screen.wait(lambda: "does not answer" in screen.text("alert"))
     assert len(screen.records()) == 1
+
+
+@pytest.mark.slow
+def test_tiles_of_a_server_are_fetched_where_they_are_asked_for(
+        browser: Any, example: Path) -> None:
+    asked: list[str] = []
+
+    class Tiles(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            asked.append(self.path)
+            self.send_response(200)
+            self.send_header("Content-Type", "image/png")
+            self.end_headers()
+            self.wfile.write(png(np.full((256, 256, 4), 255, dtype=np.uint8)))
+
+        def log_message(self, *_: Any) -> None:
+            """Say nothing."""
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Tiles) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        address = f"http://127.0.0.1:{server.server_address[1]}"
+        app = App("files/scene.tif", "--map", f"{address}/{{z}}/{{x}}/{{y}}.png", "--map",
+                  "files/ortho.tif", "--out", "tiles", cwd=example)
+        screen = open_page(browser, app.address)
+        screen.wait(lambda: asked)
+        assert address.removeprefix("http://") in screen.text("attribution")
+        app.end()
+        # The session that others open asks nobody.
+        again = App("tiles", cwd=example)
+        count = len(asked)
+        screen = open_page(browser, again.address)
+        time.sleep(1.0)
+        assert len(asked) == count
+        assert not screen.text("attribution")
+        again.end()
+        server.shutdown()
+
+
+@pytest.mark.slow
+def test_a_folder_with_a_result_is_shown(browser: Any, example: Path) -> None:
+    features = termsel.read(example / "files" / "gcps.csv", image=example / "files" / "scene.tif")
+    termsel.run(features=features, out=example / "found")
+    app = App("found", cwd=example)
+    screen = open_page(browser, app.address)
+    assert len(screen.records()) == len(features.points)
+    screen.answered()
+    assert "no image given" in screen.text("image-name")
+    assert "px" in screen.text("accuracy")
+    screen.silent()
+    app.end()

@@ -108,17 +108,18 @@ function makePanes(setting) {
   const image = setting.image.tiles
     ? [tiles(projection, `tile/image/{z}/{x}/{y}.png`, [-0.5, 0.5], setting.image.resolutions, box)] : [];
   panes.image = new Pane({ name: "image", extent: box, box, resolutions: setting.image.resolutions, origin: [-0.5, 0.5],
-    sources: image, flat: true });
+    sources: image, flat: true, projection });
   const around = setting.map.box;
-  const map = new ol.proj.Projection({ code: setting.map.tiles.length ? "EPSG:3857" : "map", units: "m", extent: around,
-    metersPerUnit: 1 });
+  // Tiles of a server are in Web Mercator; all else is in the CRS that is shown, whose name the library need not know.
+  const map = setting.map.tiles.length ? ol.proj.get("EPSG:3857")
+    : new ol.proj.Projection({ code: "map", units: "m", extent: around, metersPerUnit: 1 });
   /** @type {[Place, number[], number[]]} */
   const grid = [[around[0], around[3]], setting.map.resolutions, around];
   const sources = [
     ...setting.map.tiles.map(url => new ol.source.XYZ({ url, projection: "EPSG:3857" })),
     ...setting.map.rasters.map((_, i) => tiles(map, `tile/map${i}/{z}/{x}/{y}.png`, ...grid))];
   panes.map = new Pane({ name: "map", extent: around, box: around, resolutions: setting.map.resolutions,
-    origin: grid[0], sources, flat: false });
+    origin: grid[0], sources, flat: false, projection: map });
   for (const vectors of setting.map.vectors) {
     const source = new ol.source.Vector({ features: new ol.format.GeoJSON().readFeatures(vectors.collection) });
     vectorSources.push(source);

@@ -21,14 +21,11 @@ const NEAR = 9;
 export class Pane {
   /**
    * @param {{name: string, extent: number[], box: number[], resolutions: number[], origin: Place,
-   *   sources: any[], flat: boolean}} given
+   *   sources: any[], flat: boolean, projection: any}} given
    */
   constructor(given) {
     this.name = given.name;
-    this.projection = new ol.proj.Projection({
-      code: given.name, units: given.flat ? "pixels" : "m", extent: given.extent,
-      metersPerUnit: 1,
-    });
+    this.projection = given.projection;
     this.box = given.box;
     this.sources = given.sources;
     this.control = new ol.source.Vector();
