@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import os
 import re
 import shutil
@@ -11,6 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from pathlib import Path
@@ -476,25 +478,60 @@ def test_what_is_refused_is_said_and_nothing_is_lost(browser: Any, example: Path
     assert len(screen.records()) == 1
 
 
+@contextmanager
+def pictures(asked: list[str]) -> Iterator[str]:
+    """Yield the address of a server of pictures, which keeps what is asked of it."""
+
+    class Pictures(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            asked.append(self.path)
+            info = self.path.endswith("/info.json")
+            assert isinstance(self.server, ThreadingHTTPServer)
+            place = f"http://127.0.0.1:{self.server.server_port}/iiif/map1"
+            self.send_response(200)
+            self.send_header("Content-Type", "application/json" if info else "image/png")
+            self.end_headers()
+            self.wfile.write(json.dumps({
+                "@context": "http://iiif.io/api/image/2/context.json", "@id": place,
+                "protocol": "http://iiif.io/api/image", "width": 2000, "height": 1000,
+                "profile": ["http://iiif.io/api/image/2/level2.json"],
+                "tiles": [{"width": 256, "scaleFactors": [1, 2, 4, 8]}]}).encode() if info
+                else png(np.full((256, 256, 4), 200, dtype=np.uint8)))
+
+        def log_message(self, *_: Any) -> None:
+            """Say nothing."""
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Pictures) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_address[1]}"
+        server.shutdown()
+
+
+@pytest.mark.slow
+def test_an_iiif_image_is_shown_where_servers_may_be_asked(browser: Any, example: Path) -> None:
+    pytest.importorskip("termsel_iiif")
+    asked: list[str] = []
+    with pictures(asked) as address:
+        name = f"{address}/iiif/map1/info.json"
+        with pytest.raises(AssertionError, match="allow-remote"):
+            App(name, "--map", "files/ortho.tif", cwd=example)
+        assert not asked
+        app = App(name, "--map", "files/ortho.tif", "--allow-remote", cwd=example)
+        screen = open_page(browser, app.address)
+        screen.wait(lambda: [path for path in asked if path.endswith("default.jpg")])
+        screen.click("image", [1000.0, -500.0])
+        screen.count(1)
+        assert screen.records()["P01"]["image"] == pytest.approx([500, 1000], abs=0.5)
+        screen.silent()
+        app.end()
+
+
 @pytest.mark.slow
 def test_tiles_of_a_server_are_fetched_where_they_are_asked_for(
         browser: Any, example: Path) -> None:
     asked: list[str] = []
 
-    class Tiles(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
-            asked.append(self.path)
-            self.send_response(200)
-            self.send_header("Content-Type", "image/png")
-            self.end_headers()
-            self.wfile.write(png(np.full((256, 256, 4), 255, dtype=np.uint8)))
-
-        def log_message(self, *_: Any) -> None:
-            """Say nothing."""
-
-    with ThreadingHTTPServer(("127.0.0.1", 0), Tiles) as server:
-        Thread(target=server.serve_forever, daemon=True).start()
-        address = f"http://127.0.0.1:{server.server_address[1]}"
+    with pictures(asked) as address:
         app = App("files/scene.tif", "--map", f"{address}/{{z}}/{{x}}/{{y}}.png", "--map",
                   "files/ortho.tif", "--out", "tiles", cwd=example)
         screen = open_page(browser, app.address)
@@ -509,7 +546,6 @@ def test_tiles_of_a_server_are_fetched_where_they_are_asked_for(
         assert len(asked) == count
         assert not screen.text("attribution")
         again.end()
-        server.shutdown()
 
 
 @pytest.mark.slow

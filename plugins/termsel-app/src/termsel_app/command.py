@@ -48,7 +48,8 @@ def app(image: str | None, maps: tuple[str, ...], points: Path | None, lines: Pa
         no_browser: bool, example: bool) -> None:
     """Collect control points in the browser, with their quality at every click.
 
-    IMAGE is the image to georeference; DIR goes on with a session, or shows a result that a run
+    IMAGE is the image to georeference, or with --allow-remote the address of the info.json of an
+    IIIF image; DIR goes on with a session, or shows a result that a run
     wrote. The page is for this machine alone. Ctrl-C ends it; every change is saved at once, and
     the same command goes on where it ended.
 
@@ -101,10 +102,13 @@ def found(given: Files, folder: Path | None) -> tuple[Files, Path]:
     """Return the files of a session and its folder, where the first argument may be either."""
     from dataclasses import replace
 
+    from termsel_app.iiif import is_iiif
     from termsel_app.journal import NAME, header_of
     from termsel_app.session import Files
 
     place = Path(given.image or "")
+    if is_iiif(given.image):
+        return given, folder or Path(f"{place.parent.name or 'image'}-control")
     if not place.is_dir():
         return given, folder or Path(f"{place.stem or 'image'}-control")
     if (place / NAME).exists():

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from termsel import TermselError
 from termsel_app.control import ControlFeatures
+from termsel_app.iiif import is_iiif
 from termsel_app.quality import written
 from termsel_app.session import Files, Session
 
@@ -68,7 +69,7 @@ def run_arguments(session: Session) -> list[str]:
     files = session.files
     folder = session.folder
     for option, name in (("--rpc", files.rpc), ("--dem", files.dem), ("--image", files.image)):
-        if name is not None:
+        if name is not None and not is_iiif(name):
             arguments += [option, from_folder(name, folder)]
     return [*arguments, "--out", RESULT, "--overwrite"]
 
@@ -103,7 +104,10 @@ def save(session: Session, name: str, image_id: object = None) -> list[Path]:
         call(arguments, session.folder)
     if output.command:
         arguments = completed(output.command, session.files, session.folder)
-        call(arguments + (_of_image(image_id) if name == "annotation" else []), session.folder)
+        if name == "annotation":
+            served = None if session.served is None else session.served.id
+            arguments += _of_image(image_id or served)
+        call(arguments, session.folder)
     if name == "points":
         return files
     return [session.folder / path for path in output.names]
@@ -119,8 +123,8 @@ def _of_image(image_id: object) -> list[str]:
 
 def completed(command: Sequence[str], files: Files, folder: Path) -> list[str]:
     """Return a command with the files of the session."""
-    if "{image}" in command and files.image is None:
-        raise TermselError("a map needs the image, and this session has none",
+    if "{image}" in command and (files.image is None or is_iiif(files.image)):
+        raise TermselError("a map needs the image as a file, and this session has none",
                            hint="Start `termsel app IMAGE --points points.csv`.")
     arguments = [from_folder(str(files.image), folder) if part == "{image}" else part
                  for part in command]

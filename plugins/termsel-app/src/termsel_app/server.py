@@ -146,7 +146,11 @@ class Page(Guarded):
             raise HTTPError(404)
         self.set_header("Content-Type", f"{PAGE.get(name, 'text/html')}; charset=utf-8")
         if name == "index.html":
-            servers = " ".join(sorted({_origin(tiles) for tiles in self.session.maps.tiles}))
+            session = self.session
+            origins = {_origin(tiles) for tiles in session.maps.tiles}
+            if session.served is not None:
+                origins.add(session.served.origin)
+            servers = " ".join(sorted(origins))
             self.set_header("Content-Security-Policy", (
                 "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
                 f"img-src 'self' data: blob: {servers}; base-uri 'none'; form-action 'none'; "
@@ -177,8 +181,9 @@ def setting(session: Session, pages: Pages) -> dict[str, Any]:
     box = pages.box
     files_given = session.files
     return {
-        "image": {"name": None if session.image is None else session.image.name,
+        "image": {"name": _name_of_image(session),
                   "size": size, "tiles": session.image is not None,
+                  "served": None if session.served is None else session.served.info,
                   "resolutions": image_resolutions(size)},
         "map": {"box": box, "resolutions": session.maps.resolutions(box),
                 "rasters": [raster.raster.name for raster in session.maps.rasters],
@@ -190,6 +195,13 @@ def setting(session: Session, pages: Pages) -> dict[str, Any]:
         "matching": is_possible(session),
         "outputs": [{"name": name, "label": output.label} for name, output in OUTPUTS.items()
                     if name != "rpc" or session.places.crs != "local"]}
+
+
+def _name_of_image(session: Session) -> str | None:
+    """Return what the page calls the image; None where there is none."""
+    if session.served is not None:
+        return session.served.id.rstrip("/").rpartition("/")[2]
+    return None if session.image is None else session.image.name
 
 
 class Tile(Guarded):

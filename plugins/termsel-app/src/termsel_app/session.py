@@ -18,6 +18,7 @@ import termsel
 from termsel import FeatureSet, TermselError
 from termsel.toolkit import LOCAL, horizontal, normalise
 from termsel_app.control import MOST, ControlFeatures, Patch, Record, checked
+from termsel_app.iiif import IiifImage, fetched, is_iiif
 from termsel_app.journal import Journal, entry_of, open_journal
 from termsel_app.maps import Box, Maps, around, box_of, open_maps
 from termsel_app.places import Places, shown_crs
@@ -80,6 +81,7 @@ class Session:
     maps: Maps
     places: Places
     notes: list[str]
+    served: IiifImage | None = None
     version: int = 0
     asked: int = -1
     judged: list[Record] | None = None
@@ -404,7 +406,13 @@ def open_session(files: Files, folder: Path, *, remote: bool = False,
         journal, header, control = stack.enter_context(open_journal(folder))
         kept = None if header is None else Files.of_header(header)
         _require_same(files, kept, folder)
-        image = None if files.image is None else Raster(files.image, remote)
+        served = None
+        image = None
+        if files.image is not None and is_iiif(files.image):
+            served = fetched(files.image, remote)
+            files = replace(files, size=served.size)
+        elif files.image is not None:
+            image = Raster(files.image, remote)
         if image is not None:
             stack.callback(image.close)
         features = None
@@ -421,7 +429,7 @@ def open_session(files: Files, folder: Path, *, remote: bool = False,
         if kept is None:
             journal.begin(replace(files, crs=crs).header())
         session = Session(replace(files, crs=crs), folder, journal, control, image, maps, places,
-                          list(maps.notes))
+                          list(maps.notes), served)
         if features is not None:
             session.change([Patch(None, record) for record in records_of(features)])
         worker.tell = session.answered
@@ -450,7 +458,8 @@ def _require_same(files: Files, kept: Files | None, folder: Path) -> None:
     """Refuse to go on with a session of another image."""
     if kept is None or files.image is None or kept.image is None:
         return
-    if Path(files.image).absolute() != Path(kept.image).absolute():
+    if files.image != kept.image and \
+            Path(files.image).absolute() != Path(kept.image).absolute():
         raise TermselError(f"the session in this folder is of another image, {kept.image}",
                            file=folder, hint="Choose another --out for this image.")
 

@@ -3,7 +3,7 @@
 
 import { call, listen, newest } from "./server.js";
 import {
-  Pane, drawLines, gridLayer, letDrag, limits, ramp, showControl, showNext, showPrediction, showProposals, tiles,
+  Pane, drawLines, gridLayer, letDrag, limits, ramp, showControl, showNext, showPrediction, showProposals, served, tiles,
 } from "./panes.js";
 import {
   alertUser, button, byId, letSort, make, pixel, showAccuracy, showBlunders, showModel, showNextPlaces, showSelected,
@@ -106,7 +106,8 @@ function makePanes(setting) {
   const box = [-0.5, -(lines - 0.5), samples - 0.5, 0.5];
   const projection = new ol.proj.Projection({ code: "image", units: "pixels", extent: box, metersPerUnit: 1 });
   const image = setting.image.tiles
-    ? [tiles(projection, `tile/image/{z}/{x}/{y}.png`, [-0.5, 0.5], setting.image.resolutions, box)] : [];
+    ? [tiles(projection, `tile/image/{z}/{x}/{y}.png`, [-0.5, 0.5], setting.image.resolutions, box)]
+    : setting.image.served ? [served(projection, setting.image.served, box)] : [];
   panes.image = new Pane({ name: "image", extent: box, box, resolutions: setting.image.resolutions, origin: [-0.5, 0.5],
     sources: image, flat: true, projection });
   const around = setting.map.box;
@@ -151,7 +152,7 @@ function warpedLayer(projection, grid) {
 function describe(setting) {
   byId("title").textContent = setting.image.name ?? setting.folder;
   document.title = `${setting.image.name ?? "control"} · termsel app`;
-  byId("image-name").textContent = setting.image.tiles
+  byId("image-name").textContent = setting.image.name
     ? `${setting.image.name}, ${setting.image.size.map(n => n.toLocaleString("en")).join(" × ")} px` : "no image given";
   const names = [...setting.map.rasters, ...setting.map.vectors.map(layer => layer.name)];
   byId("map-name").textContent = [names.join(", ") || "coordinates", setting.crs.length < 30 ? setting.crs : ""]

@@ -181,6 +181,18 @@ export function tiles(projection, address, origin, resolutions, extent) {
 }
 
 /**
+ * A source of tiles of a IIIF server.
+ * @param {any} projection
+ * @param {any} info its description
+ * @param {number[]} extent
+ */
+export function served(projection, info, extent) {
+  const options = new ol.format.IIIFInfo(info).getTileSourceOptions();
+  if (!options) throw new Error("the description of the IIIF image cannot be read");
+  return new ol.source.IIIF({ ...options, projection, extent, interpolate: false, transition: 0 });
+}
+
+/**
  * The styles of a feature of the control.
  * @param {any} feature
  * @param {number} resolution

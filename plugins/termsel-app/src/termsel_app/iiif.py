@@ -1,0 +1,87 @@
+"""Images of the IIIF, which the browser fetches from their server: only where the user allows it.
+
+References
+----------
+IIIF Image API 2.1 and 3.0, https://iiif.io/api/image/3.0/.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Any
+from urllib.error import URLError
+from urllib.parse import urlsplit
+from urllib.request import Request, urlopen
+
+from termsel import TermselError
+
+INFO = "/info.json"
+LARGEST = 2**20
+"""Bytes of a description that are read."""
+SECONDS = 20
+KEPT = ("@context", "id", "@id", "type", "protocol", "profile", "width", "height", "tiles", "sizes",
+        "maxWidth", "maxHeight", "maxArea", "extraFormats", "extraQualities", "extraFeatures",
+        "preferredFormats")
+"""Parts of a description that the page gets."""
+
+
+@dataclass(frozen=True)
+class IiifImage:
+    """An image on a server: its description, lines and samples, and where its tiles come from."""
+
+    info: dict[str, Any]
+    id: str
+    size: tuple[int, int]
+
+    @property
+    def origin(self) -> str:
+        """The scheme and server of its tiles."""
+        parts = urlsplit(self.id)
+        return f"{parts.scheme}://{parts.netloc}"
+
+
+def is_iiif(name: str | None) -> bool:
+    """Return whether an image is named by the address of its description."""
+    return name is not None and name.startswith(("http://", "https://")) and name.endswith(INFO)
+
+
+def fetched(address: str, remote: bool) -> IiifImage:
+    """Return an image by the address of its description.
+
+    Raises TermselError unless servers may be asked and termsel-iiif is installed, or if there is no
+    description.
+    """
+    if not remote:
+        raise TermselError("this image is on a server, and no server may be asked", file=address,
+                           hint="Add --allow-remote.")
+    if find_spec("termsel_iiif") is None:
+        raise TermselError("images of the IIIF need the package termsel-iiif", file=address,
+                           hint="Install it: pip install termsel-iiif.")
+    try:
+        request = Request(address, headers={"Accept": "application/json"})
+        with urlopen(request, timeout=SECONDS) as answer:
+            content = answer.read(LARGEST + 1)
+    except (URLError, OSError, ValueError) as error:
+        raise TermselError(f"the image cannot be fetched: {error}", file=address,
+                           hint="Is the address right, and the network there?") from error
+    return described(content, address)
+
+
+def described(content: bytes, address: str) -> IiifImage:
+    """Return the image that a description is of; raises TermselError if it is none."""
+    try:
+        info = json.loads(content) if len(content) <= LARGEST else None
+    except (ValueError, RecursionError):
+        info = None
+    name = None if not isinstance(info, dict) else info.get("id", info.get("@id"))
+    if not isinstance(info, dict) or not isinstance(name, str) or \
+            not name.startswith(("http://", "https://")) or any(sign in name for sign in " ;,'\""):
+        raise TermselError("this is no description of an IIIF image", file=address,
+                           hint="Give the address of its info.json.")
+    size = (info.get("height"), info.get("width"))
+    if not all(type(number) is int and 0 < number < 2**31 for number in size):
+        raise TermselError("the description of this image does not state its size", file=address)
+    return IiifImage({key: info[key] for key in KEPT if key in info}, name,
+                     (int(size[0] or 0), int(size[1] or 0)))
