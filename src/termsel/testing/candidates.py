@@ -40,26 +40,29 @@ class Subject:
 
     def fits(self) -> list[tuple[Control, Fit]]:
         """Return the fits to all features that determine it."""
-        made = []
+        fitted = []
+        # A candidate may accept features and find later that they do not determine it.
         for control in self.controls():
             try:
-                made.append((control, self.candidate.fit_control(control)))
+                fitted.append((control, self.candidate.fit_control(control)))
             except Undetermined:
                 continue
-        require(made, "it declines all features it is checked with, or is determined by none; "
+        require(fitted, "it declines all features it is checked with, or is determined by none; "
                       "give some that it is for: checks(candidate, features=[...])")
-        return made
+        return fitted
 
 
 def declaration(subject: Subject) -> None:
     """It has a name, a title in words, and names what it contains."""
-    one = subject.candidate
-    check_declaration("candidates", one)
-    require(one.title.split(" ", 1)[0] in ("a", "an", "the"),
-            f"its title is {one.title!r}; begin it with an article, as in \"a cubic polynomial\"")
-    require(isinstance(one.most, numbers.Real) and one.most > 0,
-            f"most is {one.most!r}; expected a number of features above 0")
-    require(one.name not in (*one.contains, *one.needs), "it contains or needs itself")
+    candidate = subject.candidate
+    check_declaration("candidates", candidate)
+    require(candidate.title.split(" ", 1)[0] in ("a", "an", "the"),
+            f"its title is {candidate.title!r}; begin it with an article, as in "
+            "\"a cubic polynomial\"")
+    require(isinstance(candidate.most, numbers.Real) and candidate.most > 0,
+            f"most is {candidate.most!r}; expected a number of features above 0")
+    require(candidate.name not in (*candidate.contains, *candidate.needs),
+            "it contains or needs itself")
 
 
 def declines(subject: Subject) -> None:
@@ -73,8 +76,9 @@ def declines(subject: Subject) -> None:
 def nearly(subject: Subject) -> None:
     """It says whether parts of features may call for it."""
     for control in subject.controls():
-        said = subject.candidate.nearly(control)
-        require(isinstance(said, bool | np.bool_), f"nearly() returned {said!r}; expected a bool")
+        answer = subject.candidate.nearly(control)
+        require(isinstance(answer, bool | np.bool_),
+                f"nearly() returned {answer!r}; expected a bool")
 
 
 def fits(subject: Subject) -> None:
@@ -92,32 +96,34 @@ def fits(subject: Subject) -> None:
 def judges(subject: Subject) -> None:
     """It gives the squared error of each feature under the same procedure without it."""
     for control, _ in subject.fits():
-        judged = subject.candidate.judge(control)
-        if judged is None:
+        verdict = subject.candidate.judge(control)
+        if verdict is None:
             continue
-        require(isinstance(judged, Judged),
-                f"judge() returned {type(judged).__name__}; expected Judged, or None")
-        require(judged.squares.shape == (len(control),) and (judged.squares >= 0).all(),
-                f"judge() gives squares of shape {judged.squares.shape}; expected "
+        require(isinstance(verdict, Judged),
+                f"judge() returned {type(verdict).__name__}; expected Judged, or None")
+        require(verdict.squares.shape == (len(control),) and (verdict.squares >= 0).all(),
+                f"judge() gives squares of shape {verdict.squares.shape}; expected "
                 f"({len(control)},), none below 0")
+        # Refits take long with many features, and lines have no error as points have.
         if len(control.features.lines) or len(control) > 2 * HELD_OUT:
             continue
         errors = _held_out(subject.candidate, control)
         if errors is None:
             continue
-        said = float(np.sqrt(np.mean(judged.squares[:len(errors)])))
+        stated = float(np.sqrt(np.mean(verdict.squares[:len(errors)])))
         repeated = float(np.sqrt(np.mean(errors)))
-        require(said > repeated / AGREE,
-                f"judge() says an RMSE of {said:.3g} px, and fits without each point give "
+        # Only too good a figure is refused: a careful one costs nothing but a choice.
+        require(stated > repeated / AGREE,
+                f"judge() says an RMSE of {stated:.3g} px, and fits without each point give "
                 f"{repeated:.3g} px: what is chosen by it would be too good to be true")
 
 
 def repeats(subject: Subject) -> None:
     """The same features give the same fit again, in another process too."""
     for control, fitted in subject.fits():
-        for other in (subject.candidate, pickled(subject.candidate)):
-            again = other.fit_control(control)
-            require(np.array_equal(again.adjustment.coefficients, fitted.adjustment.coefficients),
+        for copy in (subject.candidate, pickled(subject.candidate)):
+            refit = copy.fit_control(control)
+            require(np.array_equal(refit.adjustment.coefficients, fitted.adjustment.coefficients),
                     "fit_control() of the same features differs from one call or process to the "
                     "next")
 
@@ -125,9 +131,9 @@ def repeats(subject: Subject) -> None:
 def describes(subject: Subject) -> None:
     """It says in one sentence why it is called for, or nothing."""
     for _, fitted in subject.fits():
-        said = subject.candidate.describe(fitted)
-        require(isinstance(said, str) and "\n" not in said and (not said or said.endswith(".")),
-                f"describe() returned {said!r}; expected one sentence with a full stop, or \"\"")
+        text = subject.candidate.describe(fitted)
+        require(isinstance(text, str) and "\n" not in text and (not text or text.endswith(".")),
+                f"describe() returned {text!r}; expected one sentence with a full stop, or \"\"")
 
 
 def refits(subject: Subject) -> None:
@@ -140,8 +146,8 @@ def refits(subject: Subject) -> None:
 
 def cases(candidate: Candidate, features: Iterable[FeatureSet] | None = None) -> list[Case]:
     """Return a candidate with features: those given, or points of several kinds."""
-    some = tuple(_features() if features is None else features)
-    return [Case(candidate.name, lambda: Subject(candidate, some))]
+    feature_sets = tuple(_features() if features is None else features)
+    return [Case(candidate.name, lambda: Subject(candidate, feature_sets))]
 
 
 SUITE = Suite((declaration, declines, nearly, fits, judges, repeats, describes, refits), cases)
@@ -151,14 +157,14 @@ def _held_out(candidate: Candidate, control: Control) -> np.ndarray | None:
     """Return squared errors of the first points under fits without them; None without a fit."""
     points = control.features.points
     squares = []
-    for out in range(min(HELD_OUT, len(points))):
-        others = np.arange(len(points)) != out
-        part = replace(control, features=control.features.take(others))
+    for left_out in range(min(HELD_OUT, len(points))):
+        is_used = np.arange(len(points)) != left_out
+        remaining = replace(control, features=control.features.take(is_used))
         try:
-            fitted = candidate.fit_control(part)
+            fitted = candidate.fit_control(remaining)
         except Undetermined:
             return None
-        squares.append(float((fitted.errors(points.take(~others)) ** 2).sum()))
+        squares.append(float((fitted.errors(points.take(~is_used)) ** 2).sum()))
     return np.array(squares)
 
 
@@ -170,10 +176,13 @@ def _features() -> list[FeatureSet]:
                              (20, True, 0.0), (80, True, 0.0), (80, False, 0.0), (80, False, 1.0),
                              (80, True, 1.0)):
         x, y, z = ground = rng.uniform(-1.0, 1.0, (3, n))
+        # Local deformation [px], which no polynomial of low degree follows.
         wave = bend * 20.0 * np.array([np.sin(6 * x) * np.cos(5 * y), np.cos(7 * x + 3 * y)])
+        # A slightly curved view with relief, seen from above: lines count downwards.
         image = np.array([-2000 * y + 30 * x * y + 90 * heights * z,
                           2000 * x + 20 * x * x - 60 * heights * z]) + wave
-        places = ground * [[10_000.0], [10_000.0], [300.0 if heights else np.nan]]
+        # Metres, with relief of 300 m, or no heights at all.
+        positions = ground * [[10_000.0], [10_000.0], [300.0 if heights else np.nan]]
         sets.append(FeatureSet(Points(tuple(f"P{i + 1}" for i in range(n)),
-                                      image.T + rng.normal(0.0, NOISE, (n, 2)), places.T)))
+                                      image.T + rng.normal(0.0, NOISE, (n, 2)), positions.T)))
     return sets

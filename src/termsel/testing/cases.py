@@ -69,7 +69,7 @@ def require(condition: object, message: str) -> None:
         raise AssertionError(message)
 
 
-def refused(call: Callable[[], object], path: Path, what: str, unnoticed: str) -> None:
+def refused(call: Callable[[], object], path: Path, content: str, unnoticed: str) -> None:
     """Require that a call raises a TermselError that names a file.
 
     `what` is wrong with the file; `unnoticed` is said where nothing is raised.
@@ -77,13 +77,13 @@ def refused(call: Callable[[], object], path: Path, what: str, unnoticed: str) -
     try:
         call()
     except TermselError as error:
-        require(str(path) in str(error), f"the error on {what} does not name the file: {error}; "
+        require(str(path) in str(error), f"the error on {content} does not name the file: {error}; "
                                          "raise TermselError(..., file=path)")
         return
     except Exception as error:
-        raise AssertionError(f"{what} raises {type(error).__name__}: {error}; the user can "
+        raise AssertionError(f"{content} raises {type(error).__name__}: {error}; the user can "
                              "correct it, so raise TermselError(..., file=path)") from error
-    raise AssertionError(f"{what} {unnoticed}; raise TermselError(..., file=path)")
+    raise AssertionError(f"{content} {unnoticed}; raise TermselError(..., file=path)")
 
 
 def assemble(
@@ -97,6 +97,7 @@ def assemble(
     succeeds if the plugin fails as predicted, and fails if it does not, so that the list stays
     correct. One of a check that does not exist is refused.
     """
+    # The name of the function is that of the check, in messages and exceptions.
     named = {function.__name__: function for function in functions}
     reasons = dict(expected_failures or {})
     for name in reasons:
@@ -122,6 +123,7 @@ def run_all(checks: Iterable[Check]) -> None:
 def _run(name: str, function: Callable[[Any], None], cases: tuple[Case, ...],
          reason: str | None) -> None:
     try:
+        # One case that fails is enough, also where a failure is expected.
         for case in cases:
             _run_case(name, function, case)
     except AssertionError:
@@ -148,45 +150,46 @@ def _run_case(name: str, function: Callable[[Any], None], case: Case) -> None:
                              ) from error
 
 
-def instance(thing: type[Made] | Made) -> Made:
+def instance(item: type[Made] | Made) -> Made:
     """Return an object of a class with its default options; an object as it is."""
-    return thing() if isinstance(thing, type) else thing
+    return item() if isinstance(item, type) else item
 
 
-def label(thing: type[Configurable] | Configurable, options: Mapping[str, Any]) -> str:
+def label(item: type[Configurable] | Configurable, options: Mapping[str, Any]) -> str:
     """Return a name with its options, such as "rfm with order=3"."""
-    name = getattr(thing, "name", None) or getattr(thing, "__name__", type(thing).__name__)
-    given = ", ".join(f"{key}={value}" for key, value in options.items())
-    return f"{name} with {given}" if given else str(name)
+    name = getattr(item, "name", None) or getattr(item, "__name__", type(item).__name__)
+    settings = ", ".join(f"{key}={value}" for key, value in options.items())
+    return f"{name} with {settings}" if settings else str(name)
 
 
-def declares(kind: str, thing: Callable[[Any], Any] = lambda subject: subject,
+def declares(kind: str, item_of: Callable[[Any], Any] = lambda subject: subject,
              ) -> Callable[[Any], None]:
     """Return the check of what a thing declares, given how a case's subject has the thing."""
     def declaration(subject: Any) -> None:
         """It has a name and a docstring or summary; its options are documented and parse."""
-        check_declaration(kind, thing(subject))
+        check_declaration(kind, item_of(subject))
 
     return declaration
 
 
-def check_declaration(kind: str, thing: Any) -> None:
+def check_declaration(kind: str, item: Any) -> None:
     """Require what the hooks require, a one-line summary, and options that parse.
 
     The kind is a plural, such as "models"; the thing a class, as a hook returns it, or an object.
     """
     try:
-        KINDS[kind].require_returned(type(thing) if isinstance(thing, Configurable) else thing)
+        KINDS[kind].require_returned(type(item) if isinstance(item, Configurable) else item)
     except TypeError as error:
         raise AssertionError(f"the hook termsel_{kind} would be refused: it {error}") from error
-    require(summary(thing).strip(), "it says nothing of itself; give it a docstring (or a "
+    require(summary(item).strip(), "it says nothing of itself; give it a docstring (or a "
                                     f"summary), whose first line `termsel list {kind}` shows")
-    options = getattr(thing, "declared_options", ())
+    options = getattr(item, "declared_options", ())
     names = [option.name for option in options]
     require(len(set(names)) == len(names), f"an option is declared twice: {', '.join(names)}")
     for option in options:
         require(option.doc.strip(), f"option {option.name!r} has no doc; `termsel describe` "
                                     "shows it")
+        # On the command line a default is text: it must come back as the same value.
         parsed = option.parse(option.default)
         require(parsed == option.default,
                 f"the default {option.default!r} of option {option.name!r} is read as {parsed!r}; "
@@ -199,16 +202,17 @@ def require_unchanged(arrays: Mapping[str, NDArray[Any]], method: str,
                       call: Callable[[], object]) -> None:
     """Require that a call of a method leaves arrays as they are, which are named for the message.
     """
+    # Copies, as a change in place would be in both.
     before = {name: array.copy() for name, array in arrays.items()}
     call()
     for name, array in arrays.items():
         require(np.array_equal(array, before[name]), f"{method} changes {name}; work on a copy")
 
 
-def pickled(thing: Subject) -> Subject:
+def pickled(item: Subject) -> Subject:
     """Return a copy through pickle, as in another process."""
     try:
-        copy: Subject = pickle.loads(pickle.dumps(thing))
+        copy: Subject = pickle.loads(pickle.dumps(item))
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise AssertionError(f"it cannot be sent to another process: {error}; define the class or "
                              "function in a module, and keep no open files in it") from error

@@ -27,7 +27,7 @@ def invoke(*words: object) -> Result:
 
     from termsel.cli.main import cli
 
-    return CliRunner().invoke(cli, [str(word) for word in words], catch_exceptions=False)
+    return CliRunner().invoke(cli, [str(argument) for argument in words], catch_exceptions=False)
 
 
 @dataclass(frozen=True)

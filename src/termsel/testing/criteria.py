@@ -66,6 +66,7 @@ def score_finite(criterion: Criterion) -> None:
 def smaller_is_better(criterion: Criterion) -> None:
     """The better a model fits, the smaller the figure."""
     score = criterion.score(_fits(_masks()))
+    # Every further term that lacks makes the fit worse, far beyond the noise.
     require((np.diff(score) > 0).all(),
             "models that lack no term, then one, two and more of the terms the measurements were "
             f"made with, must be given ever larger figures, not {score}")
@@ -75,19 +76,19 @@ def deterministic(criterion: Criterion) -> None:
     """The same fits get the same figures, here and in another process."""
     fits = _fits(_masks())
     first = criterion.score(fits)
-    again = (criterion.score(fits), type(criterion)(**criterion.options).score(fits),
-             pickled(criterion).score(_fits(_masks())))
-    require(all(np.array_equal(first, other) for other in again),
+    repeated = (criterion.score(fits), type(criterion)(**criterion.options).score(fits),
+                pickled(criterion).score(_fits(_masks())))
+    require(all(np.array_equal(first, score) for score in repeated),
             "score() of the same fits differs from one call or object to the next")
 
 
 def one_by_one(criterion: Criterion) -> None:
     """A model's figure does not depend on the models scored with it."""
     masks = _masks()
-    together = criterion.score(_fits(masks))
-    alone = np.concatenate([criterion.score(_fits(masks[i:i + 1])) for i in range(len(masks))])
-    require(np.allclose(together, alone),
-            f"scored together the models get {together}, one by one {alone}; a search keeps "
+    joint = criterion.score(_fits(masks))
+    single = np.concatenate([criterion.score(_fits(masks[i:i + 1])) for i in range(len(masks))])
+    require(np.allclose(joint, single),
+            f"scored together the models get {joint}, one by one {single}; a search keeps "
             "figures and compares them later")
 
 
@@ -105,21 +106,22 @@ def subset_score_agrees(criterion: Criterion) -> None:
         return
     for seed in range(SETS):
         problem = SelectionProblem(_random_inputs(criterion, seed), terms=True, features=False)
+        # All selections, so that the optimum needs no search.
         genes = np.array(list(product((False, True), repeat=problem.genome.size)))
-        every = problem.evaluate(genes)
-        feasible = every.violation == 0
+        evaluation = problem.evaluate(genes)
+        feasible = evaluation.violation == 0
         *_, proof = prove(problem)
-        found = problem.evaluate(np.array(proof.front()[-1:]))
-        least = every.objectives[feasible, 0].min()
-        require(bool(np.isclose(found.objectives[0, 0], least, rtol=1e-9)),
+        proven = problem.evaluate(np.array(proof.front()[-1:]))
+        smallest = evaluation.objectives[feasible, 0].min()
+        require(bool(np.isclose(proven.objectives[0, 0], smallest, rtol=1e-9)),
                 f"the best selection by subset_score {criterion.subset_score!r} and subset_cost() "
-                f"has the score {found.objectives[0, 0]:.9g}; another one has {least:.9g}")
+                f"has the score {proven.objectives[0, 0]:.9g}; another one has {smallest:.9g}")
 
 
 def cases(criterion: type[Criterion] | Criterion) -> list[Case]:
     """Return a criterion, with its default options if it is a class."""
-    made = instance(criterion)
-    return [Case(label(made, made.options), lambda: made)]
+    criterion_object = instance(criterion)
+    return [Case(label(criterion_object, criterion_object.options), lambda: criterion_object)]
 
 
 SUITE = Suite((declares("criteria"), score_shape, score_finite, smaller_is_better, deterministic,
@@ -134,8 +136,11 @@ def _masks() -> BoolArray:
     """Return term masks, shape (4, 20), from the true model to ones that lack ever more."""
     names = _model().terms
     lacking: tuple[tuple[str, ...], ...] = ((), ("Z",), ("Z", "Y"), ("Z", "Y", "X"))
-    return np.array([[Term.parse(name).column in {"1", "X", "Y", "Z"} - set(gone) for name in names]
-                     for gone in lacking])
+    masks = []
+    for missing in lacking:
+        columns = {"1", "X", "Y", "Z"} - set(missing)
+        masks.append([Term.parse(name).column in columns for name in names])
+    return np.array(masks)
 
 
 def _fits(masks: BoolArray) -> Fits:
@@ -143,6 +148,7 @@ def _fits(masks: BoolArray) -> Fits:
     model = _model()
     rng = seeded()
     affine = {"1": 0.1, "X": 0.5, "Y": 0.4, "Z": 0.2}
+    # The other terms have no part in the measurements.
     truth = np.array([affine.get(Term.parse(name).column, 0.0) for name in model.terms])
     control, check = (imaged(model, truth, rng, points=40) for _ in range(2))
     noisy = [Points(f.points.ids, f.points.image + rng.normal(0.0, NOISE / PIXELS, (40, 2)),

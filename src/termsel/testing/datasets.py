@@ -27,8 +27,8 @@ def ground_in_crs(spec: DatasetSpec) -> None:
 def alike_each_time(spec: DatasetSpec) -> None:
     """It loads the same features each time, and in another process."""
     first = _loaded(spec)
-    for other in (_loaded(spec), pickled(first)):
-        require(of_features(first) == of_features(other),
+    for second in (_loaded(spec), pickled(first)):
+        require(of_features(first) == of_features(second),
                 "two calls of load() differ; draw random numbers from a generator with a seed")
 
 

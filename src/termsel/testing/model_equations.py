@@ -50,22 +50,23 @@ def equations(model: SensorModel) -> None:
             features = _in_pieces(features)
         n = len(features.points)
         m = len(features.lines)
-        found = model.equations(features)
+        rows_found = model.equations(features)
         of = f"of {n} points and {m} lines in {len(features) - n} features"
         rows = 2 * (n + m)
-        for name, value, shape in (("A", found.A, (rows, k)), ("b", found.b, (rows,)),
-                                   ("feature", found.feature, (rows,))):
+        for name, value, shape in (("A", rows_found.A, (rows, k)), ("b", rows_found.b, (rows,)),
+                                   ("feature", rows_found.feature, (rows,))):
             require(np.shape(value) == shape, f"equations {of}: {name} must have shape {shape}, "
                     f"two rows per point or line, not {np.shape(value)}")
-        require(np.isfinite(found.A).all() and np.isfinite(found.b).all(),
+        require(np.isfinite(rows_found.A).all() and np.isfinite(rows_found.b).all(),
                 f"equations {of}: A and b must be finite")
-        require(np.array_equal(found.feature, np.repeat(features.feature, 2)),
+        require(np.array_equal(rows_found.feature, np.repeat(features.feature, 2)),
                 f"equations {of}: feature must number the features each row belongs to, points "
                 "first and then lines, as np.repeat(features.feature, 2) does")
 
 
 def _in_pieces(features: FeatureSet) -> FeatureSet:
     """Return the features with the last line as a piece of the one before it."""
+    # Two lines under one id are one feature of two pieces.
     ids = features.lines.ids
     return features.with_(lines=replace(features.lines, ids=(*ids[:-1], ids[-2])))
 
@@ -80,24 +81,26 @@ def linearisation(model: SensorModel) -> None:
     terms = np.ones(len(truth), bool)
     used = np.ones(len(features), bool)
     try:
-        found = model.linearised(features, truth)
+        linear = model.linearised(features, truth)
     except TermselError:  # a model of lines alone, as `control_kinds` says
         return
-    if found is None:
+    if linear is None:
         require(model.start(features) is None, "it has a start and no equations about a solution; "
                                                "give them in linearised()")
         return
+    # Central differences: (f(x + h) - f(x - h)) / 2h for each coefficient.
     steps = NEAR * np.eye(len(truth))
-    there, ahead, behind = (model.project(x, points.ground)
-                            for x in (truth, truth + steps, truth - steps))
-    columns = np.moveaxis(ahead - behind, 0, -1).reshape(found.A.shape) / (2 * NEAR)
-    for what, value, expected in (
-            ("A: the derivatives of project() by the terms", found.A, columns),
-            ("b: what is measured less project(), plus A times the coefficients", found.b,
-             (points.image - there).ravel() + columns @ truth)):
+    projected, ahead, behind = (model.project(x, points.ground)
+                                for x in (truth, truth + steps, truth - steps))
+    columns = np.moveaxis(ahead - behind, 0, -1).reshape(linear.A.shape) / (2 * NEAR)
+    for meaning, value, expected in (
+            ("A: the derivatives of project() by the terms", linear.A, columns),
+            ("b: what is measured less project(), plus A times the coefficients", linear.b,
+             (points.image - projected).ravel() + columns @ truth)):
+        # Relative to the largest expected value, as columns differ in size.
         off = np.abs(value - expected).max()
         require(off <= SLOPE * max(np.abs(expected).max(), 1.0),
-                f"linearised() at the truth is {off:.1g} from what it must have as {what}")
+                f"linearised() at the truth is {off:.1g} from what it must have as {meaning}")
     require(adjust(model, features, terms, used).converged,
             "a fit to points that project() gave does not converge; give a nearer start()")
 
@@ -121,6 +124,7 @@ def recovery_from_lines(model: SensorModel) -> None:
     if not any(len(features.lines) for features in accepted_scenes(model)):
         return
     # With a denominator for each axis, the equations of lines hold to first order and so does this.
+    # Then lines need approximate image positions of their vertices.
     separate = _has_separate_denominators(model)
     # Of other models than a RationalModel, lines alone may not suffice.
     points = 0 if isinstance(model, RationalModel) else 1
@@ -131,10 +135,10 @@ def recovery_from_lines(model: SensorModel) -> None:
     image = model.project(truth, ground)
     allowed = FIRST_ORDER * float(np.ptp(image))
     # A search has only the equations; a fit continues from them and may correct their errors.
-    alone = solve(model.equations(features)).coefficients
-    for how, found in (("by equations()", model.predict(alone, features, ground)),
-                       ("by a fit", fitted(model, features, ground))):
-        error = float(np.median(np.abs(found - image)))
+    coefficients = solve(model.equations(features)).coefficients
+    for how, predicted in (("by equations()", model.predict(coefficients, features, ground)),
+                           ("by a fit", fitted(model, features, ground))):
+        error = float(np.median(np.abs(predicted - image)))
         require(error <= allowed,
                 f"fitted to lines without noise {how}, it misses points by {error:.1g} (median, "
                 f"scaled units); at most {allowed:.1g} is to be expected")
@@ -143,6 +147,7 @@ def recovery_from_lines(model: SensorModel) -> None:
 def translation(model: SensorModel) -> None:
     """A shift of all image coordinates shifts its prediction by as much."""
     features, truth, ground = experiment(model, 1, 0)
+    # Different in line and sample, so that an exchange of both is seen.
     shift = np.array([0.1, -0.05])
     points = features.points
     moved = features.with_(points=Points(points.ids, points.image + shift, points.ground))
@@ -169,15 +174,18 @@ def fit(model: SensorModel) -> None:
                    - scaling.pixels(model.project(truth, ground))).max() / scaling.image_scale
     require(error <= EXACT, "fit() to points without noise that project() gave misses other points "
                             f"by {error:.1g} (scaled units)")
+    # A little noise, so that errors without a point are not zero.
     noise = NOISE * scaling.image_scale * seeded().normal(size=(len(points), 2))
-    found = model.fit(features.with_(points=replace(
+    noisy_fit = model.fit(features.with_(points=replace(
         features.points, image=features.points.image + noise)))
-    left_out = found.leave_one_out
+    left_out = noisy_fit.leave_one_out
     for i in (0, len(points) // 2):
-        others = np.arange(len(points)) != i
-        again = found.estimator.fit(found.model, found.control.take(others), found.scaling,
-                                    found.terms, np.ones(len(points) - 1, dtype=bool))
-        expected = again.errors(found.control.points.take(~others))[0]
+        is_used = np.arange(len(points)) != i
+        # In the same scaling, as leave-one-out has it.
+        refit = noisy_fit.estimator.fit(
+            noisy_fit.model, noisy_fit.control.take(is_used), noisy_fit.scaling,
+            noisy_fit.terms, np.ones(len(points) - 1, dtype=bool))
+        expected = refit.errors(noisy_fit.control.points.take(~is_used))[0]
         off = np.hypot(*(expected - (left_out[i].line, left_out[i].sample)))
         require(off <= REPEATED * (np.hypot(*expected) + NOISE * scaling.image_scale),
                 f"leave_one_out of fit() is {off:.2g} px from a fit without the point; do "

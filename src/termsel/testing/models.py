@@ -47,14 +47,15 @@ def term_names(model: SensorModel) -> None:
     twice = sorted({name for name in terms if terms.count(name) > 1})
     require(not twice, f"terms must have different names; several are called {', '.join(twice)}")
     model.equations(accepted_scenes(model)[-1])
-    again = _twin(model)
-    require(model.terms == terms and again.terms == terms,
+    twin = _twin(model)
+    require(model.terms == terms and twin.terms == terms,
             "terms must be the same names in the same order whenever they are asked for; results "
             "name them")
 
 
 def axis(model: SensorModel) -> None:
     """It declares for each term whether it acts on the line (0), the sample (1) or both (2)."""
+    # 0 line, 1 sample, 2 both.
     codes = np.asarray(model.axis)
     k = len(model.terms)
     require(codes.shape == (k,),
@@ -65,11 +66,12 @@ def axis(model: SensorModel) -> None:
     ground = random_ground(seeded(), 40)
     image = model.project(coefficients, ground)
     for term, code in enumerate(codes):
+        # A term without which an axis changes acts on that axis.
         without = coefficients.copy()
         without[term] = 0.0
         moved = np.abs(model.project(without, ground) - image).max(axis=0) > 0
-        for side, name in ((0, "line"), (1, "sample")):
-            require(code in (side, 2) or not moved[side],
+        for code_of_axis, name in ((0, "line"), (1, "sample")):
+            require(code in (code_of_axis, 2) or not moved[code_of_axis],
                     f"axis says that term {model.terms[term]!r} does not act on the {name}, but "
                     f"project() gives other {name}s without it")
 
@@ -79,11 +81,11 @@ def inputs_unchanged(model: SensorModel) -> None:
     coefficients = random_coefficients(model, seeded())
     ground = random_ground(seeded(), 9)
     features = accepted_scenes(model)[-1]
-    given = {"the coefficients": coefficients, "the ground points": ground, **{
+    arrays = {"the coefficients": coefficients, "the ground points": ground, **{
         f"{name} of the features": array for name, array in (
             ("image points", features.points.image), ("ground points", features.points.ground),
             ("image lines", features.lines.image), ("ground lines", features.lines.ground))}}
-    require_unchanged(given, "it", lambda: (
+    require_unchanged(arrays, "it", lambda: (
         model.equations(features), model.start(features), model.project(coefficients, ground),
         model.denominators(coefficients, ground), model.residual_weights(ground, ground[:4])))
 
@@ -91,17 +93,19 @@ def inputs_unchanged(model: SensorModel) -> None:
 def project_shapes(model: SensorModel) -> None:
     """It projects any number of points, none included, for one set of coefficients or many."""
     k = len(model.terms)
-    one = random_coefficients(model, seeded())
-    for n, many in product((0, 1, 7), ((), (1,), (5,), (2, 3))):
-        image = model.project(np.broadcast_to(one, (*many, k)).copy(), random_ground(seeded(), n))
-        require(np.shape(image) == (*many, n, 2),
-                f"project() of coefficients of shape {(*many, k)} and {n} ground points must have "
-                f"shape {(*many, n, 2)}, not {np.shape(image)}")
+    coefficients = random_coefficients(model, seeded())
+    for n, batch in product((0, 1, 7), ((), (1,), (5,), (2, 3))):
+        image = model.project(np.broadcast_to(coefficients, (*batch, k)).copy(),
+                              random_ground(seeded(), n))
+        require(np.shape(image) == (*batch, n, 2),
+                f"project() of coefficients of shape {(*batch, k)} and {n} ground points must have "
+                f"shape {(*batch, n, 2)}, not {np.shape(image)}")
 
 
 def batch_project(model: SensorModel) -> None:
     """Many sets of coefficients at once give the same as one by one."""
     rng = seeded()
+    # Two axes before the coefficients, as searches of several populations have them.
     sets = np.stack([random_coefficients(model, rng) for _ in range(6)]).reshape(2, 3, -1)
     ground = random_ground(rng, 11)
     control = accepted_scenes(model)[-1]
@@ -111,15 +115,15 @@ def batch_project(model: SensorModel) -> None:
 
     for name, method in (("project", model.project), ("denominators", model.denominators),
                          ("predict", predict)):
-        together = method(sets, ground)
-        if together is None:
+        joint = method(sets, ground)
+        if joint is None:
             continue
-        require(np.shape(together) == (2, 3, 11, 2), f"{name}() of coefficients of shape "
+        require(np.shape(joint) == (2, 3, 11, 2), f"{name}() of coefficients of shape "
                 f"{sets.shape} and 11 ground points must have shape (2, 3, 11, 2), not "
-                f"{np.shape(together)}")
-        for place in np.ndindex(2, 3):
-            alone = method(sets[place], ground)
-            require(alone is not None and np.allclose(together[place], alone, rtol=0, atol=1e-9),
+                f"{np.shape(joint)}")
+        for index in np.ndindex(2, 3):
+            single = method(sets[index], ground)
+            require(single is not None and np.allclose(joint[index], single, rtol=0, atol=1e-9),
                     f"{name}() gives other values for a set of coefficients alone than among "
                     "others")
 
@@ -131,11 +135,11 @@ def deterministic(model: SensorModel) -> None:
     coefficients = random_coefficients(model, seeded())
     first = model.equations(features)
     image = model.project(coefficients, ground)
-    for other in (model, _twin(model)):
-        again = other.equations(features)
-        require(np.array_equal(first.A, again.A) and np.array_equal(first.b, again.b),
+    for same_model in (model, _twin(model)):
+        repeated = same_model.equations(features)
+        require(np.array_equal(first.A, repeated.A) and np.array_equal(first.b, repeated.b),
                 "equations() of the same features differ from one call to the next")
-        require(np.array_equal(other.project(coefficients, ground), image),
+        require(np.array_equal(same_model.project(coefficients, ground), image),
                 "project() of the same points differs from one call to the next")
 
 
@@ -167,12 +171,14 @@ def picklable(model: SensorModel) -> None:
 def masks_stay_finite(model: SensorModel) -> None:
     """No selection of terms or features, however poor, breaks an evaluation."""
     for features in accepted_scenes(model):
-        for what, problem in _problems(model, features):
+        for kind, problem in _problems(model, features):
             size = problem.genome.size
+            # None, each alone, and all.
             genes = np.concatenate([np.zeros((1, size)), np.eye(size), np.ones((1, size))]) > 0
-            found = problem.evaluate(genes)
-            require(np.isfinite(found.objectives).all() and np.isfinite(found.violation).all(),
-                    f"choosing none, one or all of the {what} gives an evaluation that is not "
+            evaluation = problem.evaluate(genes)
+            require(np.isfinite(evaluation.objectives).all()
+                    and np.isfinite(evaluation.violation).all(),
+                    f"choosing none, one or all of the {kind} gives an evaluation that is not "
                     "finite")
 
 
@@ -181,19 +187,21 @@ def height(model: SensorModel) -> None:
     features = accepted_scenes(model)[-1]
     ground = random_ground(seeded(), 50)
     coefficients = random_coefficients(model, seeded())
+    # The same features with other heights.
     flat = features.with_(points=replace(features.points, ground=flattened(features.points.ground)),
                           lines=replace(features.lines, ground=flattened(features.lines.ground)))
     first = model.equations(features)
     second = model.equations(flat)
-    alike = np.array_equal(model.predict(coefficients, features, ground),
-                           model.predict(coefficients, flat, flattened(ground)))
-    same = alike and np.array_equal(first.A, second.A) and np.array_equal(first.b, second.b)
+    same_image = np.array_equal(model.predict(coefficients, features, ground),
+                                model.predict(coefficients, flat, flattened(ground)))
+    same_model = (same_image and np.array_equal(first.A, second.A)
+                  and np.array_equal(first.b, second.b))
     if model.uses_height:
         # Weights of lines may depend on heights under any model.
-        require(not alike, "uses_height is True, but heights make no difference; declare "
+        require(not same_image, "uses_height is True, but heights make no difference; declare "
                           "uses_height = False, so that it takes features without height")
     else:
-        require(same, "uses_height is False, but other heights give other equations or other "
+        require(same_model, "uses_height is False, but other heights give other equations or other "
                       "image positions")
 
 
@@ -213,9 +221,9 @@ def cases(model: type[SensorModel] | SensorModel, *,
           options: Iterable[Mapping[str, Any]] | None = None,
           place: tuple[Scaling, str] = PLACE) -> list[Case]:
     """Return a model with each of its options, prepared for a place."""
-    cls, given = (model, None) if isinstance(model, type) else (type(model), [model.options])
-    chosen = next((o for o in (options, given) if o is not None), _choices(cls))
-    return [Case(label(cls, o), partial(_made, cls, o, place)) for o in chosen]
+    cls, own_options = (model, None) if isinstance(model, type) else (type(model), [model.options])
+    option_sets = next((o for o in (options, own_options) if o is not None), _choices(cls))
+    return [Case(label(cls, o), partial(_made, cls, o, place)) for o in option_sets]
 
 
 SUITE = Suite((
@@ -238,11 +246,12 @@ def _twin(model: SensorModel) -> SensorModel:
 
 def _choices(model: type[SensorModel]) -> list[dict[str, Any]]:
     """Return no options, and each choice other than a default by itself."""
-    others: list[dict[str, Any]] = [{}]
+    option_sets: list[dict[str, Any]] = [{}]
     for option in model.declared_options:
+        # Options with few values; numbers have no natural second value.
         choices = (True, False) if option.type is bool else map(option.parse, option.choices)
-        others += [{option.name: choice} for choice in choices if choice != option.default]
-    return others
+        option_sets += [{option.name: choice} for choice in choices if choice != option.default]
+    return option_sets
 
 
 def _problems(model: SensorModel, features: FeatureSet) -> list[tuple[str, SelectionProblem]]:

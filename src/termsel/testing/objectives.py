@@ -24,8 +24,8 @@ ALONE = (slice(0, 1), slice(3, 4), slice(-1, None))
 def figure_each(objective: Objective) -> None:
     """It gives one finite figure for each individual, also where none or all is selected."""
     for selected in _selections():
-        what = of_shape(objective.score(selected), (len(selected.terms),))
-        require(what is None, f"score() of {len(selected.terms)} individuals {what}")
+        fault = of_shape(objective.score(selected), (len(selected.terms),))
+        require(fault is None, f"score() of {len(selected.terms)} individuals {fault}")
 
 
 def control_kinds(objective: Objective) -> None:
@@ -35,29 +35,29 @@ def control_kinds(objective: Objective) -> None:
     """
     for points, lines in ((0, 14), (10, 4)):
         for selected in _selections(points, lines):
-            what = of_shape(objective.score(selected), (len(selected.terms),))
-            require(what is None, f"score() with {points} points and {lines} lines {what}")
+            fault = of_shape(objective.score(selected), (len(selected.terms),))
+            require(fault is None, f"score() with {points} points and {lines} lines {fault}")
 
 
 def deterministic(objective: Objective) -> None:
     """The same selections get the same figures, here and in another process."""
     for selected in _selections():
         first = objective.score(selected)
-        for other in (objective, pickled(objective)):
-            require(np.array_equal(other.score(selected), first),
+        for copy in (objective, pickled(objective)):
+            require(np.array_equal(copy.score(selected), first),
                     "score() of the same selections differs from one call or process to the next")
 
 
 def one_by_one(objective: Objective) -> None:
     """An individual's figure does not depend on the individuals judged with it."""
     for selected in _selections():
-        together = objective.score(selected)
-        for some in ALONE:
-            alone = objective.score(replace(selected, terms=selected.terms[some],
-                                            features=selected.features[some]))
-            require(np.allclose(together[some], alone),
-                    f"among others an individual gets {together[some]}, alone {alone}; a search "
-                    "keeps figures and compares them later")
+        joint = objective.score(selected)
+        for individuals in ALONE:
+            single = objective.score(replace(selected, terms=selected.terms[individuals],
+                                             features=selected.features[individuals]))
+            require(np.allclose(joint[individuals], single),
+                    f"among others an individual gets {joint[individuals]}, alone {single}; a "
+                    "search keeps figures and compares them later")
 
 
 def inputs_unchanged(objective: Objective) -> None:
@@ -84,17 +84,18 @@ def _selections(points: int = 14, lines: int = 0) -> list[PopulationSelection]:
     truth = random_coefficients(model, rng)
     control = imaged(model, truth, rng, points=points, lines=lines)
     check: Points = imaged(model, truth, rng, points=10).points
-    seen: list[PopulationSelection] = []
+    recorded: list[PopulationSelection] = []
 
+    # A problem makes the selections; an objective that records them gets them out.
     def record(selected: PopulationSelection) -> FloatArray:
-        seen.append(selected)
+        recorded.append(selected)
         return np.zeros(len(selected.terms))
 
-    inputs = Inputs(model, control, check, 1000.0, CheckRmse(), {},
-                    (Objective("recorder", "Records.", record),))
+    recorder = Objective("recorder", "Records.", record)
+    inputs = Inputs(model, control, check, 1000.0, CheckRmse(), {}, objectives=(recorder,))
     for terms in (True, False):
         problem = SelectionProblem(inputs, terms=terms, features=not terms)
         size = problem.genome.size
         problem.evaluate(np.concatenate([np.zeros((1, size)), np.ones((1, size)),
                                          rng.random((6, size))]) > 0.5)
-    return seen
+    return recorded

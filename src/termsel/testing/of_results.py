@@ -22,29 +22,30 @@ def shown(section: ReportSection) -> None:
 def figure(measure: Measure) -> None:
     """It gives one number of every result, not infinite; NaN where there is none."""
     for result in example_results():
-        found = measure.compute(result)
-        require(isinstance(float(found), float) and not math.isinf(found),
-                f"compute() returned {found!r:.100}; expected a number, or NaN")
+        value = measure.compute(result)
+        require(isinstance(float(value), float) and not math.isinf(value),
+                f"compute() returned {value!r:.100}; expected a number, or NaN")
 
 
-def same_again(thing: ReportSection | Measure) -> None:
+def same_again(item: ReportSection | Measure) -> None:
     """The same result gets the same answer, here and in another process, and stays as it is."""
     for result in example_results():
+        # The whole content: a section may hold on to any part of it.
         before = result.to_json()
-        first = _answer(thing, result)
-        for other in (thing, pickled(thing)):
-            require(_answer(other, result) == first, "the same result gets another answer from one "
+        first = _answer(item, result)
+        for copy in (item, pickled(item)):
+            require(_answer(copy, result) == first, "the same result gets another answer from one "
                                                      "call or process to the next")
         require(result.to_json() == before, "it changes the result; work on a copy")
 
 
-def _answer(thing: ReportSection | Measure, result: Result) -> object:
-    return measured(thing, result) if isinstance(thing, Measure) else section_of(thing, result)
+def _answer(item: ReportSection | Measure, result: Result) -> object:
+    return measured(item, result) if isinstance(item, Measure) else section_of(item, result)
 
 
-def cases(thing: ReportSection | Measure) -> list[Case]:
+def cases(item: ReportSection | Measure) -> list[Case]:
     """Return a section or a measure."""
-    return [Case(thing.name, lambda: thing)]
+    return [Case(item.name, lambda: item)]
 
 
 SECTIONS = Suite((declares("sections"), shown, same_again), cases)

@@ -6,7 +6,7 @@ import subprocess
 import sys
 from dataclasses import dataclass
 from functools import cached_property
-from importlib.metadata import distributions
+from importlib.metadata import EntryPoint, distributions
 
 from termsel.plugins.hookspecs import PROJECT
 from termsel.plugins.kinds import KINDS
@@ -42,9 +42,11 @@ class Installed:
     @cached_property
     def registry(self) -> Registry:
         """The plugins of this distribution, next to those that are built in."""
-        return Registry([
-            point for one in distributions() if canonical(one.name) == canonical(self.name)
-            for point in one.entry_points.select(group=PROJECT)])
+        points: list[EntryPoint] = []
+        for distribution in distributions():
+            if canonical(distribution.name) == canonical(self.name):
+                points += distribution.entry_points.select(group=PROJECT)
+        return Registry(points)
 
     def modules(self) -> list[str]:
         """Return the modules of its entry points."""
@@ -53,7 +55,7 @@ class Installed:
 
 def installed(plugin: Installed) -> None:
     """It is installed, with an entry point in the group termsel."""
-    names = {canonical(one.name) for one in distributions()}
+    names = {canonical(distribution.name) for distribution in distributions()}
     require(canonical(plugin.name) in names, f"{plugin.name} is not installed: pip install .")
     require(plugin.modules(), f"{plugin.name} has no entry point in the group {PROJECT!r}")
 
@@ -66,7 +68,7 @@ def loads(plugin: Installed) -> None:
 
 def provides(plugin: Installed) -> None:
     """It implements a hook, and what it provides says what it is."""
-    require(any(one.hooks for one in plugin.registry.plugins[1:]), "it implements no hook")
+    require(any(loaded.hooks for loaded in plugin.registry.plugins[1:]), "it implements no hook")
     for kind in KINDS:
         for entry in plugin.registry.entries(kind):
             if entry.provided_by == canonical(plugin.name):
@@ -79,6 +81,7 @@ def modest_import(plugin: Installed) -> None:
         done = subprocess.run([sys.executable, "-P", "-c", _IMPORT, module], text=True,
                               capture_output=True, check=False)
         require(done.returncode == 0, f"{module} cannot be imported: {done.stderr[-500:]}")
+        # The last two lines are the script's own; what comes before was printed by the import.
         *printed, changed, seconds = done.stdout.strip().splitlines()
         require(not "".join(printed).strip(), f"the import of {module} prints {printed}")
         require(changed == "[]", f"the import of {module} changes {changed}")

@@ -34,30 +34,31 @@ def declaration(problem: Problem) -> None:
 def evaluation_holds(problem: Problem) -> None:
     """It evaluates one individual and many: finite objectives, and violations of at least 0."""
     genes = _individuals(problem)
-    for some in (genes, genes[:1]):
-        found = problem.evaluate(some)
-        what = evaluation_fault(problem, found, some)
-        require(what is None, f"evaluate() {what}")
-        require((found.violation >= 0).all(), "violations must be 0 or above")
+    for individuals in (genes, genes[:1]):
+        evaluation = problem.evaluate(individuals)
+        fault = evaluation_fault(problem, evaluation, individuals)
+        require(fault is None, f"evaluate() {fault}")
+        require((evaluation.violation >= 0).all(), "violations must be 0 or above")
 
 
 def deterministic(problem: Problem) -> None:
     """The same genes get the same evaluation, here and in another process."""
     genes = _individuals(problem)
     first = problem.evaluate(genes)
-    for other in (problem.evaluate(genes), pickled(problem).evaluate(genes)):
-        _require_equal(first, other, "evaluate() of the same genes differs from one call or "
+    for repeated in (problem.evaluate(genes), pickled(problem).evaluate(genes)):
+        _require_equal(first, repeated, "evaluate() of the same genes differs from one call or "
                                      "process to the next")
 
 
 def one_by_one(problem: Problem) -> None:
     """An individual's evaluation does not depend on those evaluated with it."""
     genes = _individuals(problem)
-    together = problem.evaluate(genes)
-    alone = [problem.evaluate(genes[i:i + 1]) for i in range(len(genes))]
-    _require_equal(together, Evaluation(
-        np.concatenate([one.objectives for one in alone]),
-        np.concatenate([one.violation for one in alone])),
+    # Searches keep figures of earlier generations and compare them with new ones.
+    joint = problem.evaluate(genes)
+    singles = [problem.evaluate(genes[i:i + 1]) for i in range(len(genes))]
+    _require_equal(joint, Evaluation(
+        np.concatenate([evaluation.objectives for evaluation in singles]),
+        np.concatenate([evaluation.violation for evaluation in singles])),
         "an individual is evaluated otherwise alone than among others; a search keeps figures and "
         "compares them later")
 
@@ -65,6 +66,7 @@ def one_by_one(problem: Problem) -> None:
 def neighbours_alike(problem: Problem) -> None:
     """Neighbours of an individual have their own evaluation, but for rounding."""
     for start in _individuals(problem)[:3]:
+        # The first neighbour stands for all: they differ from the start by one step.
         around = next(iter(neighbours(start, problem.genome)), None)
         if around is not None:
             _require_equal(problem.evaluate(around), problem.evaluate_near(around, start),
@@ -83,25 +85,26 @@ def inputs_unchanged(problem: Problem) -> None:
 
 def decodes(problem: Problem) -> None:
     """It tells what each individual selects, the same each time."""
-    for one in _individuals(problem):
-        found = problem.decode(one)
-        require(isinstance(found, Selection),
-                f"decode() must return a Selection, not {type(found).__name__}")
-        for part, names in (("terms", found.terms), ("features", found.features)):
+    for individual in _individuals(problem):
+        selection = problem.decode(individual)
+        require(isinstance(selection, Selection),
+                f"decode() must return a Selection, not {type(selection).__name__}")
+        for kind, names in (("terms", selection.terms), ("features", selection.features)):
             require(isinstance(names, tuple) and all(isinstance(name, str) for name in names),
-                    f"decode() must give {part} as a tuple of names, not {names!r:.200}")
-            require(len(set(names)) == len(names), f"decode() names one of the {part} twice")
-        require(problem.decode(one.copy()) == found, "decode() of the same genes differs")
+                    f"decode() must give {kind} as a tuple of names, not {names!r:.200}")
+            require(len(set(names)) == len(names), f"decode() names one of the {kind} twice")
+        require(problem.decode(individual.copy()) == selection,
+                "decode() of the same genes differs")
 
 
 def searched(problem: Problem) -> None:
     """A random search of 300 evaluations finds something feasible, which can be decoded."""
     if len(problem.objectives) > RandomSearch.max_objectives:
         return
-    found = search(problem, RandomSearch(), evaluations=300)
-    require(found.violation == 0, "no individual of 300 random ones is feasible; let genome.random "
+    best = search(problem, RandomSearch(), evaluations=300)
+    require(best.violation == 0, "no individual of 300 random ones is feasible; let genome.random "
                                   "and genome.repair know the conditions")
-    problem.decode(found.genes)
+    problem.decode(best.genes)
 
 
 def cases(problem: Recipe | Problem | Make) -> list[Case]:
@@ -127,6 +130,6 @@ def _individuals(problem: Problem) -> np.ndarray:
     return problem.genome.random(np.random.default_rng(1), FEW)
 
 
-def _require_equal(one: Evaluation, other: Evaluation, message: str, near: float = 1e-9) -> None:
-    require(np.allclose(one.objectives, other.objectives, rtol=near, atol=1e-12)
-            and np.allclose(one.violation, other.violation, rtol=near, atol=1e-12), message)
+def _require_equal(first: Evaluation, second: Evaluation, message: str, near: float = 1e-9) -> None:
+    require(np.allclose(first.objectives, second.objectives, rtol=near, atol=1e-12)
+            and np.allclose(first.violation, second.violation, rtol=near, atol=1e-12), message)

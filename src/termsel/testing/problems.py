@@ -83,12 +83,12 @@ class Watched(ProblemAround):
         if self.before is not None:
             self.before(self.calls)
         self.evaluated += len(genes)
-        found = self.inner.evaluate(genes)
+        evaluation = self.inner.evaluate(genes)
         if len(genes):
-            first = int(found.order()[0])
-            self.best = min(self.best, (float(found.violation[first]),
-                                        float(found.objectives[first, 0])))
-        return found
+            first = int(evaluation.order()[0])
+            self.best = min(self.best, (float(evaluation.violation[first]),
+                                        float(evaluation.objectives[first, 0])))
+        return evaluation
 
 
 class Counted(ProblemAround):
@@ -100,8 +100,9 @@ class Counted(ProblemAround):
 
     def evaluate(self, genes: BoolArray) -> Evaluation:
         """Return the evaluation of the inner problem, and the count."""
-        found = self.inner.evaluate(genes)
-        return Evaluation(np.column_stack([found.objectives, genes.sum(axis=1)]), found.violation)
+        evaluation = self.inner.evaluate(genes)
+        sizes = genes.sum(axis=1)
+        return Evaluation(np.column_stack([evaluation.objectives, sizes]), evaluation.violation)
 
 
 def require_genes(genome: Genome, genes: object, who: str) -> None:
@@ -187,7 +188,7 @@ class Even(CustomSegment):
 
 def typed(types: Iterable[type[AnySegment]]) -> Toy:
     """Return a problem with a segment of each type: the sum of the squares of all genes."""
-    made: dict[type[AnySegment], AnySegment] = {
+    genomes: dict[type[AnySegment], AnySegment] = {
         Bits: Bits("bits", numbered("b", 6), 2, 4),
         Integers: Integers("integers", numbered("i", 2), (-2, 0), (3, 100)),
         Reals: Reals("reals", numbered("r", 2), -1.5, 2.5),
@@ -195,11 +196,11 @@ def typed(types: Iterable[type[AnySegment]]) -> Toy:
         Permutation: Permutation("permutation", numbered("p", 5)),
         Subset: Subset("subset", numbered("s", 8), 3),
         CustomSegment: Even("even", numbered("e", 3))}
-    segments = [made[one] for one in types]
+    segments = [genomes[kind] for kind in types]
     # Of `Bits` and a `Subset` one label is forced on and one off.
     switched = [segment for segment in segments if isinstance(segment, Bits | Subset)]
-    genome = Genome(segments, on=[one.labels[0] for one in switched],
-                    off=[one.labels[1] for one in switched])
+    genome = Genome(segments, on=[segment.labels[0] for segment in switched],
+                    off=[segment.labels[1] for segment in switched])
     return Toy(genome, lambda genes: (
         (genes.astype(np.float64)**2).sum(axis=1, keepdims=True), np.zeros(len(genes))))
 
@@ -214,9 +215,10 @@ def optimum(problem: Problem) -> float:
     """Return the least first objective of the feasible selections of a small problem."""
     genome = problem.genome
     # All selections that keep forced genes and cardinality are evaluated.
+    # Row i has the binary digits of i: all bit patterns of the genome.
     everything = (np.arange(2**genome.size)[:, None] >> np.arange(genome.size)) & 1 > 0
-    found = problem.evaluate(everything[genome.keeps(everything)])
-    return float(found.objectives[found.violation == 0, 0].min())
+    evaluation = problem.evaluate(everything[genome.keeps(everything)])
+    return float(evaluation.objectives[evaluation.violation == 0, 0].min())
 
 
 def _plain(size: int) -> Genome:

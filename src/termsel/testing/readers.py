@@ -62,14 +62,15 @@ def sniffs_example(example: Example) -> None:
 def sniffs_anything(example: Example) -> None:
     """It returns False for bytes without meaning, and never raises."""
     with TemporaryDirectory() as folder:
-        for content, what in _noise():
+        for content, description in _noise():
             path = _put(example, folder, content)
             try:
                 answer = example.reader.sniff(path, content[:HEAD])
             except Exception as error:
-                raise AssertionError(f"sniff() of {what} raises {type(error).__name__}: {error}; "
-                                     "it must return False for unknown content") from error
-            require(answer is False, f"sniff() of {what} must be False, not {answer!r}")
+                raise AssertionError(
+                    f"sniff() of {description} raises {type(error).__name__}: {error}; it must "
+                    "return False for unknown content") from error
+            require(answer is False, f"sniff() of {description} must be False, not {answer!r}")
         for size in _cuts(example):
             content = example.content[:size]
             answer = example.reader.sniff(_put(example, folder, content), content)
@@ -86,14 +87,14 @@ def truncated(example: Example) -> None:
 
 def empty_file(example: Example) -> None:
     """An empty file is refused by its name."""
-    for content, what in ((b"", "an empty file"), (b"\n \n", "a blank file")):
-        _require_refused(example, content, what)
+    for content, description in ((b"", "an empty file"), (b"\n \n", "a blank file")):
+        _require_refused(example, content, description)
 
 
 def binary_file(example: Example) -> None:
     """Bytes without meaning are refused by the name of the file."""
-    for content, what in _noise():
-        _require_refused(example, content, what)
+    for content, description in _noise():
+        _require_refused(example, content, description)
 
 
 def missing_file(example: Example) -> None:
@@ -108,9 +109,9 @@ def wrong_encoding(example: Example) -> None:
     if example.text is None:
         return
     with TemporaryDirectory() as folder:
-        found = _read_or_refuse(example, folder, example.text.encode("utf-16"), "UTF-16 text")
-        if found is not None:
-            _require_same(found, example.expected, "the example as UTF-16")
+        features = _read_or_refuse(example, folder, example.text.encode("utf-16"), "UTF-16 text")
+        if features is not None:
+            _require_same(features, example.expected, "the example as UTF-16")
         _read_or_refuse(example, folder, example.content + b"\xe9\xff", "text that is not UTF-8")
 
 
@@ -120,16 +121,17 @@ def line_ends(example: Example) -> None:
         return
     lines = example.text.replace("\r\n", "\n")
     with TemporaryDirectory() as folder:
-        for text, what in ((lines, "line ends of Unix"),
-                           (lines.replace("\n", "\r\n"), "line ends of Windows"),
-                           ("\ufeff" + lines, "a byte order mark"),
-                           (lines.rstrip("\n"), "no line end in the last line")):
+        for text, description in ((lines, "line ends of Unix"),
+                                  (lines.replace("\n", "\r\n"), "line ends of Windows"),
+                                  ("\ufeff" + lines, "a byte order mark"),
+                                  (lines.rstrip("\n"), "no line end in the last line")):
             path = _put(example, folder, text.encode())
             try:
-                found = example.reader.read(path)
+                features = example.reader.read(path)
             except TermselError as error:
-                raise AssertionError(f"the example with {what} is refused: {error}") from error
-            _require_same(found, example.expected, f"the example with {what}")
+                raise AssertionError(
+                    f"the example with {description} is refused: {error}") from error
+            _require_same(features, example.expected, f"the example with {description}")
 
 
 def cases(reader: type[Reader] | Reader, *, content: bytes, expected: FeatureSet,
@@ -152,6 +154,7 @@ def _put(example: Example, folder: str, content: bytes) -> Path:
 
 
 def _noise() -> list[tuple[bytes, str]]:
+    # The same bytes in every run.
     rng = np.random.default_rng(1)
     return [(rng.bytes(n), f"{n} random bytes") for n in (1, 16, 1000, 20000)] + [
         (bytes(100), "zero bytes")]
@@ -161,42 +164,45 @@ def _cuts(example: Example) -> list[int]:
     return sorted({int(n) for n in np.linspace(0, len(example.content) - 1, PIECES)})
 
 
-def _refused(example: Example, path: Path, what: str) -> None:
-    refused(lambda: example.reader.read(path), path, what, "is read as if nothing were wrong")
+def _refused(example: Example, path: Path, description: str) -> None:
+    refused(lambda: example.reader.read(path), path, description,
+            "is read as if nothing were wrong")
 
 
-def _require_refused(example: Example, content: bytes, what: str) -> None:
+def _require_refused(example: Example, content: bytes, description: str) -> None:
     with TemporaryDirectory() as folder:
-        _refused(example, _put(example, folder, content), what)
+        _refused(example, _put(example, folder, content), description)
 
 
-def _read_or_refuse(example: Example, folder: str, content: bytes, what: str,
+def _read_or_refuse(example: Example, folder: str, content: bytes, description: str,
                     ) -> FeatureSet | None:
     """Return the features read, or None if a TermselError names the file."""
     path = _put(example, folder, content)
+    # Whatever was raised is judged by the second call, which says what is wrong.
     with suppress(Exception):
         return example.reader.read(path)
-    _refused(example, path, what)
+    _refused(example, path, description)
     return None
 
 
-def _require_same(found: FeatureSet, expected: FeatureSet, what: str) -> None:
+def _require_same(features: FeatureSet, expected: FeatureSet, description: str) -> None:
     pairs = (
-        ("ids of points", found.points.ids, expected.points.ids),
-        ("ids of lines", found.lines.ids, expected.lines.ids),
-        ("roles", found.points.roles, expected.points.roles),
-        ("crs", found.crs, expected.crs),
-        ("image_size", found.image_size, expected.image_size),
-        ("image coordinates of points", found.points.image, expected.points.image),
-        ("ground coordinates of points", found.points.ground, expected.points.ground),
-        ("standard deviations", found.points.sigma, expected.points.sigma),
-        ("image coordinates of lines", found.lines.image, expected.lines.image),
-        ("ground coordinates of lines", found.lines.ground, expected.lines.ground),
-        ("standard deviations of lines", found.lines.sigma, expected.lines.sigma))
-    for name, mine, other in pairs:
-        if isinstance(mine, np.ndarray) and isinstance(other, np.ndarray):
-            same = mine.shape == other.shape and np.allclose(mine, other, rtol=1e-12, atol=1e-9,
-                                                             equal_nan=True)
+        ("ids of points", features.points.ids, expected.points.ids),
+        ("ids of lines", features.lines.ids, expected.lines.ids),
+        ("roles", features.points.roles, expected.points.roles),
+        ("crs", features.crs, expected.crs),
+        ("image_size", features.image_size, expected.image_size),
+        ("image coordinates of points", features.points.image, expected.points.image),
+        ("ground coordinates of points", features.points.ground, expected.points.ground),
+        ("standard deviations", features.points.sigma, expected.points.sigma),
+        ("image coordinates of lines", features.lines.image, expected.lines.image),
+        ("ground coordinates of lines", features.lines.ground, expected.lines.ground),
+        ("standard deviations of lines", features.lines.sigma, expected.lines.sigma))
+    for name, value, other in pairs:
+        if isinstance(value, np.ndarray) and isinstance(other, np.ndarray):
+            # Equal but for the rounding of other ways to read decimals; unknown heights are NaN.
+            is_same = value.shape == other.shape and np.allclose(
+                value, other, rtol=1e-12, atol=1e-9, equal_nan=True)
         else:
-            same = mine is other or (type(mine) is type(other) and mine == other)
-        require(same, f"{what} is read with the {name} {mine}, expected {other}")
+            is_same = value is other or (type(value) is type(other) and value == other)
+        require(is_same, f"{description} is read with the {name} {value}, expected {other}")

@@ -64,11 +64,11 @@ def imaged(model: SensorModel, coefficients: FloatArray, rng: np.random.Generato
     ends = model.project(coefficients, vertices.reshape(-1, 3)).reshape(-1, 2, 2)
     # The ground vertices of a line lie on the image line, but the image points that define it are
     # elsewhere along it.
-    along = np.array([-0.3, 1.4])[None, :, None] * (ends[:, 1:] - ends[:, :1])
+    positions = np.array([-0.3, 1.4])[None, :, None] * (ends[:, 1:] - ends[:, :1])
     return FeatureSet(
         Points(numbered("p", points), model.project(coefficients, ground), ground)
         if points else no_points(),
-        Lines(numbered("l", lines), ends[:, :1] + along, vertices) if lines else no_lines())
+        Lines(numbered("l", lines), ends[:, :1] + positions, vertices) if lines else no_lines())
 
 
 def experiment(model: SensorModel, points: int, lines: int, shrink: float = 1.0,
@@ -80,14 +80,14 @@ def experiment(model: SensorModel, points: int, lines: int, shrink: float = 1.0,
     """
     rng = seeded()
     truth = random_coefficients(model, rng) * shrink
-    enough = max(12, len(model.terms))
-    features = imaged(model, truth, rng, points=points * enough, lines=lines * enough)
+    number = max(12, len(model.terms))
+    features = imaged(model, truth, rng, points=points * number, lines=lines * number)
     return features, truth, random_ground(rng, 50)
 
 
 def accepted_scenes(model: SensorModel) -> list[FeatureSet]:
     """Return features of the kinds of control that the model accepts, the fullest last."""
-    taken = []
+    accepted = []
     refusal: TermselError | None = None
     for mix in MIXES:
         features = experiment(model, *mix)[0]
@@ -96,10 +96,10 @@ def accepted_scenes(model: SensorModel) -> list[FeatureSet]:
         except TermselError as error:
             refusal = error
         else:
-            taken.append(features)
-    if not taken:
+            accepted.append(features)
+    if not accepted:
         raise AssertionError(f"equations() refuses points and lines: {refusal}")
-    return taken
+    return accepted
 
 
 def fitted(model: SensorModel, features: FeatureSet, ground: FloatArray) -> FloatArray:

@@ -51,7 +51,7 @@ def generations_hold(trial: Trial) -> None:
     Yielded generations do not change when the solver continues.
     """
     problem = trial.posed(trial.problem())
-    kept: list[tuple[Generation, Any, Evaluation]] = []
+    limit: list[tuple[Generation, Any, Evaluation]] = []
     for expected, generation in enumerate(trial.few(problem)):
         require(isinstance(generation, Generation),
                 f"generations() must yield Generation, not {type(generation).__name__}")
@@ -68,10 +68,10 @@ def generations_hold(trial: Trial) -> None:
                 and np.allclose(evaluation.objectives, true.objectives)
                 and np.allclose(evaluation.violation, true.violation),
                 f"the evaluation of generation {expected} is not that of its genes")
-        kept.append((generation, genes.copy(),
-                     Evaluation(evaluation.objectives.copy(), evaluation.violation.copy())))
-    require(kept, "generations() must yield at least one generation")
-    for generation, genes, evaluation in kept:
+        limit.append((generation, genes.copy(),
+                      Evaluation(evaluation.objectives.copy(), evaluation.violation.copy())))
+    require(limit, "generations() must yield at least one generation")
+    for generation, genes, evaluation in limit:
         require(np.array_equal(generation.genes, genes)
                 and np.array_equal(generation.evaluation.objectives, evaluation.objectives)
                 and np.array_equal(generation.evaluation.violation, evaluation.violation),
@@ -96,9 +96,9 @@ def chance_from_rng_alone(trial: Trial) -> None:
                 "two searches with the same seed differ; its only source of chance must be the "
                 "generator it is given")
         twin = replace(trial, solver=type(trial.solver)(**trial.solver.options))
-        again = [g.genes for g in twin.few(trial.problem())]
-        require(len(again) == len(runs[0])
-                and all(np.array_equal(a, b) for a, b in zip(runs[0], again, strict=True)),
+        repeated = [g.genes for g in twin.few(trial.problem())]
+        require(len(repeated) == len(runs[0])
+                and all(np.array_equal(a, b) for a, b in zip(runs[0], repeated, strict=True)),
                 "another object with the same options and seed searches otherwise; what a search "
                 "remembers belongs in generations(), not in the object")
 
@@ -127,7 +127,7 @@ def genome_kept(trial: Trial) -> None:
 def typed_genomes(trial: Trial) -> None:
     """It keeps genes of every type it declares valid, one by one and mixed in one genome."""
     declared = trial.solver.segments
-    for types in (*([one] for one in declared), declared):
+    for types in (*([kind] for kind in declared), declared):
         if trial.takes(problems.typed(types)):
             problem = Watched(problems.typed(types))
             for generation in trial.few(problem, 4):
@@ -141,8 +141,8 @@ def narrow_genomes(trial: Trial) -> None:
                     problems.narrow(2, on=("g1", "g2"))):
         if not trial.takes(problem):
             continue
-        found = trial.search(problem, evaluations=200)
-        require(found.genes.all(),
+        result = trial.search(problem, evaluations=200)
+        require(result.genes.all(),
                 f"with {problem.genome.size} genes, {problem.genome.on.sum()} of them forced on, "
                 "it does not find that all on is best")
 
@@ -151,23 +151,23 @@ def evaluation_budget(trial: Trial) -> None:
     """It evaluates through the problem it is given, and ends when the budget is spent."""
     for budget in (1, 7, 123):
         problem = Watched(trial.problem())
-        found = trial.search(problem, evaluations=budget)
-        require(problem.evaluated <= budget and found.evaluations <= budget,
-                f"given {budget} evaluations it takes {max(problem.evaluated, found.evaluations)}")
-        require(found.evaluations == budget or not trial.goes_on,
-                f"given {budget} evaluations it ends by itself after {found.evaluations}; declare "
+        result = trial.search(problem, evaluations=budget)
+        require(problem.evaluated <= budget and result.evaluations <= budget,
+                f"given {budget} evaluations it takes {max(problem.evaluated, result.evaluations)}")
+        require(result.evaluations == budget or not trial.goes_on,
+                f"given {budget} evaluations it ends by itself after {result.evaluations}; declare "
                 "ends_by_itself = True where that is meant")
 
 
 def generation_budget(trial: Trial) -> None:
     """It ends after the last generation of the budget."""
     for budget in (1, 3):
-        seen: list[int] = []
+        generations: list[int] = []
         trial.search(trial.problem(), generations=budget,
-                observers=[partial(_note_index, seen, budget)])
-        require(seen == list(range(budget + 1)) or not trial.goes_on,
+                observers=[partial(_note_index, generations, budget)])
+        require(generations == list(range(budget + 1)) or not trial.goes_on,
                 f"given {budget} generations it yields those with the index "
-                f"{', '.join(map(str, seen))}")
+                f"{', '.join(map(str, generations))}")
 
 
 def errors_pass(trial: Trial) -> None:
@@ -195,20 +195,20 @@ def errors_pass(trial: Trial) -> None:
 
 def closes(trial: Trial) -> None:
     """Its iterator can be closed before, between and after generations, and then stops."""
-    for taken in (0, 1, 3):
+    for count in (0, 1, 3):
         problem = Watched(trial.problem())
         running = trial.solver.generations(trial.posed(problem), np.random.default_rng(1))
         close = getattr(running, "close", None)
         if close is None:
             raise AssertionError("generations() must be a generator, a method with `yield`, whose "
                                  "iterator can be closed")
-        for _ in islice(running, taken):
+        for _ in islice(running, count):
             pass
         calls = problem.calls
         try:
             close()
         except RuntimeError as error:
-            raise AssertionError(f"after {taken} generations it cannot be closed: {error}"
+            raise AssertionError(f"after {count} generations it cannot be closed: {error}"
                                  ) from error
         require(problem.calls == calls, "it evaluates while it is being closed")
         require(next(running, None) is None, "it goes on after it was closed")
@@ -224,25 +224,26 @@ def interruptible(trial: Trial) -> None:
             raise KeyboardInterrupt
 
     problem = Watched(trial.problem(), before)
-    found = trial.search(problem, generations=20)
-    require(found.interrupted == bool(raised),
+    result = trial.search(problem, generations=20)
+    require(result.interrupted == bool(raised),
             "it catches KeyboardInterrupt, so that the run does not know it was interrupted")
-    require((found.violation, float(found.objectives[0])) == problem.best,
+    require((result.violation, float(result.objectives[0])) == problem.best,
             "after Ctrl-C the result is not the best found until then")
 
 
 def best_never_worse(trial: Trial) -> None:
     """The best so far only improves, and is what the search returns."""
     for problem in map(Watched, filter(trial.takes, (trial.problem(), problems.trap()))):
-        seen: list[tuple[float, float]] = []
-        found = trial.search(problem, generations=10, observers=[
-            lambda progress, seen=seen: seen.append((progress.violation, progress.best))])
-        require(seen == sorted(seen, reverse=True), "the best so far becomes worse")
-        require((found.violation, float(found.objectives[0])) == problem.best,
+        recorded: list[tuple[float, float]] = []
+        result = trial.search(problem, generations=10, observers=[
+            lambda progress, recorded=recorded: recorded.append(
+                (progress.violation, progress.best))])
+        require(recorded == sorted(recorded, reverse=True), "the best so far becomes worse")
+        require((result.violation, float(result.objectives[0])) == problem.best,
                 "the search does not return the best it evaluated")
-        true = problem.inner.evaluate(found.genes[None])
-        require(np.allclose(true.objectives[0, 0], found.objectives[0])
-                and np.allclose(true.violation[0], found.violation),
+        true = problem.inner.evaluate(result.genes[None])
+        require(np.allclose(true.objectives[0, 0], result.objectives[0])
+                and np.allclose(true.violation[0], result.violation),
                 "the result's objectives are not those of its genes")
 
 
@@ -250,10 +251,10 @@ def feasible_first(trial: Trial) -> None:
     """It seeks feasible individuals, even where infeasible ones have better objectives."""
     if not trial.takes(problems.trap()):
         return
-    found = trial.search_until(lambda progress: progress.violation == 0, problems.trap(),
-                               evaluations=GENEROUS)
-    require(found.violation == 0,
-            f"with {found.evaluations} evaluations it finds no feasible selection where the "
+    result = trial.search_until(lambda progress: progress.violation == 0, problems.trap(),
+                                evaluations=GENEROUS)
+    require(result.violation == 0,
+            f"with {result.evaluations} evaluations it finds no feasible selection where the "
             "objective leads away from them; rank by violation before objectives, as "
             "Evaluation.order() does. A solver that does not search lists this among its expected "
             "failures")
@@ -263,8 +264,8 @@ def hopeless_survived(trial: Trial) -> None:
     """If nothing is feasible and all costs are equal, it still returns a finite result."""
     if not trial.takes(problems.hopeless()):
         return
-    found = trial.search(problems.hopeless(), generations=10)
-    require(found.violation >= 1.0 and np.isfinite(found.objectives).all(),
+    result = trial.search(problems.hopeless(), generations=10)
+    require(result.violation >= 1.0 and np.isfinite(result.objectives).all(),
             "a problem without feasible individuals gives no finite result")
 
 
@@ -272,12 +273,12 @@ def optimum_found(trial: Trial) -> None:
     """From any seed it finds the best of all selections, 4096 by default, in 5000 evaluations."""
     best = problems.optimum(trial.problem())
     for seed in SEEDS:
-        found = trial.search_until(
+        result = trial.search_until(
             lambda progress: progress.violation == 0 and bool(np.isclose(progress.best, best)),
             trial.problem(), seed=seed, evaluations=ENOUGH)
-        require(np.isclose(found.objectives[0], best),
-                f"with seed {seed} and {found.evaluations} evaluations it finds "
-                f"{found.objectives[0]:.3f}, and the best is {best:.3f}; a solver that does not "
+        require(np.isclose(result.objectives[0], best),
+                f"with seed {seed} and {result.evaluations} evaluations it finds "
+                f"{result.objectives[0]:.3f}, and the best is {best:.3f}; a solver that does not "
                 "search lists this among its expected failures")
 
 
@@ -302,9 +303,9 @@ def objectives_respected(trial: Trial) -> None:
 def cases(solver: type[Solver] | Solver, *, options: Iterable[Mapping[str, Any]] | None = None,
           problem: Callable[[], Problem] = problems.twelve_terms) -> list[Case]:
     """Return a solver with each of its options, and the problem of most checks."""
-    cls, given = (solver, {}) if isinstance(solver, type) else (type(solver), solver.options)
+    cls, own_options = (solver, {}) if isinstance(solver, type) else (type(solver), solver.options)
     return [Case(label(cls, o), partial(Trial, cls(**o), problem))
-            for o in ([given] if options is None else options)]
+            for o in ([own_options] if options is None else options)]
 
 
 SUITE = Suite((
@@ -314,7 +315,7 @@ SUITE = Suite((
     objectives_respected), cases)
 
 
-def _note_index(seen: list[int], budget: int, progress: Progress) -> None:
-    seen.append(progress.generation.index)
-    require(len(seen) <= budget + 1, f"given {budget} generations it yields more: the index of "
-            f"generations must rise, and was {', '.join(map(str, seen))}")
+def _note_index(indices: list[int], budget: int, progress: Progress) -> None:
+    indices.append(progress.generation.index)
+    require(len(indices) <= budget + 1, f"given {budget} generations it yields more: the index of "
+            f"generations must rise, and was {', '.join(map(str, indices))}")

@@ -125,18 +125,18 @@ def check(thing: Any, *, expected_failures: Mapping[str, str] | None = None,
     run_all(checks(thing, expected_failures=expected_failures, **about))
 
 
-def _kind(thing: Any) -> str:
+def _kind(item: Any) -> str:
     """Return the plural of what a thing is; TermselError if nothing has checks of it."""
     import click
 
-    if isinstance(thing, str):
+    if isinstance(item, str):
         return "plugins"
-    if isinstance(thing, click.Command):
+    if isinstance(item, click.Command):
         return "commands"
     for kind, declared in KINDS.items():
-        if declared.is_of(thing):
+        if declared.is_of(item):
             return kind
-    if isinstance(thing, Problem) or callable(thing):
+    if isinstance(item, Problem) or callable(item):
         return "problems"
-    raise TermselError(f"there are no checks of {thing!r:.100}",
+    raise TermselError(f"there are no checks of {item!r:.100}",
                        hint="Give what a hook returns, a command, or the name of a package.")

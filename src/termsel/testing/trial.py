@@ -70,8 +70,8 @@ class Trial:
 
 def global_states() -> tuple[Any, ...]:
     """Return the states of `random` and `numpy.random`, to be compared."""
-    name, keys, *rest = np.random.get_state()
-    return random.getstate(), name, np.asarray(keys).tobytes(), tuple(rest)
+    name, keys, *others_state = np.random.get_state()
+    return random.getstate(), name, np.asarray(keys).tobytes(), tuple(others_state)
 
 
 @contextmanager

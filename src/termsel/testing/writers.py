@@ -40,9 +40,9 @@ class Export:
 
     def accepted(self) -> list[Result]:
         """Return the results the writer accepts, at least one."""
-        taken = [result for result in self.results if self.writer.accepts(result)]
-        require(taken, "accepts() refuses all results; give some that it accepts as `results`")
-        return taken
+        accepted = [result for result in self.results if self.writer.accepts(result)]
+        require(accepted, "accepts() refuses all results; give some that it accepts as `results`")
+        return accepted
 
 
 def accepts_answers(export: Export) -> None:
@@ -84,12 +84,13 @@ def unwritable_path(export: Export) -> None:
         with TemporaryDirectory() as folder:
             _refused(export, result, Path(folder) / "missing" / export.filename,
                      "a path in a folder that does not exist")
-            taken = Path(folder) / export.filename
-            taken.mkdir()
-            _refused(export, result, taken, "a path where there is a folder")
-            require(taken.is_dir() and not list(taken.iterdir()), "it writes into a folder "
+            # A folder in the way of the file.
+            occupied = Path(folder) / export.filename
+            occupied.mkdir()
+            _refused(export, result, occupied, "a path where there is a folder")
+            require(occupied.is_dir() and not list(occupied.iterdir()), "it writes into a folder "
                                                                   "with the name of the file")
-            _require_tidy(taken)
+            _require_tidy(occupied)
 
 
 def refuses_others(export: Export) -> None:
@@ -130,10 +131,10 @@ def whole_or_nothing(export: Export) -> None:
 def cases(writer: type[Writer] | Writer, *, filename: str,
           results: Iterable[Result] | None = None, verify: Verify | None = None) -> list[Case]:
     """Return a writer with results to write."""
-    made = instance(writer)
+    writer_object = instance(writer)
     to_write = None if results is None else tuple(results)
-    return [Case(label(made, {}), lambda: Export(
-        made, example_results() if to_write is None else to_write, filename, verify))]
+    return [Case(label(writer_object, {}), lambda: Export(
+        writer_object, example_results() if to_write is None else to_write, filename, verify))]
 
 
 SUITE = Suite((
@@ -169,21 +170,22 @@ def example_results() -> tuple[Result, ...]:
     return tuple(results)
 
 
-def _refused(export: Export, result: Result, path: Path, what: str) -> None:
-    refused(lambda: export.writer.write(result, path), path, what,
+def _refused(export: Export, result: Result, path: Path, description: str) -> None:
+    refused(lambda: export.writer.write(result, path), path, description,
             "goes unnoticed: write through termsel.core.files.atomic")
 
 
-def _require_old(path: Path, what: str) -> None:
-    require(path.read_bytes() == OLD, f"after {what} the file that was there before is lost; "
-                                      "write through termsel.core.files.atomic")
+def _require_old(path: Path, description: str) -> None:
+    require(path.read_bytes() == OLD,
+            f"after {description} the file that was there before is lost; write through "
+            "termsel.core.files.atomic")
     _require_tidy(path)
 
 
 def _require_tidy(path: Path) -> None:
     """Require no other files next to the one written, except those with the same stem."""
-    left = [p.name for p in path.parent.iterdir() if not p.name.startswith(path.stem)]
-    require(not left, f"temporary files are left behind: {', '.join(left)}")
+    remaining = [p.name for p in path.parent.iterdir() if not p.name.startswith(path.stem)]
+    require(not remaining, f"temporary files are left behind: {', '.join(remaining)}")
 
 
 @contextmanager
