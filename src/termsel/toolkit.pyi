@@ -149,14 +149,14 @@ from .models.poles import pole_margin as pole_margin
 from .models.poles import pole_violation as pole_violation
 from .plugins.kinds import KINDS as KINDS
 from .plugins.registry import registry as registry
+from .report.accuracy import expected_of as expected_of
+from .report.accuracy import predicted_first as predicted_first
 from .report.blocks import Document as Document
 from .report.blocks import Figure as Figure
 from .report.blocks import Section as Section
 from .report.blocks import TableBlock as TableBlock
 from .report.charts.search import with_unit as with_unit
-from .report.opening import expected_of as expected_of
-from .report.opening import opening as opening
-from .report.opening import predicted_first as predicted_first
+from .report.first_screen import first_screen as first_screen
 from .report.page import page as page
 from .report.pictures import picture as picture
 from .report.plots import save as save

@@ -202,7 +202,7 @@ def test_tiles_are_pictures_of_the_right_place(running: Running, place: Path) ->
     np.testing.assert_array_equal(tile[:200, :, 0], pixels[:, :256])
 
 
-def test_ctrl_c_ends_it_and_the_same_command_goes_on(place: Path) -> None:
+def test_ctrl_c_ends_it_and_the_same_command_goes_on(place: Path, tmp_path: Path) -> None:
     begun = Running("scan.tif", "--map", "ortho.tif", "--out", "again", cwd=place)
     begun.call("put", image=[3.25, 4.5])
     said = begun.end()
@@ -213,7 +213,9 @@ def test_ctrl_c_ends_it_and_the_same_command_goes_on(place: Path) -> None:
     first.call("put", image=[7.0, 8.0])
     first.process.kill()  # without any warning
     first.process.communicate()
-    second = Running("again", cwd=place)
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    second = Running(str(place / "again"), cwd=elsewhere)
     state = json.loads(second.ask("state")[2])
     second.end()
     assert [record["image"] for record in state["records"]] == [[3.25, 4.5], [7.0, 8.0]]

@@ -155,11 +155,11 @@ def test_no_link_in_the_folder_of_a_session_is_followed(
 def test_a_strangers_session_asks_no_server_and_names_no_output() -> None:
     kept = Files.of_header({"image": "scan.tif", "maps": [
         "https://example.org/{z}/{x}/{y}.png", "/vsicurl/http://127.0.0.1/a.tif", "ortho.tif"],
-        "out": "/etc", "allow_remote": True, "command": "x"})
-    assert kept.maps == ("ortho.tif",)
+        "out": "/etc", "allow_remote": True, "command": "x"}, Path("place"))
+    assert kept.maps == (str(Path("place", "ortho.tif")),)
     for header in ({"maps": "ortho.tif"}, {"image": 3}, {"maps": [1]}, {"size": [1, -1]}):
         with pytest.raises(TermselError):
-            Files.of_header(header)
+            Files.of_header(header, Path("place"))
 
 
 def test_a_session_of_another_image_or_crs_is_refused(
@@ -294,6 +294,8 @@ def test_the_journal_is_lines_of_json_with_the_files_first(
                      (tmp_path / "out" / NAME).read_text("utf-8").splitlines()]
     assert first["schema"] == "termsel-app-1"
     assert first["crs"] == "EPSG:25832"
+    assert first["image"] == str(Path("..", "scan.tif"))
+    assert first["maps"] == [str(Path("..", "ortho.tif"))]
     assert change["change"][0][1]["image"] == [1.0, 2.0]
 
 

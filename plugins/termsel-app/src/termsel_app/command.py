@@ -112,7 +112,7 @@ def found(given: Files, folder: Path | None) -> tuple[Files, Path]:
     if not place.is_dir():
         return given, folder or Path(f"{place.stem or 'image'}-control")
     if (place / NAME).exists():
-        kept = Files.of_header(header_of(place))
+        kept = Files.of_header(header_of(place), place)
         return replace(kept, maps=kept.maps + given.maps), folder or place
     if (place / "result.json").exists():
         return of_result(place, given), folder or place.with_name(f"{place.name}-control")

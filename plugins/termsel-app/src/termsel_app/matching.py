@@ -16,9 +16,10 @@ import termsel
 from termsel import TermselError
 from termsel.toolkit import FloatArray
 from termsel_app.maps import MapRaster
-from termsel_app.outputs import call, from_folder
+from termsel_app.outputs import call
 from termsel_app.places import between, turned
 from termsel_app.quality import written
+from termsel_app.session import from_folder
 
 if TYPE_CHECKING:
     from termsel_app.control import Record

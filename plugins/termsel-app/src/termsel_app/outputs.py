@@ -6,7 +6,6 @@ names no file. The commands run as they do in a terminal, so that results are th
 
 from __future__ import annotations
 
-import os
 import shlex
 import subprocess
 import sys
@@ -18,7 +17,7 @@ from termsel import TermselError
 from termsel_app.control import ControlFeatures
 from termsel_app.iiif import is_iiif
 from termsel_app.quality import written
-from termsel_app.session import Files, Session
+from termsel_app.session import Files, Session, from_folder
 
 RESULT = "result"
 _SECONDS = 900
@@ -72,13 +71,6 @@ def run_arguments(session: Session) -> list[str]:
         if name is not None and not is_iiif(name):
             arguments += [option, from_folder(name, folder)]
     return [*arguments, "--out", RESULT, "--overwrite"]
-
-
-def from_folder(name: str, folder: Path) -> str:
-    """Return the name of a file as a command in a folder gives it."""
-    if name.startswith("/vsi") or "://" in name:
-        return name
-    return os.path.relpath(Path(name).absolute(), folder.absolute())
 
 
 def command_line(session: Session) -> str:

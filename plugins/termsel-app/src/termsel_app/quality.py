@@ -50,7 +50,7 @@ Answer = dict[str, Any]
 
 def prepare() -> None:
     """Load what the first answer needs, before it is asked for."""
-    for name in (termsel.run, termsel.read, toolkit.plan, toolkit.opening):
+    for name in (termsel.run, termsel.read, toolkit.plan, toolkit.first_screen):
         assert callable(name)
 
 
@@ -111,7 +111,8 @@ def figures(result: Result) -> Answer:
     strategy = result.strategy
     residuals = errors(result)
     return {
-        "opening": [{"label": note.label, "text": note.text} for note in toolkit.opening(record)],
+        "facts": [{"label": fact.label, "text": fact.text}
+                  for fact in toolkit.first_screen(record)],
         "accuracy": accuracy(result),
         "why": strategy.reason if strategy is not None else "",
         "judgement": result.judgement,

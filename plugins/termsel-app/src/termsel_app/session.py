@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import os
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
@@ -31,6 +32,27 @@ MOST_PASTED = 2**20
 """Characters that may be pasted."""
 
 
+NAMES = ("image", "points", "lines", "rpc", "dem")
+"""What of the files of a session is a name."""
+
+
+def from_folder(name: str, folder: Path) -> str:
+    """Return the name of a file as a command in a folder gives it."""
+    if name.startswith("/vsi") or "://" in name:
+        return name
+    try:
+        return os.path.relpath(Path(name).absolute(), folder.absolute())
+    except ValueError:  # another drive of Windows
+        return str(Path(name).absolute())
+
+
+def from_here(name: str, folder: Path) -> str:
+    """Return the name of a file that a folder names, as one gives it here."""
+    if name.startswith("/vsi") or "://" in name:
+        return name
+    return os.path.normpath(folder / name)
+
+
 @dataclass(frozen=True)
 class Files:
     """What a session was started with, as the first line of its journal keeps it."""
@@ -44,12 +66,18 @@ class Files:
     crs: str | None = None
     size: tuple[int, int] | None = None
 
-    def header(self) -> dict[str, Any]:
-        """Return it as the first line of a journal."""
-        return asdict(self)
+    def header(self, folder: Path) -> dict[str, Any]:
+        """Return it as the first line of the journal in a folder, with names as seen from there.
+
+        So a folder of files and their session may move, and be opened from anywhere.
+        """
+        names = {key: None if (name := getattr(self, key)) is None else from_folder(name, folder)
+                 for key in NAMES}
+        return {**asdict(self), **names,
+                "maps": [from_folder(name, folder) for name in self.maps]}
 
     @classmethod
-    def of_header(cls, header: Mapping[str, Any]) -> Files:
+    def of_header(cls, header: Mapping[str, Any], folder: Path) -> Files:
         """Return what the first line of a journal says; raises TermselError where it is no header.
 
         The addresses of tiles are left out: only the command line asks a server for anything.
@@ -65,7 +93,10 @@ class Files:
         if size is not None and not (isinstance(size, list) and len(size) == 2
                                      and all(type(n) is int and 0 < n < 2**31 for n in size)):
             raise TermselError("the size of the image of this session is no pair of numbers")
-        local = tuple(name for name in maps if "://" not in name and not name.startswith("/vsi"))
+        local = tuple(from_here(name, folder) for name in maps
+                      if "://" not in name and not name.startswith("/vsi"))
+        texts.update({key: from_here(str(texts[key]), folder) for key in NAMES
+                      if texts[key] is not None})
         return cls(**texts, maps=local, size=None if size is None else (size[0], size[1]))
 
 
@@ -404,7 +435,7 @@ def open_session(files: Files, folder: Path, *, remote: bool = False,
         worker = Worker(remote, drivers)  # it loads termsel while files are opened
         stack.callback(worker.close)
         journal, header, control = stack.enter_context(open_journal(folder))
-        kept = None if header is None else Files.of_header(header)
+        kept = None if header is None else Files.of_header(header, folder)
         _require_same(files, kept, folder)
         served = None
         image = None
@@ -427,7 +458,7 @@ def open_session(files: Files, folder: Path, *, remote: bool = False,
         places = Places(crs, maps.shown, None if files.dem is None else Path(files.dem))
         stack.callback(places.close)
         if kept is None:
-            journal.begin(replace(files, crs=crs).header())
+            journal.begin(replace(files, crs=crs).header(folder))
         session = Session(replace(files, crs=crs), folder, journal, control, image, maps, places,
                           list(maps.notes), served)
         if features is not None:

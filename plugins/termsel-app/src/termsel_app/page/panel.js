@@ -108,8 +108,14 @@ export function showNextPlaces(next, goTo) {
 export function showModel(figures) {
   byId("model-section").hidden = !figures;
   if (!figures) return;
-  const lines = figures.opening.filter(note => ["Model", "Control"].includes(note.label));
-  const parts = lines.map(note => make("p", {}, [make("strong", { textContent: `${note.label} ` }), note.text]));
+  /** A fact may go on in lines whose label is blank. @type {{label: string, text: string}[]} */
+  const facts = [];
+  for (const { label, text } of figures.facts) {
+    if (label.trim()) facts.push({ label, text });
+    else if (label && facts.length) facts[facts.length - 1].text += ` ${text}`;
+  }
+  const parts = facts.filter(fact => ["Model", "Compared"].includes(fact.label)).map(fact =>
+    make("p", {}, [make("strong", { textContent: `${fact.label} ` }), fact.text]));
   const why = [figures.why, figures.judgement].filter(Boolean);
   parts.push(make("details", {}, [make("summary", { textContent: "Why, and what to know" }),
     make("ul", {}, [...why, ...figures.notes].map(text => make("li", { textContent: text })))]));
