@@ -44,7 +44,7 @@ def rectify(context: click.Context, folder: Path, image: Path, output: Path, dem
             height: float | None, crs: str | None, resolution: float | None,
             resampling: str | None, nodata: float | None, sigma: Path | None, final: bool | None,
             overwrite: bool, quiet: bool) -> None:
-    """Resample an image to a map, by GDAL's warper through the fitted model.
+    """Resample an image to a map, through the fitted model.
 
     DIR is the folder that a run wrote with --out.
 

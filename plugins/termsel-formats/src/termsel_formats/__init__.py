@@ -38,6 +38,7 @@ def termsel_readers() -> Iterable[type[Reader]]:
     from termsel_formats.points.envi import EnviPoints
     from termsel_formats.points.erdas import ErdasGcps
     from termsel_formats.points.gdal_files import PamGcps
+    from termsel_formats.points.geolocation import GeolocationArray
     from termsel_formats.points.mapinfo import MapInfoTab
     from termsel_formats.points.metashape import MetashapeMarkers
     from termsel_formats.points.ozi import OziMap
@@ -47,7 +48,7 @@ def termsel_readers() -> Iterable[type[Reader]]:
     from termsel_formats.points.world import WorldFile
 
     return [EnviPoints, AspGcp, MapInfoTab, OziMap, MetashapeMarkers, Pix4dMarks, ErdasGcps,
-            PciGcp, PamGcps, WorldFile, GdalGcps]
+            PciGcp, PamGcps, WorldFile, GeolocationArray, GdalGcps]
 
 
 @hookimpl

@@ -1,0 +1,216 @@
+"""How exact the ways from a Sentinel-1 image to the ground are, with range and Doppler as truth.
+
+``python -m benchmarks.sentinel --write`` makes docs/evidence/sentinel-1.md from the annotations in
+real/sentinel1 of the data folder; without these it says so, and changes nothing. With ``--whole``
+it also times `rectify` and gdalwarp on an image of the size of the first GRD product, which takes
+half an hour.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline, CubicSpline, RBFInterpolator
+
+import termsel
+from benchmarks.sets import DATA, put
+from benchmarks.whole_image import timings
+from termsel.core.threads import one_blas_thread
+from termsel.data.coordinates.wgs84 import to_ecef
+from termsel.data.features import FeatureSet, FloatArray
+from termsel.models.rpc_fit import rpc_of
+from termsel_scanner import Radar
+from termsel_scanner.annotation import LatticePoint, annotation_of, lattice_of
+
+PLACES, SEED = 1500, 0
+LIGHT = 299792458.0
+HALVINGS = 60
+"""Of the interval in which the time of zero Doppler lies: to rounding."""
+
+INTRODUCTION = """# Sentinel-1: the ways from image to ground
+
+Files of Sentinel-1 carry GCPs, which their processor computed. Most programs lay a polynomial or a
+spline through them and ignore their heights. termsel reads the product with its annotation, and so
+has the [radar](../how-to/sentinel-1.md) with orbit and timing.
+
+`python -m benchmarks.sentinel --write` makes this page from annotations of real products (contains
+modified Copernicus Sentinel data 2021, 2022).
+"""
+
+TRUTH = f"""## Between the points of the lattice
+
+Truth is range and Doppler, computed for this page by halving intervals of time, which the package
+does not: at {PLACES:,} places between the lattice's points, at heights of their own between the
+lowest and the highest. Figures are RMSE [px]. The interval is what a run on the lattice alone
+promises. Of an SLC image of the mode IW it is the first burst, of which the product has no lattice:
+termsel computes one.
+
+""" + "\n".join("| " + " | ".join(cells) + " |" for cells in (
+    ("image", "GCPs", "heights [m]", "cubic, as gdalwarp -order 3", "spline, as gdalwarp -tps",
+     "auto, lattice alone", "promised (90 %)", "radar", "RPC of the radar", "its largest"),
+    ("---",) + ("---:",) * 9)) + "\n"
+
+END = """
+A cubic or a spline without heights is off by what relief does. Of the stripmap image the lattice
+itself is 0.08 px off in line, as the processor counts the time until an echo arrives otherwise. No
+RPC follows the polynomials of ground range, which change every second; the message of the export
+says how far it is off.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """An annotation, with the burst of a TOPS image."""
+
+    path: Path
+    burst: int
+
+    @property
+    def lattice(self) -> tuple[LatticePoint, ...]:
+        """Points of the annotation."""
+        return lattice_of(self.path)
+
+    def features(self) -> FeatureSet:
+        """Return the lattice with its annotation."""
+        return termsel.read(self.path, **({"burst": self.burst} if self.burst else {}))
+
+
+def cases() -> list[Case]:
+    """Return the annotations of the data folder."""
+    found = []
+    for path in sorted((DATA / "real" / "sentinel1").glob("*.xml")):
+        bursts = annotation_of(str(path)).bursts
+        found.append(Case(path, 1 if bursts else 0))
+    return found
+
+
+def truth(case: Case, ground: FloatArray) -> FloatArray:
+    """Return line and sample (n, 2) of places by range and Doppler, by bisection."""
+    stated = annotation_of(str(case.path))
+    orbit = CubicHermiteSpline(stated.times, stated.positions, stated.velocities)
+    motion = CubicSpline(stated.times, stated.velocities)
+    targets = to_ecef(ground)
+    low = np.full(len(ground), stated.times[0])
+    high = np.full(len(ground), stated.times[-1])
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2.0
+        ahead = ((targets - orbit(middle)) * motion(middle)).sum(axis=1) > 0.0
+        low = np.where(ahead, middle, low)
+        high = np.where(ahead, high, middle)
+    time = (low + high) / 2.0
+    distance = np.linalg.norm(targets - orbit(time), axis=1)
+    burst = stated.bursts[case.burst - 1] if case.burst else None
+    line = time / stated.line_interval if burst is None else \
+        burst.line + (time - burst.time) / stated.line_interval
+    if not stated.ground_ranges:
+        sample = (2.0 * distance / LIGHT - stated.first_range_time) * stated.sampling_rate
+        return np.stack([line, sample], axis=1)
+    moments = [record.time for record in stated.ground_ranges]
+    ranges = np.stack([np.polyval(record.coefficients[::-1], distance - record.origin)
+                       for record in stated.ground_ranges], axis=1)
+    sample = [np.interp(at, moments, row) for at, row in zip(time, ranges, strict=True)]
+    return np.stack([line, np.array(sample) / stated.sample_spacing], axis=1)
+
+
+def places_between(features: FeatureSet) -> FloatArray:
+    """Return places (n, 3) in the meshes of a lattice, at heights of their own."""
+    rng = np.random.default_rng(SEED)
+    image = features.points.image
+    ground = features.points.ground
+    lines = np.unique(image[:, 0])
+    columns = np.unique(image[:, 1])
+    number = {place: index for index, place in enumerate(map(tuple, image.tolist()))}
+    found = []
+    while len(found) < PLACES:
+        row = int(rng.integers(len(lines) - 1))
+        column = int(rng.integers(len(columns) - 1))
+        corners = [number.get((lines[row + i], columns[column + j])) for i in (0, 1)
+                   for j in (0, 1)]
+        if None in corners:
+            continue
+        down, right = rng.uniform(size=2)
+        weights = np.outer([1.0 - down, down], [1.0 - right, right]).ravel()
+        found.append(weights @ ground[corners])
+    places = np.array(found)
+    places[:, 2] = rng.uniform(ground[:, 2].min(), ground[:, 2].max(), PLACES)
+    return places
+
+
+def cubic(features: FeatureSet, places: FloatArray) -> FloatArray:
+    """Return positions by a cubic polynomial of longitude and latitude."""
+    ground = features.points.ground
+    middle = ground.mean(axis=0)
+    half = np.ptp(ground, axis=0) / 2.0
+
+    def columns(at: FloatArray) -> FloatArray:
+        x, y = ((at - middle) / half)[:, :2].T
+        return np.stack([x**i * y**j for i in range(4) for j in range(4 - i)], axis=1)
+
+    return columns(places) @ np.linalg.lstsq(columns(ground), features.points.image)[0]
+
+
+def spline(features: FeatureSet, places: FloatArray) -> FloatArray:
+    """Return positions by a thin plate spline through all points."""
+    ground = features.points.ground[:, :2]
+    middle = ground.mean(axis=0)
+    unit = float(np.ptp(ground, axis=0).max())
+    through = RBFInterpolator((ground - middle) / unit, features.points.image,
+                              kernel="thin_plate_spline")
+    return np.asarray(through((places[:, :2] - middle) / unit))
+
+
+def row(case: Case) -> str:
+    """Return the row of an annotation."""
+    features = case.features()
+    places = places_between(features)
+    exact = truth(case, places)
+
+    def rmse(positions: FloatArray) -> str:
+        return _size(float(np.sqrt(((positions - exact)**2).sum(axis=1).mean())))
+
+    alone = features.with_(points=replace(features.points, attributes={}))
+    result = termsel.run(features=alone)
+    promised = result.predicted
+    radar = Radar(metadata=str(case.path), burst=case.burst)
+    rpc = rpc_of(termsel.run(features=features).fit)
+    heights = features.points.ground[:, 2]
+    return " | ".join(["", radar.annotation.product + (f", burst {case.burst}" * bool(case.burst)),
+                       f"{len(features.points)}", f"{heights.min():.0f} to {heights.max():,.0f}",
+                       rmse(cubic(features, places)), rmse(spline(features, places)),
+                       rmse(result.fit.project(places)),
+                       "-" if promised is None else f"{_size(promised.low)} to "
+                       f"{_size(promised.high)}", rmse(radar.unshifted(places)),
+                       rmse(rpc.rpc.project(places)), _size(rpc.worst), ""]).strip()
+
+
+def _size(value: float) -> str:
+    return "0" if value < 1e-6 else f"{value:.2g}" if value < 99.5 else f"{value:,.0f}"
+
+
+@one_blas_thread
+def main() -> None:
+    """Print the page, or renew it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--write", action="store_true", help="renew the page")
+    parser.add_argument("--whole", action="store_true", help="time a whole image, too")
+    asked = parser.parse_args()
+    found = cases()
+    if not found:
+        sys.stdout.write(f"no annotations in {DATA / 'real' / 'sentinel1'}: nothing is done\n")
+        return
+    text = INTRODUCTION + "\n" + TRUTH
+    text += "\n".join(row(case) for case in found) + "\n"
+    text += END
+    if asked.whole:
+        grd = next(case for case in found if not case.burst
+                   and annotation_of(str(case.path)).ground_ranges)
+        text += "\n" + timings(grd.path)
+    put("sentinel-1", text, write=asked.write)
+
+
+if __name__ == "__main__":
+    main()

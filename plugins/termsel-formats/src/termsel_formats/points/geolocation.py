@@ -1,0 +1,327 @@
+"""Geolocation arrays and tie-point grids: longitude, latitude and height of regular places.
+
+An array may have a place for every pixel of an image. A model needs some hundred of them: it is
+thinned to a lattice, which is made denser until a smooth model of the lattice predicts the places
+between as well as it ever will.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from termsel import FeatureSet, Option, Points, Reader, TermselError, open_raster
+from termsel.toolkit import read_head, refuse_empty_giant
+from termsel_formats.points.common import CORNER
+
+FloatArray = NDArray[np.float64]
+
+DENSITIES = (8, 16, 32)
+"""Meshes along either side of a lattice, from the first that is tried to the densest."""
+
+ENOUGH, GAIN = 0.05, 0.8
+"""Error between the places of a lattice that is good enough [px], and the part of it that a denser
+one must fall below to be worth its places."""
+
+LONGITUDES, LATITUDES = ("longitude", "lon", "x"), ("latitude", "lat", "y")
+HEIGHTS = ("height", "altitude", "elevation", "z")
+"""What bands of arrays are called, without regard to case."""
+
+LARGEST = 1e30
+"""What is no coordinate."""
+
+_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"EHFA_HEADER_TAG", b"CDF\x01", b"CDF\x02",
+          b"\x89HDF")
+_HINT = ("Give a raster with bands longitude, latitude and perhaps height; or that of longitudes, "
+         "with --set latitude=FILE and --set height=FILE; or an image whose metadata name its "
+         "geolocation array.")
+
+Band = Callable[[int], FloatArray]
+"""Returns a line of a band."""
+
+
+@dataclass(frozen=True, eq=False)
+class Arrays:
+    """Bands of places, and where the first one and the others are in the image.
+
+    Parameters
+    ----------
+    bands : tuple of callable
+        Of longitude, latitude and perhaps height: each returns one of its lines.
+    shape : tuple of int
+        Lines and samples of the arrays.
+    first, step : ndarray, shape (2,)
+        Line and sample of the first place, from the centre of the first pixel, and from one to the
+        next [px].
+    crs : str
+    image_size : tuple of int, optional
+    """
+
+    bands: tuple[Band, ...]
+    shape: tuple[int, int]
+    first: FloatArray
+    step: FloatArray
+    crs: str
+    image_size: tuple[int, int] | None
+
+
+class GeolocationArray(Reader):
+    """A geolocation array, or a tie-point grid: longitude, latitude and perhaps height.
+
+    They are bands of one raster, files of their own, or what the domain GEOLOCATION of an image's
+    metadata names. Each place is of the centre of a pixel, or of every so many pixels.
+    """
+
+    name = "geolocation-array"
+    summary = "longitude, latitude and height as bands, files, or GEOLOCATION of a raster"
+    declared_options = (
+        Option("latitude", None, "Raster of latitudes, where the file has longitudes alone."),
+        Option("height", None, "Raster of ellipsoidal heights, for such a file."),
+        Option("array_first", None, "Line and sample of the array's first place, counted from the "
+                                    "centre of the first pixel; by default 0,0."),
+        Option("array_step", None, "Lines and samples of the image from one place of the array to "
+                                   "the next, such as 16,16; by default 1,1."),
+        Option("meshes", None, "Meshes along either side of the lattice that is taken; by default "
+                               "as many as the geometry needs, up to 32.", int, 3, 200))
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True for a raster whose metadata name an array, or whose bands are one."""
+        if self.options["latitude"] is not None:
+            return True
+        if head.lstrip().startswith(b"<VRTDataset"):
+            return b'domain="GEOLOCATION"' in head or b"ongitude</Description>" in head
+        if not head.startswith(_MAGIC):
+            return False
+        try:
+            with open_raster(path) as raster:
+                return bool(raster.tags(ns="GEOLOCATION")) or _named_bands(raster) is not None
+        except TermselError:
+            return False
+
+    def read(self, path: Path) -> FeatureSet:
+        """Return the lattice; errors name the file."""
+        read_head(path, _HINT)
+        with ExitStack() as stack:
+            arrays = self._arrays(path, stack)
+            return _lattice_of(arrays, path, self.options["meshes"])
+
+    def _arrays(self, path: Path, stack: ExitStack) -> Arrays:
+        """Return the arrays of a file, with the files that they are in open on the stack."""
+        raster = stack.enter_context(open_raster(path))
+        domain = raster.tags(ns="GEOLOCATION")
+        if domain and self.options["latitude"] is None:
+            return _of_domain(path, raster, domain, stack)
+        numbers = _named_bands(raster)
+        if self.options["latitude"] is not None:
+            rasters = [raster, *(stack.enter_context(open_raster(Path(self.options[name])))
+                                 for name in ("latitude", "height") if self.options[name])]
+            bands = [(one, 1) for one in rasters]
+        elif numbers is not None:
+            bands = [(raster, number) for number in numbers]
+        else:
+            raise TermselError("no bands of this raster are called longitude and latitude",
+                               file=path, hint=_HINT)
+        step = self._pair("array_step", 1.0)
+        size = raster.shape if (step == 1.0).all() else None
+        return Arrays(_bands(bands, path), raster.shape, self._pair("array_first", 0.0), step,
+                      "", size)
+
+    def _pair(self, name: str, usual: float) -> FloatArray:
+        """Return an option of two numbers, of lines and of samples."""
+        text = self.options[name]
+        if text is None:
+            return np.full(2, usual)
+        try:
+            pair = np.array([float(part) for part in str(text).split(",")])
+        except ValueError:
+            pair = np.zeros(0)
+        if pair.shape != (2,) or not np.isfinite(pair).all() or (name == "array_step"
+                                                                 and not (pair > 0.0).all()):
+            raise TermselError(f"option {name!r} cannot be {text!r}",
+                               hint=f"Give lines and samples, such as {name}=16,16.", name=name)
+        return pair
+
+
+def _named_bands(raster: Any) -> list[int] | None:
+    """Return the numbers of the bands of longitude, latitude and perhaps height, by their names."""
+    names = [str(name or "").strip().casefold() for name in raster.descriptions]
+    found = [next((names.index(name) + 1 for name in known if name in names), None)
+             for known in (LONGITUDES, LATITUDES, HEIGHTS)]
+    return None if None in found[:2] else [number for number in found if number is not None]
+
+
+def _of_domain(path: Path, raster: Any, domain: dict[str, str], stack: ExitStack) -> Arrays:
+    """Return the arrays that the metadata of an image name, by GDAL's RFC 4."""
+    bands = []
+    for axis in "XYZ":
+        name = domain.get(f"{axis}_DATASET")
+        if name is None:
+            if axis == "Z":
+                break
+            raise TermselError(f"its domain GEOLOCATION has no {axis}_DATASET", file=path,
+                               hint=_HINT)
+        relative = domain.get(f"{axis}_DATASET_RELATIVE_TO_SOURCE", "NO").upper() in ("YES", "1")
+        place = Path(os.path.join(path.parent, name)) if relative else Path(name)
+        bands.append((stack.enter_context(open_raster(place)),
+                      int(_number(domain, f"{axis}_BAND", 1.0, path))))
+    offset = np.array([_number(domain, f"{axis}_OFFSET", 0.0, path) for axis in ("LINE", "PIXEL")])
+    step = np.array([_number(domain, f"{axis}_STEP", 1.0, path) for axis in ("LINE", "PIXEL")])
+    if not (step > 0.0).all():
+        raise TermselError("its domain GEOLOCATION has a step that is not positive", file=path,
+                           hint=_HINT)
+    # Places are at corners of the steps, or in their middles; GDAL counts from the outer corner.
+    centred = domain.get("GEOREFERENCING_CONVENTION", "").upper() == "PIXEL_CENTER"
+    first = offset + (step / 2.0 if centred else 0.0) - CORNER
+    shape = bands[0][0].shape
+    return Arrays(_bands(bands, path), shape, first, step, domain.get("SRS", ""), raster.shape)
+
+
+def _number(domain: dict[str, str], name: str, usual: float, path: Path) -> float:
+    text = domain.get(name)
+    try:
+        value = usual if text is None else float(text)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise TermselError(f"its domain GEOLOCATION has {name}={text!r:.50}, which is no number",
+                           file=path, hint=_HINT)
+    return value
+
+
+def _bands(bands: list[tuple[Any, int]], path: Path) -> tuple[Band, ...]:
+    """Return what reads lines of bands, which must be of one size."""
+    first = bands[0][0]
+    for raster, number in bands:
+        refuse_empty_giant(raster)
+        if raster.shape != first.shape:
+            raise TermselError(f"{raster.name} has {raster.shape[0]} lines and {raster.shape[1]} "
+                               f"samples, other than the array of longitudes with "
+                               f"{first.shape[0]} and {first.shape[1]}", file=path, hint=_HINT)
+        if not 1 <= number <= raster.count:
+            raise TermselError(f"{raster.name} has no band {number}", file=path, hint=_HINT)
+    return tuple(_line_of(raster, number) for raster, number in bands)
+
+
+def _line_of(raster: Any, number: int) -> Band:
+    from rasterio.windows import Window
+
+    def line(index: int) -> FloatArray:
+        with np.errstate(all="ignore"):
+            values = raster.read(number, window=Window(0, index, raster.width, 1), masked=True)
+            found = values.astype(np.float64).filled(np.nan)[0]
+            found = found * raster.scales[number - 1] + raster.offsets[number - 1]
+        found[~(np.abs(found) < LARGEST)] = np.nan
+        return np.asarray(found)
+
+    return line
+
+
+def _lattice_of(arrays: Arrays, path: Path, meshes: int | None) -> FeatureSet:
+    """Return some places of arrays, as many as the geometry needs, as control."""
+    most = max(size - 1 for size in arrays.shape)
+    lattice = None
+    error = np.inf
+    for density in DENSITIES if meshes is None else (meshes,):
+        denser = _taken(arrays, density)
+        after = _error_between(arrays, denser)
+        if lattice is None or after < GAIN * error:
+            lattice = denser
+        if after <= ENOUGH or after >= GAIN * error or density >= most:
+            break
+        error = after
+    assert lattice is not None
+    image, ground = lattice
+    known = np.isfinite(ground[:, :2]).all(axis=1)
+    if known.sum() < 4:
+        raise TermselError("this array has fewer than four places", file=path, hint=_HINT)
+    if (np.abs(ground[known, 1]) > 90.0).any() and not arrays.crs:
+        raise TermselError("the latitudes of this array are beyond 90", file=path, hint=_HINT)
+    image = image[known]
+    ground = ground[known]
+    if np.isnan(ground[:, 2]).any():
+        ground[:, 2] = np.nan
+    names = tuple(f"L{line:g}P{sample:g}" for line, sample in image)
+    return FeatureSet(Points(names, image, ground),
+                      crs=_crs_of(arrays.crs, np.isfinite(ground[:, 2]).all()),
+                      image_size=arrays.image_size)
+
+
+def _crs_of(stated: str, heights: bool) -> str:
+    """Return the CRS of places: of degrees, WGS84 with ellipsoidal heights where these are known.
+    """
+    from rasterio.crs import CRS
+    from rasterio.errors import CRSError
+
+    degrees = "EPSG:4979" if heights else "EPSG:4326"
+    if not stated:
+        return degrees
+    try:
+        epsg = CRS.from_user_input(stated).to_epsg()
+    except CRSError:
+        return stated
+    return degrees if epsg == 4326 else stated if epsg is None else f"EPSG:{epsg}"
+
+
+def _taken(arrays: Arrays, meshes: int, shift: float = 0.0) -> tuple[FloatArray, FloatArray]:
+    """Return image places (n, 2) and ground (n, 3) of some lines and columns of arrays.
+
+    With a shift of a half they are those in the middle of the meshes.
+    """
+    chosen = [np.unique(np.round((np.arange(min(meshes, size - 1) + (shift == 0.0)) + shift)
+                                 * (size - 1) / max(min(meshes, size - 1), 1)).astype(int))
+              for size in arrays.shape]
+    rows = []
+    for index in chosen[0]:
+        bands = [band(int(index))[chosen[1]] for band in arrays.bands]
+        bands += [np.full(len(chosen[1]), np.nan)] * (3 - len(bands))
+        rows.append(np.stack(bands, axis=1))
+    places = np.stack(np.meshgrid(*chosen, indexing="ij"), axis=-1).reshape(-1, 2)
+    ground = np.concatenate(rows)
+    known = np.isfinite(ground[:, 0])
+    if known.any() and np.ptp(ground[known, 0]) > 180.0:  # across the date line
+        ground[:, 0] %= 360.0
+    return arrays.first + places * arrays.step, ground
+
+
+def _error_between(arrays: Arrays, lattice: tuple[FloatArray, FloatArray]) -> float:
+    """Return the RMSE in the middles of meshes of a smooth model of a lattice [px].
+
+    Lines and samples are cubic polynomials of the ground, heights by quadratic factors, and what
+    these leave is interpolated linearly.
+    """
+    from scipy.interpolate import griddata
+
+    image, ground = lattice
+    meshes = max(len(np.unique(image[:, 0])) - 1, 1)
+    between, at = _taken(arrays, meshes, 0.5)
+    ground = ground.copy()
+    ground[:, 2] = np.nan_to_num(ground[:, 2])  # of an array without heights
+    at[:, 2] = np.nan_to_num(at[:, 2])
+    known = np.isfinite(ground[:, :2]).all(axis=1)
+    seen = np.isfinite(at[:, :2]).all(axis=1)
+    if known.sum() < 30 or not seen.any():
+        return 0.0
+    middle = np.nanmean(ground[known], axis=0)
+    half = np.maximum(np.ptp(ground[known], axis=0) / 2.0, 1e-9)
+    columns = _columns((ground[known] - middle) / half)
+    solution = np.linalg.lstsq(columns, image[known])[0]
+    left = image[known] - columns @ solution
+    rest = griddata(image[known], left, between[seen], rescale=True)
+    predicted = _columns((at[seen] - middle) / half) @ solution + np.nan_to_num(rest)
+    errors = (between[seen] - predicted)[np.isfinite(rest).all(axis=1)]
+    return float(np.sqrt((errors**2).sum(axis=1).mean())) if len(errors) else 0.0
+
+
+def _columns(ground: FloatArray) -> FloatArray:
+    x, y, z = np.nan_to_num(ground).T
+    plane = [x**i * y**j for i in range(4) for j in range(4 - i)]
+    return np.stack([*plane, *(z * x**i * y**j for i in range(3) for j in range(3 - i)), z**2],
+                    axis=1)
+
