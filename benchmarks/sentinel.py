@@ -196,7 +196,8 @@ def main() -> None:
     """Print the page, or renew it."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--write", action="store_true", help="renew the page")
-    parser.add_argument("--whole", action="store_true", help="time a whole image, too")
+    parser.add_argument("--whole", type=float, nargs="?", const=1.0, metavar="SHARE",
+                        help="time the map of a whole image, too, or of a share of it")
     asked = parser.parse_args()
     found = cases()
     if not found:
@@ -208,7 +209,7 @@ def main() -> None:
     if asked.whole:
         grd = next(case for case in found if not case.burst
                    and annotation_of(str(case.path)).ground_ranges)
-        text += "\n" + timings(grd.path)
+        text += "\n" + timings(grd.path, asked.whole)
     put("sentinel-1", text, write=asked.write)
 
 

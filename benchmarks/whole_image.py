@@ -131,10 +131,11 @@ def timings(annotation: Path, part: float = 1.0) -> str:
     with tempfile.TemporaryDirectory() as name:
         measured = rows(annotation, Path(name), part)
     lines = ["## A map of a whole image", "",
-             f"Processor time of one thread, and the largest memory, for an image of the size of "
-             f"{annotation.name.split('-')[1].upper()} GRD with a DEM of 1\", on the same grid. "
-             "termsel's map is packed, has overviews and is read back; those of gdalwarp are not.",
-             "", "| way | time [s] | memory [GiB] |", "|---|---:|---:|",
+             "Processor time of one thread, and the largest memory, for an image of speckle of the "
+             "size of an IW GRD product", "and a DEM of 1\" that is made up"
+             + (f": {part:.0%} of the map" if part < 1.0 else "") + ". The grid is the same. The "
+             "map of termsel is packed, has overviews", "and is read back; those of gdalwarp are "
+             "not.", "", "| way | time [s] | memory [GiB] |", "|---|---:|---:|",
              *(f"| {name} | {seconds:.0f} | {memory:.1f} |" for name, seconds, memory in measured)]
     return "\n".join(lines) + "\n"
 

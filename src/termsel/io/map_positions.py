@@ -87,7 +87,7 @@ class MapPositions:
             return np.full((*shape, 2), np.nan)
         levels = self._levels(float(heights[known].min()), float(heights[known].max()))
         tried = self._tried(known)
-        places = self._ground(tried + 0.5, transform)
+        places = self._ground(tried.astype(np.float64) + 0.5, transform)
         exact = self._positions(np.column_stack([places, heights[tuple(tried.T)]]))
         step = self._step
         while True:
@@ -123,7 +123,7 @@ class MapPositions:
     def _each(self, shape: tuple[int, int], transform: Any, heights: FloatArray) -> FloatArray:
         """Return the model's own positions of all pixels: it is not smooth enough there."""
         lines, samples = np.indices(shape)
-        pixels = np.column_stack([lines.ravel(), samples.ravel()]) + 0.5
+        pixels: FloatArray = np.column_stack([lines.ravel(), samples.ravel()]) + np.float64(0.5)
         found = np.empty((len(pixels), 2))
         flat = heights.ravel()
         for start in range(0, len(pixels), AT_ONCE):
@@ -207,7 +207,7 @@ class MapPositions:
         surface = self.surface
         assert isinstance(surface, Dem)
         lines, samples = np.indices(shape)
-        pixels = np.column_stack([lines.ravel(), samples.ravel()]) + 0.5
+        pixels: FloatArray = np.column_stack([lines.ravel(), samples.ravel()]) + np.float64(0.5)
         return surface(self._ground(pixels, transform)).reshape(shape)
 
 

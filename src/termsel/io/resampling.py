@@ -148,7 +148,7 @@ def _weight(distance: float, kernel: int, stretch: float) -> float:
     if x < 1e-9:
         return 1.0
     turn = np.pi * x
-    return 3.0 * np.sin(turn) * np.sin(turn / 3.0) / (turn * turn)
+    return float(3.0 * np.sin(turn) * np.sin(turn / 3.0) / (turn * turn))
 
 
 _weight = compiled(_weight)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from termsel import FeatureSet, Option, TermselError
 from termsel.toolkit import KnownImage
@@ -244,13 +245,24 @@ def zero_doppler(annotation: Annotation, targets: FloatArray,
 def _ground_range(annotation: Annotation, time: FloatArray, distance: FloatArray) -> FloatArray:
     """Return ground range [m] by the polynomials before and after each time, linear between."""
     polynomials = annotation.ground_ranges
-    ranges = np.stack([np.polynomial.polynomial.polyval(
-        distance - polynomial.origin, polynomial.coefficients) for polynomial in polynomials])
+    origins = np.array([polynomial.origin for polynomial in polynomials])
+    degree = max(len(polynomial.coefficients) for polynomial in polynomials)
+    coefficients = np.zeros((degree, len(polynomials)))
+    for number, polynomial in enumerate(polynomials):
+        coefficients[:len(polynomial.coefficients), number] = polynomial.coefficients
+
+    def by(number: NDArray[np.intp]) -> FloatArray:
+        """Return ground range by the polynomial of each place (Horner's scheme)."""
+        aside = distance - origins[number]
+        value = np.zeros(len(distance))
+        for power in coefficients[::-1]:
+            value = value * aside + power[number]
+        return value
+
     if len(polynomials) == 1:
-        return np.asarray(ranges[0])
+        return by(np.zeros(len(distance), dtype=np.intp))
     times = np.array([polynomial.time for polynomial in polynomials])
     after = np.clip(np.searchsorted(times, time), 1, len(times) - 1)
     # Before the first and after the last polynomial, that one holds.
     weight = np.clip((time - times[after - 1]) / (times[after] - times[after - 1]), 0.0, 1.0)
-    column = np.arange(len(time))
-    return np.asarray((1.0 - weight) * ranges[after - 1, column] + weight * ranges[after, column])
+    return np.asarray((1.0 - weight) * by(after - 1) + weight * by(after))
