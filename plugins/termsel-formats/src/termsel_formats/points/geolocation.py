@@ -324,4 +324,3 @@ def _columns(ground: FloatArray) -> FloatArray:
     plane = [x**i * y**j for i in range(4) for j in range(4 - i)]
     return np.stack([*plane, *(z * x**i * y**j for i in range(3) for j in range(3 - i)), z**2],
                     axis=1)
-
