@@ -20,7 +20,7 @@ from termsel import FeatureSet, Points, Result, Rpc, read_rpc
 from termsel.testing import checks, invoke
 from termsel.toolkit import rpb_text, rpc_items, rpc_txt_text
 from termsel_rpc.belief import KINDS, Belief, grid
-from termsel_rpc.correction import CANDIDATES
+from termsel_rpc.correction import CORRECTIONS
 from termsel_rpc.jitter import CANDIDATE as JITTERED
 from termsel_rpc.local import CANDIDATE as LOCAL
 from termsel_rpc.simulated import RPC_FILE
@@ -162,7 +162,7 @@ def off(result: Result, features: FeatureSet, width: int) -> float:
     return float(np.sqrt((away**2).sum(axis=1).mean()))
 
 
-@pytest.mark.parametrize("candidate", CANDIDATES, ids=lambda one: one.name)
+@pytest.mark.parametrize("candidate", CORRECTIONS, ids=lambda one: one.name)
 def test_every_candidate_keeps_the_rules(candidate: termsel.Candidate) -> None:
     for check in checks(candidate, features=[scene(6, 3), scene(2), scene(30, 2)]):
         check.run()

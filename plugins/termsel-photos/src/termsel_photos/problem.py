@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from termsel import Inputs, ParameterProblem, Problem, Recipe, term_options
 
-CENTRE = ("centre_line", "centre_sample")
+CENTRE_OPTIONS = ("centre_line", "centre_sample")
 
 
 def centre_and_terms(inputs: Inputs) -> Problem:
     """Return the selection of terms together with the centre of distortion."""
-    return ParameterProblem(inputs, CENTRE, terms=True, mask=inputs.options["mask"])
+    return ParameterProblem(inputs, CENTRE_OPTIONS, terms=True, mask=inputs.options["mask"])
 
 
 RECIPE = Recipe(

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from termsel import DatasetSpec, hookimpl
 from termsel.toolkit import kept_features
-from termsel_rpc.correction import CANDIDATES as CORRECTIONS
+from termsel_rpc.correction import CORRECTIONS
 from termsel_rpc.image_space import RpcAffine, RpcDrift, RpcShift
 from termsel_rpc.jitter import CANDIDATE as JITTERED
 from termsel_rpc.jitter import RpcJitter

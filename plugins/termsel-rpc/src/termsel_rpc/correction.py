@@ -317,7 +317,7 @@ def _limits(sigma: FloatArray, n: int, reach: float) -> FloatArray:
 
 _ALL = Correction()
 
-CANDIDATES = (
+CORRECTIONS = (
     CorrectedRpc("rpc", "the vendor's RPC, corrected", short="corrected RPC", estimator=_ALL,
                  has_prior=True, from_one=True, family="corrections of the RPC",
                  contains=("rpc-as-delivered", "rpc-shifted", "rpc-drifted", "rpc-by-affine")),

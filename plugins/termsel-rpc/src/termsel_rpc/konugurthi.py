@@ -29,6 +29,7 @@ class E50PerArea(Criterion):
             raise TermselError("the criterion e50-area requires points that judge, and there are "
                                "none", hint="Choose --set judged_by=all, or give selection points.")
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            # Half of the points may be blunders: the median does not see them.
             errors = np.hypot(fits.check_errors[..., 0], fits.check_errors[..., 1])
             covered = 1.0 - uncovered_share(fits.control.image, fits.in_use[:, :len(fits.control)])
             return np.asarray(np.median(errors, axis=1) / covered)

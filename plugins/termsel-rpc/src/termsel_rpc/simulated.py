@@ -94,6 +94,7 @@ def _measured(scene: FeatureSet, kind: np.ndarray[tuple[int], np.dtype[np.str_]]
     """Return a scene without noise, with its points measured well, inexactly or wrongly."""
     points = scene.points
     n = len(points)
+    # Every draw is made for all points, so that the seed gives each its own whatever its kind.
     noise = rng.standard_normal((n, 2)) * np.where(
         kind == "inexact", _INEXACT_NOISE, _GOOD_NOISE)[:, None]
     # Mismatches lie anywhere within a ring around the true position.
@@ -110,6 +111,7 @@ def quality() -> np.ndarray[tuple[int], np.dtype[np.str_]]:
     kind = np.full(_POINTS, "good", dtype="<U7")
     rng = np.random.default_rng([_SEED, 1])
     for role in ("control", "check"):
+        # The same shares among control and among check points.
         order = rng.permutation(np.flatnonzero(np.array(scene.points.roles) == role))
         inexact, wrong = (round(share * len(order)) for share in (_INEXACT, _WRONG))
         kind[order[:inexact]] = "inexact"
