@@ -39,6 +39,7 @@ from .core.files.names import inside as inside
 from .core.files.names import refuse_links as refuse_links
 from .core.files.names import require_regular as require_regular
 from .core.files.reasons import reason_of as reason_of
+from .core.files.texts import cell_text as cell_text
 from .core.files.texts import csv_table as csv_table
 from .core.files.texts import guarded as guarded
 from .core.files.texts import is_number as is_number
@@ -46,6 +47,7 @@ from .core.files.texts import markdown_text as markdown_text
 from .core.files.texts import unguarded as unguarded
 from .core.files.texts import xml_attribute as xml_attribute
 from .core.files.texts import xml_characters as xml_characters
+from .core.files.texts import xml_document as xml_document
 from .core.interrupts import INTERRUPTED as INTERRUPTED
 from .core.interrupts import answered as answered
 from .core.isolation.arrays import of_shape as of_shape
@@ -72,6 +74,7 @@ from .data.coordinates.wgs84 import from_ecef as from_ecef
 from .data.coordinates.wgs84 import to_ecef as to_ecef
 from .data.coordinates.wgs84 import vertical as vertical
 from .data.dem_difference import off_as_a_whole as off_as_a_whole
+from .data.distant_rasters import with_dataset as with_dataset
 from .data.extent import KnownImage as KnownImage
 from .data.features import BoolArray as BoolArray
 from .data.features import FloatArray as FloatArray

@@ -100,3 +100,31 @@ def _takes(name: str) -> bool:
     except termsel.TermselError:
         return False
     return True
+
+
+@pytest.mark.parametrize("name", ["points-csv", "pci-gcp", "erdas-gcps",
+                                  "pix4d-marks", "qgis-points", "mapinfo-tab", "ozi-map",
+                                  "metashape-markers", "pam-gcps", "gcp-vrt"])
+def test_ids_in_each_format(name: str, folder: Path, made_result: Path) -> None:
+    """An id that is a formula is no cell of any table, and comes back as it was."""
+    pytest.importorskip("termsel_formats")
+    features = termsel.read_result(made_result).features
+    points = features.points.take(np.arange(25))
+    ids = tuple(f"{sign}cmd({i})<&" for i, sign in zip(range(25), "=+-@\uff1d" * 5, strict=True))
+    result = termsel.run("poly-terms", features=termsel.FeatureSet(
+        replace(points, ids=ids), crs=features.crs), options={"degree": 1}, evaluations=20)
+    path = folder / {"pci-gcp": "a.gcp", "erdas-gcps": "a_erdas.txt"}.get(name, f"a.{name}")
+    written = termsel.export(result, name, path)
+    for file in written or [path]:
+        text = Path(file).read_text()
+        if text.lstrip().startswith("<"):
+            ElementTree.fromstring(text)
+            continue
+        for separator in ",\t;" if name in ("mapinfo-tab", "ozi-map") else ",\t; ":
+            cells = [cell for row in csv.reader(io.StringIO(text), delimiter=separator)
+                     for cell in row]
+            assert not any(cell.startswith(("=", "@", "\uff1d", "+c", "-c"))
+                           for cell in cells), separator
+    if name in ("points-csv", "pci-gcp", "erdas-gcps"):
+        read = termsel.read(path, format=name, crs=features.crs)
+        assert set(read.points.ids) <= set(ids)

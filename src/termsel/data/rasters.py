@@ -8,14 +8,14 @@ import re
 import sys
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 import numpy as np
 
-from termsel.core.errors import GIS, TermselError, cut, requires
+from termsel.core.errors import GIS, TermselError, requires
 from termsel.core.files.drivers import (
     NO_PROXY_EXISTS,
     drivers_are_off,
@@ -25,7 +25,15 @@ from termsel.core.files.drivers import (
     without_exceptions,
 )
 from termsel.core.files.names import is_there, refuse_pipe, utf8_name
-from termsel.core.files.sources import REMOTE_HINT, refuse_foreign, refuse_named, refused_format
+from termsel.core.files.sources import (
+    REMOTE_HINT,
+    is_single_file,
+    may_name_more,
+    refuse_foreign,
+    refuse_named,
+    refused_format,
+)
+from termsel.data.distant_rasters import open_distant
 from termsel.data.features import FloatArray
 
 LARGEST_BLOCK = 2**29
@@ -110,7 +118,10 @@ def open_raster(path: Path | str) -> Iterator[Any]:
 
     Yields
     ------
-    rasterio.DatasetReader
+    rasterio.DatasetReader or termsel.data.distant_rasters.DistantRaster
+        The latter has its attributes and methods. In a program of the user, whose GDAL has all
+        drivers, it stands for a raster of several files, which a process of termsel reads.
+        Functions of rasterio that take a dataset are called by `with_dataset`.
 
     Raises
     ------
@@ -124,21 +135,17 @@ def open_raster(path: Path | str) -> Iterator[Any]:
     refuse_pipe(Path(path))
     path = gdal_name(path)
     sources = refuse_foreign(path)
+    # In termsel's own processes GDAL has no driver beyond the list. Else only the list given with
+    # a file holds, and what GDAL opens together with that file would be opened with any driver.
+    apart = not drivers_are_off() and not is_single_file(path)
     try:
-        with (without_exceptions(), rasterio.Env(**gdal_options()), utf8_name(path) as name,
-              _quiet_about_encodings(), np.errstate(over="ignore")):
-            # The last: rasterio compares a value for no data with what pixels of the type can hold.
-            with warnings.catch_warnings():
-                # An image that is to be georeferenced has no geotransform.
-                warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-                # rasterio.open itself takes no list of drivers.
-                raster = rasterio.io.DatasetReader(str(name), driver=list(raster_drivers()))
-            with raster:
-                refuse_named(path, _named_by(raster))
-                if not drivers_are_off():
-                    _require_drivers(path, sources)
-                _refuse_large_blocks(path, raster)
-                yield raster
+        with ExitStack() as stack:
+            raster = None if apart else stack.enter_context(_opened_here(path, sources))
+            if raster is None or (not drivers_are_off() and any(_named_by(raster))):
+                stack.close()
+                raster = stack.enter_context(open_distant(path))
+            _refuse_large_blocks(path, raster)
+            yield raster
     except (rasterio.errors.RasterioError, CPLE_BaseError) as error:
         # rasterio's own message only points to the cause.
         raise _unreadable(path, str(error.__cause__ or error).rstrip(".")) from error
@@ -146,6 +153,28 @@ def open_raster(path: Path | str) -> Iterator[Any]:
         raise TermselError("this raster has text that is not UTF-8", file=path,
                            hint="Save the file, or what is next to it, with the encoding UTF-8."
                            ) from error
+
+
+@contextmanager
+def _opened_here(path: Path | str, sources: list[str]) -> Iterator[Any]:
+    """Open a raster in this process: with a driver of the list, and without requests."""
+    import rasterio
+
+    drivers = [name for name in raster_drivers() if name != "VRT" or drivers_are_off()]
+    with (without_exceptions(), rasterio.Env(**gdal_options()), utf8_name(path) as name,
+          _quiet_about_encodings(), np.errstate(over="ignore")):
+        # The last: rasterio compares a value for no data with what pixels of the type can hold.
+        with warnings.catch_warnings():
+            # An image that is to be georeferenced has no geotransform.
+            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+            # rasterio.open itself takes no list of drivers.
+            raster = rasterio.io.DatasetReader(str(name), driver=drivers)
+        with raster:
+            refuse_named(path, _named_by(raster))
+            for name in sources:
+                if name != str(path) and may_name_more(name):
+                    _refuse_named_by(name)
+            yield raster
 
 
 def gdal_name(path: Path | str) -> Path | str:
@@ -166,26 +195,16 @@ def gdal_name(path: Path | str) -> Path | str:
     return f"{archive[1]}/{archive[2]}"
 
 
-def _require_drivers(path: Path | str, sources: list[str]) -> None:
-    """Require that drivers of the list open the sources of a raster, and what those name, too.
-
-    GDAL opens a source with any driver that takes it, and reads the names of overviews within.
-    """
+def _refuse_named_by(name: str) -> None:
+    """Refuse a source of an open raster whose metadata name what may not be opened."""
     import rasterio
 
-    # A virtual raster within a virtual raster could name anything.
-    drivers = [name for name in raster_drivers() if name != "VRT"]
-    for name in sources:
-        if name == str(path):
-            continue
-        try:
-            source = rasterio.io.DatasetReader(name, driver=drivers)
-        except rasterio.errors.RasterioIOError as error:
-            raise TermselError(f"it refers to {cut(name, 100)!r}, which is no raster of a format "
-                               "that termsel opens", file=path,
-                               hint="Convert it: gdal_translate FILE map.tif.") from error
-        with source:
-            refuse_named(name, _named_by(source))
+    try:
+        source = rasterio.io.DatasetReader(name, driver=list(raster_drivers()))
+    except rasterio.errors.RasterioIOError:  # who reads its pixels gets to know why
+        return
+    with source:
+        refuse_named(name, _named_by(source))
 
 
 def _named_by(raster: Any) -> Iterator[str]:

@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from termsel.core.files.names import is_there
+from termsel.data.distant_rasters import with_dataset
 from termsel.data.rasters import open_raster
 
 log = logging.getLogger(__name__)
@@ -113,13 +114,18 @@ def picture_of(image: Path) -> Picture:
 
 def _described(raster: Any) -> Sequence[ElementTree.Element]:
     """Return what GDAL says of each band in a VRT: rasterio does not tell names of categories."""
+    text = with_dataset(raster, _text_of_vrt)
+    return ElementTree.fromstring(_CONTROL.sub("", text)).findall("VRTRasterBand")
+
+
+def _text_of_vrt(raster: Any) -> str:
+    """Return the text of a virtual raster of an open raster."""
     import rasterio
     from rasterio.shutil import copy
 
     with rasterio.MemoryFile(ext=".vrt") as memory:
         copy(raster, memory.name, driver="VRT")
-        text = memory.read().decode("utf-8", errors="replace")
-    return ElementTree.fromstring(_CONTROL.sub("", text)).findall("VRTRasterBand")
+        return str(memory.read().decode("utf-8", errors="replace"))
 
 
 def _band(raster: Any, number: int, element: ElementTree.Element, thematic: bool) -> Band:

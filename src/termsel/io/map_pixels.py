@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from termsel.core.errors import TermselError
 from termsel.data.cog import write_cog
+from termsel.data.distant_rasters import with_dataset
 from termsel.data.features import FloatArray
 from termsel.data.rasters import open_raster
 from termsel.formats.pictures import Band, Colour, Picture, expanded
@@ -239,7 +240,8 @@ def warp(raster: Any, output: Path, grid: MapGrid, made: MapPixels, *, tags: Map
         if positions is not None:
             tile, shown = _interpolated(raster, made, positions.of_tile(shape, transform))
         else:
-            tile, shown = _warped(raster, made, shape, grid.crs, transform, options)
+            tile, shown = with_dataset(raster, _warped, made, shape, grid.crs, transform,
+                                       options)
         if made.table:
             opaque = np.ones(max(len(made.table), int(tile[0].max()) + 1), dtype=bool)
             opaque[:len(made.table)] = [alpha > 0 for *_, alpha in made.table]

@@ -142,14 +142,14 @@ def block_select(file: Path, output: Path, solver: str, most_features: int | Non
     from termsel import require_replaceable
     from termsel.toolkit import write_text
     from termsel_block.files.block_file import read_block
-    from termsel_block.selecting import rows_of, select, text_of
+    from termsel_block.selecting import select, table_of, text_of
 
     block = read_block(file)
     # Refused before the search, not after it.
     require_replaceable([output], reads=[file, *block.files], overwrite=overwrite)
     selected = select(block, solver=solver, seed=seed, evaluations=evaluations, most=most_features,
                    tie_candidates=candidates)
-    write_text(output, "\n".join(rows_of(selected)) + "\n")
+    write_text(output, table_of(selected))
     click.echo(msgspec.json.encode(selected.record(solver, seed)) if as_json else text_of(selected),
                nl=as_json)
     click.echo(f"Written: {output}", err=True)

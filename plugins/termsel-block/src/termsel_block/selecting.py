@@ -27,7 +27,7 @@ from termsel import (
     get,
     search,
 )
-from termsel.toolkit import RowSystem
+from termsel.toolkit import RowSystem, csv_table
 from termsel_block.accuracy import independent_points, rmse
 from termsel_block.block import Block, BlockImage
 from termsel_block.geometry.control import own_control
@@ -371,10 +371,11 @@ def _spread_ties(result: BlockResult, count: int) -> IntArray:
     return np.sort(usable[picked])
 
 
-def rows_of(selected: Selected) -> list[str]:
-    """Return a table of the control features and ties that are selected, row by row."""
-    return ["kind,image,id", *(f"control,{image},{name}" for image, name in selected.control),
-            *(f"tie,,{name}" for name in selected.ties)]
+def table_of(selected: Selected) -> str:
+    """Return a table of the control features and ties that are selected."""
+    return csv_table([("kind", "image", "id"),
+                      *(("control", image, name) for image, name in selected.control),
+                      *(("tie", "", name) for name in selected.ties)])
 
 
 def text_of(selected: Selected) -> str:

@@ -24,6 +24,7 @@ from xml.etree import ElementTree
 from termsel.core.errors import TermselError, cut
 from termsel.core.files.drivers import DRIVER_HINT, allowed_drivers, remote_allowed
 from termsel.core.files.names import require_regular
+from termsel.core.files.tiff import metadata_of_tiff
 
 REMOTE_HINT = "If you trust it, add --allow-remote (in Python: with termsel.allow_remote())."
 
@@ -58,6 +59,7 @@ _MAGIC = (
     (b"\x89PNG\r\n", "PNG"), (b"\xff\xd8\xff", "JPEG"), (b"GIF8", "GIF"), (b"BM", "BMP"),
     (b"\0\0\0\x0cjP  ", "JP2OpenJPEG"), (b"\xff\x4f\xff\x51", "JP2OpenJPEG"),
     (b"EHFA_HEADER_TAG", "HFA"), (b"NITF", "NITF"), (b"NSIF", "NITF"))
+_WITH_DOMAINS = tuple(mark for mark, driver in _MAGIC if driver == "JP2OpenJPEG")
 _ASCII_GRID = re.compile(rb"\s*(ncols|nrows|[xy]ll(corner|center)|cellsize|d[xy]|nodata_value)\s",
                          re.IGNORECASE)
 _SRTM = re.compile(r"[NS]\d\d[EW]\d{3}\w*(\.\w+)*\.(hgts?|raw)(\.zip)?", re.IGNORECASE)
@@ -110,6 +112,41 @@ def refuse_foreign(path: Path | str) -> list[str]:
     chain = _Chain(str(path))
     chain.require(chain.start, "")
     return chain.plain
+
+
+def is_single_file(path: Path | str) -> bool:
+    """Return whether GDAL opens nothing with a raster but the file itself, unless that names more.
+
+    A file in memory of this process is such, too: nobody else has made it.
+    """
+    if str(path).startswith("/vsimem/"):
+        return True
+    if not os.path.isfile(path):
+        return False
+    path = Path(path)
+    with path.open("rb") as file:
+        if _is_virtual(file.read(_HEAD)):
+            return False
+    return not any(_near(path))
+
+
+def may_name_more(path: str) -> bool:
+    """Return whether the metadata in a plain raster can name further files, such as overviews.
+
+    Only TIFF and JPEG 2000 have metadata of such a kind.
+    """
+    try:
+        with open(path, "rb") as file:
+            head = file.read(_HEAD)
+            if head.startswith(_WITH_DOMAINS):
+                return True
+            if not head.startswith((b"II", b"MM")):
+                return False
+            metadata = metadata_of_tiff(file)
+    except OSError:  # in an archive
+        return True
+    # Such metadata are of a domain, an attribute that GDAL's XML takes in any case.
+    return metadata is None or b"domain" in metadata.lower()
 
 
 def refuse_named(path: Path | str, names: Iterator[str]) -> None:
@@ -239,12 +276,8 @@ class _Chain:
 
     def _require_neighbours(self, path: Path, depth: int) -> None:
         """Require the overviews, masks and auxiliary files that GDAL would open as well."""
-        stems = tuple(f"{stem}{sign}".casefold() for stem in (path.name, path.stem)
-                      for sign in "._")
-        for entry in _entries(str(path.parent)):
+        for entry in _near(path):
             known = entry.casefold()
-            if not known.startswith(stems) or entry == path.name:
-                continue
             place = path.parent / entry
             if known.endswith((".ovr", ".msk", ".aux", ".rrd")):
                 self.require(str(place), entry, depth + 1)
@@ -360,6 +393,14 @@ class _Chain:
     def _not_plain(self) -> TermselError:
         return self.error("the XML of this raster, or of a file that it names, is not well-formed",
                           "Write it again by gdal_translate or gdalbuildvrt.")
+
+
+def _near(path: Path) -> Iterator[str]:
+    """Yield the files in the folder of a raster that have its name with another ending."""
+    stems = tuple(f"{stem}{sign}".casefold() for stem in (path.name, path.stem) for sign in "._")
+    for entry in _entries(str(path.parent)):
+        if entry.casefold().startswith(stems) and entry != path.name:
+            yield entry
 
 
 def _named(root: ElementTree.Element, folder: str) -> Iterator[str]:

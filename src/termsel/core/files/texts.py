@@ -10,12 +10,16 @@ import csv
 import io
 import re
 from collections.abc import Iterable
+from xml.etree import ElementTree
 from xml.sax.saxutils import escape, quoteattr
 
 from termsel.core.errors import printable
 
 _FORMULA = re.compile(r"'*\s*[=+\-@\uff1d\uff0b\uff0d\uff20\ufe62\ufe63\ufe66\ufe6b]")
 """How a formula begins, in characters of full width and small ones as well."""
+
+_QUOTED = re.compile(r'[,;\t"\r\n#]')
+"""What a cell holds only between quotation marks."""
 
 _NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 """Characters that no XML document holds."""
@@ -52,6 +56,23 @@ def csv_table(rows: Iterable[Iterable[object]]) -> str:
         writer.writerow([guarded(printable(cell)) if isinstance(cell, str) else cell
                          for cell in row])
     return page.getvalue()
+
+
+def cell_text(text: str) -> str:
+    """Return text as a cell of a table whose cells commas, semicolons or tabs separate: guarded."""
+    text = guarded(printable(text))
+    # Unquoted, a line that begins with # would be a comment; csv.writer does not quote it.
+    return '"' + text.replace('"', '""') + '"' if _QUOTED.search(text) else text
+
+
+def xml_document(root: ElementTree.Element) -> str:
+    """Return the text of an XML document, indented, without characters that no XML holds."""
+    for element in root.iter():
+        element.attrib = {key: xml_characters(value) for key, value in element.items()}
+        element.text = None if element.text is None else xml_characters(element.text)
+    ElementTree.indent(root)
+    return ('<?xml version="1.0" encoding="UTF-8"?>\n'
+            f'{ElementTree.tostring(root, encoding="unicode")}\n')
 
 
 def xml_text(text: str) -> str:

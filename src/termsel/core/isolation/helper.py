@@ -90,6 +90,7 @@ class Helper:
         self._lock = Lock()
         self._environment = environment
         self._child: subprocess.Popen[bytes] | None = None
+        self._asks = 0  # the process that has started the child
 
     def ask(self, question: Any, seconds: float | None = None) -> Any:
         """Return the answer to a question. Raises ProcessEndedError where there is none.
@@ -97,6 +98,9 @@ class Helper:
         A process that takes longer than so many seconds is ended.
         """
         with self._lock:
+            if self._asks != os.getpid():  # after a fork the answers would go to either process
+                self._asks = os.getpid()
+                self._child = None
             child = self._child = self._child or self._begun()
             limit = None if seconds is None else Timer(seconds, child.kill)
             if limit is not None:

@@ -7,14 +7,13 @@ is (0, 0), whatever the image columns are called.
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
 
 from termsel.core.errors import TermselError
 from termsel.core.files.atomic import write_text
-from termsel.core.files.texts import guarded
+from termsel.core.files.texts import cell_text
 from termsel.data.features import FeatureSet, FloatArray, Lines, Points
 from termsel.data.tables.attributes import Attributes
 from termsel.data.tables.columns import LINES, POINTS
@@ -148,17 +147,9 @@ def table_text(crs: str, header: list[str], texts: list[list[str]], values: Floa
     # repr() gives the fewest digits, 17 at most, that are read back to the same number.
     more = attributes or {}
     rest = zip(*more.values(), strict=True) if more else [()] * len(texts)
-    rows = [",".join([*map(_quoted, row), *("" if v != v else repr(v) for v in numbers),
-                      *map(_quoted, last)])
+    rows = [",".join([*map(cell_text, row), *("" if v != v else repr(v) for v in numbers),
+                      *map(cell_text, last)])
             for row, numbers, last in zip(texts, values.tolist(), rest, strict=True)]
     # WKT may span lines, a comment may not.
     declared = [f"# crs: {' '.join(crs.split())}"] if crs else []
-    return "\n".join([*declared, ",".join([*header, *map(_quoted, more)]), *rows]) + "\n"
-
-
-def _quoted(text: str) -> str:
-    text = guarded(text)
-    # Unquoted, a line that begins with # would be a comment; csv.writer does not quote it.
-    if re.search(r'[,;\t"\r\n#]', text):
-        return '"' + text.replace('"', '""') + '"'
-    return text
+    return "\n".join([*declared, ",".join([*header, *map(cell_text, more)]), *rows]) + "\n"

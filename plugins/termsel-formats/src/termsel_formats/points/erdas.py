@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from termsel import FeatureSet, Reader, Result, TermselError
-from termsel.toolkit import Table, chosen_points, read_data, read_text, write_text
+from termsel.toolkit import Table, cell_text, chosen_points, read_data, read_text, write_text
 from termsel_formats.points.written import PointsWriter, say_points
 
 _COLUMNS = {"point id": "id", "x input": "sample", "y input": "line", "x ref": "x", "y ref": "y",
@@ -101,11 +101,7 @@ class ErdasGcpsWriter(PointsWriter):
                 strict=True), 1):
             height = "" if np.isnan(z) else repr(z)
             kind = "Check" if role == "check" else "Control"
-            rows.append(f"{i}\t{_cell(name)}\t{sample!r}\t{-line!r}\t{x!r}\t{y!r}\t{height}\t"
+            rows.append(f"{i}\t{cell_text(name)}\t{sample!r}\t{-line!r}\t{x!r}\t{y!r}\t{height}\t"
                         f"{kind}")
         write_text(path, "\n".join([*rows, ""]))
         say_points(self.name)
-
-
-def _cell(name: str) -> str:
-    return f'"{name.replace(chr(34), chr(34) * 2)}"' if set(name) & set('\t"') else name

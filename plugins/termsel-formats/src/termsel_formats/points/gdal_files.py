@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 from xml.etree import ElementTree
 
 import numpy as np
 
-from termsel import FeatureSet, Option, Reader, Result, TermselError
+from termsel import FeatureSet, Option, Reader, Result, TermselError, open_raster
 from termsel.toolkit import (
     atomic_path,
     encoded,
@@ -23,6 +23,7 @@ from termsel.toolkit import (
     private_folder,
     reason_of,
     vrt_text,
+    with_dataset,
     write_text,
     xml_attribute,
 )
@@ -131,7 +132,6 @@ class GcpTiff(PointsWriter):
         self.require(result, path)
         from rasterio._err import CPLE_BaseError
         from rasterio.errors import RasterioError
-        from rasterio.shutil import copy
 
         used, gcps, crs = gcps_of(result)
         image = self.options["image"]
@@ -139,13 +139,20 @@ class GcpTiff(PointsWriter):
         with private_folder() as folder, atomic_path(path) as made:
             source = folder / "gcps.vrt"
             source.write_bytes(encoded(vrt_text(picture, folder, gcps=gcps, crs=crs)))
-            try:
-                # rasterio takes names in UTF-8 alone; that of the user need not be.
-                copy(source, folder / "copy.tif", driver="GTiff", compress="deflate", tiled=True,
-                     sparse_ok=image is None)
-                shutil.move(folder / "copy.tif", made)
-            except (RasterioError, CPLE_BaseError) as error:
-                raise TermselError(
-                    f"cannot write this file: {reason_of(error, path, folder)}", file=path,
-                    hint="Check the image, and the free space on the disk.") from error
+            with open_raster(source) as raster:
+                try:
+                    # rasterio takes names in UTF-8 alone; that of the user need not be.
+                    with_dataset(raster, _copy, folder / "copy.tif", image is None)
+                except (RasterioError, CPLE_BaseError) as error:
+                    raise TermselError(
+                        f"cannot write this file: {reason_of(error, path, folder)}", file=path,
+                        hint="Check the image, and the free space on the disk.") from error
+            shutil.move(folder / "copy.tif", made)
         say_by_gdal(self.name, result, used)
+
+
+def _copy(raster: Any, path: Path, sparse: bool) -> None:
+    """Copy an open raster to a GeoTIFF."""
+    from rasterio.shutil import copy
+
+    copy(raster, path, driver="GTiff", compress="deflate", tiled=True, sparse_ok=sparse)

@@ -22,7 +22,7 @@ from termsel.toolkit import (
     normalise,
     wkt,
     write_text,
-    xml_characters,
+    xml_document,
 )
 from termsel_formats.points.common import CORNER, what_lacks, xml_root
 from termsel_formats.points.written import IMAGE, PointsWriter, image_name, say_points
@@ -112,9 +112,5 @@ class MetashapeMarkersWriter(PointsWriter):
                 ElementTree.SubElement(seen, "marker", marker_id=str(i)), "location",
                 camera_id="0", pinned="true", x=repr(sample + CORNER), y=repr(line + CORNER))
         ElementTree.SubElement(chunk, "reference").text = wkt(horizontal(result.features.crs))
-        for element in root.iter():  # names of images may hold what no XML does
-            element.attrib = {key: xml_characters(value) for key, value in element.items()}
-        ElementTree.indent(root)
-        write_text(path, f'<?xml version="1.0" encoding="UTF-8"?>\n'
-                         f'{ElementTree.tostring(root, encoding="unicode")}\n')
+        write_text(path, xml_document(root))
         say_points(self.name)

@@ -18,7 +18,7 @@ from typing import ClassVar
 import numpy as np
 
 from termsel import FeatureSet, Option, Reader, Result, TermselError
-from termsel.toolkit import Table, chosen_points, read_text, write_text
+from termsel.toolkit import Table, chosen_points, guarded, read_text, write_text
 from termsel_formats.points.common import CORNER
 from termsel_formats.points.written import PointsWriter, say_points
 
@@ -142,6 +142,6 @@ class PciGcpWriter(PointsWriter):
 
 
 def _quoted(name: str) -> str:
-    name = name.replace('"', "'")
+    name = guarded(name.replace('"', "'"))
     return f'"{name}"' if _FIELD.findall(name) != [("", name)] or name.startswith(_COMMENT) \
         else name

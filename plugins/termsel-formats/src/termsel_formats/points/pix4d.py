@@ -23,9 +23,9 @@ from termsel.toolkit import (
     IMAGE_NAME,
     Table,
     atomic_path,
+    cell_text,
     chosen_points,
     encoded,
-    guarded,
     image_of,
     is_geographic,
     read_text,
@@ -135,12 +135,13 @@ class Pix4dMarksWriter(PointsWriter):
         """Write both files."""
         self.require(result, path)
         points = chosen_points(result)
-        image = image_name(self.options["image"], path).replace(",", "_")
+        image = cell_text(image_name(self.options["image"], path).replace(",", "_"))
         swapped = is_geographic(result.features.crs)
         marks = []
         places = []
         for name, (line, sample), (x, y, z) in zip(
-                map(_cell, points.ids), points.image.tolist(), points.ground.tolist(), strict=True):
+                map(cell_text, points.ids), points.image.tolist(), points.ground.tolist(),
+                strict=True):
             marks.append(f"{image},{name},{sample + CORNER!r},{line + CORNER!r}")
             first, second = (y, x) if swapped else (x, y)
             places.append(f"{name},{first!r},{second!r},{'' if np.isnan(z) else repr(z)}")
@@ -148,9 +149,3 @@ class Pix4dMarksWriter(PointsWriter):
             made.write_bytes(encoded("\n".join([*marks, ""])))
             write_text(_ground_file(path), "\n".join([*places, ""]))
         say_points(self.name)
-
-
-def _cell(name: str) -> str:
-    """Return an id as a cell of CSV, which no spreadsheet takes for a formula."""
-    name = guarded(name)
-    return f'"{name.replace(chr(34), chr(34) * 2)}"' if set(name) & set(',"') else name

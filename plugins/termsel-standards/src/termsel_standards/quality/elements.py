@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from xml.etree import ElementTree
 
-Element = ElementTree.Element
+from termsel.toolkit import xml_document
 
-_FORBIDDEN = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-"""Characters that no XML document holds."""
+Element = ElementTree.Element
 
 
 class Writing:
@@ -31,8 +29,7 @@ class Writing:
                                               for key, value in (attributes or {}).items()})
         for child in content:
             if isinstance(child, str):
-                # A character that no XML holds becomes a sign for it, as text of users may be any.
-                element.text = _FORBIDDEN.sub("\ufffd", child)
+                element.text = child
             elif child is not None:
                 element.append(child)
         return element
@@ -46,7 +43,4 @@ class Writing:
         """Return a document as text."""
         for prefix, uri in self.namespaces.items():
             ElementTree.register_namespace(prefix, uri)
-        # Indented, so that people can read it, too.
-        ElementTree.indent(root)
-        return f'<?xml version="1.0" encoding="UTF-8"?>\n' \
-               f'{ElementTree.tostring(root, encoding="unicode")}\n'
+        return xml_document(root)
