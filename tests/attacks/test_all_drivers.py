@@ -129,6 +129,20 @@ def test_overviews_without_end(named: str, folder: Path, typed) -> None:
     path.unlink()
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="there are no such files")
+@pytest.mark.parametrize("argument", ["gain_dataset_filename_1", "offset_dataset_filename_1"])
+def test_steps_of_a_virtual_raster_that_wait_for_a_pipe(argument: str, folder: Path) -> None:
+    os.mkfifo(folder / "pipe")
+    image(folder / "a.tif")
+    (folder / "a.vrt").write_text(
+        '<VRTDataset subClass="VRTProcessedDataset"><Input><SourceFilename relativeToVRT="1">a.tif'
+        '</SourceFilename></Input><ProcessingSteps><Step name="s"><Algorithm>LocalScaleOffset'
+        f'</Algorithm><Argument name="{argument}">{folder / "pipe"}</Argument></Step>'
+        "</ProcessingSteps></VRTDataset>")
+    with pytest.raises(TermselError, match="pipe or a device"):
+        open_raster(folder / "a.vrt").__enter__()
+
+
 def test_a_raster_apart_says_what_is_wrong_with_it(folder: Path) -> None:
     path = image(folder / "a.tif", 600, compress="deflate")
     content = path.read_bytes()

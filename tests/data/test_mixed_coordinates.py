@@ -10,6 +10,7 @@ import pytest
 import termsel
 from termsel.data.coordinates.mixed import note_on_mixed
 from termsel.data.features import FeatureSet, Points
+from termsel.report.first_screen import next_step
 
 pyproj = pytest.importorskip("pyproj")
 
@@ -108,3 +109,24 @@ def test_a_run_says_so_and_keeps_it(tmp_path: Path, caplog: pytest.LogCaptureFix
     result = termsel.run(features=tmp_path / "points.csv")
     assert any("typed as decimals" in note for note in result.notes)
     assert any(one.startswith("Warning: Coordinates look like") for one in caplog.messages)
+
+
+@pytest.mark.parametrize("kind", ["minutes", "zones"])
+def test_what_to_do_next_is_to_correct_the_coordinates(kind: str) -> None:
+    """Blunders that such coordinates make come after them."""
+    lon, lat = places(11.6, 47.0, 0.8, 0.5)
+    image = seen(lon, lat)
+    if kind == "zones":
+        given = features(image, *in_zones(lon, lat, [33 if one > 12.2 else 32 for one in lon]),
+                         "EPSG:32632")
+    else:
+        def typed(angle: np.ndarray) -> np.ndarray:
+            return np.round(np.floor(angle) + (angle - np.floor(angle)) * 0.6, 4)
+
+        given = features(image, typed(lon), typed(lat), "EPSG:4326")
+    result = termsel.run(features=given)
+    words = " ".join(result.summary().split())
+    assert "correct the coordinates first: " in words
+    assert "Next: run again with --off" not in words
+    assert next_step(result.record, "result") == "Next: correct the coordinates, then run again"
+    assert result.record.data.read.mixed == note_on_mixed(given)

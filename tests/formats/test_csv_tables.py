@@ -309,3 +309,14 @@ def test_a_table_of_very_many_columns_is_refused_at_once(tmp_path: Path, first: 
         termsel.read(path, crs="local")
     assert error.value.line == line
     assert error.value.hint == "Give a table with a row per point."
+
+
+@pytest.mark.parametrize("header", ["id,line,sample,x,y", "id,line,Nr,x,y"])
+def test_a_table_without_heights_says_so_at_most_once(header, tmp_path, call) -> None:
+    """Also where a column is missing, so that the table is tried with other columns."""
+    path = tmp_path / "flat.csv"
+    path.write_text("\n".join([header, *(f"p{i},{i * i},{10 * i},{500000 + 7 * i},{5300000 - i * i}"
+                                         for i in range(12))]))
+    for crs in ([], ["--crs", "EPSG:32632"]):
+        done = call("run", "--points", path, *crs)
+        assert (done.stdout + done.stderr).count("no column for z") <= 1

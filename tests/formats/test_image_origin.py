@@ -128,3 +128,20 @@ def test_every_map_and_export_with_the_image_refuses_lines_before_it(tmp_path: P
         with pytest.raises(termsel.TermselError, match="before the first pixel of the image"):
             termsel.export(result, writer, tmp_path / "scene.vrt", image=str(sheet))
     assert not (tmp_path / "map.tif").exists()
+
+
+@pytest.mark.parametrize(("line", "sample"), [(LINES + 40, 10), (10, SAMPLES + 40), (-40, 10)])
+def test_a_run_with_the_image_refuses_points_beyond_it_as_exports_do(
+        line: float, sample: float, tmp_path: Path) -> None:
+    path = table(tmp_path)
+    path.write_text(f"{path.read_text()}\nfar,{line},{sample},600000,5400000\n")
+    with pytest.raises(termsel.TermselError, match="features extend to"):
+        termsel.read(path, image=image(tmp_path))
+    done = CliRunner().invoke(cli, ["run", "--points", str(path), "--image", str(image(tmp_path))])
+    assert done.exit_code == 2
+    assert "features extend to" in done.stderr
+    header, columns, *rows = path.read_text().splitlines()
+    roles = ["off" if row.startswith("far") else "" for row in rows]
+    path.write_text("\n".join([header, f"{columns},role", *(
+        f"{row},{role}" for row, role in zip(rows, roles, strict=True))]))
+    assert termsel.read(path, image=image(tmp_path)).image_size == (LINES, SAMPLES)

@@ -12,12 +12,14 @@ from termsel.core.errors import TermselError
 from termsel.core.options import Option
 from termsel.data.features import FeatureSet, FloatArray
 from termsel.data.rasters import open_raster
-from termsel.formats.vrt import MARGIN
 
 log = logging.getLogger(__name__)
 
 TOP, UP, BOTTOM = "top-left", "y-up", "bottom-left"
 CORNER = "corner"
+
+MARGIN = 5.0
+"""How far a feature may lie beyond the edge of the image it was measured in [px]."""
 
 _WORDS = {
     TOP: "the centre of the upper-left pixel, lines downwards",
@@ -110,3 +112,34 @@ def _turned(features: FeatureSet, origin: str, size: tuple[int, int] | None) -> 
     lines = features.lines
     return features.with_(points=replace(points, image=turned(points.image)),
                           lines=replace(lines, image=turned(lines.image)))
+
+
+def require_inside(features: FeatureSet, size: tuple[int, int] | None,
+                   image: Path | str | None) -> None:
+    """Refuse features before the first or after the last pixel of their image.
+
+    Without a size only those before the first pixel are known to be outside. Points that are off
+    take no part.
+    """
+    off = np.array([role == "off" for role in features.points.roles], dtype=bool)
+    places = features.with_(points=features.points.take(~off)).image_vertices()
+    if not len(places):
+        return
+    first = places.min(axis=0)
+    last = places.max(axis=0)
+    if size is not None and (last > np.array(size) - 0.5 + MARGIN).any():
+        raise other_image(size, f"but features extend to line {last[0]:g} and sample {last[1]:g}",
+                          image)
+    if (first < -0.5 - MARGIN).any():
+        raise TermselError(
+            f"features extend to line {first[0]:g} and sample {first[1]:g}, before the first pixel "
+            "of the image", file=image,
+            hint="Lines are counted downwards from the upper-left pixel: run again with --set "
+                 "image_origin=y-up or bottom-left, or take the image in which the features were "
+                 "measured.")
+
+
+def other_image(size: tuple[int, int], reason: str, image: Path | str | None) -> TermselError:
+    """Return the error for an image that is not the one in which features were measured."""
+    return TermselError(f"the image has {size[0]} lines and {size[1]} samples, {reason}",
+                        file=image, hint="Give the image in which the features were measured.")

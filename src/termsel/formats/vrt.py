@@ -13,6 +13,7 @@ from termsel.core.errors import TermselError
 from termsel.core.files.texts import is_xml_text, xml_attribute, xml_text
 from termsel.core.options import Option
 from termsel.data.features import Points
+from termsel.formats.image_origin import other_image, require_inside
 from termsel.formats.pictures import Band, Picture, picture_of
 from termsel.results.result import Result
 
@@ -21,15 +22,12 @@ log = logging.getLogger(__name__)
 IMAGE = Option("image", None, "The image; if not given, the VRT has a size but no pixels.")
 """Option of every writer of a VRT."""
 
-MARGIN = 5.0
-"""How far a feature may lie beyond the edge of the image it was measured in [px]."""
-
 
 def picture_for(result: Result, image: Path | str | None) -> Picture:
     """Return what a VRT must know of the image of a result, by default of a size that holds all."""
     known = result.features.image_size
     if image is None:
-        _require_inside(result, known, None)
+        require_inside(result.features, known, None)
         bottom, right = np.maximum(result.fit.image_box()[1],
                                    result.features.image_vertices().max(axis=0))
         size = known or (max(1, int(bottom) + 1), max(1, int(right) + 1))
@@ -39,39 +37,10 @@ def picture_for(result: Result, image: Path | str | None) -> Picture:
         return Picture(size)
     picture = picture_of(Path(image))
     if known is not None and picture.size != known:
-        raise _other_image(picture.size, f"the image of the result {known[0]} and {known[1]}",
+        raise other_image(picture.size, f"the image of the result {known[0]} and {known[1]}",
                            image)
-    _require_inside(result, picture.size, image)
+    require_inside(result.features, picture.size, image)
     return picture
-
-
-def _other_image(size: tuple[int, int], reason: str, image: Path | str | None) -> TermselError:
-    return TermselError(f"the image has {size[0]} lines and {size[1]} samples, {reason}",
-                        file=image, hint="Give the image in which the features were measured.")
-
-
-def _require_inside(result: Result, size: tuple[int, int] | None, image: Path | str | None) -> None:
-    """Refuse features before the first or after the last pixel of their image.
-
-    Without a size only those before the first pixel are known to be outside. Points that are off
-    take no part.
-    """
-    features = result.features
-    away = [role == "off" for role in features.points.roles]
-    places = features.with_(points=features.points.take(~np.array(away, dtype=bool))) \
-        .image_vertices()
-    least = places.min(axis=0)
-    most = places.max(axis=0)
-    if size is not None and (most > np.array(size) - 0.5 + MARGIN).any():
-        raise _other_image(size, f"but features extend to line {most[0]:g} and sample {most[1]:g}",
-                           image)
-    if (least < -0.5 - MARGIN).any():
-        raise TermselError(
-            f"features extend to line {least[0]:g} and sample {least[1]:g}, before the first pixel "
-            "of the image", file=image,
-            hint="Lines are counted downwards from the upper-left pixel: run again with --set "
-                 "image_origin=y-up or bottom-left, or take the image in which the features were "
-                 "measured.")
 
 
 def vrt_text(

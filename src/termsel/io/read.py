@@ -24,7 +24,12 @@ from termsel.data.features import FeatureSet, no_lines, no_points
 from termsel.data.tables.columns import LINES, OPTIONAL, POINTS, columns_text
 from termsel.formats.base import Reader, is_utf16, located, read_head, read_once, utf16_error
 from termsel.formats.heights import with_heights
-from termsel.formats.image_origin import IMAGE_ORIGIN, image_size_of, with_image_origin
+from termsel.formats.image_origin import (
+    IMAGE_ORIGIN,
+    image_size_of,
+    require_inside,
+    with_image_origin,
+)
 from termsel.formats.readers.advice import unknown_table
 from termsel.formats.repeated import REPEATED, averaging
 from termsel.formats.rpc_files import has_rpc, size_with_rpc, with_rpc
@@ -134,7 +139,7 @@ def read(
             raise TermselError("a table in Python is read alone",
                                hint="Read files by themselves and join them with FeatureSet.with_.")
         with averaging(repeated):
-            features = _of_size(_read_frame(points, crs, of_readers, origin), size)
+            features = _of_image(_read_frame(points, crs, of_readers, origin), image, size)
             return _with_known(features, dem, rpc, z_unit, part)
     with ExitStack() as stack:
         stack.enter_context(averaging(repeated))
@@ -148,7 +153,7 @@ def read(
             *paths[:2], areas=paths[2], crs=crs,
             readers=readers_of([path for path in paths if path is not None], formats),
             formats=formats, options=of_readers, origin=origin)
-        features = _of_size(features, size)
+        features = _of_image(features, image, size)
     given = [path for path in (points, lines, areas) if path is not None]
     try:
         return _with_known(features, dem, rpc, z_unit, part)
@@ -183,9 +188,13 @@ def features_of(given: Any, crs: str | None = None,
         raise located(error, Path(given)) from error
 
 
-def _of_size(features: FeatureSet, size: tuple[int, int] | None) -> FeatureSet:
-    """Return features with the size of their image, where they do not state it."""
-    return features if features.image_size or size is None else replace(features, image_size=size)
+def _of_image(features: FeatureSet, image: Path | str | None, size: tuple[int, int] | None,
+              ) -> FeatureSet:
+    """Return features with the size of their image, where they do not state it; all lie in it."""
+    if image is None or size is None:
+        return features
+    require_inside(features, size, image)
+    return features if features.image_size else replace(features, image_size=size)
 
 
 def _with_known(features: FeatureSet, dem: Path | str | None, rpc: Rpc | Path | str | None,

@@ -443,6 +443,9 @@ def _urgent(record: Record) -> Iterator[str]:
     read = record.data.read
     if read and read.doubt:
         yield f"{read.doubt.partition(':')[0]}: check them before anything else"
+    if read and read.mixed:
+        doubt = f"{read.mixed[:1].lower()}{read.mixed[1:]}"
+        yield f"correct the coordinates first: {_first_sentence(doubt)}"
     if read and read.height_doubt:
         doubt = f"{read.height_doubt[:1].lower()}{read.height_doubt[1:]}"
         yield f"check what heights refer to: {doubt}"
@@ -457,6 +460,9 @@ def next_step(record: Record, folder: str = "") -> str:
 
     `folder` is where the result was written, if it was.
     """
+    read = record.data.read
+    if read and (read.doubt or read.mixed):  # what look like blunders may come from these
+        return "Next: correct the coordinates, then run again"
     off = off_option(record)
     if off and len(off) <= _LONGEST_OPTION:
         return f"Next: run again with {off}"

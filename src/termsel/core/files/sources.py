@@ -430,7 +430,9 @@ def _may_be_name(text: str, folder: str) -> bool:
         return True
     if "\0" in text or re.fullmatch(r"[-+.\d,\seE]*", text):
         return False
-    return any(os.path.isfile(place) for place in (text, os.path.join(folder, text)))
+    # Pipes and devices are such names, too: GDAL would wait for them.
+    return any(os.path.exists(place) and not os.path.isdir(place)
+               for place in (text, os.path.join(folder, text)))
 
 
 def _is_virtual(head: bytes) -> bool:

@@ -125,6 +125,9 @@ class WhatWasRead(RecordPart, frozen=True):
     the result counts from the centre of the upper-left pixel."""
     lattice: tuple[Count, Count] | None = None
     """Lines and columns of the lattice that the points are: computed, not measured."""
+    mixed: str = ""
+    """Which coordinates look as if typed in another form than decimal degrees, or of a second zone
+    of UTM."""
 
 
 class RpcNumbers(RecordPart, frozen=True):

@@ -83,9 +83,6 @@ def _columns(path: Path | None, line: int | None, header: Sequence[str], rows: l
     sigma = any(by_name.get(meaning) or meaning in chosen for meaning in ("sigma_line",
                                                                           "sigma_sample"))
     heights = [meaning for meaning in aliases if meaning[0] == "z"]
-    if flat and not any(by_name[meaning] or meaning in chosen for meaning in heights):
-        log.info("Note: %s has no column for %s, so its heights are unknown. Accepted names: %s.",
-                 path or "the table", " and ".join(heights), ", ".join(aliases[heights[0]]))
     for meaning in aliases:
         places = [i for i in by_name[meaning] if i not in chosen.values()]
         if meaning in chosen:
@@ -109,6 +106,10 @@ def _columns(path: Path | None, line: int | None, header: Sequence[str], rows: l
                                                   f"and others.{blank}"),
                 header, rows, {**{one: columns[-1] for one, columns in by_name.items() if columns},
                                **chosen}, aliases, fixed)
+    # Said once the table can be read: the columns of one that cannot are looked for again.
+    if flat and not any(by_name[meaning] or meaning in chosen for meaning in heights):
+        log.info("Note: %s has no column for %s, so its heights are unknown. Accepted names: %s.",
+                 path or "the table", " and ".join(heights), ", ".join(aliases[heights[0]]))
     return found
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from termsel.core.isolation.faults import is_own
 from termsel.data.coordinates.crs import height_reference
 from termsel.data.coordinates.earth import place_of, swapped
+from termsel.data.coordinates.mixed import note_on_mixed
 from termsel.data.features import select
 from termsel.data.record.record import Counts, DataRecord, IdsByRole, WhatWasRead
 from termsel.data.roles import Observations
@@ -65,7 +66,8 @@ def _read(setup: Setup, observations: Observations) -> WhatWasRead:
         swapped(read), {reason: tuple(ids) for reason, ids in why.items() if ids}, read.z_unit,
         difference.sentence() if difference is not None and difference.contradicts else "",
         "" if groups is None else groups.sentence(), read.image_origin,
-        None if lattice is None else (lattice.lines, lattice.columns))
+        None if lattice is None else (lattice.lines, lattice.columns),
+        note_on_mixed(read))
 
 
 def versions() -> dict[str, str]:
