@@ -11,9 +11,7 @@ from __future__ import annotations
 import atexit
 import os
 import pickle
-import signal
-import sys
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import cache, partial
@@ -23,16 +21,17 @@ from typing import Any, TypeVar
 
 from termsel.core.errors import TermselError
 from termsel.core.files.drivers import (
-    allow_driver,
     allow_remote,
     allowed_drivers,
-    claim_process,
     program_environment,
     remote_allowed,
 )
 from termsel.core.isolation.helper import Helper, ProcessEndedError
 
-_CHILD = "from termsel.data.distant_rasters import serve; serve({drivers!r}, {remote!r})"
+_CHILD = "from termsel.data.raster_server import serve; serve({drivers!r}, {remote!r})"
+
+OPEN = "open"
+CLOSE = "close"
 
 Answer = TypeVar("Answer")
 
@@ -44,16 +43,17 @@ _numbers = count()
 
 
 @dataclass(frozen=True)
-class _Question:
+class Question:
     """What the other process is to do with which raster.
 
-    `folder` is that in which the raster was opened, and `settings` are those of `rasterio.Env`.
+    `work` is a function of the dataset, or OPEN or CLOSE. `folder` is that in which the raster was
+    opened, and `settings` are those of `rasterio.Env`.
     """
 
     number: int
     folder: str
     settings: Mapping[str, Any]
-    work: Callable[..., Any]
+    work: Callable[..., Any] | str
     values: tuple[Any, ...] = ()
     named: Mapping[str, Any] = field(default_factory=dict)
 
@@ -67,7 +67,7 @@ class DistantRaster:
     def __init__(self, path: Path | str, helper: Helper) -> None:
         self._path = path
         self._helper = helper
-        self._question = partial(_Question, next(_numbers), os.getcwd(), _settings())
+        self._question = partial(Question, next(_numbers), os.getcwd(), _settings())
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
@@ -78,7 +78,7 @@ class DistantRaster:
         setattr(self, name, value)  # a raster open for reading does not change
         return value
 
-    def _ask(self, work: Callable[..., Any], *values: Any, **named: Any) -> Any:
+    def _ask(self, work: Callable[..., Any] | str, *values: Any, **named: Any) -> Any:
         """Return what a function of a module makes of the dataset and further values."""
         try:
             answer, cause = self._helper.ask(pickle.dumps(self._question(work, values, named)))
@@ -112,11 +112,11 @@ def with_dataset(raster: Any, work: Callable[..., Answer], *values: Any) -> Answ
 def open_distant(path: Path | str) -> Iterator[DistantRaster]:
     """Open a raster in another process; it raises the errors of `termsel.open_raster`."""
     raster = DistantRaster(path, _helper(allowed_drivers(), remote_allowed()))
-    raster._ask(_opened, path)
+    raster._ask(OPEN, path)
     try:
         yield raster
     finally:
-        raster._ask(_closed)
+        raster._ask(CLOSE)
 
 
 def _settings() -> dict[str, Any]:
@@ -138,80 +138,6 @@ def _helper(drivers: tuple[str, ...], remote: bool) -> Helper:
     atexit.register(helper.end)
     HELPERS.append(helper)
     return helper
-
-
-_open_here: dict[int, tuple[Any, ExitStack]] = {}
-"""In the other process: the rasters that are open."""
-
-
-def serve(drivers: tuple[str, ...], remote: bool) -> None:
-    """Answer the questions that come on stdin, in a new process."""
-    from termsel.data.rasters import require_rasterio
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    claim_process()
-    with os.fdopen(os.dup(1), "wb") as answers, ExitStack() as stack:
-        # What libraries print is no answer.
-        silent = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(silent, 1)
-        os.dup2(silent, 2)
-        stack.enter_context(allow_driver(*drivers))
-        if remote:
-            stack.enter_context(allow_remote())
-        stack.enter_context(require_rasterio().Env())
-        while True:
-            try:
-                question = pickle.load(sys.stdin.buffer)
-            except EOFError:
-                return
-            answers.write(_pickled(_answered(question)))
-            answers.flush()
-
-
-def _pickled(answer: tuple[Any, BaseException | None]) -> bytes:
-    try:
-        return pickle.dumps(answer, protocol=pickle.HIGHEST_PROTOCOL)
-    except (pickle.PicklingError, TypeError, AttributeError) as error:
-        return pickle.dumps((TypeError(f"this cannot leave the process of the raster: {error}"),
-                             None))
-
-
-def _answered(asked: bytes) -> tuple[Any, BaseException | None]:
-    """Return the answer to a question, or the error and its cause, which pickle would leave out."""
-    from rasterio import Env
-
-    try:
-        question = pickle.loads(asked)  # may name a function that this process cannot import
-        # Names within a raster count from the folder in which it was opened.
-        os.chdir(question.folder)
-        with Env(**question.settings):
-            subject = question.number if question.work in (_opened, _closed) else \
-                _dataset(question.number)
-            answer = question.work(subject, *question.values, **question.named)
-            return (list(answer) if isinstance(answer, Generator) else answer), None
-    except Exception as error:  # noqa: BLE001 - raised again in the process that asked
-        return error, error.__cause__
-
-
-def _dataset(number: int) -> Any:
-    from rasterio.errors import RasterioIOError
-
-    if number not in _open_here:
-        raise RasterioIOError("the raster is closed")
-    return _open_here[number][0]
-
-
-def _opened(number: int, path: Path | str) -> None:
-    from termsel.data.rasters import open_raster
-
-    with ExitStack() as stack:
-        raster = stack.enter_context(open_raster(path))
-        _open_here[number] = (raster, stack.pop_all())
-
-
-def _closed(number: int) -> None:
-    _, stack = _open_here.pop(number, (None, ExitStack()))
-    stack.close()
 
 
 def _value_of(dataset: Any, name: str) -> tuple[bool, Any]:

@@ -1,0 +1,96 @@
+"""The process in which rasters of several files are open for a program of the user.
+
+See `termsel.data.distant_rasters`, which asks it.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import sys
+from collections.abc import Generator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from termsel.core.files.drivers import allow_driver, allow_remote, claim_process
+from termsel.data.distant_rasters import CLOSE, OPEN, Question
+from termsel.data.rasters import open_raster, require_rasterio
+
+_open_here: dict[int, tuple[Any, ExitStack]] = {}
+"""In the other process: the rasters that are open."""
+
+
+def serve(drivers: tuple[str, ...], remote: bool) -> None:
+    """Answer the questions that come on stdin, in a new process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    claim_process()
+    with os.fdopen(os.dup(1), "wb") as answers, ExitStack() as stack:
+        # What libraries print is no answer.
+        silent = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(silent, 1)
+        os.dup2(silent, 2)
+        stack.enter_context(allow_driver(*drivers))
+        if remote:
+            stack.enter_context(allow_remote())
+        stack.enter_context(require_rasterio().Env())
+        while True:
+            try:
+                question = pickle.load(sys.stdin.buffer)
+            except EOFError:
+                return
+            answers.write(_pickled(_answered(question)))
+            answers.flush()
+
+
+def _pickled(answer: tuple[Any, BaseException | None]) -> bytes:
+    try:
+        return pickle.dumps(answer, protocol=pickle.HIGHEST_PROTOCOL)
+    except (pickle.PicklingError, TypeError, AttributeError) as error:
+        return pickle.dumps((TypeError(f"this cannot leave the process of the raster: {error}"),
+                             None))
+
+
+def _answered(asked: bytes) -> tuple[Any, BaseException | None]:
+    """Return the answer to a question, or the error and its cause, which pickle would leave out."""
+    from rasterio import Env
+
+    try:
+        question = pickle.loads(asked)  # may name a function that this process cannot import
+        # Names within a raster count from the folder in which it was opened.
+        os.chdir(question.folder)
+        with Env(**question.settings):
+            answer = _done(question)
+            return (list(answer) if isinstance(answer, Generator) else answer), None
+    except Exception as error:  # noqa: BLE001 - raised again in the process that asked
+        return error, error.__cause__
+
+
+def _done(question: Question) -> Any:
+    """Return what was asked for."""
+    if question.work == OPEN:
+        return _open(question.number, *question.values)
+    if question.work == CLOSE:
+        return _close(question.number)
+    assert not isinstance(question.work, str)
+    return question.work(_dataset(question.number), *question.values, **question.named)
+
+
+def _dataset(number: int) -> Any:
+    from rasterio.errors import RasterioIOError
+
+    if number not in _open_here:
+        raise RasterioIOError("the raster is closed")
+    return _open_here[number][0]
+
+
+def _open(number: int, path: Path | str) -> None:
+    with ExitStack() as stack:
+        raster = stack.enter_context(open_raster(path))
+        _open_here[number] = (raster, stack.pop_all())
+
+
+def _close(number: int) -> None:
+    _, stack = _open_here.pop(number, (None, ExitStack()))
+    stack.close()
