@@ -43,7 +43,8 @@ def whole() -> FloatArray:
 
 def require_places(features: termsel.FeatureSet, bend: float = 0.0) -> None:
     """Require points at places of the array, each at its own line and sample."""
-    expected = places(*features.points.image.T, bend=bend).T
+    lines, samples = features.points.image.T
+    expected = places(lines, samples, bend).T
     np.testing.assert_allclose(features.points.ground, expected, atol=1e-9)
     assert len(features.points) < 1200
     assert features.points.image.min(axis=0).max() < 20

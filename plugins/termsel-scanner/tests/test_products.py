@@ -15,7 +15,7 @@ pytest.importorskip("termsel_scanner", reason="termsel-scanner is not installed:
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from test_radar import LINES, SAMPLES, places_seen, written  # type: ignore[import-not-found]
+from test_radar import LINES, SAMPLES, places_seen, written
 
 import termsel
 from termsel import TermselError

@@ -283,7 +283,7 @@ def _interpolated(raster: Any, made: MapPixels, places: FloatArray) -> tuple[Val
     tile, there = resampled(Part(values, known, part.row_off, part.col_off), places,
                             made.resampling, raster.shape, empty)
     # As gdalwarp has it: what is no data in some bands counts in the others.
-    shown = there[:colours].any(axis=0)
+    shown = np.asarray(there[:colours].any(axis=0))
     if made.alpha:
         shown &= tile[-1] != 0
     return tile, shown

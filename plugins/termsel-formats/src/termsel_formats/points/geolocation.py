@@ -249,7 +249,7 @@ def _lattice_of(arrays: Arrays, path: Path, meshes: int | None) -> FeatureSet:
         ground[:, 2] = np.nan
     names = tuple(f"L{line:g}P{sample:g}" for line, sample in image)
     return FeatureSet(Points(names, image, ground),
-                      crs=_crs_of(arrays.crs, np.isfinite(ground[:, 2]).all()),
+                      crs=_crs_of(arrays.crs, bool(np.isfinite(ground[:, 2]).all())),
                       image_size=arrays.image_size)
 
 
