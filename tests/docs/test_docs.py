@@ -81,7 +81,7 @@ def test_plugin_of_the_readme_is_a_plugin(
     done = call("run", "--problem", "owdis-lines", "--model", "dlt-demo", "--generations", 2,
                 "--set", "population=20", "--set", "polish=false")
     assert done.exit_code == 0, done.stderr
-    assert "Model: dlt-demo, all " in done.stdout
+    assert "Model     dlt-demo, all " in done.stdout
     assert "all 11 terms" in done.stdout or "11 of 11 terms" in done.stdout
 
 
@@ -155,7 +155,7 @@ def test_readme_has_one_command_for_the_tests() -> None:
 
 
 def test_picture_is_of_the_run_the_readme_shows() -> None:
-    selected = re.search(r"^Model: .*, (\d+) of 120 lines;", _page("README.md"),
+    selected = re.search(r"^Model .*, (\d+) of \d+ lines,", _page("docs/explanation/lines.md"),
                          re.MULTILINE)
     assert selected is not None
     roles = {name: role for name, (role, _) in _marks(_page(PICTURE)).items()}
@@ -167,7 +167,8 @@ def test_picture_is_of_the_run_the_readme_shows() -> None:
 @pytest.mark.slow
 def test_picture_is_what_the_command_of_the_readme_draws(call: Any, tmp_path: Path) -> None:
     folder, drawn = tmp_path / "result", tmp_path / "owdis-lines.svg"
-    assert "`termsel plot result residuals -o owdis-lines.svg`" in _page("README.md")
+    page = _page("docs/explanation/lines.md")
+    assert "`termsel plot result residuals -o owdis-lines.svg`" in page
     for words in (["run", "--problem", "owdis-lines", "--out", folder],
                   ["plot", folder, "residuals", "-o", drawn]):
         assert call(*words).exit_code == 0

@@ -113,7 +113,7 @@ def test_a_solver_asked_for_by_name_has_the_rates_of_its_paper() -> None:
     assert own.solver.options["mutation"] == 0.02
     shown = CliRunner().invoke(cli, ["describe", "ga"]).output
     assert re.search("^By name: +--set mutation=0.001 as published$", shown, re.MULTILINE)
-    assert "Departures from the paper, by name too:\n- The best 2 chromosomes" in shown
+    assert "Differences from the paper, even with --solver ga:\n- The best 2 chrom" in shown
     assert "polish" in shown
 
 

@@ -14,6 +14,7 @@ from termsel.cli.messages import echo, say_written, show_messages
 from termsel.cli.options.run_options import parse_settings
 from termsel.cli.options.shared import progress_option, remote_option
 from termsel.cli.tables import print_table
+from termsel.cli.topics import Whole
 from termsel.core.errors import TermselError, counted, printable
 from termsel.core.interrupts import INTERRUPTED
 from termsel.core.options import MOST_RUNS
@@ -41,14 +42,16 @@ from termsel.core.options import MOST_RUNS
                    "criteria nor a budget are given.")
 @click.option("--set", "settings", metavar="KEY=VALUE", multiple=True,
               help="An option for every cell that has it; may be repeated.")
-@click.option("--seeds", type=click.IntRange(1, MOST_RUNS), help="Seeds 1 to N.")
-@click.option("--splits", type=click.IntRange(1, MOST_RUNS),
+@click.option("--seeds", type=Whole(1, MOST_RUNS), help="Seeds 1 to N.")
+@click.option("--splits", type=Whole(1, MOST_RUNS),
               help="Draws of control, check and independent points, for points without a role.")
-@click.option("--evaluations", type=click.IntRange(1, 10**12), help="Budget of each search.")
-@click.option("--generations", type=click.IntRange(1, 10**12), help="Likewise.")
-@click.option("--patience", type=click.IntRange(1, 10**12),
+@click.option("--evaluations", type=Whole(1, 10**12), help="Budget of each search.")
+@click.option("--generations", type=Whole(1, 10**12),
+              help="Stop each search after N generations.")
+@click.option("--patience", type=Whole(1, 10**12),
               help="End a search after N generations without a gain above --set tolerance.")
-@click.option("--seconds", type=click.FloatRange(0, 1e9, min_open=True), help="Likewise.")
+@click.option("--seconds", type=click.FloatRange(0, 1e9, min_open=True),
+              help="Stop each search after S seconds.")
 @click.option("--timeout", type=click.FloatRange(0, 1e9, min_open=True),
               help="A cell that takes longer than S seconds fails.")
 @click.option("--export", "exports", metavar="FORMAT", multiple=True,
@@ -63,7 +66,7 @@ from termsel.core.options import MOST_RUNS
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path),
               help="Folder of the journal and the tables. The same command goes on where an "
                    "earlier one stopped.")
-@click.option("--workers", type=click.IntRange(1, 1024), default=1, show_default=True,
+@click.option("--workers", type=Whole(1, 1024), default=1, show_default=True,
               help="Processes at a time on this machine.")
 @click.option("--scheduler", metavar="ADDRESS",
               help="Dask scheduler whose workers run the cells, such as tcp://host:8786.")

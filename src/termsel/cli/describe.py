@@ -100,7 +100,7 @@ def _describe_solver(entry: Entry) -> None:
         "by name": "".join(f"--set {key}={value} " for key, value in solver.published.items())
         + "as published" * bool(solver.published)})
     if solver.departures:
-        echo("\nDepartures from the paper, by name too:")
+        echo(f"\nDifferences from the paper, even with --solver {entry.name}:")
         for one in solver.departures:
             echo(click.wrap_text(one, 88, "- ", "  "))
     _options(solver.declared_options)

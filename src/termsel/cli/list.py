@@ -10,10 +10,12 @@ from termsel.plugins.kinds import KINDS
 
 
 @click.command("list")
-@click.argument("kind", metavar="KIND", type=click.Choice(list(KINDS)))
+@click.argument("kind", metavar="[KIND]", required=False, type=click.Choice(list(KINDS)))
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON array.")
-def list_(kind: str, as_json: bool) -> None:
-    """List what can be asked for by name.
+def list_(kind: str | None, as_json: bool) -> None:
+    """List available models, solvers, readers and so on.
+
+    Without KIND it says how many of each there are.
 
     KIND is problems, models, solvers, criteria, objectives, candidates, datasets, splits, sections,
     measures, readers or writers.
@@ -26,6 +28,14 @@ def list_(kind: str, as_json: bool) -> None:
     from termsel.plugins.registry import registry
 
     names = registry()
+    if kind is None:
+        counts = {name: len(names.entries(name)) for name in KINDS}
+        if as_json:
+            print_json([{"kind": name, "count": count} for name, count in counts.items()])
+        else:
+            print_table(("kind", "how many", "list them with"), [
+                (name, str(count), f"termsel list {name}") for name, count in counts.items()])
+        return
     entries = names.entries(kind)
     if as_json:
         print_json([{"name": entry.name, "summary": entry.summary,

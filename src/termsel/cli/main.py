@@ -18,6 +18,7 @@ from contextlib import contextmanager, suppress
 from copy import copy
 from difflib import get_close_matches
 from importlib import import_module
+from importlib.util import find_spec
 from itertools import chain
 from typing import Any, NoReturn
 
@@ -27,7 +28,7 @@ from termsel.cli.messages import echo, give_back_stdout, stdout, take_stdout
 from termsel.core.errors import TermselError, cut, is_printable, unknown_name
 from termsel.core.interrupts import INTERRUPTED, answered
 from termsel.core.version import __version__
-from termsel.plugins.commands import COMMANDS
+from termsel.plugins.commands import COMMANDS, GROUPS, PACKAGES
 
 CORRECTABLE = 2
 
@@ -91,9 +92,16 @@ class Commands(click.Group):
     def format_commands(
         self, ctx: click.Context, formatter: click.HelpFormatter
     ) -> None:
-        """Write the commands' summaries without importing them."""
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, summary) for name, (_, summary) in COMMANDS.items()])
+        """Write the summaries of all installed commands in groups, without importing them."""
+        summaries = {name: summary for name, (_, summary) in COMMANDS.items()}
+        for package, commands in PACKAGES.items():
+            if find_spec(package) is not None:
+                summaries |= commands
+        width = max(map(len, summaries))
+        for group, names in GROUPS.items():
+            with formatter.section(group):
+                formatter.write_dl([(name.ljust(width), summaries[name]) for name in names
+                                    if name in summaries])
 
     def make_context(
         self, info_name: str | None, args: list[str], parent: click.Context | None = None,
@@ -259,15 +267,14 @@ def _broken_command(name: str, why: str) -> click.Command:
 
 @click.group(
     cls=Commands, context_settings={"help_option_names": ["-h", "--help"]},
-    epilog="Plugins may add commands; `termsel plugins` lists them.")
+    epilog="`termsel plugins` lists the commands of further packages.")
 @click.version_option(__version__, message="termsel %(version)s")
 def cli() -> None:
-    """Select sensor-model terms and ground control features for georeferencing images.
+    """Georeference images from control points and lines, with a tested accuracy.
 
     \b
     Examples:
-      termsel run --problem owdis-lines
-      termsel run --problem rfm-terms --points gcp.csv --crs EPSG:4979 --out result
-      termsel list problems
-      termsel describe rfm-terms
+      termsel example files && cd files
+      termsel run --points gcps.csv --out result
+      termsel report result
     """

@@ -11,35 +11,32 @@ import click
 
 from termsel.cli.bars import search_bar
 from termsel.cli.messages import echo, say_written, show_messages
-from termsel.cli.options.run_options import Asked, run_options
+from termsel.cli.options.run_options import Asked, run_options, with_files
+from termsel.cli.topics import ByTopic
 from termsel.core.interrupts import INTERRUPTED
 
 
-@click.command()
+@click.command(cls=ByTopic)
+@click.argument("files", nargs=-1, type=click.Path(path_type=Path), metavar="[FILES]...")
 @run_options
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path),
               help="Folder for result.json, residuals.csv, summary.txt and the features.")
 @click.option("--verbose", is_flag=True,
               help="Print all of the summary, as in summary.txt: every table, term and proof.")
-def run(verbose: bool, **given: Any) -> None:
-    """Search for the terms or control features that serve best.
+def run(verbose: bool, files: tuple[Path, ...], **given: Any) -> None:
+    """Fit a model to control points or lines, and report its accuracy.
 
-    Check points judge each selection. Independent points judge the result and take no part in any
-    choice. Ctrl-C ends the search and keeps the best selection so far.
+    FILES are points, lines, the image and the RPC, told apart by their names. Independent check
+    points take no part in any choice.
 
     \b
     Examples:
+      termsel run map.points map.tif --out result
       termsel run --points gcp.csv --crs EPSG:4979 --out result
-      termsel run --points gcp.txt --crs EPSG:4979 --columns id=1,x=2,y=3,z=4,sample=5,line=6
-      termsel run --points gcp.csv --crs EPSG:4979 --off P07,P12 --role P03=independent
       termsel run --points gcp.csv --rpc vendor.RPB --out result
-      termsel run --problem owdis-lines
-      termsel run --problem poly-terms --points gcp.csv --crs local --set degree=5
-      termsel run --problem rfm-terms --points image.points --dem heights.tif
-      termsel run --problem owdis-lines --points points.csv --lines roads.csv \\
-          --crs EPSG:32639 --model poly3d --seed 7 --json > result.json
+      termsel run --problem owdis-lines --points points.csv --lines roads.csv
     """
-    asked = Asked(**given)
+    asked = Asked(**with_files(files, given))
     show_messages()
 
     from termsel.io.replacing import require_replaceable

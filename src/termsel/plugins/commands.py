@@ -5,7 +5,8 @@ command is used.
 """
 
 COMMANDS = {
-    "run": ("termsel.cli.run:run", "Search for the terms or control features that serve best."),
+    "run": ("termsel.cli.run:run",
+            "Fit a model to control points or lines, and report its accuracy."),
     "compare": ("termsel.cli.compare:compare",
                 "Compare problems, models and solvers over many seeds, or run many images."),
     "export": ("termsel.cli.export:export",
@@ -19,7 +20,7 @@ COMMANDS = {
     "rectify": ("termsel.cli.rectify:rectify",
                 "Resample an image to a map, by GDAL's warper through the fitted model."),
     "plan": ("termsel.cli.plan:plan", "Rank the places where further control points help most."),
-    "list": ("termsel.cli.list:list_", "List what can be asked for by name."),
+    "list": ("termsel.cli.list:list_", "List available models, solvers, readers and so on."),
     "describe": ("termsel.cli.describe:describe",
                  "Describe a problem, model, solver or anything else that has a name."),
     "plugins": ("termsel.cli.plugins:plugins", "List plugins, and what is wrong with them."),
@@ -31,3 +32,36 @@ COMMANDS = {
                    "Print a script that completes commands and names in a shell."),
 }
 """Built-in commands by name: where the command is, as "module:attribute", and its summary."""
+
+GROUPS = {
+    "Fit": ("run", "block", "auto-georeference", "stability", "app"),
+    "Check": ("check", "accuracy", "sigma", "plan"),
+    "Export": ("export", "rectify", "project", "report", "plot"),
+    "Images": ("match-points", "match-lines", "match-ties", "block-points", "block-select"),
+    "Research": ("compare", "bench"),
+    "Extend": ("list", "describe", "plugins", "new-plugin", "example", "match-example",
+               "block-example", "completion"),
+}
+"""Names of commands by what they are for, in the order of ``termsel --help``."""
+
+PACKAGES = {
+    "termsel_app": {"app": "Georeference an image in the browser."},
+    "termsel_bench": {"bench": "Compare methods of georeferencing on forty data sets."},
+    "termsel_block": {
+        "block": "Adjust several images together, by their tie points.",
+        "block-points": "Write the places of the ties of a block as points.",
+        "block-select": "Select which control points and ties of a block to use.",
+        "block-example": "Write a simulated block: images with RPCs, ties, control."},
+    "termsel_formats": {"check": "Say which transformation other programs will use."},
+    "termsel_match": {
+        "auto-georeference": "Make a map of a raw image: match it, fit it, rectify it.",
+        "match-points": "Find control points by matching an image with a map.",
+        "match-lines": "Find control lines by matching an image with vectors.",
+        "match-ties": "Find tie points that two raw images share.",
+        "match-example": "Write a simulated image, map and vectors to match."},
+    "termsel_stability": {"stability": "Show how often each term is selected as points change."},
+    "termsel_standards": {
+        "accuracy": "State the accuracy by ASPRS, NSSDA and ISO 19157.",
+        "sigma": "Write the uncertainty of a result as a raster."},
+}
+"""Commands of the packages next to termsel, so that help shows them without importing them."""

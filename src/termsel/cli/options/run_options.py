@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ from termsel.cli.completion import complete
 from termsel.cli.messages import say_written
 from termsel.cli.options.shared import Command, progress_option, remote_option
 from termsel.cli.report import REPORT
+from termsel.cli.topics import Whole
 from termsel.core.errors import TermselError
 from termsel.core.options import SEED
 
@@ -85,15 +86,15 @@ _OPTIONS = (
     click.option("--set", "settings", metavar="KEY=VALUE", multiple=True,
                  help="An option of the problem, model, solver, criterion, data or file format; "
                       "may be repeated. `termsel describe NAME` lists them."),
-    click.option("--seed", type=click.IntRange(0, SEED), default=1, show_default=True,
+    click.option("--seed", type=Whole(0, SEED), default=1, show_default=True,
                  help="Seed of the search; the same seed gives the same selection."),
-    click.option("--generations", type=click.IntRange(1, 10**12),
+    click.option("--generations", type=Whole(1, 10**12),
                  help="Stop after N generations beyond the first population."),
-    click.option("--evaluations", type=click.IntRange(1, 10**12),
+    click.option("--evaluations", type=Whole(1, 10**12),
                  help="Stop after N evaluations, those of a local refinement included."),
     click.option("--seconds", type=click.FloatRange(0, 1e9, min_open=True),
                  help="Stop after S seconds."),
-    click.option("--patience", type=click.IntRange(1, 10**12),
+    click.option("--patience", type=Whole(1, 10**12),
                  help="Stop after N generations without a gain above --set tolerance."),
     click.option("--export", "exports", metavar="FORMAT", multiple=True,
                  shell_complete=complete("writers"),
@@ -283,6 +284,44 @@ class Asked:
             for one in value if isinstance(value, tuple) else [value]:
                 words += [] if one is None else [name, str(one)]
         return shlex.join([*words, "--allow-remote"] if remote_allowed() else words)
+
+
+_IMAGES = {".tif", ".tiff", ".jp2", ".img", ".png", ".jpg", ".jpeg", ".vrt", ".ntf", ".dim"}
+_RPCS = {".rpb", ".rpc"}
+
+
+def with_files(files: Sequence[Path], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what is given, with files named without an option: image, RPC, lines or points.
+
+    Raises
+    ------
+    TermselError
+        If two files are of one kind.
+    """
+    options = dict(given)
+    for path in files:
+        kind = _kind_of(path)
+        if options[kind] is not None:
+            raise TermselError(f"{options[kind]} and {path} are both {kind}",
+                               hint="Say which is which: --points FILE, --lines FILE, --image "
+                                    "FILE, --rpc FILE, --dem FILE.")
+        options[kind] = path
+    return options
+
+
+def _kind_of(path: Path) -> str:
+    """Return which option a file is for, by its name, and of a table by its header."""
+    suffix = path.suffix.lower()
+    if suffix in _IMAGES:
+        return "image"
+    if suffix in _RPCS or path.stem.lower().endswith("_rpc"):
+        return "rpc"
+    try:
+        with path.open(encoding="utf-8", errors="replace") as file:
+            header = file.readline(1000).lower()
+    except OSError:  # the reader says what is wrong with it
+        return "points"
+    return "lines" if "line1" in header else "points"
 
 
 def parse_settings(settings: tuple[str, ...], **own: str | None) -> dict[str, str]:

@@ -1,0 +1,92 @@
+"""Help of a command with many options: the main ones by topic, all of them on request."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import click
+
+TOPICS: Mapping[str, Mapping[str, str]] = {
+    "Input": {
+        "points": "Points, in any format of `termsel list readers`.",
+        "lines": "Control lines, likewise.",
+        "image": "The image: its size, and its RPC if it has one.",
+        "rpc": "The vendor's RPC, which auto corrects by the points.",
+        "dem": "Raster of heights, for points that have none.",
+        "crs": "CRS of the ground coordinates: EPSG:n or local.",
+        "columns": "Which column is which: line=4,sample=5,x=2,y=3.",
+        "off": "Points and lines to leave out: P07,P12.",
+        "role": "control, check, independent or off, of a point."},
+    "Model (chosen automatically unless you ask)": {
+        "problem": "What to search for; see `termsel list problems`.",
+        "model": "Sensor model; see `termsel list models`.",
+        "solver": "Search method; see `termsel list solvers`.",
+        "strategy": "auto chooses a model; as-asked runs a search.",
+        "settings": "Any further option; see `termsel describe NAME`.",
+        "seed": "Seed of the search [default: 1].",
+        "seconds": "Stop the search after S seconds."},
+    "Output": {
+        "out": "Folder for the result.",
+        "exports": "Write this format there, too, such as rpb.",
+        "reports": "Write the page report.html there, too.",
+        "overwrite": "Replace what is already there.",
+        "verbose": "Print every table, term and proof.",
+        "as_json": "Print JSON alone on stdout."},
+}
+"""Options of the short help by topic, each in one line."""
+
+
+class ByTopic(click.Command):
+    """A command whose ``--help`` has the main options by topic, and ``--help-all`` all of them."""
+
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        """Return the parameters, with the option that shows all of them."""
+        every = click.Option(["--help-all"], is_flag=True, is_eager=True, expose_value=False,
+                             callback=_show_all, help="Show all options and exit.")
+        return [*super().get_params(ctx), every]
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the main options by topic, or all where that is asked for."""
+        if ctx.meta.get(_EVERY):
+            super().format_options(ctx, formatter)
+            return
+        options = {option.name: option for option in self.get_params(ctx)
+                   if isinstance(option, click.Option)}
+        for topic, texts in TOPICS.items():
+            rows = [(_synopsis(options[name]), text) for name, text in texts.items()
+                    if name in options]
+            with formatter.section(topic):
+                formatter.write_dl(rows)
+        formatter.write_paragraph()
+        formatter.write_text("All options: --help-all")
+
+
+_EVERY = "termsel.help-all"
+"""Where a context keeps that all options are asked for."""
+
+
+def _show_all(context: click.Context, _: click.Parameter, asked: bool) -> None:
+    if asked and not context.resilient_parsing:
+        context.meta[_EVERY] = True
+        click.echo(context.get_help(), color=context.color)
+        context.exit()
+
+
+def _synopsis(option: click.Option) -> str:
+    """Return an option with the name of its value."""
+    if option.is_flag:
+        return option.opts[0]
+    value = "auto|as-asked" if isinstance(option.type, click.Choice) else option.metavar or "N"
+    return f"{option.opts[0]} {value}"
+
+
+class Whole(click.IntRange):
+    """A whole number in a range that help does not spell out: it is no real limit."""
+
+    def _describe_range(self) -> str:
+        return ""
+
+    def to_info_dict(self) -> dict[str, Any]:
+        """Return what describes the type, without its range."""
+        return {"param_type": "Int", "name": self.name}
