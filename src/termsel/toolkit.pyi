@@ -116,6 +116,7 @@ from .fitting.sky import refuse_sky as refuse_sky
 from .formats.base import IMAGE_NAME as IMAGE_NAME
 from .formats.base import image_of as image_of
 from .formats.base import located as located
+from .formats.base import parse_json as parse_json
 from .formats.base import read_data as read_data
 from .formats.base import read_head as read_head
 from .formats.base import read_text as read_text

@@ -64,6 +64,10 @@ class Reader(Configurable, ABC):
     states_origin : bool
         Whether the format says which place of the image has the coordinates (0, 0). If not, it is
         the centre of the upper-left pixel, or what the option `image_origin` says.
+    default_origin : str
+        Where image coordinates count from, as a choice of `image_origin`, if the format says so but
+        the height of the image decides, such as "bottom-left-corner"; "" for other formats. `read`
+        then leaves them as they are in the file.
     folders : bool
         Whether it also reads folders, such as a product of several files; `sniff` is then asked
         with an empty head.
@@ -80,6 +84,7 @@ class Reader(Configurable, ABC):
     summary: ClassVar[str]
     areas: ClassVar[bool] = False
     states_origin: ClassVar[bool] = True
+    default_origin: ClassVar[str] = ""
     folders: ClassVar[bool] = False
     general: ClassVar[bool] = False
 

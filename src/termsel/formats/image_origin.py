@@ -44,7 +44,7 @@ def image_size_of(image: Path | str) -> tuple[int, int]:
 
 
 def with_image_origin(features: FeatureSet, asked: str | None, states_own: bool,
-                      size: tuple[int, int] | None = None) -> FeatureSet:
+                      size: tuple[int, int] | None = None, default: str = "") -> FeatureSet:
     """Return features whose image coordinates count from the centre of the upper-left pixel.
 
     Parameters
@@ -56,6 +56,8 @@ def with_image_origin(features: FeatureSet, asked: str | None, states_own: bool,
         Whether the format of their file says where it counts from.
     size : tuple of int, optional
         Lines and samples of the image, where the features do not state it.
+    default : str, optional
+        The choice that holds for the format of their file, if nothing else is asked for.
 
     Raises
     ------
@@ -64,6 +66,7 @@ def with_image_origin(features: FeatureSet, asked: str | None, states_own: bool,
         and that is not known; if lines are upwards by all signs, and nothing says so.
     """
     size = features.image_size or size
+    asked = asked or default or None
     if asked is not None:
         origin = str(IMAGE_ORIGIN.parse(asked))
         origin = f"{TOP}-{CORNER}" if origin == CORNER else origin

@@ -23,6 +23,7 @@ from termsel.data.coordinates.plausible import check_ground
 from termsel.data.features import FeatureSet, no_lines, no_points
 from termsel.data.tables.columns import LINES, OPTIONAL, POINTS, columns_text
 from termsel.formats.base import Reader, is_utf16, located, read_head, read_once, utf16_error
+from termsel.formats.crs_files import crs_next_to, stated_crs
 from termsel.formats.heights import with_heights
 from termsel.formats.image_origin import (
     IMAGE_ORIGIN,
@@ -84,7 +85,9 @@ def read(
         Files; at least one of the three is given. Areas become lines or, with
         ``areas_as="centroid"``, points.
     crs : str, optional
-        CRS of the ground coordinates, where no file declares it: "EPSG:n", WKT, or "local".
+        CRS of the ground coordinates, where no file declares it: "EPSG:n", "WGS84 UTM 16N", WKT, a
+        string of PROJ, "local", or a file that has it: WKT, a raster or a layer. By default that
+        in a file NAME.prj next to the points.
     format : str or sequence of str, optional
         Names of the readers, in the order of the files; by default judged by the content.
     dem : path-like, optional
@@ -228,7 +231,7 @@ def _read_frame(frame: Any, crs: str | None, options: Mapping[str, Any],
         features = origin(features, states_own=False)
     place = Path("the table")
     measured = replace(features, crs=_agreed_crs(
-        {place: features}, None if crs is None else normalise(crs)))
+        {place: features}, stated_crs(crs)))
     _require_crs(measured, [place], "columns" not in options)
     _say_misspelt(place, measured)
     check_ground(measured)
@@ -339,7 +342,7 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
         raise TermselError("no file of features is given",
                            hint="Give --points FILE, --lines FILE or --areas FILE.")
     known = list(readers)
-    stated = None if crs is None else normalise(crs)
+    stated = stated_crs(crs)
     paths = list(dict.fromkeys(path for path in (points, lines, areas) if path is not None))
     if len(formats) > len(paths):
         raise TermselError(f"there are {len(formats)} --format for "
@@ -402,7 +405,7 @@ def _say_doubts(features: FeatureSet) -> None:
 def _from_origin(path: Path, features: FeatureSet, reader: Reader, origin: Origin) -> FeatureSet:
     """Return the features of a file, counted from the centre of the upper-left pixel."""
     try:
-        return origin(features, states_own=reader.states_origin)
+        return origin(features, states_own=reader.states_origin, default=reader.default_origin)
     except TermselError as error:
         raise located(error, path) from error
 
@@ -469,10 +472,11 @@ def _agreed_crs(sets: dict[Path, FeatureSet], stated: str | None) -> str:
     agreed = stated
     source = "--crs"
     for path, features in sets.items():
-        if not features.crs:
+        crs = features.crs or ("" if stated else crs_next_to(path))
+        if not crs:
             continue
         try:
-            declared = normalise(features.crs)
+            declared = normalise(crs)
         except TermselError as error:
             raise located(error, path) from error
         if agreed is None:

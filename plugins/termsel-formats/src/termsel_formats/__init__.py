@@ -39,8 +39,13 @@ def termsel_readers() -> Iterable[type[Reader]]:
     from termsel_formats.points.erdas import ErdasGcps
     from termsel_formats.points.gdal_files import PamGcps
     from termsel_formats.points.geolocation import GeolocationArray
+    from termsel_formats.points.gdal_text import GdalinfoText, GdalOptions
+    from termsel_formats.points.grass import GrassPoints
+    from termsel_formats.points.links import ArcgisLinks
     from termsel_formats.points.mapinfo import MapInfoTab
     from termsel_formats.points.metashape import MetashapeMarkers
+    from termsel_formats.points.micmac import MicmacXml
+    from termsel_formats.points.odm import OdmGcpList
     from termsel_formats.points.ozi import OziMap
     from termsel_formats.points.pci import PciGcp
     from termsel_formats.points.pix4d import Pix4dMarks
@@ -48,17 +53,22 @@ def termsel_readers() -> Iterable[type[Reader]]:
     from termsel_formats.points.world import WorldFile
 
     return [EnviPoints, AspGcp, MapInfoTab, OziMap, MetashapeMarkers, Pix4dMarks, ErdasGcps,
-            PciGcp, PamGcps, WorldFile, GeolocationArray, GdalGcps]
+            PciGcp, PamGcps, WorldFile, GeolocationArray, GdalGcps, OdmGcpList, MicmacXml,
+            GrassPoints, GdalOptions, GdalinfoText, ArcgisLinks]
 
 
 @hookimpl
 def termsel_writers() -> Iterable[type[Writer]]:
     """Return the writers of residuals, of points, and of the affine map."""
     from termsel_formats.maps.residuals import ResidualsGeopackage
+    from termsel_formats.points.asp import AspGcpWriter
     from termsel_formats.points.erdas import ErdasGcpsWriter
     from termsel_formats.points.gdal_files import GcpTiff, PamGcpsWriter
+    from termsel_formats.points.gdal_text import GdalOptionsWriter
     from termsel_formats.points.mapinfo import MapInfoTabWriter
     from termsel_formats.points.metashape import MetashapeMarkersWriter
+    from termsel_formats.points.micmac import MicmacXmlWriter
+    from termsel_formats.points.odm import OdmGcpListWriter
     from termsel_formats.points.orthority import OrthorityGeojson
     from termsel_formats.points.ozi import OziMapWriter
     from termsel_formats.points.pci import PciGcpWriter
@@ -67,4 +77,4 @@ def termsel_writers() -> Iterable[type[Writer]]:
 
     return [ResidualsGeopackage, GcpTiff, PamGcpsWriter, WorldFileWriter, MapInfoTabWriter,
             OziMapWriter, MetashapeMarkersWriter, Pix4dMarksWriter, ErdasGcpsWriter, PciGcpWriter,
-            OrthorityGeojson]
+            OrthorityGeojson, AspGcpWriter, OdmGcpListWriter, MicmacXmlWriter, GdalOptionsWriter]

@@ -49,6 +49,15 @@ UTM = re.compile(r"EPSG:32([67])(0[1-9]|[1-5]\d|60)")
 _WKT = re.compile(r"(GEOG|GEOD|GEOC|PROJ|COMP|LOCAL_CS|ENG|BOUND|DERIVED)\w*\s*\[.*\]",
                   re.IGNORECASE | re.DOTALL)
 
+# As people and OpenDroneMap write it: WGS84, WGS 84 / UTM zone 16N, WGS84 UTM 16 N, UTM 16N.
+_WGS84_NAME = re.compile(r"(?:GCS[ _])?WGS[ _]?(?:19)?84", re.IGNORECASE)
+_UTM_NAME = re.compile(r"(?:WGS[ _]?(?:19)?84[ _]*/?[ _]*)?UTM[ _]*(?:zone[ _]*)?"
+                       r"(?P<zone>\d{1,2})[ _]*(?P<side>[NS]|north|south)", re.IGNORECASE)
+_PROJ = re.compile(r"\+\w+(=\S+)?(\s+\+?\w+(=\S+)?)*")
+_NAME = re.compile(r"[A-Za-z][\w /().,+'-]{3,99}")
+# Chains of steps are no CRS; a file that a text from elsewhere names is not opened.
+_NO_CRS = re.compile(r"\+?(proj=pipeline|init=|step\b)|grids=\S*[/\\]|\.\.", re.IGNORECASE)
+
 # The code of the whole CRS is last, in WKT's outermost bracket.
 _AUTHORITY = re.compile(r'(?:ID|AUTHORITY)\s*\[\s*"EPSG"\s*,\s*"?(\d{1,9})"?\s*\]\s*\]\s*$',
                         re.IGNORECASE)
@@ -58,7 +67,8 @@ def normalise(crs: str) -> str:
     """Return the normal form of a CRS, in which names are compared.
 
     It is "EPSG:n", "EPSG:n+m" with heights of their own, "OGC:CRS84", their URN forms, WKT,
-    "local", or with pyproj "ESRI:n" and the codes of other bodies than the Earth, "IAU_2015:n".
+    "local", "WGS84", "WGS84 UTM 16N", or with pyproj a string of PROJ, the name that EPSG or ESRI
+    gives a CRS, "ESRI:n" and the codes of other bodies than the Earth, "IAU_2015:n".
     "EPSG:n" is returned where the code is known, pyproj finds it or WKT ends with it. Raises
     TermselError for text in none of these forms. If pyproj is installed, also for a code that does
     not exist, WKT that cannot be read, or a CRS without horizontal coordinates.
@@ -92,8 +102,70 @@ def normalise(crs: str) -> str:
             epsg_code = _AUTHORITY.search(text)
             return f"EPSG:{int(epsg_code[1])}" if epsg_code else text
         return _as_listed(text)
+    elif by_name := _named(text):
+        return by_name
     guess = f"Did you mean EPSG:{text}? " if text.isdecimal() else ""
-    raise TermselError(f"unknown CRS {crs!r}", hint=f"{guess}Examples: {EXAMPLES}; or WKT.")
+    raise TermselError(f"unknown CRS {crs!r}",
+                       hint=f"{guess}Examples: {EXAMPLES}; WKT, or a string of PROJ.")
+
+
+@lru_cache
+def _named(text: str) -> str:
+    """Return the normal form of a CRS by name or as a string of PROJ; "" for any other text."""
+    if _WGS84_NAME.fullmatch(text):
+        return "EPSG:4326"
+    utm_name = _UTM_NAME.fullmatch(text)
+    if utm_name:
+        zone = int(utm_name["zone"])
+        hemisphere = 7 if utm_name["side"][0] in "sS" else 6
+        return f"EPSG:32{hemisphere}{zone:02d}" if 1 <= zone <= 60 else ""
+    if text.startswith("+") and _PROJ.fullmatch(text):
+        return _of_proj(text)
+    return _of_listed_name(text) if _NAME.fullmatch(text) else ""
+
+
+def _of_proj(text: str) -> str:
+    """Return the normal form of a CRS as a string of PROJ, in words such as +proj=bonne."""
+    words = dict(re.findall(r"\+(\w+)(?:=(\S+))?", text))
+    if words.get("datum") == "WGS84" and not {"axis", "pm", "vunits", "geoidgrids"} & words.keys():
+        if words.get("proj") in ("longlat", "latlong"):
+            return "EPSG:4326"
+        zone = words.get("zone", "")
+        if words.get("proj") == "utm" and zone.isdecimal() and 1 <= int(zone) <= 60 \
+                and words.get("units", "m") == "m":
+            return f"EPSG:32{7 if 'south' in words else 6}{int(zone):02d}"
+    if "proj" not in words or _NO_CRS.search(text):
+        return ""
+    with requires("a CRS as a string of PROJ requires", "pyproj", GIS):
+        import pyproj  # noqa: F401 - whether it is there
+    known = _with_pyproj(text if "+type=crs" in text else f"{text} +type=crs")
+    assert known is not None  # pyproj is there
+    # Other programs read WKT, whatever PROJ they have; a string of PROJ loses names.
+    return _as_listed(str(known.to_wkt()))
+
+
+def _of_listed_name(text: str) -> str:
+    """Return the normal form of a CRS by the name that EPSG or ESRI gives it, "" for others."""
+    try:
+        from pyproj import CRS
+        from pyproj.exceptions import CRSError
+    except ImportError:
+        return ""
+    try:
+        known = CRS.from_user_input(text)
+        esri = _NAMED.match(known.to_wkt("WKT1_ESRI"))
+    except CRSError:
+        return ""
+    # PROJ takes a name that is near one for it: only the whole name counts.
+    names = [known.name, esri[1] if esri else ""]
+    if _letters(text) not in map(_letters, names):
+        return ""
+    return normalise(_as_listed(str(known.to_wkt())))
+
+
+def _letters(name: str) -> str:
+    """Return the letters and digits of a name: NAD83 / UTM zone 11N is NAD83_UTM_zone_11N."""
+    return re.sub(r"[\W_]", "", name.casefold())
 
 
 @lru_cache

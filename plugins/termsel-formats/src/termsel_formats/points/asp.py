@@ -10,14 +10,37 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any, ClassVar
 
-from termsel import FeatureSet, Reader, TermselError
-from termsel.toolkit import IMAGE_NAME, Table, image_of, is_number, read_text
+import numpy as np
+
+from termsel import FeatureSet, Option, Reader, Result, TermselError
+from termsel.toolkit import (
+    IMAGE_NAME,
+    Table,
+    image_of,
+    is_number,
+    read_text,
+    to_wgs84,
+    write_text,
+)
+from termsel_formats.points.written import (
+    IMAGE,
+    PointsWriter,
+    checked_points,
+    image_name,
+    image_sigma,
+    require_points,
+    say_checked,
+)
 
 _GROUND = ("id", "lat", "lon", "height", "sigma_x", "sigma_y", "sigma_z")
 _IMAGE = ("image", "column", "row", "sigma_column", "sigma_row")
 _READ = {"id": "id", "y": "lat", "x": "lon", "z": "height", "sample": "column", "line": "row",
          "sigma_sample": "sigma_column", "sigma_line": "sigma_row"}
+
+_FREE = 10000.0
+"""Standard deviation that leaves the place of a check point free [m]."""
 
 
 class AspGcp(Reader):
@@ -41,20 +64,7 @@ class AspGcp(Reader):
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file, line and column."""
-        points: list[tuple[int, list[str], dict[str, list[str]]]] = []
-        for number, text in enumerate(read_text(path).splitlines(), 1):
-            if _idle(text):
-                continue
-            cells = _cells(text)
-            if not _fits(cells):
-                raise TermselError(
-                    f"the row has {len(cells)} cells, expected 7 and 5 for each image", file=path,
-                    line=number, hint=f"Expected: {' '.join(_GROUND)}, then {' '.join(_IMAGE)}.")
-            points.append((number, cells[:7], {
-                cells[i]: cells[i + 1:i + 5] for i in range(7, len(cells), 5)}))
-        if not points:
-            raise TermselError("the file has no points", file=path,
-                               hint="Add one row per point.")
+        points = _rows(path)
         image = image_of(path, (name for _, _, images in points for name in images),
                          self.options["image_name"], "image_name=NAME")
         rows = [(number, *ground, image, *images[image])
@@ -65,6 +75,34 @@ class AspGcp(Reader):
                       lines)
         return FeatureSet(table.points(table.stack("line", "sample"), table.stack("x", "y", "z"),
                                        table.sigma("sigma_line", "sigma_sample"), ()), crs="")
+
+    def parts(self, path: Path) -> dict[str, dict[str, Any]]:
+        """Return the images of the file, each of which is a part."""
+        images = dict.fromkeys(name for _, _, images in _rows(path) for name in images)
+        return {image: {"image_name": image} for image in images} if len(images) > 1 else {}
+
+
+_Row = tuple[int, list[str], dict[str, list[str]]]
+"""Line of the file, cells of the ground, and cells of each image."""
+
+
+def _rows(path: Path) -> list[_Row]:
+    """Return the rows of a file, at least one."""
+    points: list[_Row] = []
+    for number, text in enumerate(read_text(path).splitlines(), 1):
+        if _idle(text):
+            continue
+        cells = _cells(text)
+        if not _fits(cells):
+            raise TermselError(
+                f"the row has {len(cells)} cells, expected 7 and 5 for each image", file=path,
+                line=number, hint=f"Expected: {' '.join(_GROUND)}, then {' '.join(_IMAGE)}.")
+        points.append((number, cells[:7], {
+            cells[i]: cells[i + 1:i + 5] for i in range(7, len(cells), 5)}))
+    if not points:
+        raise TermselError("the file has no points", file=path,
+                           hint="Add one row per point.")
+    return points
 
 
 def _idle(line: str) -> bool:
@@ -77,3 +115,50 @@ def _cells(line: str) -> list[str]:
 
 def _fits(cells: list[str]) -> bool:
     return len(cells) >= 12 and (len(cells) - 7) % 5 == 0
+
+
+class AspGcpWriter(PointsWriter):
+    """Control and check points as a .gcp file of the Ames Stereo Pipeline, without blunders.
+
+    Places are longitude, latitude and height above the ellipsoid on WGS84. Of check points all
+    standard deviations are large, so that bundle_adjust follows the control.
+    """
+
+    name = "asp-gcp"
+    summary = "points without blunders as .gcp of the Ames Stereo Pipeline, with sigmas"
+    needs = "control points with heights, in a CRS of the Earth"
+    suffix = ".gcp"
+    declared_options: ClassVar[tuple[Option, ...]] = (
+        IMAGE,
+        Option("ground_sigma", 1.0, "Standard deviation of the ground coordinates [m]; they are "
+                                    "not in the control of termsel.", float))
+
+    def write(self, result: Result, path: Path) -> None:
+        """Write a row for each point."""
+        self.require(result, path)
+        sigma_ground = float(self.options["ground_sigma"])
+        if not 0.0 < sigma_ground < np.inf:
+            raise TermselError(f"ground_sigma is {sigma_ground:g}, which is no standard deviation",
+                               hint="Give it in metres, such as --set ground_sigma=0.5.")
+        checked = checked_points(result, with_heights=True)
+        require_points(checked, path, self.needs)
+        points = checked.points
+        ground = to_wgs84(result.features.crs)(points.ground)
+        sigma_image = image_sigma(points, result)
+        image = _word(image_name(self.options["image"], path))
+        rows = [f"# {' '.join(_GROUND)} {' '.join(_IMAGE)}",
+                "# WGS84; heights above the ellipsoid [m]; rows and columns from 0"]
+        for name, (line, sample), (x, y, z), (sigma_line, sigma_sample), is_check in zip(
+                points.ids, points.image.tolist(), ground.tolist(), sigma_image.tolist(),
+                checked.is_check, strict=True):
+            sigma_of_ground = _FREE if is_check else sigma_ground
+            sigmas = " ".join([repr(sigma_of_ground)] * 3)
+            rows.append(f"{_word(name)} {y!r} {x!r} {z!r} {sigmas} {image} {sample!r} {line!r} "
+                        f"{sigma_sample!r} {sigma_line!r}")
+        write_text(path, "\n".join([*rows, ""]))
+        say_checked(self.name, checked)
+
+
+def _word(text: str) -> str:
+    """Return a text without what separates cells or begins a comment."""
+    return re.sub(r"[\s,#]+", "_", text) or "_"

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from termsel import Option, Points, Result, TermselError, Writer
-from termsel.toolkit import GDALWARP, LOCAL, horizontal, say_nearest, to_wgs84
+from termsel.toolkit import GDALWARP, LOCAL, FloatArray, horizontal, say_nearest, to_wgs84
 from termsel_formats.points.common import utm
 
 log = logging.getLogger("termsel.formats")
@@ -33,6 +33,76 @@ class PointsWriter(Writer):
         if not self.accepts(result):
             raise TermselError(f"this result cannot be written as {self.name}", file=path,
                                hint=f"The format requires {self.needs}.")
+
+
+@dataclass(frozen=True)
+class CheckedPoints:
+    """The points of a result without its blunders.
+
+    Parameters
+    ----------
+    points : Points
+        Control and check points.
+    is_check : tuple of bool
+        Whether each is an independent check point, which took no part in any choice.
+    left_out : tuple of str
+        Each point that is not among them, with the reason.
+    """
+
+    points: Points
+    is_check: tuple[bool, ...]
+    left_out: tuple[str, ...]
+
+
+def checked_points(result: Result, *, with_heights: bool = False) -> CheckedPoints:
+    """Return the points that other programs may take: those in use and the check points.
+
+    Blunders are left out, certain and probable ones; so are points that are off and, with
+    `with_heights`, those whose heights are not known.
+    """
+    points = result.features.points
+    role_of = {residual.id: residual.role for residual in result.residuals
+               if residual.kind == "point"}
+    reason_of_id: dict[str, str] = {}
+    for name, role, height in zip(points.ids, points.roles, points.ground[:, 2], strict=True):
+        if role == "off" or name not in role_of:
+            reason_of_id[name] = "off"
+        elif with_heights and np.isnan(height):
+            reason_of_id[name] = "no height"
+    for outlier in result.outliers:
+        if outlier.kind == "point" and (outlier.excluded or outlier.certainty != "possible"):
+            reason_of_id[outlier.id] = f"blunder of {outlier.error:.3g} px"
+    kept = np.array([name not in reason_of_id for name in points.ids], dtype=np.bool_)
+    chosen = points.take(kept)
+    return CheckedPoints(chosen, tuple(role_of[name] == "independent" for name in chosen.ids),
+                         tuple(f"{name} ({reason})" for name, reason in reason_of_id.items()))
+
+
+def require_points(checked: CheckedPoints, path: Path, needs: str) -> None:
+    """Refuse to write a file without points."""
+    if not len(checked.points):
+        raise TermselError(f"no point of this result can be written: {', '.join(checked.left_out)}",
+                           file=path, hint=f"The format requires {needs}.")
+
+
+def say_checked(name: str, checked: CheckedPoints) -> None:
+    """Log how many points a file holds, and which were left out."""
+    checks = sum(checked.is_check)
+    control = len(checked.is_check) - checks
+    log.info("%s holds %d control and %d check points, not the model. Left out: %s.", name,
+             control, checks, ", ".join(checked.left_out) or "none")
+
+
+def image_sigma(points: Points, result: Result) -> FloatArray:
+    """Return standard deviations of line and sample (n, 2) [px]: as measured, else as predicted.
+
+    The predicted RMSE is of both axes together, each of which has 1 / sqrt(2) of it.
+    """
+    if points.sigma is not None:
+        return points.sigma
+    predicted = result.predicted
+    each = predicted.rmse / np.sqrt(2.0) if predicted is not None else 1.0
+    return np.full(points.image.shape, each if np.isfinite(each) and each > 0.0 else 1.0)
 
 
 def on_wgs84(points: Points, crs: str) -> tuple[Points, tuple[int, bool] | None]:

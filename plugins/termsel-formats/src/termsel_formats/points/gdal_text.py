@@ -1,0 +1,193 @@
+"""GCPs in text of GDAL: options and scripts with ``-gcp``, and what gdalinfo prints.
+
+``-gcp pixel line easting northing [elevation]`` stands in option files (``--optfile``), in scripts
+of gdal_translate and gdal_edit, and in those that Allmaps exports; ``-a_srs`` there states the CRS.
+`gdalinfo` prints the same points as text and, with ``-json``, as JSON. Pixels and lines count from
+the outer corner of the first pixel.
+
+References
+----------
+GDAL, manuals of gdal_translate (``-gcp``) and gdalinfo, and the schema gdalinfo_output.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from termsel import FeatureSet, Option, Reader, Result, TermselError
+from termsel.toolkit import (
+    IMAGE_NAME,
+    horizontal,
+    image_of,
+    normalise,
+    parse_json,
+    read_text,
+    write_text,
+)
+from termsel_formats.points.common import CORNER, points_of
+from termsel_formats.points.written import (
+    PointsWriter,
+    checked_points,
+    require_points,
+    say_checked,
+)
+
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_OPTION = re.compile(rf"-gcp\s+({_NUMBER})\s+({_NUMBER})\s+({_NUMBER})\s+({_NUMBER})"
+                     rf"(?:\s+({_NUMBER}))?(?=\s|$)")
+_SRS = re.compile(r"-(?:a_srs|gcp_srs|s_srs)\s+(?:\"([^\"]*)\"|'([^']*)'|(\S+))")
+_IMAGE = re.compile(r"""(?:^|\s)["']?([^\s"'<>|]+\.(?:tiff?|jpe?g|jp2|png|vrt|img|bmp|gif))["']?"""
+                    r"(?=\s|$)", re.IGNORECASE)
+_PRINTED = re.compile(
+    rf"GCP\[\s*\d+\]:\s*Id=(.*?),\s*Info=[^\n]*\n\s*\(({_NUMBER}),({_NUMBER})\)\s*->\s*"
+    rf"\(({_NUMBER}),({_NUMBER})(?:,({_NUMBER}))?\)")
+_SIZE = re.compile(r"^Size is (\d{1,9}), (\d{1,9})", re.MULTILINE)
+_PRINTED_CRS = re.compile(r"^GCP Projection =\s*\n(.*?)^(?:Data axis|GCP\[)",
+                          re.MULTILINE | re.DOTALL)
+
+
+class GdalOptions(Reader):
+    """GCPs given to GDAL as options: an option file, or one command of a script."""
+
+    name = "gdal-options"
+    summary = "options and scripts of GDAL with -gcp pixel line x y [z], also of Allmaps"
+    declared_options: ClassVar[tuple[Option, ...]] = (IMAGE_NAME,)
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True for text with the option -gcp and its numbers."""
+        return b"\0" not in head and _OPTION.search(head.decode("utf-8", "replace")) is not None
+
+    def read(self, path: Path) -> FeatureSet:
+        """Return the points of one image; errors name the file."""
+        commands = _commands(path)
+        image = image_of(path, commands, self.options["image_name"], "image_name=NAME")
+        command = commands[image]
+        rows = [[float(number) for number in found if number]
+                for found in _OPTION.findall(command)]
+        table = [(line - CORNER, sample - CORNER, x, y, height[0] if height else np.nan)
+                 for sample, line, x, y, *height in rows]
+        srs = _SRS.search(command)
+        return FeatureSet(points_of(path, [""] * len(table), table),
+                          crs=_readable(next(filter(None, srs.groups()), "") if srs else ""))
+
+    def parts(self, path: Path) -> dict[str, dict[str, Any]]:
+        """Return the images of a script, each of which is a part."""
+        images = _commands(path)
+        return {image: {"image_name": image} for image in images} if len(images) > 1 else {}
+
+
+def _commands(path: Path) -> dict[str, str]:
+    """Return the text of each command with GCPs, by the image that it names, "" for none.
+
+    A script has a command a line, but for lines that end with a backslash or, on Windows, with ^;
+    an option file has no command, and an option a line.
+    """
+    joined = re.sub(r"[\\^`]\s*\n", " ", read_text(path))
+    kept = [line for line in joined.splitlines()
+            if not re.match(r"\s*(#|::|rem\b|//)", line, re.IGNORECASE)]
+    if not any(re.search(r"\bgdal", line) for line in kept):
+        kept = [" ".join(kept)]
+    commands: dict[str, str] = {}
+    for line in kept:
+        if not _OPTION.search(line):
+            continue
+        named = _IMAGE.search(_OPTION.sub(" ", line))
+        image = named[1].replace("\\", "/").rpartition("/")[2] if named else ""
+        commands[image] = f"{commands.get(image, '')} {line}"
+    if not commands:
+        raise TermselError("this file has no option -gcp with its numbers", file=path,
+                           hint="It is -gcp pixel line easting northing [elevation].")
+    return commands
+
+
+class GdalinfoText(Reader):
+    """GCPs as gdalinfo prints them, as text or as JSON."""
+
+    name = "gdalinfo"
+    summary = "what gdalinfo or gdalinfo -json prints of an image with GCPs"
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True for what gdalinfo prints of GCPs."""
+        text = head.decode("utf-8", "replace")
+        return _PRINTED.search(text) is not None or (
+            text.lstrip("\ufeff \t\r\n").startswith("{") and '"gcpList"' in text
+            and '"gcps"' in text)
+
+    def read(self, path: Path) -> FeatureSet:
+        """Return the points; errors name the file."""
+        text = read_text(path)
+        ids, rows, crs, size = _of_json(path, text) if text.lstrip().startswith("{") \
+            else _of_text(text)
+        if not rows:
+            raise TermselError("gdalinfo shows no ground control points here", file=path,
+                               hint="Give what it prints of an image that has some.")
+        table = [(line - CORNER, sample - CORNER, *place) for sample, line, *place in rows]
+        return FeatureSet(points_of(path, ids, table), crs=_readable(crs), image_size=size)
+
+
+_Printed = tuple[list[str], list[list[float]], str, tuple[int, int] | None]
+
+
+def _of_text(text: str) -> _Printed:
+    """Return ids, numbers, CRS and image size of what gdalinfo prints."""
+    gcps = _PRINTED.findall(text)
+    size = _SIZE.search(text)
+    crs = _PRINTED_CRS.search(text)
+    rows = [[float(number) if number else np.nan for number in numbers] for _, *numbers in gcps]
+    return ([name for name, *_ in gcps], rows, " ".join(crs[1].split()) if crs else "",
+            (int(size[2]), int(size[1])) if size else None)
+
+
+def _of_json(path: Path, text: str) -> _Printed:
+    """Return ids, numbers, CRS and image size of what gdalinfo -json prints."""
+    hint = "Write it again with gdalinfo -json."
+    try:
+        content = parse_json(text, hint)
+        gcps = content["gcps"]
+        rows = [[float(gcp[key]) if key in gcp else np.nan
+                 for key in ("pixel", "line", "x", "y", "z")] for gcp in gcps["gcpList"]]
+        ids = [str(gcp.get("id", "")) for gcp in gcps["gcpList"]]
+        crs = str((gcps.get("coordinateSystem") or {}).get("wkt", ""))
+        size = content.get("size")
+        lines_samples = (int(size[1]), int(size[0])) if size else None
+    except TermselError as error:
+        error.file = path
+        raise
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
+        raise TermselError(f"this is no list of GCPs of gdalinfo: {type(error).__name__} {error}",
+                           file=path, hint=hint) from error
+    return ids, rows, " ".join(crs.split()), lines_samples
+
+
+def _readable(crs: str) -> str:
+    """Return a CRS in its normal form, "" where it cannot be read."""
+    try:
+        return normalise(crs)
+    except TermselError:
+        return ""
+
+
+class GdalOptionsWriter(PointsWriter):
+    """Points without blunders as options of gdal_translate, for ``--optfile``."""
+
+    name = "gdal-options"
+    summary = "points without blunders as -gcp options, for gdal_translate --optfile FILE"
+    suffix = "_gcps.txt"
+
+    def write(self, result: Result, path: Path) -> None:
+        """Write an option a line."""
+        self.require(result, path)
+        checked = checked_points(result)
+        require_points(checked, path, self.needs)
+        crs = horizontal(result.features.crs)
+        rows = [f'-a_srs "{crs}"' if '"' not in crs else f"-a_srs '{crs}'"]
+        for (line, sample), (x, y, z) in zip(checked.points.image.tolist(),
+                                             checked.points.ground.tolist(), strict=True):
+            height = "" if np.isnan(z) else f" {z!r}"
+            rows.append(f"-gcp {sample + CORNER!r} {line + CORNER!r} {x!r} {y!r}{height}")
+        write_text(path, "\n".join([*rows, ""]))
+        say_checked(self.name, checked)

@@ -1,0 +1,77 @@
+"""Files of ground control points of GRASS GIS: POINTS and CONTROL_POINTS of an imagery group.
+
+A line is east and north in the image, east and north on the ground, and 1 where the point is used,
+0 where it is not; in CONTROL_POINTS a height follows each pair. North in the image counts upwards
+from the lower edge of its last row, so that the height of the image must be known.
+
+References
+----------
+GRASS GIS, manual of `i.rectify`, `g.gui.gcp` and `i.ortho.photo`, and the files that these write.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from termsel import FeatureSet, Reader, TermselError
+from termsel.toolkit import Table, is_number, read_text
+
+_TITLE = b"Ground Control Points File"
+_PLANE = ("source east", "source north", "east", "north", "status")
+_SPATIAL = ("source east", "source north", "source height", "east", "north", "height", "status")
+_MEANINGS = {"sample": "source east", "line": "source north", "x": "east", "y": "north",
+             "z": "height", "enabled": "status"}
+_HINT = f"A line is {', '.join(_PLANE)}."
+
+
+class GrassPoints(Reader):
+    """Points of GRASS GIS; those whose status is 0 have the role "off".
+
+    The image is required, because rows count from its lower edge: ``--image FILE``.
+    """
+
+    name = "grass-points"
+    summary = "POINTS and CONTROL_POINTS of GRASS GIS: east north east north status"
+    states_origin = False
+    default_origin = "bottom-left-corner"
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True for a file with the title of GRASS, or of its name and form."""
+        if head.lstrip(b"\xef\xbb\xbf \t\r\n#").startswith(_TITLE):
+            return True
+        rows = _rows(head.decode("utf-8", "replace").rpartition("\n")[0])
+        return path.name in ("POINTS", "CONTROL_POINTS") and bool(rows) and all(
+            len(cells) in (5, 7) and all(map(is_number, cells)) and cells[-1] in ("0", "1")
+            for _, cells in rows)
+
+    def read(self, path: Path) -> FeatureSet:
+        """Return the points, with line as rows upwards; errors name file, line and column."""
+        rows = _rows(read_text(path))
+        if not rows:
+            raise TermselError("this file has no points", file=path, hint=_HINT)
+        width = len(rows[0][1])
+        names = _SPATIAL if width == len(_SPATIAL) else _PLANE
+        for number, cells in rows:
+            if len(cells) != len(names):
+                raise TermselError(f"{len(cells)} cells, expected {len(names)}", file=path,
+                                   line=number, hint=_HINT)
+        lines, cells_of_rows = zip(*rows, strict=True)
+        cells_of = dict(zip(names, zip(*cells_of_rows, strict=True), strict=True))
+        columns = {meaning: cells_of[name] for meaning, name in _MEANINGS.items()
+                   if name in cells_of}
+        table = Table(path, "", _MEANINGS, columns, lines)
+        ground = table.stack("x", "y", "z")
+        if not np.nan_to_num(ground[:, 2]).any():
+            ground[:, 2] = np.nan
+        return FeatureSet(table.points(table.stack("line", "sample"), ground, None,
+                                       table.roles()), crs="")
+
+
+def _rows(text: str) -> list[tuple[int, list[str]]]:
+    """Return number and cells of the lines that are no comments."""
+    return [(number, re.split(r"\s+", line.strip()))
+            for number, line in enumerate(text.splitlines(), 1)
+            if line.strip() and not line.lstrip().startswith("#")]

@@ -1,0 +1,98 @@
+"""Tables of links of ArcGIS: places in an image and on the ground, without a header.
+
+A row is ``X Source, Y Source, X Map, Y Map``, between tabs, blanks or commas; ArcGIS Pro and
+Allmaps may begin it with a number, and end it with residuals. The ordinate of an image without a
+map points up, so that its y is 0 at the upper edge and negative below.
+
+References
+----------
+Esri, "Fundamentals of georeferencing a raster dataset", on saving links as a text file; Allmaps,
+formats arcgis-csv and arcgis-tsv of its package io.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from termsel import FeatureSet, Reader, TermselError
+from termsel.toolkit import Table, is_number, read_text
+from termsel_formats.points.common import CORNER
+
+_MEANINGS = {"sample": "X Source", "line": "Y Source", "x": "X Map", "y": "Y Map"}
+_WIDTHS = (4, 5, 7, 8)  # without and with a number, without and with three residuals
+_LARGEST = 200_000.0  # px along a side
+_SMALLEST = 360.0  # above this, numbers are no degrees
+_HINT = "A row is X Source, Y Source, X Map, Y Map; y counts upwards from the upper edge."
+
+
+class ArcgisLinks(Reader):
+    """Links of ArcGIS, with y upwards from the upper edge of the image."""
+
+    name = "arcgis-links"
+    summary = "links of ArcGIS, also of Allmaps: x y X Y without a header, y negative downwards"
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True for rows of numbers of which the second is negative, or that a title names.
+
+        Elsewhere the numbers do not tell which are of the image.
+        """
+        text = head.decode("utf-8-sig", "replace")
+        complete = text.rpartition("\n")[0] if len(head) > 60000 else text
+        rows = [cells for _, cells in _rows(complete)]
+        if rows and not all(map(is_number, rows[0])):
+            rows = rows[1:]
+        if len(rows) < 2 or len({len(cells) for cells in rows}) > 1 or len(rows[0]) not in _WIDTHS:
+            return False
+        if not all(is_number(cell) for cells in rows for cell in cells):
+            return False
+        table = np.array(rows, dtype=np.float64)
+        if not np.isfinite(table).all():
+            return False
+        first = _first(len(rows[0]))
+        if first and not np.array_equal(table[:, 0], np.arange(len(table)) + table[0, 0]):
+            return False
+        column = table[:, first]
+        row = table[:, first + 1]
+        size = max(np.abs(column).max(), np.abs(row).max())
+        return bool((row <= 0.0).all() and (column >= 0.0).all() and (row < 0.0).any()
+                    and _SMALLEST < size < _LARGEST)
+
+    def read(self, path: Path) -> FeatureSet:
+        """Return the points; errors name file, line and column."""
+        rows = _rows(read_text(path))
+        if rows and not all(map(is_number, rows[0][1])):
+            rows = rows[1:]
+        if not rows:
+            raise TermselError("this file has no links", file=path, hint=_HINT)
+        width = len(rows[0][1])
+        for number, cells in rows:
+            if len(cells) != width or width not in _WIDTHS:
+                expected = width if width in _WIDTHS else _WIDTHS[0]
+                raise TermselError(f"{len(cells)} cells, expected {expected}", file=path,
+                                   line=number, hint=_HINT)
+        lines, cells_of_rows = zip(*rows, strict=True)
+        first = _first(width)
+        columns = {meaning: [cells[first + i] for cells in cells_of_rows]
+                   for i, meaning in enumerate(_MEANINGS)}
+        names = dict(_MEANINGS)
+        if first:
+            columns["id"] = [cells[0] for cells in cells_of_rows]
+            names["id"] = "number"
+        table = Table(path, "", names, columns, lines)
+        image = table.stack("line", "sample") * [-1.0, 1.0] - CORNER
+        return FeatureSet(table.points(image, table.stack("x", "y", "z"), None, ()), crs="")
+
+
+def _first(width: int) -> int:
+    """Return the column of X Source: after a number, where the row has one."""
+    return 1 if width in (5, 8) else 0
+
+
+def _rows(text: str) -> list[tuple[int, list[str]]]:
+    """Return number and cells of the lines that are no comments."""
+    return [(number, [cell for cell in re.split(r"[\s,;]+", line.strip()) if cell])
+            for number, line in enumerate(text.splitlines(), 1)
+            if line.strip() and not line.lstrip().startswith("#")]

@@ -1,0 +1,200 @@
+"""Marks of MicMac in images (``Mesure``), and points on the ground (``Appuis``), as XML.
+
+`SaisieAppuisInit` and its kin write two files: NAME-S2D.xml has a ``MesureAppuiFlottant1Im`` for
+each image, with the column and row of each point; NAME-S3D.xml, and `GCPConvert`, have a
+``OneAppuisDAF`` for each point, with its place and the standard deviations of that. Neither states
+the CRS. Columns and rows are taken from the centre of the first pixel.
+
+References
+----------
+MicMac, "MicMac, Apero, Pastis and Other Beverages in a Nutshell", sections on ground control
+points; the names are those of the classes SetOfMesureAppuisFlottants and DicoAppuisFlottant.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, ClassVar
+from xml.etree import ElementTree
+
+import numpy as np
+
+from termsel import FeatureSet, Option, Points, Reader, Result, TermselError
+from termsel.toolkit import (
+    IMAGE_NAME,
+    atomic_path,
+    encoded,
+    image_of,
+    located,
+    write_text,
+    xml_characters,
+)
+from termsel_formats.points.common import xml_root
+from termsel_formats.points.written import (
+    IMAGE,
+    PointsWriter,
+    checked_points,
+    image_name,
+    require_points,
+    say_checked,
+)
+
+_MEASURES, _GROUND = "SetOfMesureAppuisFlottants", "DicoAppuisFlottant"
+_HINT = "Write it again with SaisieAppuisInit or GCPConvert."
+_ENDINGS = {"-S2D.xml": "-S3D.xml", "-Mesures.xml": "-Appuis.xml", "_mesures.xml": "_appuis.xml"}
+"""Endings of files of measures, and of the files of the ground next to them."""
+
+
+class MicmacXml(Reader):
+    """Marks of one image, with the places of the points from a file of their own."""
+
+    name = "micmac-xml"
+    summary = "marks of MicMac, NAME-S2D.xml; --set ground=FILE has the Appuis, NAME-S3D.xml"
+    declared_options: ClassVar[tuple[Option, ...]] = (
+        Option("ground", None, "The file of Appuis (DicoAppuisFlottant); by default NAME-S3D.xml "
+                               "next to NAME-S2D.xml."), IMAGE_NAME)
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True for XML with measures or with points on the ground."""
+        return head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<") and (
+            _MEASURES.encode() in head or _GROUND.encode() in head)
+
+    def read(self, path: Path) -> FeatureSet:
+        """Return the points of one image; errors name file and point."""
+        marks = _marks(path)
+        places = self._places(path)
+        image = image_of(path, marks, self.options["image_name"], "image_name=NAME")
+        ids = [name for name in marks[image] if name in places]
+        if not ids:
+            raise TermselError(f"no point of the image {image} has a place on the ground",
+                               file=path, hint="Give the file of the same points, "
+                                               "--set ground=FILE.")
+        line_sample = [marks[image][name][::-1] for name in ids]
+        try:
+            return FeatureSet(Points(tuple(ids), np.array(line_sample),
+                                     np.array([places[name] for name in ids])), crs="")
+        except TermselError as error:
+            raise located(error, path) from error
+
+    def parts(self, path: Path) -> dict[str, dict[str, Any]]:
+        """Return the images of the file, each of which is a part."""
+        images = _marks(path)
+        return {image: {"image_name": image} for image in images} if len(images) > 1 else {}
+
+    def _places(self, path: Path) -> dict[str, list[float]]:
+        """Return the places on the ground, from the file itself or the one that belongs to it."""
+        asked = self.options["ground"]
+        root = xml_root(path, _HINT)
+        if asked is None and root.find(".//OneAppuisDAF") is not None:
+            return _ground_of(root, path)
+        ground = _ground_file(path) if asked is None else Path(asked)
+        if not ground.is_file():
+            raise TermselError("measures say where points are in images alone", file=path,
+                               hint="Name the file of their places on the ground (Appuis), "
+                                    "--set ground=FILE.")
+        return _ground_of(xml_root(ground, _HINT), ground)
+
+
+def _ground_file(path: Path) -> Path:
+    """Return the file of the ground that belongs to a file of measures, by its name."""
+    for ending, other in _ENDINGS.items():
+        if path.name.lower().endswith(ending.lower()):
+            return path.with_name(path.name[:-len(ending)] + other)
+    return path.with_name(f"{path.stem}-S3D.xml")
+
+
+def _marks(path: Path) -> dict[str, dict[str, list[float]]]:
+    """Return column and row of each point in each image."""
+    root = xml_root(path, _HINT)
+    marks: dict[str, dict[str, list[float]]] = {}
+    for image in root.iter("MesureAppuiFlottant1Im"):
+        image_marks = marks.setdefault((image.findtext("NameIm") or "").strip(), {})
+        for mark in image.iter("OneMesureAF1I"):
+            name = (mark.findtext("NamePt") or "").strip()
+            if name in image_marks:
+                raise TermselError(f"the point {name!r} is measured twice in one image", file=path,
+                                   hint="Remove one of its measures.")
+            image_marks[name] = _numbers(path, name, mark.findtext("PtIm"), 2)
+    if not any(marks.values()):
+        raise TermselError("this file has no measures in images", file=path,
+                           hint="Give the file of measures (SetOfMesureAppuisFlottants), and this "
+                                "one with --set ground=FILE.")
+    return marks
+
+
+def _ground_of(root: ElementTree.Element, path: Path) -> dict[str, list[float]]:
+    """Return the place of each point on the ground."""
+    places = {}
+    for point in root.iter("OneAppuisDAF"):
+        name = (point.findtext("NamePt") or "").strip()
+        places[name] = _numbers(path, name, point.findtext("Pt"), 3)
+    if not places:
+        raise TermselError("this file has no points on the ground", file=path, hint=_HINT)
+    return places
+
+
+def _numbers(path: Path, name: str, text: str | None, count: int) -> list[float]:
+    cells = (text or "").split()
+    try:
+        numbers = [float(cell) for cell in cells]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count or not np.isfinite(numbers).all():
+        raise TermselError(f"the point {name!r:.60} has {' '.join(cells)!r:.60}, expected {count} "
+                           "numbers", file=path, hint=_HINT)
+    return numbers
+
+
+class MicmacXmlWriter(PointsWriter):
+    """Control points without blunders as measures of MicMac, and NAME-S3D.xml with their places.
+
+    Independent check points are not among them: MicMac tells no control from check points.
+    """
+
+    name = "micmac-xml"
+    summary = "points without blunders as measures of MicMac, and their places in NAME-S3D.xml"
+    needs = "control points with heights, in a CRS of the Earth"
+    suffix = "-S2D.xml"
+    declared_options: ClassVar[tuple[Option, ...]] = (
+        IMAGE,
+        Option("ground_sigma", 1.0, "Standard deviation of the ground coordinates, in their unit.",
+               float))
+
+    def files(self, path: Path) -> tuple[Path, ...]:
+        """Return the files of the measures and of the places on the ground."""
+        return path, _ground_file(path)
+
+    def write(self, result: Result, path: Path) -> None:
+        """Write both files."""
+        self.require(result, path)
+        checked = checked_points(result, with_heights=True)
+        control = checked.points.take(np.logical_not(checked.is_check))
+        require_points(checked, path, self.needs)
+        measures = ElementTree.Element(_MEASURES)
+        of_image = ElementTree.SubElement(measures, "MesureAppuiFlottant1Im")
+        _add(of_image, "NameIm", image_name(self.options["image"], path))
+        ground = ElementTree.Element("Global")
+        places = ElementTree.SubElement(ground, _GROUND)
+        sigma = float(self.options["ground_sigma"])
+        for name, (line, sample), place in zip(control.ids, control.image.tolist(),
+                                               control.ground.tolist(), strict=True):
+            mark = ElementTree.SubElement(of_image, "OneMesureAF1I")
+            _add(mark, "NamePt", name)
+            _add(mark, "PtIm", f"{sample!r} {line!r}")
+            point = ElementTree.SubElement(places, "OneAppuisDAF")
+            _add(point, "Pt", " ".join(map(repr, place)))
+            _add(point, "NamePt", name)
+            _add(point, "Incertitude", f"{sigma!r} {sigma!r} {sigma!r}")
+        with atomic_path(path) as made:  # in place after the other, or neither is
+            made.write_bytes(encoded(_text(measures)))
+            write_text(_ground_file(path), _text(ground))
+        say_checked(self.name, checked)
+
+
+def _add(parent: ElementTree.Element, tag: str, text: str) -> None:
+    ElementTree.SubElement(parent, tag).text = xml_characters(text)
+
+
+def _text(root: ElementTree.Element) -> str:
+    ElementTree.indent(root, space="     ")
+    return f'<?xml version="1.0" ?>\n{ElementTree.tostring(root, encoding="unicode")}\n'

@@ -1,0 +1,168 @@
+"""OpenDroneMap's list of ground control points, ``gcp_list.txt``.
+
+The first line is the CRS: "EPSG:32633", "WGS84 UTM 16N" or a string of PROJ. Each other line is a
+mark of a point in an image: ``geo_x geo_y geo_z im_x im_y image_name [gcp_name] [more]``, separated
+by blanks or tabs; geo_z may be NaN. Marks count from the centre of the first pixel, as OpenSfM, to
+which OpenDroneMap hands them, adds half a pixel to them.
+
+References
+----------
+OpenDroneMap documentation, "Ground Control Points", section "File format"; OpenSfM,
+``features.normalized_image_coordinates``.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any, ClassVar
+from warnings import catch_warnings, simplefilter
+
+from termsel import FeatureSet, Option, Reader, Result, TermselError
+from termsel.toolkit import (
+    GIS,
+    IMAGE_NAME,
+    Table,
+    horizontal,
+    image_of,
+    is_number,
+    located,
+    normalise,
+    read_text,
+    requires,
+    write_text,
+)
+from termsel_formats.points.written import (
+    IMAGE,
+    PointsWriter,
+    checked_points,
+    image_name,
+    require_points,
+    say_checked,
+)
+
+_COLUMNS = ("geo_x", "geo_y", "geo_z", "im_x", "im_y", "image_name", "gcp_name")
+_MEANINGS = {"x": "geo_x", "y": "geo_y", "z": "geo_z", "sample": "im_x", "line": "im_y"}
+_CRS_LINE = re.compile(r"\s*#?\s*(EPSG\s*:|WGS\s*84|\+proj|\+init|PROJCR?S|GEOG|ESRI\s*:)",
+                       re.IGNORECASE)
+_CHECK = "CHK-"
+"""Beginning of the names of check points, which OpenDroneMap keeps out of its adjustment."""
+_HINT = f"The first line is the CRS, the others are {' '.join(_COLUMNS[:6])} [gcp_name]."
+
+
+class OdmGcpList(Reader):
+    """Marks of one image in a list of OpenDroneMap, whose first line is the CRS."""
+
+    name = "odm-gcp-list"
+    summary = "gcp_list.txt of OpenDroneMap: CRS, then x y z col row image [name]"
+    declared_options: ClassVar[tuple[Option, ...]] = (IMAGE_NAME,)
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True for a CRS and rows of five numbers and the name of an image."""
+        rows = [text.strip() for text in head.decode("utf-8-sig", errors="replace").splitlines()
+                if text.strip()]
+        return len(rows) > 1 and _CRS_LINE.match(rows[0]) is not None \
+            and _is_mark(next((row for row in rows[1:] if not row.startswith("#")), "").split())
+
+    def read(self, path: Path) -> FeatureSet:
+        """Return the points of one image; errors name file, line and column."""
+        crs, marks = _marks(path)
+        image = image_of(path, (cells[5] for _, cells in marks), self.options["image_name"],
+                         "image_name=NAME, or fit each with termsel compare --points FILE")
+        of_image = [(number, cells) for number, cells in marks if cells[5] == image]
+        lines, rows = zip(*of_image, strict=True)
+        columns = {meaning: [_known_height(cells[_COLUMNS.index(name)]) for cells in rows]
+                   for meaning, name in _MEANINGS.items()}
+        names = dict(_MEANINGS)
+        if all(len(cells) > 6 for cells in rows):
+            columns["id"] = [cells[6] for cells in rows]
+            names["id"] = "gcp_name"
+        table = Table(path, crs, names, columns, lines)
+        roles = ["independent" if name.startswith(_CHECK) else "" for name in columns.get("id", ())]
+        return FeatureSet(table.points(table.stack("line", "sample"), table.stack("x", "y", "z"),
+                                       None, roles), crs=crs)
+
+    def parts(self, path: Path) -> dict[str, dict[str, Any]]:
+        """Return the images of the list, each of which is a part."""
+        images = dict.fromkeys(cells[5] for _, cells in _marks(path)[1])
+        return {image: {"image_name": image} for image in images} if len(images) > 1 else {}
+
+
+def _marks(path: Path) -> tuple[str, list[tuple[int, list[str]]]]:
+    """Return the CRS, and number and cells of each line of a mark."""
+    rows = [(number, text.strip()) for number, text in enumerate(read_text(path).splitlines(), 1)
+            if text.strip()]
+    if not rows:
+        raise TermselError("the file is empty", file=path, hint=_HINT)
+    number, first = rows[0]
+    try:
+        crs = normalise(first.removeprefix("#").strip())
+    except TermselError as error:
+        raise located(error, path, number) from error
+    marks = []
+    for number, text in rows[1:]:
+        if text.startswith("#"):
+            continue
+        cells = text.split()
+        if not _is_mark(cells):
+            raise TermselError("this line is no mark of a point in an image", file=path,
+                               line=number, hint=_HINT)
+        marks.append((number, cells))
+    if not marks:
+        raise TermselError("the file has no points", file=path, hint=_HINT)
+    return crs, marks
+
+
+def _is_mark(cells: list[str]) -> bool:
+    return (len(cells) > 5 and all(is_number(cell) for cell in (*cells[:2], *cells[3:5]))
+            and (is_number(cells[2]) or not _known_height(cells[2])) and not is_number(cells[5]))
+
+
+def _known_height(cell: str) -> str:
+    """Return a cell, blank where the list says by NaN that a height is unknown."""
+    return "" if cell.lower() in ("nan", "none", "-") else cell
+
+
+class OdmGcpListWriter(PointsWriter):
+    """Control and check points as a list of OpenDroneMap, without blunders.
+
+    The names of independent check points begin with "CHK-". Heights that are not known are NaN.
+    """
+
+    name = "odm-gcp-list"
+    summary = "points without blunders as gcp_list.txt of OpenDroneMap, with check points"
+    suffix = "_gcp_list.txt"
+    declared_options: ClassVar[tuple[Option, ...]] = (IMAGE,)
+
+    def write(self, result: Result, path: Path) -> None:
+        """Write the list."""
+        self.require(result, path)
+        checked = checked_points(result)
+        require_points(checked, path, self.needs)
+        image = _word(image_name(self.options["image"], path))
+        rows = [_crs_line(result.features.crs)]
+        for name, (line, sample), place, is_check in zip(
+                checked.points.ids, checked.points.image.tolist(), checked.points.ground.tolist(),
+                checked.is_check, strict=True):
+            label = _word(f"{_CHECK}{name}" if is_check and not name.startswith(_CHECK) else name)
+            x, y, z = (repr(value) if value == value else "NaN" for value in place)
+            rows.append(f"{x} {y} {z} {sample!r} {line!r} {image} {label}")
+        write_text(path, "\n".join([*rows, ""]))
+        say_checked(self.name, checked)
+
+
+def _crs_line(crs: str) -> str:
+    """Return the first line of a list: a code of EPSG, else a string of PROJ."""
+    plane = horizontal(crs)
+    if plane.startswith("EPSG:") and "+" not in plane:
+        return plane
+    with requires("gcp_list.txt in this CRS requires", "pyproj", GIS):
+        from pyproj import CRS
+    with catch_warnings():
+        simplefilter("ignore")  # what a string of PROJ does not hold
+        return str(CRS.from_user_input(plane).to_proj4())
+
+
+def _word(text: str) -> str:
+    """Return a text without blanks, which separate the cells of a list."""
+    return "_".join(text.split()) or "_"

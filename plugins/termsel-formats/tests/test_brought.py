@@ -1,0 +1,293 @@
+"""Files that people bring from other programs, and those that they take to them.
+
+The forms are those of the documentation of OpenDroneMap (Ground Control Points), MicMac
+(SaisieAppuisInit, GCPConvert), GRASS GIS (g.gui.gcp, i.ortho.photo), GDAL (gdal_translate -gcp,
+gdalinfo), Allmaps (package io) and ArcGIS (links as a text file).
+"""
+
+from __future__ import annotations
+
+import logging
+import shutil
+import subprocess
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("termsel_formats", reason="termsel-formats is not installed: "
+                    "pip install -e plugins/termsel-formats")
+pytest.importorskip("rasterio")
+
+import rasterio
+
+import termsel
+from termsel import FeatureSet, Points, Reader, Result, TermselError, Writer
+from termsel.testing import Check, checks
+from termsel_formats.points.asp import AspGcpWriter
+from termsel_formats.points.gdal_text import GdalinfoText, GdalOptions, GdalOptionsWriter
+from termsel_formats.points.grass import GrassPoints
+from termsel_formats.points.links import ArcgisLinks
+from termsel_formats.points.micmac import MicmacXml, MicmacXmlWriter
+from termsel_formats.points.odm import OdmGcpList, OdmGcpListWriter
+
+GROUND = np.array([[500000.5, 5000000.0, 410.0], [500900.0, 5000010.0, 420.5],
+                   [500020.0, 4999100.0, 430.0], [500880.0, 4999200.0, 415.0]])
+IMAGE = np.array([[20.5, 100.0], [31.0, 1900.25], [1800.0, 140.0], [1700.5, 1850.0]])
+"""Line and sample from the centre of the first pixel."""
+IDS = ("P1", "P2", "P3", "P4")
+
+
+def features(crs: str = "", *, heights: bool = True, ids: tuple[str, ...] = IDS,
+             roles: tuple[str, ...] = (), image: np.ndarray = IMAGE) -> FeatureSet:
+    ground = GROUND.copy()
+    if not heights:
+        ground[:, 2] = np.nan
+    return FeatureSet(Points(ids, image, ground, roles=roles), crs=crs)
+
+
+def odm(header: str = "EPSG:32633", images: tuple[str, ...] = ("DJI_1.JPG",)) -> str:
+    rows = [f"{x} {y} {z}\t{sample} {line}\t{image} {name}" for image in images
+            for name, (line, sample), (x, y, z) in zip(IDS, IMAGE, GROUND, strict=True)]
+    return "\n".join([header, *rows, ""])
+
+
+def micmac() -> str:
+    marks = "".join(f"<OneMesureAF1I><NamePt>{name}</NamePt><PtIm>{sample} {line}</PtIm>"
+                    f"</OneMesureAF1I>" for name, (line, sample) in zip(IDS, IMAGE, strict=True))
+    return (f'<?xml version="1.0" ?><Global><SetOfMesureAppuisFlottants><MesureAppuiFlottant1Im>'
+            f"<NameIm>a.tif</NameIm>{marks}</MesureAppuiFlottant1Im></SetOfMesureAppuisFlottants>"
+            f"{appuis()}</Global>")
+
+
+def appuis() -> str:
+    return "<DicoAppuisFlottant>" + "".join(
+        f"<OneAppuisDAF><Pt> {x} {y} {z} </Pt><NamePt> {name} </NamePt><Incertitude>1 1 1"
+        f"</Incertitude></OneAppuisDAF>" for name, (x, y, z) in zip(IDS, GROUND, strict=True)
+    ) + "</DicoAppuisFlottant>"
+
+
+def grass() -> str:
+    rows = [f"{sample + 0.5} {2000 - line - 0.5}     {x} {y}     {int(name != 'P3')}"
+            for name, (line, sample), (x, y, _) in zip(IDS, IMAGE, GROUND, strict=True)]
+    return "\n".join(["# Ground Control Points File", "# ", "# target location: utm",
+                      "#\tsource\t\ttarget\t\tstatus", *rows, ""])
+
+
+def options() -> str:
+    gcps = " \\\n  ".join(f"-gcp {sample + 0.5} {line + 0.5} {x} {y} {z}"
+                          for (line, sample), (x, y, z) in zip(IMAGE, GROUND, strict=True))
+    return f'#!/bin/bash\ngdal_translate -of vrt -a_srs EPSG:32633 \\\n  {gcps} \\\n  a.jpg a.vrt\n'
+
+
+def printed() -> str:
+    gcps = "\n".join(f"GCP[{i:3d}]: Id={name}, Info=\n          ({sample + 0.5},{line + 0.5}) -> "
+                     f"({x},{y},{z})" for i, (name, (line, sample), (x, y, z))
+                     in enumerate(zip(IDS, IMAGE, GROUND, strict=True)))
+    return f"Driver: GTiff/GeoTIFF\nFiles: a.tif\nOrigin unknown\n{gcps}\nMetadata:\n"
+
+
+def links() -> str:
+    return "\n".join([*(f"{sample + 0.5}\t{-line - 0.5}\t{x}\t{y}" for (line, sample), (x, y, _)
+                        in zip(IMAGE, GROUND, strict=True)), ""])
+
+
+READERS: dict[str, tuple[type[Reader], str, FeatureSet, str]] = {
+    "odm-gcp-list": (OdmGcpList, odm(), features("EPSG:32633"), "gcp_list.txt"),
+    "micmac-xml": (MicmacXml, micmac(), features(), "all.xml"),
+    "grass-points": (GrassPoints, grass(), features(
+        heights=False, roles=("", "", "off", ""), image=np.column_stack(
+            [2000 - IMAGE[:, 0] - 0.5, IMAGE[:, 1] + 0.5])), "POINTS"),
+    "gdal-options": (GdalOptions, options(), features("EPSG:32633"), "a.sh"),
+    "gdalinfo": (GdalinfoText, printed(), features(), "info.txt"),
+    "arcgis-links": (ArcgisLinks, links(), features(heights=False), "links.txt")}
+
+
+def reader_suite() -> Iterator[Check]:
+    for reader, text, expected, name in READERS.values():
+        yield from checks(reader(), content=text.encode(), expected=expected, filename=name)
+
+
+@pytest.mark.parametrize("check", [pytest.param(one, id=one.name) for one in reader_suite()])
+def test_readers_conform(check: Check) -> None:
+    check.run()
+
+
+def same(read: FeatureSet, crs: str, *, heights: bool = True) -> None:
+    assert read.crs == crs
+    np.testing.assert_allclose(read.points.image, IMAGE, atol=1e-9)
+    np.testing.assert_allclose(read.points.ground[:, :2 + heights], GROUND[:, :2 + heights])
+
+
+@pytest.mark.parametrize("name", sorted(READERS))
+def test_content_tells_the_format(name: str, tmp_path: Path) -> None:
+    _, text, expected, file = READERS[name]
+    (tmp_path / file).write_text(text)
+    image = tmp_path / "image.tif"
+    with pytest.warns(rasterio.errors.NotGeoreferencedWarning):
+        rasterio.open(image, "w", driver="GTiff", width=2000, height=2000, count=1, dtype="uint8",
+                      sparse_ok=True).close()
+    read = termsel.read(tmp_path / file, crs="EPSG:32633", image=image)
+    same(read, "EPSG:32633", heights=not np.isnan(expected.points.ground[0, 2]))
+
+
+@pytest.mark.parametrize(("header", "crs"), [
+    ("EPSG:32633", "EPSG:32633"), ("WGS84 UTM 33N", "EPSG:32633"),
+    ("+proj=utm +zone=33 +ellps=WGS84 +datum=WGS84 +units=m +no_defs\t", "EPSG:32633")])
+def test_crs_lines_of_opendronemap(header: str, crs: str, tmp_path: Path) -> None:
+    (tmp_path / "gcp_list.txt").write_text(odm(header))
+    same(termsel.read(tmp_path / "gcp_list.txt"), crs)
+
+
+def test_a_list_of_several_images_asks_which(tmp_path: Path) -> None:
+    path = tmp_path / "gcp_list.txt"
+    path.write_text(odm(images=("DJI_1.JPG", "DJI_2.JPG")))
+    with pytest.raises(TermselError, match=r"images DJI_1\.JPG, DJI_2\.JPG.*termsel compare"):
+        termsel.read(path)
+    same(termsel.read(path, image_name="DJI_2.JPG"), "EPSG:32633")
+    assert list(OdmGcpList().parts(path)) == ["DJI_1.JPG", "DJI_2.JPG"]
+
+
+def test_measures_of_micmac_find_their_ground(tmp_path: Path) -> None:
+    (tmp_path / "a-S2D.xml").write_text(micmac().replace(appuis(), ""))
+    with pytest.raises(TermselError, match="measures say where points are in images alone"):
+        termsel.read(tmp_path / "a-S2D.xml")
+    (tmp_path / "a-S3D.xml").write_text(appuis())
+    same(termsel.read(tmp_path / "a-S2D.xml", crs="EPSG:32633"), "EPSG:32633")
+    with pytest.raises(TermselError, match="no measures in images"):
+        termsel.read(tmp_path / "a-S3D.xml", crs="EPSG:32633")
+
+
+def test_an_xml_bomb_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a-S2D.xml").write_text(
+        '<!DOCTYPE a [<!ENTITY b "c">]><SetOfMesureAppuisFlottants>&b;'
+        "</SetOfMesureAppuisFlottants>")
+    with pytest.raises(TermselError, match="a document type is not read"):
+        termsel.read(tmp_path / "a-S2D.xml")
+
+
+def test_points_of_grass_need_the_image(tmp_path: Path) -> None:
+    (tmp_path / "POINTS").write_text(grass())
+    with pytest.raises(TermselError, match="needs the height of the image"):
+        termsel.read(tmp_path / "POINTS", crs="EPSG:32633")
+
+
+def test_option_files_and_numbered_links(tmp_path: Path) -> None:
+    (tmp_path / "gcps.opt").write_text("".join(
+        f"-gcp {sample + 0.5} {line + 0.5} {x} {y}\n"
+        for (line, sample), (x, y, _) in zip(IMAGE, GROUND, strict=True)))
+    (tmp_path / "links.csv").write_text("".join(
+        f"{i},{row.replace(chr(9), ',')}\n" for i, row in enumerate(links().splitlines(), 1)))
+    for name in ("gcps.opt", "links.csv"):
+        same(termsel.read(tmp_path / name, crs="EPSG:32633"), "EPSG:32633", heights=False)
+
+
+def test_degrees_of_the_west_are_no_links(tmp_path: Path) -> None:
+    """Latitude, longitude, row, column: the second column is negative, too."""
+    (tmp_path / "a.txt").write_text("53.38 -2.90 825 1145\n53.39 -2.91 857 1028\n"
+                                    "53.37 -2.95 977 905\n53.36 -2.94 600 701\n")
+    with pytest.raises(TermselError, match="no header"):
+        termsel.read(tmp_path / "a.txt", crs="EPSG:4326")
+
+
+@pytest.mark.skipif(shutil.which("gdalinfo") is None, reason="gdalinfo is not installed")
+@pytest.mark.parametrize("flags", [[], ["-json"]])
+def test_what_gdalinfo_prints(flags: list[str], tmp_path: Path) -> None:
+    gcps = "".join(f'<GCP Id="{name}" Info="" Pixel="{sample + 0.5}" Line="{line + 0.5}" X="{x}" '
+                   f'Y="{y}" Z="{z}"/>' for name, (line, sample), (x, y, z)
+                   in zip(IDS, IMAGE, GROUND, strict=True))
+    (tmp_path / "a.vrt").write_text(
+        f'<VRTDataset rasterXSize="2000" rasterYSize="2100"><GCPList Projection="EPSG:32633">{gcps}'
+        '</GCPList><VRTRasterBand dataType="Byte" band="1"/></VRTDataset>')
+    text = subprocess.run(["gdalinfo", *flags, tmp_path / "a.vrt"], check=True,
+                          capture_output=True, text=True).stdout
+    (tmp_path / "info.txt").write_text(text)
+    read = termsel.read(tmp_path / "info.txt")
+    same(read, "EPSG:32633")
+    assert read.image_size == (2100, 2000)
+
+
+def fitted(crs: str = "EPSG:32631", *, independent: bool = False) -> Result:
+    """A fit of points on an affine map with noise, P7 a blunder, with check points if asked."""
+    rng = np.random.default_rng(7)
+    image = rng.uniform(0, [2000, 3000], (24, 2))
+    ground = np.column_stack([500000 + 2 * image[:, 1], 4000000 - 2 * image[:, 0],
+                              rng.uniform(100, 120, 24)])
+    measured = image + rng.normal(0, 0.3, image.shape)
+    if independent:
+        measured[7] += 80.0
+    roles = ("control",) * 18 + (("independent",) * 6 if independent else ("control",) * 6)
+    points = Points(tuple(f"P{i}" for i in range(24)), measured, ground, roles=roles)
+    features = FeatureSet(points, crs=crs, image_size=(2000, 3000))
+    if independent:
+        return termsel.run(features=features, seed=0)
+    return termsel.run("poly-terms", features=features, model="poly2d", solver="all-terms",
+                       criterion="press", options={"degree": 1})
+
+
+@pytest.fixture(scope="module")
+def results() -> tuple[Result, ...]:
+    return (fitted(),)
+
+
+@pytest.fixture(scope="module")
+def checked() -> Result:
+    return fitted(independent=True)
+
+
+WRITERS: dict[str, tuple[type[Writer], str, str]] = {
+    "asp-gcp": (AspGcpWriter, "a.gcp", "EPSG:4979"),
+    "odm-gcp-list": (OdmGcpListWriter, "a_gcp_list.txt", ""),
+    "micmac-xml": (MicmacXmlWriter, "a.xml", "EPSG:32631"),
+    "gdal-options": (GdalOptionsWriter, "a_gcps.txt", "")}
+
+
+@pytest.mark.parametrize("name", sorted(WRITERS))
+def test_writers_conform_and_are_read_back(name: str, results: tuple[Result, ...]) -> None:
+    writer, file, crs = WRITERS[name]
+
+    def verify(result: Result, path: Path) -> None:
+        read = termsel.read(path, format=name, crs=crs or None)
+        np.testing.assert_allclose(read.points.image, result.features.points.image, atol=1e-9)
+        if crs != "EPSG:4979":
+            np.testing.assert_allclose(read.points.ground, result.features.points.ground)
+
+    for check in checks(writer(), filename=file, results=results, verify=verify):
+        check.run()
+
+
+@pytest.mark.parametrize("name", sorted(WRITERS))
+def test_blunders_stay_out_and_are_named(name: str, checked: Result, tmp_path: Path,
+                                         caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, logger="termsel")
+    _, file, crs = WRITERS[name]
+    assert [outlier.id for outlier in checked.outliers] == ["P7"]
+    termsel.export(checked, name, tmp_path / file)
+    assert "Left out: P7 (blunder of" in caplog.text
+    read = termsel.read(tmp_path / file, format=name, crs=crs or None).points
+    assert len(read) == (17 if name == "micmac-xml" else 23)
+    known = checked.features.points.image[7]
+    assert np.abs(read.image - known).max(axis=1).min() > 1.0
+    if name == "odm-gcp-list":
+        assert sum(role == "independent" for role in read.roles) == 6
+        assert sum(one.startswith("CHK-") for one in read.ids) == 6
+    if name == "asp-gcp":
+        assert read.sigma is not None
+        text = (tmp_path / file).read_text()
+        assert sum(" 10000.0 10000.0 10000.0 " in row for row in text.splitlines()) == 6
+
+
+def test_a_file_without_points_is_not_written(tmp_path: Path) -> None:
+    result = fitted()
+    ground = result.features.points.ground.copy()
+    ground[:, 2] = np.nan
+    flat = termsel.run("poly-terms", features=replace(
+        result.features, points=replace(result.features.points, ground=ground)), model="poly2d",
+        solver="all-terms", criterion="press", options={"degree": 1})
+    for name, (_, file, _) in WRITERS.items():
+        if name in ("asp-gcp", "micmac-xml"):
+            with pytest.raises(TermselError, match="no point of this result can be written"):
+                termsel.export(flat, name, tmp_path / file)
+    assert not list(tmp_path.iterdir())

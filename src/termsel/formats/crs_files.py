@@ -1,0 +1,73 @@
+"""The CRS that a user states as a file: WKT in ``.prj`` or ``.wkt``, a raster, or a layer."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+from termsel.core.errors import TermselError
+from termsel.core.files.names import is_there
+from termsel.data.coordinates.crs import normalise
+from termsel.data.rasters import open_raster
+from termsel.formats.base import located, read_head, read_text
+from termsel.formats.readers.vector import is_vector, open_layer
+
+log = logging.getLogger(__name__)
+
+_TEXTS = (".prj", ".wkt", ".wkt2", ".txt", ".proj", ".proj4")
+_NO_CRS = "Give a file of WKT, a raster or a layer that has a CRS, or its name, such as EPSG:32631."
+
+
+def stated_crs(given: str | None) -> str | None:
+    """Return the normal form of a CRS by name or by the file that has it; None for none.
+
+    Raises TermselError where it is neither.
+    """
+    if given is None:
+        return None
+    # A user alone states a CRS so; a CRS within a file never names another file.
+    path = Path(given.strip())
+    is_file = len(given) < 1000 and "\n" not in given and bool(path.suffix) and is_there(path) \
+        and path.is_file()
+    return _crs_of_file(path) if is_file else normalise(given)
+
+
+def crs_next_to(path: Path) -> str:
+    """Return the CRS in the file of the same name that ends in .prj, "" where there is none."""
+    prj = next((place for place in (path.with_suffix(".prj"), path.with_suffix(".PRJ"))
+                if place != path and is_there(place) and place.is_file()), None)
+    if prj is None:
+        return ""
+    crs = _crs_of_text(prj)
+    log.info("Note: the CRS is that of %s.", prj.name)
+    return crs
+
+
+def _crs_of_file(path: Path) -> str:
+    if path.suffix.lower() in _TEXTS:
+        return _crs_of_text(path)
+    head = read_head(path, _NO_CRS)
+    if is_vector(head) or path.suffix.lower() in (".geojson", ".json", ".gml", ".kml"):
+        meta, _, _ = open_layer(path, None, (), [])
+        text = str(meta.get("crs") or "")
+    else:
+        with open_raster(path) as raster:
+            crs = raster.crs or raster.gcps[1]
+            text = "" if crs is None else crs.to_wkt()
+    if not text:
+        raise TermselError("this file has no CRS", file=path, hint=_NO_CRS)
+    return _of(path, text)
+
+
+def _crs_of_text(path: Path) -> str:
+    text = " ".join(read_text(path).split())
+    if not text:
+        raise TermselError("this file is empty, expected a CRS", file=path, hint=_NO_CRS)
+    return _of(path, text)
+
+
+def _of(path: Path, text: str) -> str:
+    try:
+        return normalise(text)
+    except TermselError as error:
+        raise located(error, path) from error

@@ -1,0 +1,63 @@
+"""CRSs as people have them: by name, as a string of PROJ, and in files next to the points."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("pyproj")
+
+import pyproj
+
+import termsel
+from termsel import TermselError
+
+BONNE = "+proj=bonne +lat_1=45 +lon_0=0 +ellps=clrk66 +units=m"
+TABLE = "id,line,sample,x,y\nP1,10,20,5000,6000\nP2,900,40,5050,1000\nP3,40,800,9000,5900\n"
+
+
+@pytest.mark.parametrize(("given", "code"), [
+    ("WGS84", "EPSG:4326"), ("GCS_WGS_1984", "EPSG:4326"), ("WGS84 UTM 16N", "EPSG:32616"),
+    ("WGS 84 / UTM zone 33S", "EPSG:32733"), ("UTM 5 north", "EPSG:32605"),
+    ("+proj=longlat +datum=WGS84 +no_defs", "EPSG:4326"),
+    ("+proj=utm +zone=11 +ellps=WGS84 +datum=WGS84 +units=m +no_defs", "EPSG:32611"),
+    ("+proj=utm +zone=30 +south +datum=WGS84", "EPSG:32730"),
+    ("NAD_1983_UTM_Zone_11N", "EPSG:26911"), ("ETRS89", "EPSG:4258")])
+def test_names_of_a_crs(given: str, code: str, tmp_path: Path) -> None:
+    degrees = code in ("EPSG:4326", "EPSG:4258")
+    (tmp_path / "a.csv").write_text(
+        "id,line,sample,x,y\nP1,10,20,8.5,4\nP2,90,40,8.6,5\n" if degrees else
+        "id,line,sample,x,y\nP1,10,20,500100,4000000\nP2,90,40,500400,4000500\n")
+    assert termsel.read(tmp_path / "a.csv", crs=given).crs == code
+
+
+@pytest.mark.parametrize("given", [
+    "+proj=pipeline +step +proj=utm +zone=33", "+proj=nothing", "UTM 61N", "hello world", "lon",
+    "+proj=longlat +ellps=bessel +nadgrids=/etc/hostname"])
+def test_what_is_no_crs(given: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(TABLE)
+    with pytest.raises(TermselError, match=r"unknown CRS|does not exist"):
+        termsel.read(tmp_path / "a.csv", crs=given)
+
+
+def test_a_projection_without_a_code_in_every_form(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(TABLE)
+    (tmp_path / "bonne.wkt").write_text(pyproj.CRS(BONNE).to_wkt(pretty=True))
+    (tmp_path / "b.csv").write_text(TABLE)
+    (tmp_path / "b.prj").write_text(pyproj.CRS(BONNE).to_wkt("WKT1_ESRI"))
+    (tmp_path / "c.csv").write_text(f"# crs: {BONNE}\n{TABLE}")
+    read = [termsel.read(tmp_path / "a.csv", crs=BONNE),
+            termsel.read(tmp_path / "a.csv", crs=str(tmp_path / "bonne.wkt")),
+            termsel.read(tmp_path / "b.csv"), termsel.read(tmp_path / "c.csv")]
+    for features in read:
+        operation = pyproj.CRS(features.crs).coordinate_operation
+        assert operation is not None
+        assert operation.method_name.startswith("Bonne")
+
+
+def test_a_file_without_a_crs_is_named(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(TABLE)
+    (tmp_path / "a.wkt").write_text("nothing")
+    with pytest.raises(TermselError, match=r"a\.wkt: unknown CRS 'nothing'"):
+        termsel.read(tmp_path / "a.csv", crs=str(tmp_path / "a.wkt"))
