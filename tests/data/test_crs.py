@@ -44,7 +44,7 @@ def test_normalise(given: str, expected: str) -> None:
     assert normalise(expected) == expected
 
 
-@pytest.mark.parametrize("given", ["", "WGS84", "EPSG:", "EPSG:abc", "4979", "UTM 31", "OGC:x",
+@pytest.mark.parametrize("given", ["", "WGS85", "EPSG:", "EPSG:abc", "4979", "UTM 31", "OGC:x",
                                    "EPSG:32735+", "POINT[3]", "[]"])
 def test_unknown_names_come_with_examples(given: str) -> None:
     with pytest.raises(TermselError, match=r"unknown CRS .*EPSG:4979 .*EPSG:32631 .*local"):
@@ -142,7 +142,8 @@ def test_without_pyproj_form_and_known_codes_are_checked() -> None:
     with pytest.raises(TermselError, match="look like degrees"):
         check_ground(ground("EPSG:32631", (5, 44)))
     with pytest.raises(TermselError, match="unknown CRS"):
-        normalise("WGS84")
+        normalise("Amersfoort / RD New")
+    assert normalise("WGS84 UTM 31N") == "EPSG:32631"
 
 
 def test_is_geographic() -> None:

@@ -199,7 +199,7 @@ def test_declarations(tmp_path: Path) -> None:
     ("id;line;sample;x;y;z\na;1;2;1.2345,5;4;5\n", 2, "x", "not a number"),
     ("id;line;sample;lon;lat;z\na;1;2;5;44°30'E;5\n", 2, "lat", "is a longitude"),
     (POINTS + 'a,,1,2,3,4,5\n"b,,1,2,3,4,5\nc,,1,2,3,4,5\n', 3, None, "quotation mark"),
-    ("# crs: WGS84\n" + POINTS + A, 1, None, "unknown CRS 'WGS84'"),
+    ("# crs: WGS85\n" + POINTS + A, 1, None, "unknown CRS 'WGS85'"),
     ("# crs: EPSG:4979\n# crs: EPSG:4326\n" + POINTS + A, 2, None,
      "but EPSG:4979 in an earlier comment"),
     ("#\n# units: feet\n" + POINTS + A, 2, None, "Convert the ground coordinates"),

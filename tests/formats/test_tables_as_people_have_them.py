@@ -254,7 +254,8 @@ HOSTILE: dict[str, tuple[bytes, str]] = {
     "a sum": (CLEAN + b"Sum,,,,1,2\n", "line 16, column 'Lon': the cell is blank"),
     "two signs": (changed(3, 3, "10.5").replace(b",", b";").replace(b"10.5", b"10,5"),
                   "line 4, column 'Height': '10,5' has a decimal comma"),
-    "two places": (b"id,x,y,lon,lat,h\n1,2,3,4,5,6\n", "columns 'x' and 'lon' both mean x|line"),
+    "two places": (b"id,x,easting,lat,h,line\n1,2,3,4,5,6\n",
+                   "columns 'x' and 'easting' both mean x|sample"),
     "JSON": (b'{"a": 1}', "in no format that termsel knows"),
     "GeoJSON without pixels": (geojson(lambda i: {"a": i}), "there is no column for line"),
     "cut database": (b"SQLite format 3\0" + bytes(52) + b"GP10" + bytes(99),
@@ -318,7 +319,9 @@ def test_the_command_line_shows_a_command_that_runs(tmp_path: Path,
     with pytest.raises(SystemExit) as ended:
         cli.main(asked)
     assert ended.value.code == 2
-    ready = capsys.readouterr().err.partition("Ready to run: termsel ")[2]
+    shown = capsys.readouterr().err
+    assert "Ready to run" not in shown
+    ready = shown.partition("Guess 1 of 2, to check: termsel ")[2].partition("\n")[0]
     with pytest.raises(SystemExit) as ended:
         cli.main(shlex.split(ready))
     assert not ended.value.code

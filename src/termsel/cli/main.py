@@ -149,12 +149,8 @@ class Commands(click.Group):
                 raise _too_large(error) from error
         except TermselError as error:
             echo(f"Error: {error}", err=True)
-            typed = shlex.join([*_without(sys.argv[1:] if args is None else args, error.options),
-                                *chain.from_iterable(error.options.items())])
-            if error.options and is_printable(typed):  # what is shown otherwise cannot be pasted
-                asks = "?" in "".join(error.options.values())
-                verb = "Complete and run" if asks else "Ready to run"
-                echo(f"{verb}: termsel {typed}", err=True)
+            for line in _suggested(sys.argv[1:] if args is None else args, error):
+                echo(line, err=True)
             sys.exit(CORRECTABLE)
         except click.ClickException as error:
             page = io.StringIO()
@@ -172,6 +168,20 @@ def _too_large(error: MemoryError) -> TermselError:
     from termsel.core.isolation.memory import out_of_memory
 
     return out_of_memory(error)
+
+
+def _suggested(words: Sequence[str], error: TermselError) -> Iterator[str]:
+    """Yield the commands that an error suggests; only what is certain is ready to run."""
+    guesses = error.guesses or [error.options.get("--columns", "")]
+    for number, columns in enumerate(guesses, 1):
+        options = {**error.options, "--columns": columns} if columns else error.options
+        typed = shlex.join([*_without(words, options), *chain.from_iterable(options.items())])
+        if not options or not is_printable(typed):  # what is shown otherwise cannot be pasted
+            continue
+        asks = "?" in "".join(options.values())
+        verb = "Complete and run" if asks else "Ready to run" if not error.guesses else \
+            f"Guess {number} of {len(guesses)}, to check"
+        yield f"{verb}: termsel {typed}"
 
 
 def _without(words: Sequence[str], options: Mapping[str, str]) -> Iterator[str]:

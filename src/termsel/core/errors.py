@@ -40,6 +40,9 @@ class TermselError(Exception):
     options : dict of str
         What options of the command could say instead, such as ``{"--crs": "EPSG:4979"}``; a "?" is
         for the user to complete.
+    guesses : list of str
+        Values of the option ``--columns`` that all fit, the one in `options` first, where nothing
+        tells which of them is right.
     """
 
     def __init__(
@@ -62,6 +65,7 @@ class TermselError(Exception):
         self.ids = tuple(ids)
         self.name = name
         self.options: dict[str, str] = {}
+        self.guesses: list[str] = []
 
     def __str__(self) -> str:
         """Return the message as it can be shown: printable, and long cells without their middle."""

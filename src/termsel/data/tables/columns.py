@@ -106,9 +106,26 @@ def matches(header: Sequence[str], aliases: Aliases) -> dict[str, list[int]]:
                                 if full in names or (bare in names and full not in all_names)]
             if columns[meaning]:
                 break
+    if {"line", "sample", "x", "y"} <= columns.keys():
+        columns |= _pixels_next_to_degrees(header, columns)
     if columns.get("y") and not columns.get("x"):  # n numbers points, unless e is next to it
         columns["y"] = [i for i in columns["y"] if forms[i][0] != "n"]
     return columns
+
+
+def _pixels_next_to_degrees(header: Sequence[str],
+                            named: Mapping[str, list[int]]) -> dict[str, list[int]]:
+    """Return the columns of x, y, lon and lat where x and y are pixels, as MapWarper has them.
+
+    That is where both stand in one header, and no column is called line or sample.
+    """
+    plain = {axis: [i for i in named[axis] if header[i].strip().casefold() == axis]
+             for axis in "xy"}
+    ground = {axis: [i for i in named[axis] if i not in plain[axis]] for axis in "xy"}
+    if named["line"] or named["sample"] or any(
+            len(columns) != 1 for part in (plain, ground) for columns in part.values()):
+        return {}
+    return {"sample": plain["x"], "line": plain["y"], "x": ground["x"], "y": ground["y"]}
 
 
 def _parted(meaning: str) -> tuple[str, str]:

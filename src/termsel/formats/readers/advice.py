@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from termsel.core.errors import TermselError
+from termsel.data.coordinates.crs import normalise, short
 from termsel.data.features import FloatArray
 from termsel.data.tables.columns import POINTS, Aliases, declared, matches, parse_columns
 from termsel.data.tables.numbers import COMMA, POINT, BadCell, decimal_signs, read_numbers
 from termsel.formats.readers.cells import WIDEST, BadText, read_cells
 
 _ROWS = 200
+_CRS_LINE = re.compile(r"(\+proj=|EPSG:|WGS ?84)", re.IGNORECASE)
 _SPREADSHEETS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 
 
@@ -22,12 +25,28 @@ def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Seque
                 fixed: Collection[int] = ()) -> TermselError:
     """Return an error with the text of --columns that declares all columns, as far as it is known.
 
-    `found` is the column of each meaning that is known; the others are guessed, of points only.
-    Nobody can declare the columns `fixed`, such as those of a geometry.
+    `found` is the column of each meaning that is known; the others are guessed, of points only, in
+    all ways that fit. Nobody can declare the columns `fixed`, such as those of a geometry.
     """
     if "line" not in aliases or "x" not in aliases:
         return error
-    columns = {**_guessed(rows, len(header), found), **found}
+    readings = [{**reading, **found} for reading in _readings(rows, len(header), found)]
+    texts = [_columns_option(reading, header, aliases, fixed) for reading in readings]
+    error.options["--columns"] = texts[0]
+    error.hint = f"{error.hint or ''} Declare the columns: --columns {texts[0]!r}."
+    if "?" in texts[0]:
+        error.hint += " Put the column for each ?."
+    elif readings[0].keys() - found:
+        error.guesses = texts
+        first = next((row for row in rows if len(row) == len(header)), ())
+        error.hint += (" This is a guess: the file does not tell which is which. The first point "
+                       "would be " + "; or ".join(_read_so(first, one) for one in readings) + ".")
+    return error
+
+
+def _columns_option(columns: Mapping[str, int], header: Sequence[str], aliases: Aliases,
+                    fixed: Collection[int]) -> str:
+    """Return the text of --columns for a reading, with ? for what is required and not known."""
     names = [name.strip() for name in header]
     pairs = []
     for meaning in aliases:
@@ -38,12 +57,14 @@ def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Seque
             pairs.append(f"{meaning}={names[i] if plain else i + 1}")
         elif i is None and meaning in ("line", "sample", "x", "y"):
             pairs.append(f"{meaning}=?")
-    text = ",".join(pairs)
-    error.options["--columns"] = text
-    doubt = " Put the column for each ?." if "?" in text else \
-        " This column mapping is a guess: check it." if columns.keys() - found else ""
-    error.hint = f"{error.hint or ''} Declare the columns: --columns {text!r}.{doubt}"
-    return error
+    return ",".join(pairs)
+
+
+def _read_so(row: Sequence[str], columns: Mapping[str, int]) -> str:
+    """Return a row as a reading takes it, in words."""
+    return ", ".join(f"{meaning} {row[columns[meaning]].strip()}"
+                     for meaning in ("line", "sample", "x", "y", "z")
+                     if meaning in columns and columns[meaning] < len(row))
 
 
 def unknown_table(path: Path, expected: str, columns: str) -> TermselError | None:
@@ -54,7 +75,9 @@ def unknown_table(path: Path, expected: str, columns: str) -> TermselError | Non
     except TermselError as error:
         known = isinstance(error, BadText) or path.suffix.lower() in _SPREADSHEETS
         return error if known else None
-    rows = [row for row in cells.rows[:_ROWS] if len(row) == len(cells.rows[-1]) <= WIDEST]
+    crs = _crs_of(cells.rows[0]) if cells.rows else ""
+    whole = cells.rows[1:] if crs else cells.rows
+    rows = [row for row in whole[:_ROWS] if len(row) == len(whole[-1]) <= WIDEST]
     values = _numbers(rows[1:])
     if len(rows) < 3 or len(values) < 4:
         return None if path.suffix.lower() not in _SPREADSHEETS else TermselError(
@@ -62,10 +85,24 @@ def unknown_table(path: Path, expected: str, columns: str) -> TermselError | Non
     bare = any(i in _numbers(rows[:1]) for i in values)
     header = [str(i + 1) for i in range(len(rows[0]))] if bare else rows[0]
     found = {meaning: places[0] for meaning, places in matches(header, POINTS).items() if places}
-    what = "this table has no header that names its columns" if bare else \
+    message = "this table has no header that names its columns" if bare else \
         f"the header names too few columns that are known: {', '.join(map(str.strip, header))}"
-    return with_advice(TermselError(what, file=path, hint=expected), header,
-                       rows if bare else rows[1:], {**found, **declared(header, own)}, POINTS)
+    error = TermselError(message, file=path, hint=expected)
+    if crs:
+        error.what += f", and its first line is the CRS {crs}: write it as # crs: {crs}"
+    return with_advice(error, header, rows if bare else rows[1:],
+                       {**found, **declared(header, own)}, POINTS)
+
+
+def _crs_of(row: Sequence[str]) -> str:
+    """Return the CRS that the first line of a file states, "" where it states none."""
+    text = " ".join(cell.strip() for cell in row).strip()
+    if not _CRS_LINE.match(text):
+        return ""
+    try:
+        return short(normalise(text))
+    except TermselError:
+        return ""
 
 
 def _numbers(rows: Sequence[Sequence[str]]) -> dict[int, FloatArray]:
@@ -83,45 +120,106 @@ def _numbers(rows: Sequence[Sequence[str]]) -> dict[int, FloatArray]:
     return found
 
 
-def _guessed(rows: Sequence[Sequence[str]], width: int,
-             found: Mapping[str, int]) -> dict[str, int]:
-    """Return what columns of numbers could be, by their order and by what depends on what."""
+def _readings(rows: Sequence[Sequence[str]], width: int,
+              found: Mapping[str, int]) -> list[dict[str, int]]:
+    """Return in which ways columns can be read whose meaning is not known, the likeliest first.
+
+    Flags and columns that hold one number are no coordinates; a column that counts the points, or
+    of text, is their id. Of the others, pairs lie next to each other: sample and line, x and y.
+    """
     rows = [row for row in rows[:_ROWS] if len(row) == width]
-    values = {i: column for i, column in _numbers(rows).items() if i not in found.values()}
-    guess: dict[str, int] = {}
-    others = [i for i in range(width) if i not in values and i not in found.values()]
-    first = next(iter(values), None)
-    if "id" not in found:
-        counted = first is not None and np.array_equal(values[first] - values[first][0],
-                                                       np.arange(len(rows)))
-        if counted and len(values) > 4:
-            guess["id"] = first or 0
-            values.pop(first or 0)
-        elif others:
-            guess["id"] = others[0]
-    known = {meaning: _numbers([[row[i]] for row in rows]).get(0) for meaning, i in found.items()
-             if meaning in ("line", "sample", "x", "y", "z")}
-    free = list(values)
-    if not known and len(free) in (4, 5):
-        # Ground before image unless the numbers say otherwise: degrees are small, metres large.
-        # Image and ground determine each other, a height is nearly free of both.
-        z_last = len(free) == 5 and _explained(values, free[2]) > _explained(values, free[4])
-        ground_last = z_last or (len(free) == 4 and _is_ground(values, free[2:])
-                                 and not _is_ground(values, free[:2]))
-        image = free[:2] if ground_last else free[-2:]
-        ground = free[2:] if ground_last else free[:-2]
-        guess |= dict(zip("xyz", ground, strict=False))
-        # Seen from above, an image is no mirror image of the ground, which tells line from sample.
-        turn = np.linalg.lstsq(
-            np.column_stack([values[i] for i in ground[:2]] + [np.ones(len(rows))]),
-            np.column_stack([values[i] for i in image]), rcond=None)[0][:2] \
-            if not any(np.isnan(values[i]).any() for i in (*ground[:2], *image)) else -np.eye(2)
-        names = ("line", "sample") if np.linalg.det(turn) > 0 else ("sample", "line")
-        return guess | dict(zip(names, image, strict=True))
+    numbers = {i: column for i, column in _numbers(rows).items() if i not in found.values()}
+    extra = _id_and_flags(numbers, found, width)
+    known = extra.values()
+    values = {i: column for i, column in numbers.items()
+              if i not in known and np.nanmin(column) < np.nanmax(column)}
+    coordinates = {meaning for meaning in found if meaning in ("line", "sample", "x", "y", "z")}
+    if not coordinates and len(values) in (4, 5):
+        return [extra | reading for reading in _of_pairs(values)]
     missing = [name for name in ("x", "y", "z", "sample", "line") if name not in found]
-    if len(free) == len(missing):
-        guess |= dict(zip(missing, free, strict=True))
-    return guess
+    if len(values) != len(missing):
+        return [extra]
+    return [extra | reading for reading in _of_missing(missing, list(values))]
+
+
+def _id_and_flags(numbers: Mapping[int, FloatArray], found: Mapping[str, int],
+                  width: int) -> dict[str, int]:
+    """Return the column of ids, and of the flags 0 and 1 of points that are in use."""
+    extra: dict[str, int] = {}
+    texts = [i for i in range(width) if i not in numbers and i not in found.values()]
+    first = next(iter(numbers), None)
+    counts = first is not None and len(numbers) > 4 and np.array_equal(
+        numbers[first] - numbers[first][0], np.arange(len(numbers[first])))
+    if "id" not in found and counts and first is not None:
+        extra["id"] = first
+    elif "id" not in found and texts:
+        extra["id"] = texts[0]
+    flags = [i for i, column in numbers.items() if np.isin(column, (0.0, 1.0)).all()]
+    if flags and "enabled" not in found:
+        extra["enabled"] = flags[-1]
+    return extra
+
+
+def _of_missing(missing: Sequence[str], free: Sequence[int]) -> list[dict[str, int]]:
+    """Return readings of columns in the order x, y, z, sample, line, and with a pair exchanged."""
+    usual = dict(zip(missing, free, strict=True))
+    readings = [usual]
+    for first, second in (("sample", "line"), ("x", "y")):
+        if first in usual and second in usual:
+            readings.append({**usual, first: usual[second], second: usual[first]})
+    return readings
+
+
+def _of_pairs(values: Mapping[int, FloatArray]) -> list[dict[str, int]]:
+    """Return readings of four or five columns: a pair of the image, a pair of the ground, heights.
+
+    Seen from above, an image is no mirror image of the ground. With x to the east and y to the
+    north, sample to the right and line downwards, the determinant of the affine map from (x, y) to
+    (sample, line) is negative. So the order within one pair decides that within the other.
+    """
+    free = list(values)
+    # Image and ground determine each other, a height is nearly free of both.
+    z_last = len(free) == 5 and _explained(values, free[2]) > _explained(values, free[4])
+    image_first = free[:2], free[2:]
+    ground_first = free[-2:], free[:-2]
+    first_is_ground = _is_ground(values, free[:2])
+    last_is_ground = _is_ground(values, free[2:4] if z_last or len(free) == 4 else free[-2:])
+    if len(free) == 5:
+        divisions = [image_first if z_last else ground_first]
+    elif first_is_ground == last_is_ground:
+        divisions = [ground_first, image_first]
+    else:
+        divisions = [image_first if last_is_ground else ground_first]
+    readings = []
+    for image, ground in divisions:
+        names = _upright(values, image, ground)
+        mirrored = ("x", "y", "z"), ("y", "x", "z")
+        for axes, order in zip(mirrored, (names, names[::-1]), strict=True):
+            reading = dict(zip(axes, ground, strict=False)) | dict(zip(order, image, strict=True))
+            if np.nanmax(np.abs(values[reading["y"]])) <= 90.0 \
+                    or not _are_degrees(values, ground[:2]):
+                readings.append(reading)
+    # Sample before line and x before y is how most programs write them.
+    return sorted(readings, key=lambda one: (one["x"] > one["y"]))
+
+
+def _upright(values: Mapping[int, FloatArray], image: Sequence[int],
+             ground: Sequence[int]) -> tuple[str, str]:
+    """Return the names of the columns of the image for which x, y is no mirror image of it."""
+    table = [values[i] for i in (*ground[:2], *image)]
+    if any(np.isnan(column).any() for column in table):
+        return "sample", "line"
+    x, y, first, second = table
+    design = np.column_stack([x - x.mean(), y - y.mean()])
+    slopes = np.linalg.lstsq(design, np.column_stack([first, second]) - [
+        first.mean(), second.mean()], rcond=None)[0]
+    return ("line", "sample") if np.linalg.det(slopes) > 0.0 else ("sample", "line")
+
+
+def _are_degrees(values: Mapping[int, FloatArray], pair: Sequence[int]) -> bool:
+    """Return whether two columns can be longitude and latitude, in some order."""
+    sizes = sorted(float(np.nanmax(np.abs(values[i]))) for i in pair)
+    return sizes[0] <= 90.0 < sizes[1] <= 180.0
 
 
 def _is_ground(values: Mapping[int, FloatArray], pair: Sequence[int]) -> bool:

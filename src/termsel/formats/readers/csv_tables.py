@@ -7,6 +7,7 @@ is (0, 0), whatever the image columns are called.
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,10 @@ from termsel.data.tables.attributes import Attributes
 from termsel.data.tables.columns import LINES, POINTS
 from termsel.formats.readers.table import Table, points_of
 from termsel.formats.readers.tables import TableReader
+
+log = logging.getLogger(__name__)
+
+_LARGEST_IMAGE = 200_000.0  # px along a side
 
 
 class PointsCsv(TableReader):
@@ -34,7 +39,22 @@ class PointsCsv(TableReader):
 
     def features(self, table: Table) -> FeatureSet:
         """Return the points of a table; errors name file, line and column."""
-        return points_of(table, table.crs)
+        features = points_of(table, table.crs)
+        _check_pixels(table, features)
+        return features
+
+
+def _check_pixels(table: Table, features: FeatureSet) -> None:
+    """Say that x and y are read as pixels next to lon and lat, and refuse what can be none."""
+    if [table.names.get(meaning, "").strip().casefold() for meaning in ("sample", "line")] \
+            != ["x", "y"] or not len(features.points):
+        return
+    if np.abs(features.points.image).max() > _LARGEST_IMAGE:
+        raise table.error("x and y are no pixels, and there are no other columns of the image", 0,
+                          "sample", "Declare the columns of the image, --columns "
+                                    "line=NAME,sample=NAME.")
+    log.info("Note: x and y are read as sample and line, next to %s and %s on the ground.",
+             table.names["x"].strip(), table.names["y"].strip())
 
 
 class LinesCsv(TableReader):

@@ -68,9 +68,9 @@ def sniff_table(path: Path, head: bytes, aliases: Aliases, columns: str = "",
         return False
     header = rows[header_row(rows, aliases, own)]
     there = declared(header, own)
+    by_name = matches(header, aliases)
     return (found_in(header, aliases, own) >= 3
-            and all(meaning in there or matches(header, {meaning: aliases[meaning]})[meaning]
-                    for meaning in needed))
+            and all(meaning in there or by_name[meaning] for meaning in needed))
 
 
 def _columns(path: Path | None, line: int | None, header: Sequence[str], rows: list[list[str]],

@@ -1,0 +1,89 @@
+"""Tables that do not name their columns: no reading without a word, and every guess is called one.
+
+Forty tables: the four or five columns permuted, in degrees and metres, with and without heights,
+with ids, flags and constants. The true reading is always among those shown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import termsel
+from termsel import TermselError
+
+N = 9
+_rng = np.random.default_rng(11)
+SAMPLE = np.round(_rng.uniform(0, 3000, N), 1)
+LINE = np.round(_rng.uniform(0, 2000, N), 1)
+METRES = {"x": np.round(400000 + 2 * SAMPLE + _rng.normal(0, 1, N), 2),
+          "y": np.round(5000000 - 2 * LINE + _rng.normal(0, 1, N), 2)}
+DEGREES = {"x": np.round(-71.2 + 2e-5 * SAMPLE, 7), "y": np.round(42.4 - 2e-5 * LINE, 7)}
+COLUMNS = {"sample": SAMPLE, "line": LINE, "z": np.round(_rng.uniform(200, 260, N), 1),
+           "flag": np.array([1, 1, 0] * 3), "count": np.arange(1, N + 1), "zero": np.zeros(N)}
+ORDERS = ("sample line x y", "line sample x y", "x y sample line", "x y line sample",
+          "y x sample line", "y x line sample", "sample line y x", "line sample y x",
+          "count sample line x y", "count x y sample line", "count y x line sample",
+          "sample line x y z", "x y z sample line", "y x z line sample", "line sample x y z",
+          "count x y z sample line", "sample line x y flag", "x y sample line flag",
+          "count sample line x y zero", "sample line x y z flag")
+TABLES = [(order, kind) for order in ORDERS for kind in ("metres", "degrees")]
+
+
+@pytest.mark.parametrize(("order", "kind"), TABLES)
+def test_every_guess_is_called_a_guess(order: str, kind: str, tmp_path: Path) -> None:
+    known = COLUMNS | (METRES if kind == "metres" else DEGREES)
+    names = order.split()
+    rows = zip(*(known[name].tolist() for name in names), strict=True)
+    path = tmp_path / "table.txt"
+    path.write_text("\n".join(" ".join(f"{value:.10g}" for value in row) for row in rows))
+    with pytest.raises(TermselError, match="This is a guess") as caught:
+        termsel.read(path, crs="EPSG:32619" if kind == "metres" else "EPSG:4326")
+    error = caught.value
+    assert error.guesses
+    assert error.options["--columns"] == error.guesses[0]
+    true = {f"{name}={names.index(name) + 1}" for name in ("line", "sample", "x", "y")}
+    shown = [true <= set(guess.split(",")) for guess in error.guesses]
+    assert any(shown), (error.guesses, true)
+    assert f"sample {known['sample'][0]:.10g}" in str(error)
+    for guess in error.guesses:  # a flag is no height, nor is a column of zeros
+        for name in ("flag", "zero"):
+            if name in names:
+                assert f"z={names.index(name) + 1}" not in guess.split(",")
+
+
+def test_pixels_next_to_degrees_are_read(tmp_path: Path) -> None:
+    """Tables of MapWarper: x and y are pixels where lon and lat stand next to them."""
+    (tmp_path / "a.csv").write_text("id,map_id,x,y,lat,lon\n1,52,1145,825,53.38,-2.90\n"
+                                    "2,52,1028,857,53.39,-2.91\n3,52,905,977,53.37,-2.92\n")
+    points = termsel.read(tmp_path / "a.csv", crs="EPSG:4326").points
+    assert points.image.tolist() == [[825, 1145], [857, 1028], [977, 905]]
+    assert points.ground[:, :2].tolist() == [[-2.90, 53.38], [-2.91, 53.39], [-2.92, 53.37]]
+    (tmp_path / "b.csv").write_text("id,x,y,lon,lat\n1,448000.5,5262000,8.3,47.5\n"
+                                    "2,448100,5262900,8.31,47.51\n")
+    with pytest.raises(TermselError, match="x and y are no pixels"):
+        termsel.read(tmp_path / "b.csv", crs="EPSG:4326")
+
+
+def test_the_crs_in_a_first_line_is_no_header(tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_text(
+        "+proj=utm +zone=33 +ellps=WGS84 +datum=WGS84 +units=m +no_defs\n" + "".join(
+            f"gcp{i} {x:.2f} {y:.2f} {z} {sample} {line}\n" for i, (x, y, z, sample, line)
+            in enumerate(zip(METRES["x"], METRES["y"], COLUMNS["z"], SAMPLE, LINE, strict=True))))
+    with pytest.raises(TermselError, match="its first line is the CRS EPSG:32633") as caught:
+        termsel.read(tmp_path / "a.txt", crs="EPSG:32633")
+    assert caught.value.guesses[0] == "id=1,line=6,sample=5,x=2,y=3,z=4"
+
+
+def test_the_command_line_shows_all_guesses(tmp_path: Path, call: Callable[..., Any]) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text("".join(f"{sample} {line} {x} {y}\n" for sample, line, x, y in zip(
+        SAMPLE, LINE, METRES["x"], METRES["y"], strict=True)))
+    shown = call("run", "--points", path, "--crs", "EPSG:32619").stderr
+    assert "Ready to run" not in shown
+    assert "Guess 1 of 2, to check: termsel run" in shown
+    assert "Guess 2 of 2, to check: termsel run" in shown
