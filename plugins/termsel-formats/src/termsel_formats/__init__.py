@@ -38,8 +38,8 @@ def termsel_readers() -> Iterable[type[Reader]]:
     from termsel_formats.points.envi import EnviPoints
     from termsel_formats.points.erdas import ErdasGcps
     from termsel_formats.points.gdal_files import PamGcps
-    from termsel_formats.points.geolocation import GeolocationArray
     from termsel_formats.points.gdal_text import GdalinfoText, GdalOptions
+    from termsel_formats.points.geolocation import GeolocationArray
     from termsel_formats.points.grass import GrassPoints
     from termsel_formats.points.links import ArcgisLinks
     from termsel_formats.points.mapinfo import MapInfoTab
