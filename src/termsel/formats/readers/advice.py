@@ -87,10 +87,10 @@ def unknown_table(path: Path, expected: str, columns: str) -> TermselError | Non
     found = {meaning: places[0] for meaning, places in matches(header, POINTS).items() if places}
     message = "this table has no header that names its columns" if bare else \
         f"the header names too few columns that are known: {', '.join(map(str.strip, header))}"
-    error = TermselError(message, file=path, hint=expected)
+    unnamed = TermselError(message, file=path, hint=expected)
     if crs:
-        error.what += f", and its first line is the CRS {crs}: write it as # crs: {crs}"
-    return with_advice(error, header, rows if bare else rows[1:],
+        unnamed.what += f", and its first line is the CRS {crs}: write it as # crs: {crs}"
+    return with_advice(unnamed, header, rows if bare else rows[1:],
                        {**found, **declared(header, own)}, POINTS)
 
 
