@@ -18,9 +18,9 @@ def accuracy_tags(result: Result) -> dict[str, str]:
     The first figure is the surer one, as in the summary. A final fit has used the independent
     points too, so theirs is the accuracy of the fit before.
     """
-    now = datetime.now(UTC)
-    tags = {"TIFFTAG_SOFTWARE": f"termsel {__version__}", "ACCURACY_DATE": f"{now:%Y-%m-%d}",
-            "TIFFTAG_DATETIME": f"{now:%Y:%m:%d %H:%M:%S}"}
+    written_at = datetime.now(UTC)
+    tags = {"TIFFTAG_SOFTWARE": f"termsel {__version__}", "ACCURACY_DATE": f"{written_at:%Y-%m-%d}",
+            "TIFFTAG_DATETIME": f"{written_at:%Y:%m:%d %H:%M:%S}"}
     record = result.record
     accuracy = result.accuracy
     expected = expected_of(record)
@@ -34,6 +34,7 @@ def accuracy_tags(result: Result) -> dict[str, str]:
     stated = "by independent check points, which took no part in any choice" + (
         f" of this run; an earlier result showed {accuracy.spent_count} of them"
         if accuracy.spent_count else "")
+    # As in the summary, the surer of both figures is said first.
     tags["ACCURACY_STATED"] = f"{predicted}; below {stated}" if predicted_first(record) else stated
     tags["ACCURACY_POINTS"] = str(accuracy.image.n)
     low, high = accuracy.image.interval

@@ -73,27 +73,28 @@ def write_example(folder: Path) -> None:
     """
     require_rasterio()
     to_map = transformation(CRS, MAP_CRS)
-    with new_folder(folder) as made:
-        points = _scene(made)
-        _other_forms(made, points, to_map(points.ground))
-        _matches(made, to_map)
-        _places(made)
-        _control_features(made)
-        _batch(made / "images")
-        (made / "study.toml").write_text(_STUDY, encoding="utf-8")
+    with new_folder(folder) as new:
+        points = _scene(new)
+        _other_forms(new, points, to_map(points.ground))
+        _matches(new, to_map)
+        _places(new)
+        _control_features(new)
+        _batch(new / "images")
+        (new / "study.toml").write_text(_STUDY, encoding="utf-8")
         width = max(map(len, FILES))
-        (made / README).write_text("Simulated data.\n\n" + "".join(
-            f"{name:{width}}  {what}\n" for name, what in FILES.items()), encoding="utf-8")
+        lines = [f"{name:{width}}  {description}\n" for name, description in FILES.items()]
+        (new / README).write_text("Simulated data.\n\n" + "".join(lines), encoding="utf-8")
 
 
 def _scene(folder: Path) -> Points:
     pixels, points = picture_and_points()
     (folder / "scene.tif").write_bytes(tiff_bytes(pixels[None]))
+    # Some 20 m on the ground, wider than the scene.
     step, n = 0.0002, 520
     west = LON - n / 2 * step
     north = LAT + n / 2 * step
-    place = _middles(west, north, step, (n, n))
-    heights = terrain()(place).reshape(n, n).astype(np.float32)
+    middles = _middles(west, north, step, (n, n))
+    heights = terrain()(middles).reshape(n, n).astype(np.float32)
     _write_map(folder / "dem.tif", heights, west, north, step, "EPSG:4326")
     write_points_csv(points, folder / "gcps.csv", CRS)
     write_text(folder / "vendor.RPB", kept_text("vendor.RPB"))
@@ -122,23 +123,25 @@ def _matches(folder: Path, to_map: Callable[[FloatArray], FloatArray]) -> None:
     west = np.floor(east.min() / GSD) * GSD - 200.0
     top = np.ceil(north.max() / GSD) * GSD + 200.0
     shape = (int((top - north.min()) / GSD) + 20, int((east.max() - west) / GSD) + 20)
-    place = np.column_stack([_middles(west, top, GSD, shape), np.zeros(shape[0] * shape[1])])
-    board = BOARD(np.asarray(to_ground(place))[:, :2]).reshape(shape).astype(np.uint8)
+    middles = np.column_stack([_middles(west, top, GSD, shape), np.zeros(shape[0] * shape[1])])
+    board = BOARD(np.asarray(to_ground(middles))[:, :2]).reshape(shape).astype(np.uint8)
     _write_map(folder / "ortho.tif", board, west, top, GSD, MAP_CRS)
 
     rng = np.random.default_rng(5)
     ground = corners()[rng.permutation(len(corners()))[:120]]
     image = SENSOR.project(ground) + rng.normal(0.0, 0.3, (len(ground), 2))
+    # Blunders of 8 to 40 px in either direction, which matching has to find.
     image[::7] += rng.choice([-1, 1], image[::7].shape) * rng.uniform(8, 40, image[::7].shape)
     mapped = np.asarray(to_map(ground))
+    # Pixels of the map from the centre of the upper-left one.
     reference = np.column_stack([top - mapped[:, 1], mapped[:, 0] - west]) / GSD - 0.5
     image = image.round(3)
     reference = reference.round(3)
     _write_rows(folder / "matches.csv", np.hstack([image, reference]).tolist(),
                 "image_line,image_sample,reference_line,reference_sample")
-    rest = [0] * 9
+    zeros = [0] * 9
     _write_rows(folder / "matches.txt", [(f"{len(image)} {len(image)}",), *(
-        (" ".join(map(str, (sample, line, *rest))),)
+        (" ".join(map(str, (sample, line, *zeros))),)
         for line, sample in [*image.tolist(), *reference.tolist()])])
     _write_rows(folder / "tiepoints.csv", [
         (i, sample + 0.5, line + 0.5, round(x - 20, 3), round(y + 10, 3), 20, -10)
@@ -150,8 +153,8 @@ def _matches(folder: Path, to_map: Callable[[FloatArray], FloatArray]) -> None:
 def _places(folder: Path) -> None:
     rng = np.random.default_rng(6)
     image = rng.uniform(0.05, 0.95, (17, 2)) * SIZE
-    place = SENSOR.locate(image, 1800.0).round(6)
-    ground = np.column_stack([place, terrain()(place).round(2)]).tolist()
+    positions = SENSOR.locate(image, 1800.0).round(6)
+    ground = np.column_stack([positions, terrain()(positions).round(2)]).tolist()
     for file, name, rows in (("places.csv", "place", ground[:5]),
                              ("crossroads.csv", "crossroad", ground[5:])):
         _write_rows(folder / file, [(f"{name} {i}", *row) for i, row in enumerate(rows, 1)],
@@ -167,14 +170,15 @@ def _control_features(folder: Path) -> None:
     write_points_csv(scene.points, folder / "points.csv", CRS)
     write_lines_csv(scene.lines, folder / "lines.csv", CRS)
     _roads(folder, scene.lines)
+    # Squares about six of the points, corners in order.
     half = 0.0006 * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
-    place = (half + scene.points.ground[5:11, None, :2]).reshape(-1, 2)
-    ground = np.column_stack([place, truth.terrain(place)])
+    positions = (half + scene.points.ground[5:11, None, :2]).reshape(-1, 2)
+    ground = np.column_stack([positions, truth.terrain(positions)])
     image = truth.sensor.project(ground).round(2)
     (folder / "areas.csv").write_text(table_text(
         CRS, ["id", "corner", "line", "sample", "x", "y", "z"],
         [[f"field {i // 4 + 1}", str(i % 4 + 1)] for i in range(len(image))],
-        np.column_stack([image, place.round(7), ground[:, 2].round(2)])), encoding="utf-8")
+        np.column_stack([image, positions.round(7), ground[:, 2].round(2)])), encoding="utf-8")
 
 
 def _roads(folder: Path, lines: Lines) -> None:

@@ -29,8 +29,9 @@ def writer_of(to: str, **options: Any) -> Writer:
 
 def _of_others(writer: type[Writer]) -> set[str]:
     """Return the options that other formats have and this one has not."""
-    of_all = {option.name for entry in registry().entries("writers")
-              for option in entry.object.declared_options}
+    of_all: set[str] = set()
+    for entry in registry().entries("writers"):
+        of_all |= {option.name for option in entry.object.declared_options}
     return of_all - {option.name for option in writer.declared_options}
 
 
@@ -51,12 +52,12 @@ def _left(writer: Writer, result: Result, path: Path) -> list[Path]:
     Writers of several files write that of the name last. So an export that was killed leaves such
     files, and can be repeated; a file of other content is somebody's own.
     """
-    others = [file for file in writer.files(path) if file != path and is_there(file)]
-    if not others:
+    siblings = [file for file in writer.files(path) if file != path and is_there(file)]
+    if not siblings:
         return []
     with private_folder() as folder, quieted("termsel", logging.CRITICAL):
         writer.write(result, folder / path.name)
-        return [file for file in others if file.is_file() and (folder / file.name).is_file()
+        return [file for file in siblings if file.is_file() and (folder / file.name).is_file()
                 and file.read_bytes() == (folder / file.name).read_bytes()]
 
 
@@ -96,11 +97,12 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
     for key in sorted(options.keys() & _of_others(type(writer))):
         log.info("Note: the format %s has no option %s, which is ignored.", to, key)
     if not writer.accepts(result):
-        others = ", ".join(entry.name for entry in registry().entries("writers")
-                           if entry.object().accepts(result))
+        suitable = ", ".join(entry.name for entry in registry().entries("writers")
+                             if entry.object().accepts(result))
         needs = f"It needs {writer.needs}. " if writer.needs else ""
         raise TermselError(f"the format {to} cannot hold this result",
-                           hint=f"{needs}Formats that do: {others}.")
+                           hint=f"{needs}Formats that do: {suitable}.")
+    # What may not be replaced, but for what an export that was killed has left.
     files = set(writer.files(path))
     if not overwrite and not is_there(path):
         files -= set(_left(writer, result, path))

@@ -100,29 +100,30 @@ def map_crs(result: Result, crs: str | None) -> str:
 
 def _in_metres(result: Result) -> str:
     """Return the CRS of the control if it is in metres, else the zone of UTM, or a polar one."""
-    own = result.features.crs
-    if not is_geographic(own) and metres_per_unit(own) in (1.0, None):  # None: nobody knows it
-        return horizontal(own)
-    geodetic = transformation(own, geodetic_of(own))
-    places = geodetic(result.fit.control.ground_vertices())
-    places[:, 0] = continuous(places[:, 0])
-    if is_polar(places):
-        return polar_crs(own, float(np.median(places[:, 1])))
-    _say_wide(places)
+    control_crs = result.features.crs
+    if not is_geographic(control_crs) \
+            and metres_per_unit(control_crs) in (1.0, None):  # None: nobody knows it
+        return horizontal(control_crs)
+    geodetic = transformation(control_crs, geodetic_of(control_crs))
+    geodetic_positions = geodetic(result.fit.control.ground_vertices())
+    geodetic_positions[:, 0] = continuous(geodetic_positions[:, 0])
+    if is_polar(geodetic_positions):
+        return polar_crs(control_crs, float(np.median(geodetic_positions[:, 1])))
+    _say_wide(geodetic_positions)
     lon, lat, _ = geodetic(result.fit.ground_box()[0][None])[0]
-    return metric_crs(own, float(lon), float(lat))
+    return metric_crs(control_crs, float(lon), float(lat))
 
 
-def _say_wide(places: FloatArray) -> None:
+def _say_wide(positions: FloatArray) -> None:
     """Warn where an area is too wide for a zone of UTM, given longitudes and latitudes [deg]."""
     # The scale of a transverse Mercator projection grows from its meridian as 1 + d^2 / 2, where d
     # is the distance from it in radii of the Earth: difference of longitudes times cos(latitude).
-    lon = np.radians(places[:, 0] - (places[:, 0].min() + places[:, 0].max()) / 2)
-    scale = float(((lon * np.cos(np.radians(places[:, 1]))) ** 2 / 2).max())
+    lon = np.radians(positions[:, 0] - (positions[:, 0].min() + positions[:, 0].max()) / 2)
+    scale = float(((lon * np.cos(np.radians(positions[:, 1]))) ** 2 / 2).max())
     if scale > WIDE:
         log.warning("Warning: the control spans %.0f degrees of longitude. One zone of UTM shows "
                     "distances at its edges %.2g %% too long: --crs names a projection for such an "
-                    "area, such as that of an atlas.", float(np.ptp(places[:, 0])), 100 * scale)
+                    "area, such as that of an atlas.", float(np.ptp(positions[:, 0])), 100 * scale)
 
 
 def _unit(crs: str) -> str:
@@ -144,34 +145,40 @@ def grid_of_image(result: Result, crs: str, resolution: float | None = None, *,
 
     outline = _ground(result, dem, height, crs)
     unit = _unit(crs)
-    known = outline[np.isfinite(outline).all(axis=-1)]
-    along, across = (np.linalg.norm(np.diff(outline, axis=axis), axis=-1) for axis in (0, 1))
-    if np.isnan(along).all() or np.isnan(across).all():
+    placed = outline[np.isfinite(outline).all(axis=-1)]
+    # Distances on the ground between neighbours of the grid, along lines and along samples.
+    line_spacing = np.linalg.norm(np.diff(outline, axis=0), axis=-1)
+    sample_spacing = np.linalg.norm(np.diff(outline, axis=1), axis=-1)
+    if np.isnan(line_spacing).all() or np.isnan(sample_spacing).all():
         if dem is None:
             raise TermselError("the model has a ground position for no part of the image",
                                hint="Do not use it: choose another model, or measure more.")
         raise TermselError("the image is outside the raster of heights", file=dem,
                            hint="Give a raster that covers the image.")
-    (top, left), (bottom, right) = result.fit.image_box()
-    pixels = [np.nanmedian(along) * (_OUTLINE - 1) / max(bottom - top, 1.0),
-              np.nanmedian(across) * (_OUTLINE - 1) / max(right - left, 1.0)]
+    (first_line, first_sample), (last_line, last_sample) = result.fit.image_box()
+    pixels = [np.nanmedian(line_spacing) * (_OUTLINE - 1) / max(last_line - first_line, 1.0),
+              np.nanmedian(sample_spacing) * (_OUTLINE - 1) / max(last_sample - first_sample, 1.0)]
+    # The finer direction decides, so that no detail of the image is lost.
     of_image = min(pixels)
-    sizes = along[np.isfinite(along)]
+    # In an oblique view pixels far away are many times larger than near ones.
+    sizes = line_spacing[np.isfinite(line_spacing)]
     if sizes.max() > _UNEVEN * sizes.min():
         # An oblique view: as many pixels as the image has on the ground that the map shows.
-        of_image = _even_pixel(outline, (bottom - top) * (right - left))
+        of_image = _even_pixel(outline, (last_line - first_line) * (last_sample - first_sample))
     of_image = float(f"{of_image:.2g}")
     if resolution is None:
         resolution = of_image
     # Edges on multiples of the pixel size, so that maps of neighbouring images fit together.
-    low = np.floor(known.min(axis=0) / resolution) - 1
-    high = np.ceil(known.max(axis=0) / resolution) + 1
+    low = np.floor(placed.min(axis=0) / resolution) - 1
+    high = np.ceil(placed.max(axis=0) / resolution) + 1
     width, lines = high - low
-    least, most = _USUAL
-    sides = (high - low).tolist()
-    own = (np.ptp(known, axis=0) / of_image).tolist()
+    fewest_pixels, most_pixels = _USUAL
+    map_sides = (high - low).tolist()
+    image_sides = (np.ptp(placed, axis=0) / of_image).tolist()
     # An image may have such sides itself; a map that alone has them mixes up degrees and metres.
-    if min(sides) < least <= min(own) or max(sides) > most >= max(own) or max(sides) > _LARGEST:
+    is_tiny = min(map_sides) < fewest_pixels <= min(image_sides)
+    is_huge = max(map_sides) > most_pixels >= max(image_sides)
+    if is_tiny or is_huge or max(map_sides) > _LARGEST:
         raise TermselError(f"with pixels of {resolution:g} {unit} the map would have {lines:.0f} "
                            f"lines and {width:.0f} samples",
                            hint=f"Give --res in the units of the map, {unit}: the image has "
@@ -193,18 +200,18 @@ def sees_all(result: Result, grid: MapGrid, height: float) -> bool:
     x, y = grid.transform @ (samples.ravel(), lines.ravel())
     turn = Transformer.from_crs(grid.crs, horizontal(result.features.crs), always_xy=True)
     ground = np.column_stack([*turn.transform(x, y), np.full(len(x), height)])
-    known = np.isfinite(ground).all(axis=1)
-    return not result.fit.unseen(ground[known]).any()
+    is_known = np.isfinite(ground).all(axis=1)
+    return not result.fit.unseen(ground[is_known]).any()
 
 
 def footprint_of(result: Result, surface: Dem | float) -> FloatArray:
     """Return the ground (n, 3) of a grid of image places, in the CRS of the control; NaN for none.
     """
-    (top, left), (bottom, right) = result.fit.image_box()
+    (first_line, first_sample), (last_line, last_sample) = result.fit.image_box()
     # From the outer edges of the outermost pixels.
-    image = np.stack(np.meshgrid(np.linspace(top - 0.5, bottom + 0.5, _OUTLINE),
-                                 np.linspace(left - 0.5, right + 0.5, _OUTLINE), indexing="ij"),
-                     axis=-1).reshape(-1, 2)
+    lines = np.linspace(first_line - 0.5, last_line + 0.5, _OUTLINE)
+    samples = np.linspace(first_sample - 0.5, last_sample + 0.5, _OUTLINE)
+    image = np.stack(np.meshgrid(lines, samples, indexing="ij"), axis=-1).reshape(-1, 2)
     ground = result.fit.locate(image, surface)
     # The horizon is without end, and what is seen near it says nothing of the size of a pixel.
     ground[~result.fit.holds(ground)] = np.nan
@@ -216,9 +223,12 @@ def _even_pixel(outline: FloatArray, pixels: float) -> float:
 
     `outline` are ground places (n, n, 2) of a grid over the image.
     """
-    along = outline[1:, 1:] - outline[:-1, :-1]
-    across = outline[1:, :-1] - outline[:-1, 1:]
-    areas = np.abs(along[..., 0] * across[..., 1] - along[..., 1] * across[..., 0]) / 2
+    diagonals = outline[1:, 1:] - outline[:-1, :-1]
+    other_diagonals = outline[1:, :-1] - outline[:-1, 1:]
+    # The area of a quadrangle is half the cross product of its diagonals.
+    products = (diagonals[..., 0] * other_diagonals[..., 1],
+                diagonals[..., 1] * other_diagonals[..., 0])
+    areas = np.abs(products[0] - products[1]) / 2
     return float(np.sqrt(np.nansum(areas) / (np.isfinite(areas).mean() * pixels)))
 
 
@@ -228,18 +238,19 @@ def _ground(result: Result, dem: Path | str | None, height: float, target: str,
     from pyproj import Transformer
     from pyproj.exceptions import ProjError
 
-    own = result.features.crs
-    with surface_of(dem, own, height) as surface:
+    control_crs = result.features.crs
+    with surface_of(dem, control_crs, height) as surface:
         ground = footprint_of(result, surface)
     try:
-        turn = Transformer.from_crs(horizontal(own), target, always_xy=True)
+        turn = Transformer.from_crs(horizontal(control_crs), target, always_xy=True)
     except ProjError as error:
-        raise TermselError(f"coordinates in {own} cannot be transformed to the map's CRS: {error}",
-                           hint="Give another --crs.") from error
+        raise TermselError(
+            f"coordinates in {control_crs} cannot be transformed to the map's CRS: {error}",
+            hint="Give another --crs.") from error
     x, y = turn.transform(ground[:, 0], ground[:, 1])
-    places = np.stack([x, y], axis=-1)
-    known = np.isfinite(places).all(axis=1)
-    places[~known] = np.nan
-    if known.any() and is_geographic(target):
-        places[known, 0] = continuous(places[known, 0])
-    return np.asarray(places.reshape(_OUTLINE, _OUTLINE, 2))
+    positions = np.stack([x, y], axis=-1)
+    is_placed = np.isfinite(positions).all(axis=1)
+    positions[~is_placed] = np.nan
+    if is_placed.any() and is_geographic(target):
+        positions[is_placed, 0] = continuous(positions[is_placed, 0])
+    return np.asarray(positions.reshape(_OUTLINE, _OUTLINE, 2))

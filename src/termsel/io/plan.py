@@ -50,10 +50,11 @@ def _say_size(fitted: Fit) -> None:
     """Say so where an RPC alone tells the size of the image, so that places may be outside it."""
     features = fitted.control
     if features.image_size is None and features.rpc is not None and "rpc" in fitted.model.options:
-        (top, left), (bottom, right) = fitted.image_box()
+        (first_line, first_sample), (last_line, last_sample) = fitted.image_box()
         log.warning("Note: the size of the image is not known. By the scale of its RPC it is taken "
                     "as lines %.0f to %.0f and samples %.0f to %.0f; places may be outside it. "
-                    "--image FILE, when you run termsel, states it.", top, bottom, left, right)
+                    "--image FILE, when you run termsel, states it.", first_line, last_line,
+                    first_sample, last_sample)
 
 
 def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
@@ -69,21 +70,25 @@ def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
     scene = scene[np.isfinite(scene).all(axis=1)]
     if candidates is None:
         ids = tuple(f"N{i + 1:03d}" for i in range(len(scene)))
-        places = scene
+        positions = scene
     else:
-        named, places = read_ground(result, candidates)
+        named, positions = read_ground(result, candidates)
         ids = tuple(named)
-    known = np.isfinite(fitted.project(places)).all(axis=1)
-    if not known.any() or not len(scene):
+    is_seen = np.isfinite(fitted.project(positions)).all(axis=1)
+    if not is_seen.any() or not len(scene):
         raise TermselError("the model sees none of the places", file=candidates,
                            hint="Give places in the CRS of the control, inside the scene.")
-    numbers = np.flatnonzero(known)
-    found = rank_places(fitted, scene if places is scene and known.all() else places[numbers],
-                        scene, count, misfit=True)
+    # Places that the image does not show cannot be measured.
+    numbers = np.flatnonzero(is_seen)
+    # The scene itself where all of it is seen, so that its figures are computed once.
+    choices = scene if positions is scene and is_seen.all() else positions[numbers]
+    ranking = rank_places(fitted, choices, scene, count, misfit=True)
+    # What all places have in common no further point lessens.
     shared = float(np.linalg.norm(result.shared_sigma or 0.0))
-    chosen = places[numbers[found.order]]
+    best_positions = positions[numbers[ranking.order]]
     if np.isnan(fitted.control.ground_vertices()[:, 2]).any():
-        chosen[:, 2] = np.nan  # the grid of a plane model has a height for the sake of arithmetic
-    return Plan(tuple(ids[i] for i in numbers[found.order]), np.column_stack(
-        [fitted.project(chosen), chosen, np.hypot(found.sigma, shared)]),
-        float(np.hypot(found.now, shared)), fitted.control.crs)
+        # The grid of a plane model has a height for the sake of arithmetic.
+        best_positions[:, 2] = np.nan
+    return Plan(tuple(ids[i] for i in numbers[ranking.order]), np.column_stack(
+        [fitted.project(best_positions), best_positions, np.hypot(ranking.sigma, shared)]),
+        float(np.hypot(ranking.now, shared)), fitted.control.crs)

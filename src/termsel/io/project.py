@@ -81,25 +81,27 @@ def project_table(
         sigma = result.sigma(ground)
     sigma[~np.isfinite(sigma)] = np.nan
     control = _control(result)
+    # Longitudes by whole turns next to the control, so that distances are those on the ground.
     near = ground.copy()
     if is_geographic(crs):
         lon = control[:, 0]
         near[:, 0] = nearest(ground[:, 0], float(lon.min() + lon.max()) / 2)
-    apart = outside(control, near)
+    distances = outside(control, near)
     encloses = bool(np.isfinite(outside(control, control[:1])[0]))
     if not encloses:  # two points, or points in a line
-        apart[:] = np.nan
-    values = np.column_stack([image, ground, sigma, apart])
+        distances[:] = np.nan
+    values = np.column_stack([image, ground, sigma, distances])
     # Heights may be unknown; line, sample, x and y of what was found are not.
     missed: BoolArray = np.asarray(np.isnan(values[:, :4]).any(axis=1))
     header = ["id", "line", "sample", "x", "y", "z", "uncertainty_line",
               "uncertainty_sample", "outside"]
     text = table_text(crs, header, [[name] for name in ids], values)
+    # Places that no image of such a view shows, which is no fault of the model.
     hidden = missed & (result.exported.above_horizon(image) if inverse else
                        np.isfinite(ground[:, :2]).all(axis=1) & result.exported.unseen(ground))
     return text, list(_warnings(
-        select(ids, missed & ~hidden), select(ids, hidden), select(ids, ~missed & (apart > FAR)),
-        encloses=encloses, inverse=inverse))
+        select(ids, missed & ~hidden), select(ids, hidden),
+        select(ids, ~missed & (distances > FAR)), encloses=encloses, inverse=inverse))
 
 
 def _warnings(missed: Sequence[str], hidden: Sequence[str], far: Sequence[str], *, encloses: bool,
@@ -122,8 +124,8 @@ def _warnings(missed: Sequence[str], hidden: Sequence[str], far: Sequence[str], 
 
 def _control(result: Result) -> FloatArray:
     """Return the ground coordinates of what a result was fitted to."""
-    made = result.exported.made or result.exported
-    return made.control.take(made.used).ground_vertices()
+    original = result.exported.made or result.exported
+    return original.control.take(original.used).ground_vertices()
 
 
 def read_ground(result: Result, path: Path, columns: str = "") -> tuple[list[str], FloatArray]:
@@ -137,6 +139,7 @@ def read_ground(result: Result, path: Path, columns: str = "") -> tuple[list[str
                            file=path, hint="Transform the points to the CRS of the control.")
     ground = np.full((len(table.lines), 3), np.nan)
     ground[:, :len(names)] = table.stack(*names)
+    # The last coordinate, z where the model has heights: others may not be blank.
     blank = np.flatnonzero(np.isnan(ground[:, len(names) - 1]))
     if blank.size:
         raise table.error("the height is blank, but the model requires it", int(blank[0]), "z")
@@ -144,6 +147,6 @@ def read_ground(result: Result, path: Path, columns: str = "") -> tuple[list[str
 
 
 def _table(path: Path, columns: str, *meanings: str) -> Table:
-    known = _ID | {meaning: COORDINATES[meaning] for meaning in meanings}
+    aliases = _ID | {meaning: COORDINATES[meaning] for meaning in meanings}
     with read_once(path) as file:
-        return replace(read_table(file, known, columns=columns), path=path)
+        return replace(read_table(file, aliases, columns=columns), path=path)

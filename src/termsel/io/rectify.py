@@ -123,6 +123,7 @@ def rectify(
         if value is not None and not np.isfinite(value):
             raise TermselError(f"the {name} of a map cannot be {value}", hint="Give a number.")
     target = map_crs(result, crs)
+    # In this order: names and numbers first, then files, then long work.
     result = as_exported(result, final)
     picture = picture_for(result, image)
     with open_raster(image) as raster:
@@ -144,9 +145,9 @@ def rectify(
             options["RPC_DEM"] = str(stack.enter_context(utf8_name(options["RPC_DEM"])))
         with open_raster(source) as raster:
             zone = "the zone of UTM, " if UTM.fullmatch(target) else ""
-            chosen = "" if crs is not None or target == horizontal(result.features.crs) else \
+            crs_note = "" if crs is not None or target == horizontal(result.features.crs) else \
                 f" ({zone}as the control is not in metres; --crs names another)"
-            _say(result, grid, chosen, share, dem)
+            _say(result, grid, crs_note, share, dem)
             warp(raster, output, grid, pixels, tags=accuracy_tags(result), progress=progress,
                  positions=positions, **options)
 
@@ -159,15 +160,15 @@ def _source(result: Result, picture: Picture, vrt: Path, surface: Dem | float, g
     """
     # By an RPC the warper would put the sky, mirrored, on places behind the camera.
     level = float(result.fit.ground_box()[0][2]) if isinstance(surface, Dem) else surface
-    found = _rpc(result) if sees_all(result, grid, level) else None
-    if found is None:
+    rpc_fit = _rpc(result) if sees_all(result, grid, level) else None
+    if rpc_fit is None:
         log.info("Positions in the image are computed on a grid of the map, and interpolated.")
         _say_level(result, surface)
         say_difference(result.features, result.project, surface)
         write_text(vrt, vrt_text(picture, vrt.parent))
         return vrt, None
     say_difference(result.features, result.project, surface)
-    write_text(vrt, vrt_text(picture, vrt.parent, domains={"RPC": rpc_items(found.rpc)}))
+    write_text(vrt, vrt_text(picture, vrt.parent, domains={"RPC": rpc_items(rpc_fit.rpc)}))
     # An RPC takes ellipsoidal heights in metres, whatever those of the control are.
     to_ellipsoidal = to_wgs84(result.features.crs)
     if not isinstance(surface, Dem):
@@ -189,28 +190,28 @@ def _say_level(result: Result, surface: Dem | float) -> None:
         return
     log.warning("Warning: without a raster of heights (--dem) the ground is taken as level, at the "
                 "height %.6g.", surface)
-    places = places_of(result.fit)
-    level = places * [1, 1, 0] + [0, 0, surface]
-    say_deviation("map", result.fit, places, result.fit.project(level),
+    positions = places_of(result.fit)
+    level = positions * [1, 1, 0] + [0, 0, surface]
+    say_deviation("map", result.fit, positions, result.fit.project(level),
                   ", at the heights of the control")
 
 
 def _rpc(result: Result) -> RpcFit | None:
     """Return the RPC of a result, or None if it is too far from the model."""
     try:
-        found = rpc_of(result.fit)
+        rpc_fit = rpc_of(result.fit)
     except TermselError as error:
         log.info("%s.", error.what)
         return None
     # A map is a box, and shows ground beyond the part of an oblique image that the RPC follows.
-    return found if found.worst <= GOOD and not found.part else None
+    return rpc_fit if rpc_fit.worst <= GOOD and not rpc_fit.part else None
 
 
-def _say(result: Result, grid: MapGrid, chosen: str, share: float,
+def _say(result: Result, grid: MapGrid, crs_note: str, share: float,
          dem: Path | str | None) -> None:
     """Log what the map is, and which share of the image it shows."""
     log.info("Map: %d lines and %d samples of %g %s in %s%s, with %s of the image.", grid.lines,
-             grid.samples, grid.transform.a, grid.unit, short(grid.crs), chosen,
+             grid.samples, grid.transform.a, grid.unit, short(grid.crs), crs_note,
              "all" if share == 1 else f"about {100 * share:.0f} %")
     if share < 1:
         log.warning("Warning: about %.0f %% of the image is not on the map, as %s.",

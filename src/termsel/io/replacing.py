@@ -44,20 +44,21 @@ def require_replaceable(files: Iterable[Path], *, reads: Iterable[object] = (),
         Naming the file.
     """
     files = list(files)
-    there = [file for file in files if is_there(file)]
+    existing = [file for file in files if is_there(file)]
     for file in files:
         _require_writable(file, makes_folder)
-    if not there:
+    if not existing:
         return
     read = list(_sources(reads))
-    for file in there:
+    for file in existing:
+        # The same file under another name is found by its device and number.
         for source in read:
             if file.samefile(source):
-                known = "" if str(source) == str(file) else f", as {source}"
-                raise TermselError(f"this command reads this file{known}, and would replace it",
+                alias = "" if str(source) == str(file) else f", as {source}"
+                raise TermselError(f"this command reads this file{alias}, and would replace it",
                                    file=file, hint="Choose another name for what is written.")
     if not overwrite:
-        raise TermselError("this file already exists", file=there[0],
+        raise TermselError("this file already exists", file=existing[0],
                            hint="Choose another name, or add --overwrite.")
 
 
@@ -69,7 +70,7 @@ def _require_writable(file: Path, makes_folder: bool) -> None:
                            hint="Give the name of a file to write.")
     folder = target.parent
     if makes_folder:
-        folder = next(place for place in target.parents if os.path.lexists(place))
+        folder = next(parent for parent in target.parents if os.path.lexists(parent))
     if not folder.is_dir():
         why = "there is no such folder" if not os.path.lexists(folder) else \
             f"{folder} is no folder"
@@ -84,16 +85,17 @@ def _require_writable(file: Path, makes_folder: bool) -> None:
 def _sources(reads: Iterable[object]) -> Iterator[Path]:
     """Yield the files that are there, with those of results and the sources of VRTs."""
     waiting = [Path(read) for read in reads if isinstance(read, str | Path)]
-    seen: set[Path] = set()
+    visited: set[Path] = set()
     while waiting:
         path = waiting.pop()
-        if path in seen or not os.path.exists(path):
+        if path in visited or not os.path.exists(path):
             continue
-        seen.add(path)
+        visited.add(path)
         yield path
         if path.is_dir():
             waiting += files_of_result(path)
             continue
+        # GDAL reads these files with the image, so they may not be replaced either.
         waiting += [near for end in _NEXT_TO if is_there(near := path.with_suffix(end))]
         waiting += [near for end in _AFTER if is_there(near := path.with_name(path.stem + end))]
         waiting += [near for end in _APPENDED if is_there(near := path.with_name(path.name + end))]

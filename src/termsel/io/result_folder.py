@@ -6,6 +6,7 @@ import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import product
 from pathlib import Path
 
 from termsel.core.errors import TermselError
@@ -44,14 +45,17 @@ RESIDUAL_COLUMNS = ("id", "kind", "role", "used", "residual_line", "residual_sam
 
 def files_of_result(folder: Path) -> list[Path]:
     """Return all files that a result in this folder may have."""
-    return [place / name for place in (folder, folder / _PENDING)
-            for name in FILES]
+    return [directory / name for directory, name in product((folder, folder / _PENDING), FILES)]
 
 
 def names_of(features: FeatureSet) -> tuple[str, ...]:
     """Return the names of the files that a result of these features has."""
-    return (RECORD, RESIDUALS, SUMMARY, *[POINTS] * bool(len(features.points)),
-            *[LINES] * bool(len(features.lines)))
+    names = [RECORD, RESIDUALS, SUMMARY]
+    if len(features.points):
+        names.append(POINTS)
+    if len(features.lines):
+        names.append(LINES)
+    return tuple(names)
 
 
 @contextmanager
@@ -100,6 +104,7 @@ def write_result(result: Result, folder: Path) -> None:
         # new files are written into a folder of their own, one renaming makes them valid, and then
         # they are put in place one by one.
         with private_folder(folder) as new:
+            # On the disk before the renaming that makes them valid.
             for name, content in files.items():
                 (new / name).write_bytes(content)
                 sync(new / name)
@@ -128,6 +133,7 @@ def _put_in_place(folder: Path) -> None:
     if not pending.is_dir():
         return
     try:
+        # Repeating this after an interruption goes on where it stopped.
         for file in sorted(pending.iterdir()):
             if file.name not in FILES:
                 raise TermselError("this file is not part of a result, and stays where it is",
@@ -188,8 +194,8 @@ def read_result(folder: Path | str) -> Result:
         features = _read_features(Path(folder), record)
         seals = record.checksums
         files = [
-            name for name, part in ((POINTS, features.points), (LINES, features.lines))
-            if len(part)]
+            name for name, table in ((POINTS, features.points), (LINES, features.lines))
+            if len(table)]
         _refuse_changed(seals is None or seals.features != of_features(features)
                         or seals.attributes != of_attributes(features),
                         path.with_name(" or ".join(files)))
@@ -201,16 +207,19 @@ def read_result(folder: Path | str) -> Result:
 
 def _read_features(folder: Path, record: Record) -> FeatureSet:
     """Return the features of a result; refuse features other than those it was made from."""
-    data, counts = record.data, record.data.counts
+    data = record.data
+    counts = data.counts
     normalise(data.crs)
     # By the record: an earlier result in the same folder may have left a file that this has not.
     at_lines, at_points = (_place(folder, name) for name in (LINES, POINTS))
     lines = LinesCsv().read(at_lines).lines if counts.lines else no_lines()
     points = PointsCsv().read(at_points).points if (
         counts.control or counts.check or counts.independent or counts.off) else no_points()
-    features = FeatureSet(points, lines, data.crs, data.image_size, data.noise, data.heights or "",
-                          record.scaling.fit_crs,
-                          None if data.rpc is None else Rpc.from_numbers(data.rpc))
+    features = FeatureSet(points, lines, crs=data.crs, image_size=data.image_size,
+                          noise=data.noise, heights=data.heights or "",
+                          fit_crs=record.scaling.fit_crs,
+                          rpc=None if data.rpc is None else Rpc.from_numbers(data.rpc))
+    # Roles are in both the table and the record: a changed table is noticed.
     observations = by_roles(features)
     roles = {"control": observations.control.ids, "check": observations.check.ids,
              "independent": observations.independent.ids, "off": observations.off}

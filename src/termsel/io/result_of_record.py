@@ -13,6 +13,7 @@ from termsel.core.errors import TermselError, printable
 from termsel.core.version import __version__
 from termsel.data.features import FeatureSet
 from termsel.data.record.base import plain
+from termsel.data.record.figures import BaselineRow
 from termsel.data.record.record import SCHEMA, PluginRecord, Record
 from termsel.data.roles import ASSIGNABLE, Observations, by_roles
 from termsel.data.scaling import Scaling
@@ -40,10 +41,10 @@ def record_from(content: Any) -> Record:
     except RecursionError:
         raise TermselError("this result is damaged: it is nested too deeply", hint=AGAIN) from None
     except (ValidationError, UnicodeEncodeError) as error:  # keys may be no text at all
-        what, _, where = str(error).partition(" - at ")
-        place = where.strip("`") or "$"
-        raise TermselError(f"this result is damaged{_or_of_another(content)} at {place}: "
-                           f"{what[0].lower()}{what[1:]}", hint=AGAIN) from error
+        problem, _, key = str(error).partition(" - at ")
+        location = key.strip("`") or "$"
+        raise TermselError(f"this result is damaged{_or_of_another(content)} at {location}: "
+                           f"{problem[0].lower()}{problem[1:]}", hint=AGAIN) from error
 
 
 def _or_of_another(content: dict[str, Any]) -> str:
@@ -64,13 +65,11 @@ def result_from(record: Record, features: FeatureSet) -> Result:
     return Result(
         **{name: getattr(record, name) for name in CARRIED},
         options=plain(record.options),
-        plugins={part: plain(one) for part, one in record.plugins.items()},
+        plugins={role: plain(plugin) for role, plugin in record.plugins.items()},
         selection=Selection(record.selection.terms, record.selection.features,
                             record.selection.parameters or {}),
         rmse=rmse_from(record.rmse),
-        baselines=tuple(Baseline(one.name, one.n_terms, one.fitted_to, one.determined,
-                                 rmse_from(one.rmse), one.predicted, refused=one.refused or "")
-                        for one in record.baselines),
+        baselines=tuple(map(_baseline, record.baselines)),
         fit=fitted, diagnosis=Diagnosis(
             record.significance, tuple((*pair.terms, pair.correlation)
                                        for pair in record.correlations),
@@ -81,11 +80,17 @@ def result_from(record: Record, features: FeatureSet) -> Result:
         predicted_final=None if record.final is None else record.final.predicted)
 
 
+def _baseline(row: BaselineRow) -> Baseline:
+    """Return a conventional fit as its row of the record has it."""
+    return Baseline(row.name, row.n_terms, row.fitted_to, row.determined, rmse_from(row.rmse),
+                    row.predicted, refused=row.refused or "")
+
+
 def _model(record: Record) -> SensorModel:
     """Return the model of the selection."""
     model_type = _model_type(record.plugins.get("model"), record.model)
-    asked: SensorModel = model_type(**record.options.model)
-    model = asked.with_parameters(record.selection.parameters or {})
+    declared: SensorModel = model_type(**record.options.model)
+    model = declared.with_parameters(record.selection.parameters or {})
     if unknown := [name for name in record.coefficients if name not in model.terms]:
         raise TermselError(f"the installed model has no term {unknown[0]!r}, which is in the "
                            "record: the model is not the one of the run", hint=_made_by(record))
@@ -94,29 +99,34 @@ def _model(record: Record) -> SensorModel:
 
 def _fit(record: Record, model: SensorModel, observations: Observations) -> Fit:
     """Return the fit of the selection: of the control, or of all it was made with."""
-    control, how = observations.control, record.fit
+    control = observations.control
+    how = record.fit
     if how.features is None:
+        # A search selects among the control; auto fits to control and check points with twins
+        # merged.
         used = np.isin(control.ids, record.selection.features)
     else:
-        both = observations.together
-        control = _made_of(both, set(both.ids), how.features)
+        joint = observations.together
+        control = _made_of(joint, set(joint.ids), how.features)
         used = np.ones(len(control), dtype=bool)
     scaling = Scaling.from_numbers(record.scaling)
-    made = fit_of_record(model, control, scaling, used, record.coefficients,
-                         record.standard_deviations, record.adjustment, how, _estimator(record))
-    return in_role(made, observations)
+    fitted = fit_of_record(
+        model, control, scaling, used, coefficients=record.coefficients,
+        deviations=record.standard_deviations, figures=record.adjustment, how=how,
+        own=_estimator(record))
+    return in_role(fitted, observations)
 
 
 def _made_of(features: FeatureSet, points: set[str], ids: tuple[str, ...]) -> FeatureSet:
     """Return some points with twins as one, and the lines among some ids."""
     lines = features.lines
-    some = merged(features.with_(
+    chosen_features = merged(features.with_(
         points=features.points.take([name in points for name in features.points.ids]),
         lines=lines.take([name in ids for name in lines.ids])))
-    if not set(some.ids) <= set(ids):
+    if not set(chosen_features.ids) <= set(ids):
         raise TermselError("this result is damaged at $.fit.features: they are not those of the "
                            "roles", hint=AGAIN)
-    return some
+    return chosen_features
 
 
 def _final(record: Record, model: SensorModel, observations: Observations) -> Fit | None:
@@ -125,17 +135,20 @@ def _final(record: Record, model: SensorModel, observations: Observations) -> Fi
     if final is None:
         return None
     points = observations.features.points
-    out = {one.id for one in record.outliers if one.role == "independent"}
-    taken = {name for name, role in zip(points.ids, points.roles, strict=True)
-             if role in ASSIGNABLE} - out
-    roles = tuple("control" if name in taken else role
+    outliers = {outlier.id for outlier in record.outliers if outlier.role == "independent"}
+    in_use = {name for name, role in zip(points.ids, points.roles, strict=True)
+              if role in ASSIGNABLE} - outliers
+    # In the final fit every point in use is control.
+    roles = tuple("control" if name in in_use else role
                   for name, role in zip(points.ids, points.roles, strict=True))
-    every = _made_of(observations.features.with_(points=replace(points, roles=roles)), taken,
-                     final.features)
-    scaling, used = Scaling.from_numbers(final.scaling), np.ones(len(every), dtype=bool)
-    return fit_of_record(model, every, scaling, used, final.coefficients,
-                         final.standard_deviations, final.adjustment, final.fit,
-                         _estimator(record))
+    control = _made_of(observations.features.with_(points=replace(points, roles=roles)), in_use,
+                       final.features)
+    scaling = Scaling.from_numbers(final.scaling)
+    used = np.ones(len(control), dtype=bool)
+    return fit_of_record(
+        model, control, scaling, used, coefficients=final.coefficients,
+        deviations=final.standard_deviations, figures=final.adjustment, how=final.fit,
+        own=_estimator(record))
 
 
 def _estimator(record: Record) -> Estimator | None:
@@ -149,27 +162,27 @@ def _estimator(record: Record) -> Estimator | None:
 
 def _model_type(plugin: PluginRecord | None, name: str) -> type[SensorModel]:
     """Return the class of a model, as a plugin or this session provides it."""
-    known = registry()
+    names = registry()
     if plugin and plugin.class_ and not any(
-            entry.answers_to(plugin.name) for entry in known.entries("models")):
+            entry.answers_to(plugin.name) for entry in names.entries("models")):
         raise TermselError(
             f"the model {name!r} of this result is the class {plugin.class_}, which no plugin "
             "provides", hint="In Python, call termsel.register with this class before reading the "
                              "result. To use it on the command line, put it into a plugin.")
-    model: type[SensorModel] = known.get("models", plugin.name if plugin else name)
+    model: type[SensorModel] = names.get("models", plugin.name if plugin else name)
     return model
 
 
 def _refuse_other_model(record: Record, fitted: Fit, observations: Observations) -> None:
     """Refuse a model that has changed since the run, as another version of a plugin may have."""
-    now = figures(fitted, observations)
+    current_rmse = figures(fitted, observations)
     # Leave-one-out of what auto chose is told by what it predicts, not here.
     for role, rmse in rmse_from(record.rmse).items():
-        again = now.get(role)
-        if rmse is not None and again is not None and not np.isclose(
-                rmse.total, again.total, rtol=1e-3, atol=1e-6, equal_nan=True):
+        current = current_rmse.get(role)
+        if rmse is not None and current is not None and not np.isclose(
+                rmse.total, current.total, rtol=1e-3, atol=1e-6, equal_nan=True):
             raise TermselError(
-                f"the {role} RMSE is {again.total:.4g} px by the installed model and "
+                f"the {role} RMSE is {current.total:.4g} px by the installed model and "
                 f"{rmse.total:.4g} px in the record: the model is not the one of the run",
                 hint=_made_by(record))
 

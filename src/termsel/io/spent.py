@@ -30,39 +30,41 @@ def with_spent(result: Result, folder: Path) -> Result:
     """
     if result.accuracy is None:
         return result
-    mine = _independent(result.features.points)
+    independent = _independent(result.features.points)
     this_fit = _fit_of(result.record)
-    shown = set[str]()
+    shown_points = set[str]()
     names = set[str]()
+    # Results next to each other are usually of the same data.
     for file in sorted(folder.resolve().parent.glob(f"*/{RECORD}")):
         with suppress(TermselError):  # another program's, or damaged
             record = record_from(parse_json(read_text(file), AGAIN))
             another_fit = _fit_of(record) != this_fit
-            known = _spent_before(record)
-            if not another_fit and not known:
+            earlier = _spent_before(record)
+            if not another_fit and not earlier:
                 continue
-            both = mine & _independent(PointsCsv().read(file.with_name(POINTS)).points)
-            ids = {name for name, *_ in both}
+            shared = independent & _independent(PointsCsv().read(file.with_name(POINTS)).points)
+            ids = {name for name, *_ in shared}
             # What an earlier result knew of its points holds for these, even if that one is gone.
-            if before := ids & known.keys():
-                shown |= before
-                names |= {name for point in before for name in known[point]}
+            if before := ids & earlier.keys():
+                shown_points |= before
+                names.update(*(earlier[point] for point in before))
             if another_fit and ids:
-                shown |= ids
+                shown_points |= ids
                 names.add(file.parent.name)
-    if not shown:
+    if not shown_points:
         return result
     named = tuple(sorted(names))
-    single = len(shown) == 1
-    of_all = "" if len(shown) == len(mine) else f" of {len(mine)}"
-    note = (f"{len(shown)}{of_all} independent check point{'s' * (len(mine) > 1)} "
+    single = len(shown_points) == 1
+    of_all = "" if len(shown_points) == len(independent) else f" of {len(independent)}"
+    plural = "s" if len(independent) > 1 else ""
+    note = (f"{len(shown_points)}{of_all} independent check point{plural} "
             f"{'is' if single else 'are'} no longer independent: {'it' if single else 'they'} "
             "already assessed another fit, in "
             f"{first_of(named)}. A fit that is chosen by them looks better than it is. Compare "
             "fits by selection points or by the predicted RMSE, or measure new selection points.")
     return replace(result, notes=(*result.notes, note), accuracy=msgspec.structs.replace(
         result.accuracy, spent_by=named,
-        spent=tuple(name for name in result.features.points.ids if name in shown)))
+        spent=tuple(name for name in result.features.points.ids if name in shown_points)))
 
 
 def _spent_before(record: Record) -> dict[str, tuple[str, ...]]:
@@ -71,14 +73,14 @@ def _spent_before(record: Record) -> dict[str, tuple[str, ...]]:
     accuracy = record.accuracy
     if accuracy is None or not accuracy.spent_by:
         return {}
-    spent = record.data.roles.independent if accuracy.spent is None else accuracy.spent
-    return dict.fromkeys(spent, accuracy.spent_by)
+    ids = record.data.roles.independent if accuracy.spent is None else accuracy.spent
+    return dict.fromkeys(ids, accuracy.spent_by)
 
 
 def _independent(points: Points) -> set[tuple[Any, ...]]:
     """Return the independent points by id and coordinates, whatever else is known of them."""
     ground = np.nan_to_num(points.ground)
-    return {(name, *image, *place) for name, role, image, place in zip(
+    return {(name, *image, *position) for name, role, image, position in zip(
         points.ids, points.roles, points.image.tolist(), ground.tolist(), strict=True)
         if role == "independent"}
 
