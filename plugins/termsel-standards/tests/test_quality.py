@@ -128,7 +128,7 @@ def test_without_independent_points_the_report_says_so(
         export(without_independent(result), name, path)
         root = etree.parse(str(path)).getroot()
         schema.assertValid(root)
-        assert "has no independent check points" in path.read_text()
+        assert "has no independent points" in path.read_text()
         assert root.find(".//mdq:DQ_QuantitativeResult", NAMES) is None
         assert root.find(".//qhorizpa") is None
 

@@ -87,7 +87,7 @@ def test_the_example_of_the_asprs_standards(tmp_path: Path) -> None:
     assert "RMSE3D Three-Dimensional Positional Accuracy Class. The tested three-dimensional " \
         "accuracy was found to be RMSE3D = 16.8 cm within the NVA tested area" in \
         by_name["ASPRS three-dimensional"].words
-    assert "nothing says which selection points are under vegetation" in \
+    assert "nothing says which check points are under vegetation" in \
         by_name["ASPRS vegetated vertical"].words
 
 
@@ -121,7 +121,7 @@ def test_more_check_points_are_asked_for_a_large_area() -> None:
     places = np.random.default_rng(8).uniform(0, 60e3, (40, 2))
     stated = statements_of(errors(np.ones((40, 2)), places=places))
     assert "was tested to meet" in stated.statements[0].words
-    assert "ASPRS asks for 60 selection points" in " ".join(stated.notes)
+    assert "ASPRS asks for 60 check points" in " ".join(stated.notes)
 
 
 @given(st.floats(1e-6, 1e5))
@@ -190,7 +190,7 @@ def test_figures_of_a_result_are_those_of_its_record(result: Result) -> None:
 
 def test_a_fit_that_has_used_the_points_is_not_tested_by_them(result: Result) -> None:
     assert result.final is not None
-    with pytest.raises(TermselError, match="has used the independent check points"):
+    with pytest.raises(TermselError, match="has used the independent points"):
         errors_of(result.as_exported())
 
 
@@ -231,7 +231,7 @@ def test_nobody_knows_what_the_points_of_a_table_took_part_in(tmp_path: Path) ->
     path = tmp_path / "example.csv"
     path.write_text(EXAMPLE)
     shown = invoke("accuracy", path).output
-    assert "5 selection points, which must have taken no part in any choice" in shown
+    assert "5 check points, which must have taken no part in any choice" in shown
 
 
 def test_a_table_that_is_no_text(tmp_path: Path) -> None:
@@ -246,7 +246,7 @@ def test_a_result_without_independent_points(result: Result) -> None:
     roles = ["check" if role == "independent" else role for role in points.roles]
     none = replace(result, features=replace(result.features, points=replace(
         points, roles=tuple(roles))))
-    with pytest.raises(TermselError, match="no independent check points"):
+    with pytest.raises(TermselError, match="no independent points"):
         errors_of(none)
 
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
-
 import click
 
 TOPICS: Mapping[str, Mapping[str, str]] = {
@@ -86,7 +84,3 @@ class Whole(click.IntRange):
 
     def _describe_range(self) -> str:
         return ""
-
-    def to_info_dict(self) -> dict[str, Any]:
-        """Return what describes the type, without its range."""
-        return {"param_type": "Int", "name": self.name}

@@ -296,7 +296,7 @@ def _bad(record: Record, view: View | None, picture: str) -> Iterator[Block]:
     which = f"{len(view.worst):,}" if view.partly else "all"
     yield TableBlock(f"Residuals of {which} features, the largest first", (
         "feature", "kind", "role", "residual [px]", "on the ground [m]", "blunder"), [
-            (row["id"], row["kind"], ROLE_WORDS.get(row["role"], row["role"]),
+            (row["id"], row["kind"], str(ROLE_WORDS.get(row["role"], row["role"])),
              rounded(row["distance"]),
              rounded(on_ground[row["id"]]) if row["id"] in on_ground else "-",
              row["blunder"]) for row in view.worst],

@@ -390,7 +390,7 @@ def _search(record: Record) -> Iterator[str]:
         elif isinstance(certificate.gap, float):
             yield f"not proven: optimality gap at most {percent(certificate.gap)}"
     if len(record.front) > 1:
-        sizes = [int(next(iter(member.objectives.values()))) for member in record.front]
+        sizes = [int(next(iter(member.objectives.values())) or 0) for member in record.front]
         noun = next(iter(record.front[0].objectives)).removeprefix("n_")
         yield (f"Pareto front of {len(sizes)} selections, {min(sizes)} to {max(sizes)} {noun}; "
                "--verbose lists them")

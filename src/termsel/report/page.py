@@ -115,6 +115,8 @@ def _block(block: Block, specs: dict[str, Any]) -> str:
         return f"<p>{_text(block)}</p>"
     if isinstance(block, Note):
         return f"<p><strong>{_text(block.label)}:</strong> {_text(block.text)}</p>"
+    if isinstance(block, Fact):
+        return _facts([block])
     if isinstance(block, Names):
         return (f"<details><summary>{_text(block.title)}: {len(block.names)}</summary>"
                 f"<p>{_text(' '.join(block.names))}</p></details>")
