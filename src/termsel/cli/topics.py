@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+
 import click
 
 TOPICS: Mapping[str, Mapping[str, str]] = {
