@@ -6,6 +6,7 @@ from typing import Any
 
 from termsel.auto.local import Interpolated
 from termsel.auto.physical import Physical
+from termsel.auto.pinhole import PinholeCamera
 from termsel.auto.ridge import RidgeByOrder
 from termsel.auto.robust import Reweighted
 from termsel.auto.selected import ForwardSelection
@@ -16,7 +17,7 @@ from termsel.fitting.least_squares import LeastSquares
 
 ESTIMATORS: dict[str, type[Estimator]] = {one.name: one for one in (
     LeastSquares, RidgeByOrder, ForwardSelection, Averaging, Physical, Interpolated, Reweighted,
-    Given)}
+    PinholeCamera, Given)}
 
 
 def estimator(name: str, /, **options: Any) -> Estimator:
@@ -26,7 +27,7 @@ def estimator(name: str, /, **options: Any) -> Estimator:
     ----------
     name : str
         As records have it: least-squares, ridge-by-order, forward-selection, averaging,
-        interpolated, reweighted or given.
+        interpolated, reweighted, pinhole or given.
     **options
         As `Estimator.options` gives them.
 

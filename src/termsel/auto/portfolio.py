@@ -265,15 +265,16 @@ def exact(control: Control) -> Choice:
                   f"{n} {control.features.word} determine it exactly.")
 
 
-def exact_view(control: Control, choice: Choice) -> Choice:
-    """Return the projective transformation that four points determine, where nothing else fits.
+def exact_view(control: Control, choice: Choice, portfolio: Portfolio) -> Choice:
+    """Return the projection that four points determine, where nothing else fits.
 
     An affine transformation of four points leaves what a map or a vertical photo may leave; where
-    it leaves more, and no point would be behind the camera, they show an oblique view. Otherwise
-    the choice is returned.
+    it leaves more, and no point would be behind the camera, they show an oblique view. It is that
+    of a camera without distortion where there is one, and else a projective transformation of the
+    plane. Otherwise the choice is returned.
     """
     plane = replace(control, heights=False)
-    affine, projective = named("affine"), named("projective")
+    affine, projective, camera = named("affine"), named("projective"), named("pinhole")
     if len(control) != CORNERS or len(control.features.points) != CORNERS \
             or choice.chosen.candidate.from_one:
         return choice
@@ -285,6 +286,11 @@ def exact_view(control: Control, choice: Choice) -> Choice:
     except Undetermined:
         return choice
     assert left is not None
+    seen = portfolio.judged(camera, control) if camera in portfolio.offered(control) else None
+    if seen is not None and left.total >= OBLIQUE * control.scaling.image_scale:
+        return Choice(replace(seen, squares=np.full(CORNERS, np.nan)), choice.judged,
+                      f"{CORNERS} points leave one equation of it. An affine polynomial leaves "
+                      f"{left.total:.3g} px of them, more than a map or a vertical photo does.")
     below = fitted.model.denominators(fitted.adjustment.coefficients,
                                       fitted.scaled_control.points.ground)
     assert below is not None

@@ -114,7 +114,8 @@ def _choosing_without(control: Control, portfolio: Portfolio, watch: Watch,
                 return None
             # Few features choose by luck: what all of them choose is fitted to these.
             if usual := whole():
-                fitted = portfolio.ask(usual.chosen.candidate, "fit_control", rest) or fitted
+                fitted = portfolio.ask(usual.chosen.candidate, "refit", usual.chosen.fit,
+                                       rest) or fitted
         return fitted
 
     return chosen_without

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from termsel.auto.base import Candidate
 from termsel.auto.local import EXCLUDED, LIKELY, Interpolated, asked_of, interpolated
 from termsel.auto.physical import CHOSEN, FEWEST, Physical, averaged_of
+from termsel.auto.pinhole import MOST, PinholeCamera, call_for_camera, may_be_oblique
 from termsel.auto.ridge import RidgeByOrder
 from termsel.auto.robust import Reweighted
 from termsel.auto.selected import ForwardSelection
 from termsel.auto.shrunken import Averaging
-from termsel.data.control import Control
+from termsel.data.control import Control, is_off_plane
+from termsel.data.scaling import metres_of
 from termsel.data.view import view_of
 from termsel.fitting.bayesian.field import Collocation
 from termsel.fitting.fit import Fit, Undetermined
@@ -80,6 +82,40 @@ class _OfPlane(Structure):
         if control.heights and view_of(control.scaled.points) is None:
             return f"{self.title} is for features without heights, or for oblique views"
         return super().declines(control)
+
+
+class _OfCamera(Structure):
+    """A projection that is a camera with few unknowns."""
+
+    def declines(self, control: Control) -> str | None:
+        """Return why it is not for lines, or for coordinates of which nobody knows the level."""
+        if len(control.features.lines):
+            return f"{self.title} takes points alone, and there are lines"
+        if metres_of(control.features, control.scaling) is None:
+            return f"{self.title} needs to know which way is up, so no geocentric coordinates"
+        return None
+
+    def fit_control(self, control: Control) -> Fit:
+        """Fit the camera, where the points call for an oblique view."""
+        if not call_for_camera(control.scaled, control.scaling):
+            raise Undetermined("the points do not call for an oblique view by a camera without "
+                               "distortion",
+                               hint="Choose another model, such as dlt or projective.")
+        return self._camera(control)
+
+    def refit(self, fitted: Fit, control: Control) -> Fit:
+        """Return the camera of more points, be they oblique or not."""
+        return self._camera(control)
+
+    def _camera(self, control: Control) -> Fit:
+        """Return the camera, with heights wherever they differ: it knows what they do."""
+        known = not control.features.without_height()
+        return super().fit_control(
+            replace(control, heights=known and is_off_plane(control.scaled.points)))
+
+    def nearly(self, control: Control) -> bool:
+        """Return whether the points may be of an oblique view."""
+        return may_be_oblique(control.scaled)
 
 
 class _Selected(Structure):
@@ -160,6 +196,8 @@ CANDIDATES: tuple[Structure, ...] = (
     Structure("dlt", "a DLT", DLT3D(weighted=True), None, short="DLT", is_plain=True, central=True),
     _OfPlane("projective", "a projective transformation", Projective2D(weighted=True),
              Projective2D(weighted=True), is_plain=True, central=True),
+    _OfCamera("pinhole", "a pinhole camera", DLT3D(weighted=True), Projective2D(weighted=True),
+              estimator=PinholeCamera(), short="pinhole camera", central=True, most=MOST),
     Structure("quadratic", "a quadratic polynomial", *_polynomials(2), is_plain=True),
     Structure("cubic", "a cubic polynomial", *_polynomials(3), is_plain=True),
     Structure("rfm-2", "a second-order RFM", RationalFunctions(order=2), None,

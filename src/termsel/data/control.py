@@ -16,9 +16,9 @@ from typing import Self
 import numpy as np
 
 from termsel.data.coordinates.metres import height_unit, plan_of
-from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray
+from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray, Points
 from termsel.data.lattices import Lattice, lattice_of
-from termsel.data.scaling import Scaling, in_fit_crs, scaling_of
+from termsel.data.scaling import Scaling, in_fit_crs, metres_of, scaling_of
 from termsel.data.view import View, view_of
 
 FLAT = 1e-8
@@ -161,6 +161,12 @@ def with_usual_heights(control: Control, ground: FloatArray) -> FloatArray:
     return ground - np.pad(off[:, None], ((0, 0), (2, 0)))
 
 
+def is_off_plane(points: Points) -> bool:
+    """Return whether scaled points with heights lie on no plane, but for rounding."""
+    rest, _ = _about_plane(_plane_at(points.ground), points.ground[:, 2])
+    return bool(np.abs(rest).max(initial=0.0) > FLAT)
+
+
 def _tells(control: Control, off_plane_heights: FloatArray, keep: BoolArray) -> bool:
     """Return whether scaled heights off a plane, of the vertices `keep`, tell what a height does.
     """
@@ -211,26 +217,14 @@ def _effects(control: Control, scaled: FloatArray) -> FloatArray:
     if view is None or not np.isfinite(effect):
         return np.full(len(scaled), effect)
     # Pixels by a metre on the ground, along X and Y; the larger of both is across the view.
-    metres = _metres(control)
+    metres = metres_of(control.features, control.scaling)
+    assert metres is not None
     across = view.magnification(scaled) * control.scaling.image_scale / metres[:2]
     return np.asarray(PARALLAX * metres[2] * across.max(axis=1))
 
 
 def _view(control: Control) -> View | None:
     return view_of(control.scaled.points)
-
-
-def _metres(control: Control) -> FloatArray:
-    """Return how many metres a scaled step is along X, Y, Z."""
-    features = control.features
-    scaling = control.scaling
-    crs = features.fit_crs or features.crs
-    # From the middle of the box one scaled step along each axis, measured in the plane.
-    corners = np.array(scaling.ground_offset) + np.diag(scaling.ground_scale)
-    plan = plan_of(crs, np.concatenate([[scaling.ground_offset], corners]))
-    assert plan is not None
-    steps = np.linalg.norm(plan[1:3] - plan[0], axis=1)
-    return np.array([*steps, scaling.ground_scale[2] * height_unit(crs)])
 
 
 def _effect(control: Control) -> float:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from termsel.data.coordinates.crs import transformation
 from termsel.data.coordinates.longitudes import TURN, continuous
-from termsel.data.coordinates.metres import is_in_degrees, plan_of
+from termsel.data.coordinates.metres import height_unit, is_in_degrees, plan_of
 from termsel.data.features import FeatureSet, FloatArray, Lines, Points
 from termsel.data.record.record import ScalingNumbers
 from termsel.data.tables.tabular import unchecked
@@ -162,3 +162,15 @@ def scaling_of(features: FeatureSet) -> Scaling:
     sx, sy, sz = np.where(half > 0, half, 1.0).tolist()
     return Scaling((gx, gy, gz), (sx, sy, sz), (float(middle[0]), float(middle[1])),
                    scale if scale > 0 else 1.0, *crs_pair, TURN if turns else 0.0)
+
+
+def metres_of(features: FeatureSet, scaling: Scaling) -> FloatArray | None:
+    """Return how many metres a scaled step is along X, Y, Z; None for geocentric coordinates."""
+    crs = features.fit_crs or features.crs
+    # From the middle of the box one scaled step along each axis, measured in the plane.
+    corners = np.array(scaling.ground_offset) + np.diag(scaling.ground_scale)
+    plan = plan_of(crs, np.concatenate([[scaling.ground_offset], corners]))
+    if plan is None:
+        return None
+    steps = np.linalg.norm(plan[1:3] - plan[0], axis=1)
+    return np.array([*steps, scaling.ground_scale[2] * height_unit(crs)])

@@ -87,6 +87,10 @@ class Estimator(ABC):
         return spread_of(fitted.model, used, fitted.terms, fitted.adjustment, ground, image,
                          least_squares=self.least_squares)
 
+    def view(self, features: FeatureSet, scaling: Scaling) -> View | None:
+        """Return the central projection that scaled features in use call for, or None."""
+        return view_of(features.points)
+
     def without_each(self, fitted: Fit) -> Iterator[Fit]:
         """Yield a fit of this estimator without each feature in use, by repeating it."""
         for out in np.flatnonzero(fitted.used):
@@ -324,7 +328,7 @@ class Fit(Glance):
     @cached_property
     def view(self) -> View | None:
         """The central projection that the points in use call for, of scaled places, or None."""
-        return view_of(self._scaled_used.points)
+        return (self.made or self).estimator.view(self._scaled_used, self.scaling)
 
     def sigma(self, ground: ArrayLike, *, measured: bool = False) -> FloatArray:
         """Return the standard deviation of the error of `project`.

@@ -62,10 +62,6 @@ tell nothing: half of it, by the spread in the image, is as much as can be measu
 FEWEST, MOST = 6, 20
 """Numbers of points for which the candidates are: more tell as much as the physics."""
 
-MOST_OBLIQUE = 9
-"""Number of points up to which a camera of which nobody said that it is one is tried in an oblique
-view: a DLT of more tells as much."""
-
 FOCALS = (0.5, 8.0)
 """Least and largest focal length that a fit to an oblique view begins at, by the half extent."""
 
@@ -320,12 +316,10 @@ class FewOfPhoto(Candidate):
     def judge(self, control: Control) -> Judged | None:
         """Return the candidate fitted and judged where the points say that they are of a photo.
 
-        To try cameras on every image would take auto several times as long. A frame camera is tried
-        on few points of an oblique view, too.
+        To try cameras on every image would take auto several times as long. What calls for an
+        oblique view gets termsel's own pinhole camera.
         """
-        named = sensor_of(control) == self.camera.name
-        few = len(control) <= MOST_OBLIQUE and self.camera is Frame and not sensor_of(control)
-        return super().judge(control) if named or (few and self._is_oblique(control)) else None
+        return super().judge(control) if sensor_of(control) == self.camera.name else None
 
     @staticmethod
     def _is_oblique(control: Control) -> bool:

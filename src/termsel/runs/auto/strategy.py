@@ -148,7 +148,7 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
                 hint="Measure more.")
         choice = choose_features(control, portfolio, watch.candidate) if enough else exact(control)
         if choice and enough and len(both) > EXACT:
-            view = exact_view(control, choice)
+            view = exact_view(control, choice, portfolio)
             enough, choice = view is choice, view
         if choice and len(both.lines):
             from termsel.runs.auto.owdis import with_selected_lines  # it searches

@@ -1,0 +1,146 @@
+"""A pinhole camera as a candidate, where few points call for an oblique view."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
+from termsel.data.scaling import Scaling
+from termsel.data.view import CLEARER, View, view_of
+from termsel.fitting.adjustment.monomials import monomials
+from termsel.fitting.adjustment.solve import Adjustment
+from termsel.fitting.fit import Estimator, Fit, HeldOut, Undetermined
+from termsel.fitting.fittable import Fittable
+from termsel.fitting.pinhole import FEWEST, Pinhole, pinhole_of
+from termsel.fitting.uncertainty import Spread
+from termsel.models.projective import Projective
+
+MOST = 20
+"""Points up to which a camera is tried: a DLT of more tells as much, and takes up more of a lens.
+"""
+
+OBLIQUE = 0.8
+"""Distance of the nearest point by that of the middle, along the view, below which a view is
+oblique: points of a photo from above are at about the same distance."""
+
+BENT = 0.01
+"""Standard deviation of what affine polynomials leave, by the half extent of the image, below which
+few points show no oblique view."""
+
+CORNERS = 4
+"""Points that an affine polynomial with heights fits exactly."""
+
+FEW = 8
+"""Points below which a view is not told by a DLT, which leaves them hardly an equation."""
+
+
+@dataclass(frozen=True)
+class PinholeCamera(Estimator):
+    """The camera of 7 unknowns that points call for, written as the projection it is."""
+
+    name = "pinhole"
+
+    def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+            used: BoolArray) -> Fit:
+        """Fit a projection (see `Estimator.fit`) with all its terms."""
+        assert isinstance(model, Projective)
+        in_use = control.take(used)
+        camera = pinhole_of(scaling.features(in_use), scaling)
+        if camera is None:
+            raise Undetermined("no camera in front of all control points was found",
+                               hint="Choose another model, such as dlt or projective.")
+        coefficients = _coefficients(camera, model)
+        count = round(camera.effective)
+        equations = 2 * len(in_use)
+        sigma0 = camera.sigma if equations > count else np.nan
+        unknown = np.full(len(coefficients), np.nan)
+        return Fit(model, scaling, control, np.ones(len(coefficients), dtype=bool), used,
+                   Adjustment(coefficients, unknown, count, equations, count, np.nan, sigma0),
+                   self, camera.effective,
+                   HeldOut.of(camera.errors * scaling.image_scale, in_use))
+
+    def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
+        """Return the mean square errors of a fit at scaled places (see `Estimator.spread`)."""
+        assert isinstance(fitted.model, Projective)
+        camera = _camera_of(fitted)
+        factors = camera.factors(_in_space(camera, fitted.model, ground))
+        return Spread((factors**2).sum(axis=2), np.full(2, camera.sigma**2), factors)
+
+    def view(self, features: FeatureSet, scaling: Scaling) -> View | None:
+        """Return the camera as the view of scaled features."""
+        camera = pinhole_of(features, scaling)
+        return super().view(features, scaling) if camera is None else camera.view
+
+
+def may_be_oblique(features: FeatureSet) -> bool:
+    """Return whether scaled points may be of an oblique view, as quickly as it can be said."""
+    points = features.points
+    if len(features.lines) or not FEWEST <= len(points) <= MOST:
+        return False
+    if len(points) >= FEW:
+        view = view_of(points)
+        return view is not None and view.depth < OBLIQUE
+    return _left_by_affine(points, heights=False) > BENT
+
+
+def call_for_camera(features: FeatureSet, scaling: Scaling) -> bool:
+    """Return whether scaled points call for an oblique view by a camera without distortion."""
+    if not may_be_oblique(features):
+        return False
+    camera = pinhole_of(features, scaling)
+    if camera is None or not 0.0 < camera.view.depth < OBLIQUE:
+        return False
+    # Affine polynomials with heights fit four points exactly.
+    left = _left_by_affine(features.points, heights=len(features.points) > CORNERS)
+    return camera.sigma < CLEARER * left
+
+
+def _left_by_affine(points: Points, *, heights: bool) -> float:
+    """Return the standard deviation of what an affine polynomial leaves of scaled points."""
+    ground = points.ground[:, :3 if heights else 2]
+    columns = np.column_stack([np.ones(len(points)), ground])
+    coefficients, _, rank, _ = np.linalg.lstsq(columns, points.image)
+    freedom = points.image.size - 2 * int(rank)
+    left = points.image - columns @ coefficients
+    return float(np.sqrt((left**2).sum() / freedom)) if freedom > 0 else 0.0
+
+
+def _camera_of(fitted: Fit) -> Pinhole:
+    """Return the camera that a fit was made of."""
+    camera = pinhole_of(fitted.scaling.features(fitted.control.take(fitted.used)), fitted.scaling)
+    assert camera is not None
+    return camera
+
+
+def _coefficients(camera: Pinhole, model: Projective) -> FloatArray:
+    """Return the coefficients of a projection that sees as a camera does, (k,).
+
+    Of a plane model the height is that of the plane through the points: Z = z0 + a X + b Y.
+    """
+    matrix = camera.matrix
+    if not model.uses_height:
+        plane = np.concatenate([np.eye(3), _plane(camera)[None]])
+        matrix = matrix @ plane
+    # The denominator is in units of its value in the middle of the points' box.
+    scaled = matrix / matrix[2, 0]
+    if not matrix[2, 0] > 0.0:
+        raise Undetermined("the middle of the points lies behind the camera",
+                           hint="Choose another model, such as shrunken-cubic.")
+    return np.concatenate([scaled[0], scaled[1], scaled[2, 1:]])
+
+
+def _plane(camera: Pinhole) -> FloatArray:
+    """Return the plane through the control: its scaled height by 1, X and Y, (3,)."""
+    ground = camera.view.ground
+    return np.asarray(np.linalg.lstsq(monomials(ground, ((0, 0, 0), (1, 0, 0), (0, 1, 0))),
+                                      ground[:, 2])[0])
+
+
+def _in_space(camera: Pinhole, model: Projective, ground: FloatArray) -> FloatArray:
+    """Return scaled places with the heights that a projection gives them, (m, 3)."""
+    if model.uses_height:
+        return ground
+    plane = np.column_stack([np.ones(len(ground)), ground[:, :2]])
+    return np.column_stack([ground[:, :2], plane @ _plane(camera)])

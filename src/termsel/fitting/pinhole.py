@@ -1,0 +1,400 @@
+"""A camera with few unknowns: its place, its turn and its focal length, fitted to control points.
+
+With the rotation R, the place C and the focal length f, a pinhole camera without distortion and
+with square pixels sees a place G at
+
+    (line, sample) = principal point + f (q1, q2) / q3,    q = R (G - C).
+
+These are 7 unknowns where a DLT of the same view has 11, which 5 points do not determine and 6
+hardly. Two more, the principal point, are held by a prior: near the middle of the image where its
+size is known, and within the control else. It has long tails, so that an image that was cropped
+moves it. The focal length has a wide prior, which tells where points do not. Priors count against
+the measurements by the noise of these, which the residuals tell.
+
+The least squares of distances in the image have several minima, so a grid of rotations and focal
+lengths is tried; for each the place of the camera is linear, and the best ones are improved in
+damped steps. The solutions without each point are found from that of all.
+
+References
+----------
+Kraus 2007, Photogrammetry, for the collinearity equations; Abdel-Aziz and Karara 1971 for the DLT
+that the camera is written as. Priors, grid and the robust principal point are termsel's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from termsel.data.features import FeatureSet, FloatArray, IntArray
+from termsel.data.scaling import Scaling, metres_of
+from termsel.data.view import View
+from termsel.fitting.adjustment.equations import weights_of
+
+FOCAL, FOCAL_SPREAD = 1.8, 0.7
+"""Focal length by the half diagonal of the image, and the standard deviation of its logarithm: from
+a wide angle of 24 mm to a telephoto lens of 150 mm before film of 36 mm by 24."""
+
+MIDDLE = 0.01
+"""Scale of the prior of the principal point about the middle of an image of known size, by its half
+diagonal."""
+
+SOMEWHERE = 0.3
+"""The same about the middle of the control, by its half extent, where the size is not known."""
+
+NOISE = 0.5
+"""Least standard deviation of a measurement in the image [px], by which priors are weighed."""
+
+FEWEST = 4
+"""Points that determine a camera, with its priors, and leave an equation."""
+
+_AZIMUTHS = np.radians(np.arange(0.0, 360.0, 22.5))
+_DEPRESSIONS = np.radians([4.0, 15.0, 30.0, 50.0, 75.0])
+_ROLLS = np.radians([0.0, 90.0, 180.0, 270.0])
+_FOCALS = (0.8, 1.6, 3.2, 6.4)
+_STARTS, _FIRST, _FURTHER = 12, 6, 3
+"""Starts that are improved, by how many steps, and how many of them further."""
+
+_STEPS, _REFITTED = 40, 10
+_CLOSE, _STUCK = 1e-5, 1e2
+"""Part of the cost by which steps have converged, and the damping beyond which none helps."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cameras:
+    """Some cameras: rotations (s, 3, 3), shifts -R C (s, 3), focal lengths (s,), middles (s, 2).
+
+    The rows of a rotation are the directions of lines, samples and the view. All is in units of the
+    scaled image and of a level ground that is scaled alike along its axes.
+    """
+
+    rotation: FloatArray
+    shift: FloatArray
+    focal: FloatArray
+    middle: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.focal)
+
+    def take(self, which: IntArray) -> Cameras:
+        """Return some of the cameras."""
+        return Cameras(self.rotation[which], self.shift[which], self.focal[which],
+                       self.middle[which])
+
+    def places(self, ground: FloatArray) -> FloatArray:
+        """Return the ground (n, 3) in the axes of the cameras, (s, n, 3)."""
+        return np.asarray(ground @ self.rotation.transpose(0, 2, 1) + self.shift[:, None])
+
+    def image(self, ground: FloatArray) -> FloatArray:
+        """Return where the ground (n, 3) is seen, (s, n, 2); NaN behind a camera."""
+        q = self.places(ground)
+        away = np.where(q[..., 2:] > 0.0, q[..., 2:], np.nan)
+        return np.asarray(self.middle[:, None] + self.focal[:, None, None] * q[..., :2] / away)
+
+    def slopes(self, ground: FloatArray) -> FloatArray:
+        """Return derivatives of the image by 9 unknowns, (s, n, 2, 9).
+
+        These are a small turn about the axes, the shift, the logarithm of the focal length, and the
+        principal point: dq = turn x q + dshift, of the part of q without the shift.
+        """
+        q = self.places(ground)
+        turned = q - self.shift[:, None]
+        focal = self.focal[:, None, None]
+        seen = q[..., :2] / q[..., 2:]
+        # d(q1 / q3) = (dq1 - q1 / q3 dq3) / q3, likewise of q2.
+        by_place = np.zeros((*q.shape[:2], 2, 3))
+        by_place[..., 0, 0] = by_place[..., 1, 1] = 1.0
+        by_place[..., 2] = -seen
+        by_place *= (focal / q[..., 2:])[..., None]
+        slopes = np.zeros((*q.shape[:2], 2, 9))
+        # turn x v = -v x turn: the columns are -v x e.
+        slopes[..., :3] = np.cross(turned[:, :, None, :], by_place)
+        slopes[..., 3:6] = by_place
+        slopes[..., 6] = focal * seen
+        slopes[..., 0, 7] = slopes[..., 1, 8] = 1.0
+        return slopes
+
+    def moved(self, step: FloatArray) -> Cameras:
+        """Return the cameras moved by steps of the unknowns (s, 9)."""
+        return Cameras(_turns(step[:, :3]) @ self.rotation, self.shift + step[:, 3:6],
+                       self.focal * np.exp(np.clip(step[:, 6], -1.0, 1.0)),
+                       self.middle + step[:, 7:])
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """Control points, scaled, with what is known of the camera beforehand."""
+
+    ground: FloatArray  # (n, 3), scaled alike along its axes
+    image: FloatArray  # (n, 2)
+    weights: FloatArray  # (n, 2)
+    middle: FloatArray  # (2,): where the principal point is expected
+    reach: float  # scale of its prior
+    focal: float  # expected
+    unit: FloatArray  # (3,): of the scaled ground, by that of `ground`
+    noise: float  # least standard deviation of a measurement
+
+    @cached_property
+    def _key(self) -> tuple[float | bytes, ...]:
+        return tuple(value.tobytes() if isinstance(value, np.ndarray) else value
+                     for value in (getattr(self, one.name) for one in fields(self)))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Measured) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def prior(self, cameras: Cameras) -> tuple[FloatArray, FloatArray]:
+        """Return the priors' residuals (s, 3) and their robust weights: log f, then the middle.
+
+        The middle has a Cauchy distribution, whose minus logarithm is that of 1 + d^2, so that its
+        weight is 1 / (1 + d^2).
+        """
+        away = (cameras.middle - self.middle) / self.reach
+        rest = np.column_stack([np.log(cameras.focal / self.focal) / FOCAL_SPREAD, away])
+        weights = np.ones_like(rest)
+        weights[:, 1:] = 1.0 / (1.0 + (away**2).sum(axis=1, keepdims=True))
+        return rest, weights
+
+    def costs(self, cameras: Cameras, rows: FloatArray, sigma: float) -> FloatArray:
+        """Return twice the minus logarithm of what is left, (s,); infinite with points behind.
+
+        `rows` (s, n) says which points count.
+        """
+        left = (self.image - cameras.image(self.ground)) * self.weights
+        squares = np.where(rows > 0.0, (left**2).sum(axis=2), 0.0).sum(axis=1) / sigma**2
+        rest, _ = self.prior(cameras)
+        squares = squares + rest[:, 0]**2 + 2.0 * np.log1p((rest[:, 1:]**2).sum(axis=1))
+        return np.where(np.isfinite(squares), squares, np.inf)
+
+    def system(self, cameras: Cameras, rows: FloatArray,
+               sigma: float) -> tuple[FloatArray, FloatArray]:
+        """Return the design (s, 2 n + 3, 9) and what is left (s, 2 n + 3), by their deviations."""
+        count = len(cameras)
+        factor = rows[:, :, None] * self.weights / sigma
+        slopes = cameras.slopes(self.ground) * factor[..., None]
+        left = (self.image - cameras.image(self.ground)) * factor
+        rest, weights = self.prior(cameras)
+        root = np.sqrt(weights)
+        priors = np.zeros((count, 3, 9))
+        priors[:, 0, 6] = 1.0 / FOCAL_SPREAD
+        priors[:, 1, 7] = priors[:, 2, 8] = 1.0 / self.reach
+        design = np.concatenate([slopes.reshape(count, -1, 9), priors * root[..., None]], axis=1)
+        return design, np.concatenate([left.reshape(count, -1), -rest * root], axis=1)
+
+    def descended(self, cameras: Cameras, rows: FloatArray, sigma: float,
+                  steps: int = _STEPS) -> tuple[Cameras, FloatArray]:
+        """Return where damped steps from some cameras end, and the costs there (s,)."""
+        now = self.costs(cameras, rows, sigma)
+        damping = np.full(len(cameras), 1e-3)
+        for _ in range(steps):
+            design, left = self.system(cameras, rows, sigma)
+            known = np.isfinite(left).all(axis=1)
+            design = np.where(known[:, None, None], design, 0.0)
+            left = np.where(known[:, None], left, 0.0)
+            normal = np.einsum("sri,srj->sij", design, design)
+            size = np.einsum("sii->si", normal) + np.finfo(float).tiny
+            right = np.einsum("sri,sr->si", design, left)
+            damped = normal + np.einsum("si,ij->sij", damping[:, None] * size + 1e-12, np.eye(9))
+            tried = cameras.moved(np.linalg.solve(damped, right[..., None])[..., 0])
+            after = self.costs(tried, rows, sigma)
+            better = after < now
+            gain = np.where(better, now - after, 0.0)
+            cameras = _either(better, tried, cameras)
+            damping = np.clip(np.where(better, damping / 10.0, damping * 10.0), 1e-12, 1e8)
+            finished = (gain < _CLOSE * (1.0 + after)) & (better | (damping >= _STUCK))
+            now = np.where(better, after, now)
+            if finished.all():
+                break
+        return cameras, now
+
+
+@dataclass(frozen=True, eq=False)
+class Pinhole:
+    """The camera that control points call for, in scaled coordinates.
+
+    Parameters
+    ----------
+    camera : Cameras
+        The one camera.
+    measured : Measured
+    sigma : float
+        Standard deviation of a measurement of unit weight.
+    errors : ndarray, shape (n, 2)
+        Measured minus predicted of each point, by the camera without it.
+    residuals : ndarray, shape (n, 2)
+    effective : float
+        Trace of the matrix that turns measurements into what is fitted.
+    """
+
+    camera: Cameras
+    measured: Measured
+    sigma: float
+    errors: FloatArray
+    residuals: FloatArray
+    effective: float
+
+    @property
+    def matrix(self) -> FloatArray:
+        """The projection of 1, X, Y and Z: numerators of line and sample, denominator, (3, 4)."""
+        rotation = self.camera.rotation[0] * self.measured.unit
+        columns = np.column_stack([self.camera.shift[0], rotation])
+        middle = np.append(self.camera.middle[0], 0.0)
+        return np.asarray(columns * np.array([[self.camera.focal[0]]] * 2 + [[1.0]])
+                          + np.outer(np.append(middle[:2], 0.0), columns[2]))
+
+    @property
+    def view(self) -> View:
+        """The camera as a view of scaled places."""
+        return View(self.matrix, self.measured.ground / self.measured.unit, self.sigma, self.sigma)
+
+    def factors(self, ground: FloatArray) -> FloatArray:
+        """Return factors of the covariance of what is seen of scaled places, (m, 2, 9)."""
+        design, _ = self.measured.system(self.camera, np.ones((1, len(self.measured.image))),
+                                         self.sigma)
+        _, r = np.linalg.qr(design[0])
+        slopes = self.camera.slopes(ground * self.measured.unit)[0]
+        return np.asarray(np.linalg.solve(r.T, slopes.reshape(-1, 9).T).T.reshape(slopes.shape))
+
+
+def pinhole_of(scaled: FeatureSet, scaling: Scaling) -> Pinhole | None:
+    """Return the camera of scaled control points, or None: of few, lines, or none in front.
+
+    Heights that are not known, or all the same, are those of level ground.
+    """
+    measured = _measured(scaled, scaling)
+    return None if measured is None or len(measured.image) < FEWEST else _camera_of(measured)
+
+
+@lru_cache(maxsize=32)
+def _camera_of(measured: Measured) -> Pinhole | None:
+    """Return the camera of control points; a run asks for the same one many times."""
+    everything = np.ones((1, len(measured.image)))
+    started = _starts(measured)
+    if not len(started):
+        return None
+    sigma = measured.noise
+    for count, steps in ((len(started), _FIRST), (_FURTHER, _STEPS)):
+        started = started.take(np.arange(min(count, len(started))))
+        started, costs = measured.descended(
+            started, np.repeat(everything, len(started), axis=0), 10.0 * sigma, steps)
+        started = started.take(np.argsort(costs, kind="stable"))
+    if not np.isfinite(costs).any():
+        return None
+    camera = started.take(np.arange(1))
+    freedom = max(2 * len(measured.image) - 7, 1)
+    for _ in range(3):  # the noise says how much the priors count, and they how much is left
+        camera, costs = measured.descended(camera, everything, sigma)
+        residuals = measured.image - camera.image(measured.ground)[0]
+        if not np.isfinite(costs).all():
+            return None
+        left = float(np.sqrt(((residuals * measured.weights) ** 2).sum() / freedom))
+        sigma = max(left, measured.noise)
+    design, _ = measured.system(camera, everything, sigma)
+    q = np.linalg.qr(design[0])[0]
+    effective = float((q[:2 * len(measured.image)] ** 2).sum())
+    errors = _left_out(measured, camera, sigma)
+    return Pinhole(camera, measured, sigma, errors, residuals, effective)
+
+
+def _left_out(measured: Measured, camera: Cameras, sigma: float) -> FloatArray:
+    """Return the errors of points (n, 2) by the camera without each, found from that of all."""
+    n = len(measured.image)
+    rows = 1.0 - np.eye(n)
+    without, _ = measured.descended(camera.take(np.zeros(n, dtype=np.intp)), rows, sigma,
+                                    _REFITTED)
+    seen = without.image(measured.ground)[np.arange(n), np.arange(n)]
+    return np.asarray(measured.image - seen)
+
+
+def _measured(scaled: FeatureSet, scaling: Scaling) -> Measured | None:
+    """Return scaled control points as a camera is fitted to them; None where none can be."""
+    metres = metres_of(scaled, scaling)
+    if metres is None or len(scaled.lines):
+        return None
+    points = scaled.points
+    unit = metres / metres[:2].max()
+    weights = weights_of(points)
+    size = scaled.image_size
+    if size is None:
+        middle = np.zeros(2)
+        half = 1.0
+        reach = SOMEWHERE
+    else:
+        middle = scaling.image((np.array(size) - 1.0) / 2.0)
+        half = float(np.linalg.norm(size)) / 2.0 / scaling.image_scale
+        reach = MIDDLE * half
+    return Measured(points.ground * unit, points.image, weights, middle, reach, FOCAL * half,
+                    unit, NOISE / scaling.image_scale)
+
+
+def _starts(measured: Measured) -> Cameras:
+    """Return the best of a grid of cameras that look from above at the points.
+
+    f q1 = (line - l0) q3, likewise for samples, are linear in the shift.
+    """
+    rotation = np.concatenate([_grid(mirrored=_mirrored(measured))] * len(_FOCALS))
+    focal = np.repeat(np.array(_FOCALS) / FOCAL * measured.focal, len(rotation) // len(_FOCALS))
+    turned = measured.ground @ rotation.transpose(0, 2, 1)                     # (s, n, 3)
+    away = measured.image - measured.middle
+    # Of each point f t - d t3 = d v3 - f v.
+    design = np.zeros((len(focal), len(away), 2, 3))
+    design[..., 0, 0] = design[..., 1, 1] = focal[:, None]
+    design[..., 2] = -away
+    right = away * turned[..., 2:] - focal[:, None, None] * turned[..., :2]
+    design = design.reshape(len(focal), -1, 3)
+    normal = np.einsum("sri,srj->sij", design, design)
+    shift = np.linalg.solve(normal + 1e-12 * np.eye(3), np.einsum(
+        "sri,sr->si", design, right.reshape(len(focal), -1))[..., None])[..., 0]
+    cameras = Cameras(rotation, shift, focal, np.tile(measured.middle, (len(focal), 1)))
+    # A start may have points behind it that better ones have not.
+    costs = ((measured.image - cameras.image(measured.ground)) ** 2).sum(axis=2).mean(axis=1)
+    order = np.argsort(np.where(np.isfinite(costs), costs, np.inf), kind="stable")[:_STARTS]
+    return cameras.take(order[np.isfinite(costs[order])])
+
+
+def _mirrored(measured: Measured) -> bool:
+    """Return whether the image is mirrored: then lines, samples and the view are left-handed."""
+    columns = np.column_stack([np.ones(len(measured.image)), measured.ground[:, :2]])
+    slopes = np.linalg.lstsq(columns, measured.image)[0][1:]
+    return bool(np.linalg.det(slopes) < 0.0)
+
+
+@lru_cache(maxsize=2)
+def _grid(*, mirrored: bool) -> FloatArray:
+    """Return rotations of cameras that look down by some angle in all directions, (s, 3, 3)."""
+    found = []
+    for azimuth in _AZIMUTHS:
+        for depression in _DEPRESSIONS:
+            ahead = np.array([np.sin(azimuth), np.cos(azimuth), 0.0])
+            view = np.cos(depression) * ahead - np.sin(depression) * np.array([0.0, 0.0, 1.0])
+            right = np.array([np.cos(azimuth), -np.sin(azimuth), 0.0])
+            down = np.cross(view, right)
+            for roll in _ROLLS:
+                line = np.cos(roll) * down + np.sin(roll) * right
+                sample = np.cos(roll) * right - np.sin(roll) * down
+                found.append([line, -sample if mirrored else sample, view])
+    grid = np.array(found)
+    grid.setflags(write=False)
+    return grid
+
+
+def _turns(turn: FloatArray) -> FloatArray:
+    """Return the rotations by vectors (s, 3), shape (s, 3, 3) (Rodrigues)."""
+    angle = np.linalg.norm(turn, axis=1)[:, None, None]
+    x, y, z = (turn / np.maximum(angle[:, 0], np.finfo(float).tiny)).T
+    none = np.zeros_like(x)
+    cross = np.stack([np.stack([none, -z, y], 1), np.stack([z, none, -x], 1),
+                      np.stack([-y, x, none], 1)], axis=1)
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)
+
+
+def _either(which: FloatArray, one: Cameras, other: Cameras) -> Cameras:
+    """Return of each pair of cameras the one where `which`, (s,), and else the other."""
+    return Cameras(np.where(which[:, None, None], one.rotation, other.rotation),
+                   np.where(which[:, None], one.shift, other.shift),
+                   np.where(which, one.focal, other.focal),
+                   np.where(which[:, None], one.middle, other.middle))
