@@ -46,6 +46,9 @@ from termsel.fitting.fit import Fit
 Whole = Callable[[], Test | None]
 """The test by all features, which is made where one is asked for."""
 
+Tested = Callable[[Division], Test | None]
+"""A test by the features in use."""
+
 MOST = 1 / 3
 """Largest share of blunders."""
 
@@ -91,11 +94,46 @@ def _found(control: Control, portfolio: Portfolio) -> Suspects | None:
         kept = _without_probable(control, used)
     if (kept != used).any():
         test = Division(control, kept).test() or test
+    seen = _by_projection(control, portfolio, kept)
+    if seen is not None:
+        kept, test = seen
     far, decided = test.far(len(control)), test.decided()
     blunders, undecided = ~kept, kept & far & ~decided
     cleared = _explained(control, portfolio, blunders | undecided)
     return test.suspects(blunders & ~cleared, blunders & ~cleared & ~(far & decided),
                          undecided & ~cleared, everything)
+
+
+def _by_projection(control: Control, portfolio: Portfolio,
+                   used: BoolArray) -> tuple[BoolArray, Test] | None:
+    """Judge all points by a central projection, where those in use call for one; None else.
+
+    Polynomials follow an oblique view so badly that what they leave hides blunders, and makes sound
+    points look like some.
+    """
+    if len(control.features.lines):
+        return None
+    choice = choose(control.take(used), portfolio, whole=False)
+    if choice is None or not choice.chosen.candidate.central or choice.chosen.fit.view is None:
+        return None
+    projection = choice.chosen.candidate
+
+    def tested(division: Division) -> Test | None:
+        return division.test_by(projection)
+
+    everything = np.ones(len(control), dtype=bool)
+    whole = cache(lambda: tested(Division(control, everything)))
+    test = whole()
+    if test is not None and not _stands_out(test.errors):
+        return everything, test
+    core = _core(control, whole, tested)
+    return None if core is None else _forward(control, *core, whole, tested)
+
+
+def _stands_out(errors: FloatArray) -> bool:
+    """Return whether some error is far beyond the median, as that of no blunder is."""
+    # The median of the larger of two normal errors is 1.05 standard deviations.
+    return bool(errors.max() > STRAIN * median(errors) / 1.05)
 
 
 def _explained(control: Control, portfolio: Portfolio, suspected: BoolArray) -> BoolArray:
@@ -187,7 +225,8 @@ def _contradicting(every: Control, there: BoolArray, used: BoolArray) -> Suspect
     return test.suspects(blunders & decided, np.zeros_like(there), blunders & ~decided, there)
 
 
-def _core(control: Control, whole: Whole) -> tuple[BoolArray, Test] | None:
+def _core(control: Control, whole: Whole,
+          tested: Tested = Division.shrunken_test) -> tuple[BoolArray, Test] | None:
     """Return the features that remain where those that fit worst are set aside, and their test.
 
     None where they are too few for a test.
@@ -210,7 +249,7 @@ def _core(control: Control, whole: Whole) -> tuple[BoolArray, Test] | None:
         worst = np.argsort(-np.where(used, test.strain, -1.0), kind="stable")[:count]
         fewer = used.copy()
         fewer[worst] = False
-        nearer = Division(control, fewer).shrunken_test()
+        nearer = tested(Division(control, fewer))
         if nearer is None:
             break
         used, test = fewer, nearer
@@ -240,8 +279,8 @@ def _weightless(control: Control) -> BoolArray | None:
     return weightless
 
 
-def _forward(control: Control, used: BoolArray, test: Test,
-             whole: Whole) -> tuple[BoolArray, Test]:
+def _forward(control: Control, used: BoolArray, test: Test, whole: Whole,
+             tested: Tested = Division.shrunken_test) -> tuple[BoolArray, Test]:
     """Admit features again that those in use predict; leave out those they no longer do."""
     n, seen = len(control), set[bytes]()
     # A set of features that comes back would come back for ever.
@@ -264,7 +303,7 @@ def _forward(control: Control, used: BoolArray, test: Test,
                 now[bad[np.argmax(test.strain[bad])]] = False
         if (now == used).all():
             break
-        nearer = whole() if now.all() else Division(control, now).shrunken_test()
+        nearer = whole() if now.all() else tested(Division(control, now))
         if nearer is None:
             break
         used, test = now, nearer

@@ -11,7 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from termsel.auto.base import Suspects, gain_of
+from termsel.auto.base import Candidate, Suspects, gain_of
 from termsel.auto.local import LIKELY
 from termsel.auto.portfolio import BETTER
 from termsel.data.control import Control
@@ -23,6 +23,7 @@ from termsel.fitting.bayesian.field import Collocation, collocate
 from termsel.fitting.bayesian.held_out import Prediction, chance_of
 from termsel.fitting.bayesian.of_lines import coupled
 from termsel.fitting.bayesian.posterior import Posterior, posterior, scales_of
+from termsel.fitting.fit import Undetermined
 from termsel.models.polynomial import Polynomial, Polynomial2D, Polynomial3D
 
 UNLIKELY = 1e-3
@@ -145,6 +146,40 @@ class Division:
             return _better(*(_test_of_lines(self, degree) for degree in (2, 3)))
         one = _better(*(_of_points(self, degree) for degree in (2, 3)))
         return one.test() if one else None
+
+    def test_by(self, projection: Candidate) -> Test | None:
+        """Return what a central projection of the points in use predicts.
+
+        With the leverage h of a point in use and its residual r, the others predict it with the
+        error r / (1 - h) and the variance s^2 / (1 - h), s^2 being the noise that they leave. None
+        where they do not determine it.
+        """
+        try:
+            fitted = projection.fit_control(self.in_use)
+        except Undetermined:
+            return None
+        points = self.every.features.points
+        used = self.used
+        spread = fitted.estimator.spread(fitted, fitted.scaling.ground(points.ground))
+        weights = weights_of(points)
+        share = spread.variance / spread.noise * weights**2            # of the noise, at each point
+        freedom = 2 * int(used.sum()) - round(fitted.effective)
+        errors = fitted.errors(points)
+        if freedom <= 2 or not np.isfinite(share).all() or not np.isfinite(errors).all():
+            return None
+        free = np.maximum(1.0 - np.minimum(share, 1.0), ROUNDING)
+        squares = errors**2 * weights**2
+        total = float(squares[used].sum())
+        noise = np.full(len(points), total / freedom)
+        # Without a point the squares fall by r^2 / (1 - h), and the freedom by two.
+        noise[used] = (np.maximum(total - (squares / free).sum(axis=1), ROUNDING**2)
+                       / (freedom - 2))[used]
+        errors[used] /= free[used]
+        grown = np.where(used[:, None], 1.0 / free, 1.0 + share)
+        statistic = (errors**2 * weights**2 / grown).sum(axis=1) / 2 / noise
+        return Test(np.abs(errors).max(axis=1), chance_of(statistic, freedom - 2),
+                    np.sqrt(statistic), np.sqrt(grown.max(axis=1)),
+                    float(np.sqrt(total / freedom)), freedom, (errors[used]**2).sum(axis=1))
 
     def likeliest_blunder(self) -> int | None:
         """Return the point in use that is likeliest a blunder, under all polynomials and fields.

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from termsel.data.control import is_off_plane
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.data.scaling import Scaling
 from termsel.data.view import CLEARER, View, view_of
@@ -13,7 +14,7 @@ from termsel.fitting.adjustment.monomials import monomials
 from termsel.fitting.adjustment.solve import Adjustment
 from termsel.fitting.fit import Estimator, Fit, HeldOut, Undetermined
 from termsel.fitting.fittable import Fittable
-from termsel.fitting.pinhole import FEWEST, Pinhole, pinhole_of
+from termsel.fitting.pinhole import FEWEST, Pinhole, pinhole_near, pinhole_of
 from termsel.fitting.uncertainty import Spread
 from termsel.models.projective import Projective
 
@@ -47,12 +48,25 @@ class PinholeCamera(Estimator):
         """Fit a projection (see `Estimator.fit`) with all its terms."""
         assert isinstance(model, Projective)
         in_use = control.take(used)
-        camera = pinhole_of(scaling.features(in_use), scaling)
+        return self._written(pinhole_of(scaling.features(in_use), scaling), model, control,
+                             scaling, used)
+
+    def refit(self, fitted: Fit, control: FeatureSet) -> Fit:
+        """Return the camera of other control points that is next to that of a fit."""
+        assert isinstance(fitted.model, Projective)
+        near = pinhole_near(_camera_of(fitted), fitted.scaling.features(control), fitted.scaling)
+        return self._written(near, fitted.model, control, fitted.scaling,
+                             np.ones(len(control), dtype=bool))
+
+    def _written(self, camera: Pinhole | None, model: Projective, control: FeatureSet,
+                 scaling: Scaling, used: BoolArray) -> Fit:
+        """Return the fit that a camera is of the points in use."""
         if camera is None:
             raise Undetermined("no camera in front of all control points was found",
                                hint="Choose another model, such as dlt or projective.")
         coefficients = _coefficients(camera, model)
         count = round(camera.effective)
+        in_use = control.take(used)
         equations = 2 * len(in_use)
         sigma0 = camera.sigma if equations > count else np.nan
         unknown = np.full(len(coefficients), np.nan)
@@ -89,6 +103,8 @@ def call_for_camera(features: FeatureSet, scaling: Scaling) -> bool:
     """Return whether scaled points call for an oblique view by a camera without distortion."""
     if not may_be_oblique(features):
         return False
+    if len(features.points) == CORNERS and not is_off_plane(features.points):
+        return False  # a projective transformation sees four points of a plane as they are
     camera = pinhole_of(features, scaling)
     if camera is None or not 0.0 < camera.view.depth < OBLIQUE:
         return False

@@ -101,17 +101,15 @@ class _OfCamera(Structure):
             raise Undetermined("the points do not call for an oblique view by a camera without "
                                "distortion",
                                hint="Choose another model, such as dlt or projective.")
-        return self._camera(control)
-
-    def refit(self, fitted: Fit, control: Control) -> Fit:
-        """Return the camera of more points, be they oblique or not."""
-        return self._camera(control)
-
-    def _camera(self, control: Control) -> Fit:
-        """Return the camera, with heights wherever they differ: it knows what they do."""
+        # With heights wherever they differ: the camera knows what they do.
         known = not control.features.without_height()
         return super().fit_control(
             replace(control, heights=known and is_off_plane(control.scaled.points)))
+
+    def refit(self, fitted: Fit, control: Control) -> Fit:
+        """Return the camera of other points that is next to that of a fit."""
+        assert isinstance(self.estimator, PinholeCamera)
+        return self.estimator.refit(fitted, control.features)
 
     def nearly(self, control: Control) -> bool:
         """Return whether the points may be of an oblique view."""
@@ -196,8 +194,6 @@ CANDIDATES: tuple[Structure, ...] = (
     Structure("dlt", "a DLT", DLT3D(weighted=True), None, short="DLT", is_plain=True, central=True),
     _OfPlane("projective", "a projective transformation", Projective2D(weighted=True),
              Projective2D(weighted=True), is_plain=True, central=True),
-    _OfCamera("pinhole", "a pinhole camera", DLT3D(weighted=True), Projective2D(weighted=True),
-              estimator=PinholeCamera(), short="pinhole camera", central=True, most=MOST),
     Structure("quadratic", "a quadratic polynomial", *_polynomials(2), is_plain=True),
     Structure("cubic", "a cubic polynomial", *_polynomials(3), is_plain=True),
     Structure("rfm-2", "a second-order RFM", RationalFunctions(order=2), None,
@@ -222,6 +218,8 @@ CANDIDATES: tuple[Structure, ...] = (
                  "a cubic polynomial with the sensor-geometry prior",
                  *_polynomials(3), estimator=Physical(), short="physical cubic", has_prior=True,
                  contains=(*_LIMITS, *_SHRUNKEN, "field", "tps"), family=_FAMILY, most=CHOSEN),
+    _OfCamera("pinhole", "a pinhole camera", DLT3D(weighted=True), Projective2D(weighted=True),
+              estimator=PinholeCamera(), short="pinhole camera", central=True, most=MOST),
     *ROBUST,
 )
 """All built-in candidates, in the order of the tables that compare them."""

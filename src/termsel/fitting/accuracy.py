@@ -28,6 +28,7 @@ from termsel.data.record.figures import (
     StandardFigure,
     rmse_interval,
 )
+from termsel.fitting.adjustment.equations import weights_of
 from termsel.fitting.fit import Fit
 from termsel.fitting.next_places import share_left
 from termsel.fitting.normality import chances_if_normal
@@ -40,6 +41,9 @@ of the square, where lines walk at random."""
 
 NSSDA_POINTS, ASPRS_POINTS = 20, 30
 """Fewest check points of the standards."""
+
+MOST_LEVERAGE = 0.999
+"""Leverage that a point has at most."""
 
 ROUND = 0.6
 """Least ratio of the RMSE of x and y for which NSSDA has a figure."""
@@ -92,7 +96,7 @@ def predicted_by(fitted: Fit, errors: FloatArray, points: int,
     With the ground (m, 3) of the points, it is that at their heights, unlike the control's or not.
     """
     mine = fitted.control.take(fitted.used)
-    found = predicted_rmse(errors, fitted.effective, points, shared_variance(
+    found = predicted_rmse(_with_all(fitted, errors), fitted.effective, points, shared_variance(
         fitted.model, fitted.scaling.features(mine)))
     more = 0.0 if ground is None else _by_heights(fitted, mine, ground)
     # What a metre of height does is one normal vector for all places, so that its square by the
@@ -125,6 +129,23 @@ def predicted_between(errors: FloatArray, lines: IntArray) -> Predicted:
     without = float(np.sqrt((errors**2).sum(axis=1).mean()))
     low, high = rmse_interval(without, count)
     return Predicted(without * float(np.sqrt(NEARER)), NEARER * low, high)
+
+
+def _with_all(fitted: Fit, errors: FloatArray) -> FloatArray:
+    """Return what held-out errors of an oblique view would be were all points in use.
+
+    A point of the leverage h is predicted by the others with the variance s^2 / (1 - h), and a new
+    measurement at its place by all of them with s^2 (1 + h). These are alike where h is small; but
+    a projection of five or six points is hardly determined without one of them.
+    """
+    if fitted.view is None or len(fitted.control.lines) or len(errors) != fitted.used.sum():
+        return errors
+    points = fitted.scaled_control.points.take(fitted.used)
+    spread = fitted.estimator.spread(fitted, points.ground)
+    leverage = spread.variance * weights_of(points)**2 / spread.noise
+    if not np.isfinite(leverage).all():
+        return errors
+    return np.asarray(errors * np.sqrt(1.0 - np.minimum(leverage, MOST_LEVERAGE)**2))
 
 
 def predicted_of_all(fitted: Fit, expected: Predicted, ground: FloatArray) -> Predicted:

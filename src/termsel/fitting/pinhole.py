@@ -269,6 +269,15 @@ def pinhole_of(scaled: FeatureSet, scaling: Scaling) -> Pinhole | None:
     return None if measured is None or len(measured.image) < FEWEST else _camera_of(measured)
 
 
+def pinhole_near(camera: Pinhole, scaled: FeatureSet, scaling: Scaling) -> Pinhole | None:
+    """Return the camera of other control points next to a camera: few have several places.
+
+    The points are in the scaled coordinates of the camera.
+    """
+    measured = _measured(scaled, scaling)
+    return None if measured is None else _settled(measured, camera.camera)
+
+
 @lru_cache(maxsize=32)
 def _camera_of(measured: Measured) -> Pinhole | None:
     """Return the camera of control points; a run asks for the same one many times."""
@@ -284,7 +293,13 @@ def _camera_of(measured: Measured) -> Pinhole | None:
         started = started.take(np.argsort(costs, kind="stable"))
     if not np.isfinite(costs).any():
         return None
-    camera = started.take(np.arange(1))
+    return _settled(measured, started.take(np.arange(1)))
+
+
+def _settled(measured: Measured, camera: Cameras) -> Pinhole | None:
+    """Return the camera of control points that is next to a camera; None with points behind."""
+    everything = np.ones((1, len(measured.image)))
+    sigma = measured.noise
     freedom = max(2 * len(measured.image) - 7, 1)
     for _ in range(3):  # the noise says how much the priors count, and they how much is left
         camera, costs = measured.descended(camera, everything, sigma)

@@ -1,0 +1,124 @@
+"""Cameras of few unknowns: few points of oblique views over hills."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import termsel
+from benchmarks.oblique import Scene, rival, rmse, scene
+from termsel.auto.structures import named
+from termsel.data.control import Control
+from termsel.data.features import FloatArray
+from termsel.fitting.fit import Undetermined
+from termsel.fitting.pinhole import pinhole_of
+
+
+def seen_by(drawn: Scene, *, size: bool = True) -> FloatArray:
+    """Return where the camera of all control sees the truth, with its image's size or without."""
+    features = drawn.features if size else replace(drawn.features, image_size=None)
+    control = Control.of(features)
+    camera = pinhole_of(control.scaled, control.scaling)
+    assert camera is not None
+    ground = control.scaling.ground(drawn.ground)
+    line, sample, below = camera.matrix @ np.column_stack([np.ones(len(ground)), ground]).T
+    return control.scaling.pixels(np.column_stack([line, sample]) / below[:, None])
+
+
+@pytest.mark.parametrize(("angle", "count"), [(10, 5), (20, 6), (30, 5), (40, 7)])
+def test_few_points_over_hills_tell_a_camera(angle: int, count: int) -> None:
+    errors = [rmse(seen_by(drawn), drawn.image) for drawn in (
+        scene(angle, 100, count, seed) for seed in (11, 12, 13))]
+    assert np.median(errors) < 1.5
+
+
+def test_a_principal_point_that_is_known_helps() -> None:
+    drawn = [scene(20, 100, 6, seed) for seed in (11, 12, 13)]
+    known, unknown = (np.median([rmse(seen_by(one, size=size), one.image) for one in drawn])
+                      for size in (True, False))
+    assert known < unknown < 30.0
+
+
+def cropped(drawn: Scene, lines: int) -> Scene:
+    """Return a photograph without its upper lines, so that its middle is no principal point."""
+    points = drawn.features.points
+    away = np.array([float(lines), 0.0])
+    high, wide = drawn.features.image_size or (0, 0)
+    features = replace(drawn.features, image_size=(high - lines, wide),
+                       points=replace(points, image=points.image - away))
+    return Scene(features, drawn.ground, drawn.image - away)
+
+
+def test_an_image_that_was_cropped_moves_the_principal_point() -> None:
+    drawn = cropped(scene(25, 100, 12, 5), 700)
+    other = rival(drawn.features.points, drawn.ground, heights=True)
+    assert other is not None
+    assert rmse(seen_by(drawn), drawn.image) < 1.3 * rmse(other, drawn.image)
+
+
+def test_a_mirrored_photograph_is_a_camera_too() -> None:
+    drawn = scene(25, 100, 6, 3)
+    points = drawn.features.points
+    turned = np.array([1.0, -1.0])
+    across = np.array([0.0, 3999.0])
+    mirrored = Scene(replace(drawn.features, points=replace(
+        points, image=points.image * turned + across)), drawn.ground, drawn.image * turned + across)
+    assert rmse(seen_by(mirrored), mirrored.image) == pytest.approx(
+        rmse(seen_by(drawn), drawn.image), abs=0.3)
+
+
+@pytest.mark.parametrize(("angle", "relief", "count"), [(10, 100, 5), (25, 100, 6), (35, 0, 5)])
+def test_auto_takes_the_camera_and_says_how_good_it_is(angle: int, relief: int, count: int) -> None:
+    predicted, true = [], []
+    for seed in (21, 22, 23):
+        drawn = scene(angle, relief, count, seed)
+        result = termsel.run(features=drawn.features)
+        assert result.predicted is not None
+        predicted.append(result.predicted.rmse)
+        true.append(np.hypot(rmse(result.project(drawn.ground), drawn.image), 0.5 * 2**0.5))
+    assert np.median(true) < 2.0
+    assert 0.3 < np.median(predicted) / np.median(true) < 4.0
+
+
+def test_errors_are_as_large_as_their_standard_deviations() -> None:
+    squares = []
+    for seed in range(8):
+        drawn = scene(20, 100, 6, 40 + seed)
+        pinhole = named("pinhole")
+        assert pinhole is not None
+        fitted = pinhole.fit_control(Control.of(drawn.features))
+        errors = fitted.project(drawn.ground) - drawn.image
+        squares.append((errors / fitted.sigma(drawn.ground))**2)
+    assert 0.6 < np.sqrt(np.mean([one.mean() for one in squares])) < 1.6
+
+
+def test_the_result_of_a_camera_is_read_again(tmp_path: object) -> None:
+    drawn = scene(20, 100, 6, 21)
+    result = termsel.run(features=drawn.features, out=f"{tmp_path}/result")
+    assert result.strategy is not None
+    assert result.strategy.chosen == "pinhole"
+    again = termsel.read_result(f"{tmp_path}/result")
+    np.testing.assert_allclose(again.project(drawn.ground), result.project(drawn.ground),
+                               atol=1e-6)
+    np.testing.assert_allclose(again.sigma(drawn.ground), result.sigma(drawn.ground), rtol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["ikonos-hamedan", "spot-isfahan"])
+@pytest.mark.parametrize("count", [4, 5, 7, 20])
+def test_what_is_seen_from_above_calls_for_no_camera(name: str, count: int) -> None:
+    features = termsel.get("datasets", name).load()
+    pinhole = named("pinhole")
+    assert pinhole is not None
+    few = features.take(np.arange(len(features)) < count)
+    with pytest.raises(Undetermined):
+        pinhole.fit_control(Control.of(few))
+
+
+def test_four_points_over_hills_get_a_camera_of_unknown_accuracy() -> None:
+    drawn = scene(20, 100, 4, 7)
+    result = termsel.run(features=drawn.features)
+    assert result.strategy is not None
+    assert result.strategy.chosen == "pinhole"
+    assert result.predicted is None
