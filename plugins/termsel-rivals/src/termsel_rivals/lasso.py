@@ -140,7 +140,8 @@ class Lasso(TermRegression):
         for held_out in range(fold.max() + 1):
             square += _held_out_squares(regression, fold != held_out, penalties)
         # Of those that leave rounding alone the first, with the largest penalty.
-        return _selection(regression, path[int(np.maximum(square, regression.rounding).argmin())])
+        chosen = path[int(np.maximum(square, regression.rounding).argmin())]
+        return regression.without_surplus(_selection(regression, chosen))
 
 
 def _path(regression: Regression, rows: BoolArray) -> list[PathSegment]:

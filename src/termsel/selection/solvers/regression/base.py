@@ -79,6 +79,29 @@ class Regression:
         """Return whether a residual sum of squares is rounding error."""
         return bool(square <= self.rounding)
 
+    def without_surplus(self, selection: BoolArray) -> BoolArray:
+        """Return a selection (k,) without columns of which only rounding is explained.
+
+        Where columns explain the target, all but for rounding, those that a penalty chose further
+        would differ from processor to processor. The weakest goes first.
+        """
+        selection = selection.copy()
+        while selection.sum() > self.least:
+            x = np.linalg.lstsq(self.unit[:, selection], self.target)[0]
+            weakness = np.full(len(selection), np.inf)
+            weakness[selection] = np.linalg.norm(x, axis=1)
+            weakness[~self.free] = np.inf
+            fewer = selection.copy()
+            fewer[weakness.argmin()] = False
+            if fewer.sum() == selection.sum() or not np.isfinite(weakness.min()):
+                break
+            left = self.target - self.unit[:, fewer] @ np.linalg.lstsq(
+                self.unit[:, fewer], self.target)[0]
+            if not self.explained(float((left**2).sum())):
+                break
+            selection = fewer
+        return selection
+
     @staticmethod
     def largest(values: FloatArray) -> int:
         """Return the index of the largest value (k,), of those equal but for rounding the first."""
