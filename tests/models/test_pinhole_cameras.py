@@ -34,11 +34,9 @@ def test_few_points_over_hills_tell_a_camera(angle: int, count: int) -> None:
     assert np.median(errors) < 1.5
 
 
-def test_a_principal_point_that_is_known_helps() -> None:
-    drawn = [scene(20, 100, 6, seed) for seed in (11, 12, 13)]
-    known, unknown = (np.median([rmse(seen_by(one, size=size), one.image) for one in drawn])
-                      for size in (True, False))
-    assert known < unknown < 30.0
+def test_a_camera_is_found_without_the_size_of_the_image() -> None:
+    drawn = [scene(20, 100, 8, seed) for seed in (11, 12, 13)]
+    assert np.median([rmse(seen_by(one, size=False), one.image) for one in drawn]) < 3.0
 
 
 def cropped(drawn: Scene, lines: int) -> Scene:
