@@ -18,10 +18,6 @@ files hold hardly more digits than this. Of an image of 10,000 px it is 5e-6 px.
 """
 
 
-DIGITS = 33
-"""Binary digits of a figure that are no rounding: ten decimal ones."""
-
-
 def by_size(figures: FloatArray, floor: FloatArray | float, share: FloatArray) -> FloatArray:
     """Return figures of selections, in which those that are rounding are by the size alone.
 
@@ -29,16 +25,6 @@ def by_size(figures: FloatArray, floor: FloatArray | float, share: FloatArray) -
     they stay below all others, and the smaller selection is the better one.
     """
     return np.asarray(np.where(figures <= floor, floor * share, figures))
-
-
-def settled(figures: FloatArray) -> FloatArray:
-    """Return figures without the digits that are rounding.
-
-    Of two selections that are equally good, as where a term does nothing, each processor would else
-    find another one better. The mantissas keep `DIGITS` binary digits.
-    """
-    mantissas, exponents = np.frexp(figures)
-    return np.asarray(np.ldexp(np.round(np.ldexp(mantissas, DIGITS)), exponents - DIGITS))
 
 
 def largest(values: FloatArray) -> IntArray:

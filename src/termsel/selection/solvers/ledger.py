@@ -13,7 +13,6 @@ from termsel.core.isolation.faults import wrong
 from termsel.core.isolation.inside import own_code
 from termsel.data.record.chances import median
 from termsel.data.record.search import HistoryRow
-from termsel.fitting.adjustment.rounding import settled
 from termsel.selection.problems.base import Evaluation, Problem, ProblemAround, evaluation_fault
 from termsel.selection.problems.genome import Genome
 from termsel.selection.problems.segments import Genes
@@ -146,7 +145,6 @@ class Ledger(ProblemAround):
                           else self.inner.evaluate_near(unknown_genes, near))
             if fault := evaluation_fault(self.inner, evaluation, unknown_genes):
                 raise wrong(self.inner, "evaluate", fault)
-            evaluation = Evaluation(settled(evaluation.objectives), evaluation.violation)
             # At least doubled: in the whole search each row is copied about once.
             if end > len(self._values):
                 space = np.empty((max(len(self._values), len(unknown_keys)), self._values.shape[1]))
