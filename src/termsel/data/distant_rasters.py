@@ -104,7 +104,7 @@ def with_dataset(raster: Any, work: Callable[..., Answer], *values: Any) -> Answ
     *values : object
     """
     if isinstance(raster, DistantRaster):
-        return raster._ask(work, *values)
+        return raster._ask(work, *values)  # type: ignore[no-any-return]
     return work(raster, *values)
 
 
