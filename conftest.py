@@ -23,12 +23,15 @@ import pytest
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
 
+MEMORY = pytest.StashKey[Any]()
+"""Of the process: what was found of the features of its tests."""
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Iterator[None]:
     """Let garbage collection wait for the tests, and leave what they are made of out of it.
 
-    Half a million objects stay until the end, which it would count again and again. Then more is
-    remembered of features, as tests ask for the same few scenes.
+    Half a million objects stay until the end, which it would count again and again.
     """
     gc.disable()
     try:
@@ -36,8 +39,6 @@ def pytest_collection() -> Iterator[None]:
     finally:
         gc.freeze()
         gc.enable()
-    if "termsel.auto.memory" in sys.modules:
-        sys.modules["termsel.auto.memory"].KEPT = 500  # else 16
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest takes out what `-m` leaves out
@@ -57,23 +58,22 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker("slow")
 
 
-def _known() -> dict[Any, Any]:
-    """Return what is remembered of features, a new dict before that module is imported."""
-    memory = sys.modules.get("termsel.auto.memory")
-    return {} if memory is None else memory._known
-
-
 @pytest.fixture(autouse=True)
-def _remember_nothing_patched(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Look at features anew where a test changes what is done with them; then go on as before."""
-    if "monkeypatch" not in request.fixturenames:
+def _remember_between_tests(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Let runs share what they found of features, as tests ask for the same few scenes.
+
+    Each run has a memory of its own; a test that changes what is done with features keeps that.
+    """
+    module = sys.modules.get("termsel.auto.memory")
+    if module is None or "monkeypatch" in request.fixturenames:
         yield
         return
-    before = dict(_known())
-    _known().clear()
+    shared = request.config.stash.setdefault(MEMORY, module.Memory(kept=500))
+    recall = module.Memory.recall
+    module.Memory.recall = lambda memory, *args: recall(
+        shared if memory.kept == module.KEPT else memory, *args)
     yield
-    _known().clear()
-    _known().update(before)
+    module.Memory.recall = recall
 
 
 @pytest.fixture(scope="session")

@@ -26,11 +26,11 @@ import numpy as np
 
 import termsel
 from benchmarks.sets import NOISE, PLAIN, crs_of, heights_of, names, put, rmse_of, split
-from termsel.auto import portfolio
-from termsel.auto.portfolio import choose
-from termsel.data.control import Control
+from termsel.adjustment.bayesian import posterior
+from termsel.auto import rule
+from termsel.auto.auto import Auto
 from termsel.data.features import FeatureSet, Points
-from termsel.fitting.bayesian import posterior
+from termsel.data.fit_data import FitData
 from termsel.formats.readers.csv_tables import write_points_csv
 from termsel.simulate.catalogue import SCENES
 from termsel.studies.cells.images import IMAGES, folders_of
@@ -262,7 +262,7 @@ def against_papers(study: termsel.Study) -> str:
 
 CONSTANTS = (
     *((posterior, name) for name in ("SIZES", "TYPICAL", "FALLS", "RELIEFS", "SPREAD", "DRAWS")),
-    *((portfolio, name) for name in ("BETTER", "CLEARLY")))
+    *((rule, name) for name in ("BETTER", "CLEARLY")))
 
 
 def sensitivity(wanted: list[str], splits: int) -> str:
@@ -288,11 +288,11 @@ def _ratio(jobs: list[tuple[str, int, int]]) -> float:
     found = []
     for name, count, seed in jobs:
         mine, independent = split(name, count, seed)
-        choice = choose(Control.of(FeatureSet(mine, crs=crs_of(name)), heights_of(mine)))
+        choice = Auto().choose(FitData.of(FeatureSet(mine, crs=crs_of(name)), heights_of(mine)))
         assert choice is not None
-        found.append(rmse_of(choice.chosen.fit.errors(independent))
-                     / min(rmse_of(one.fit.errors(independent)) for one in choice.judged
-                           if one.name in PLAIN))
+        found.append(rmse_of(choice.chosen.errors(independent))
+                     / min(rmse_of(one.errors(independent)) for one in choice.compared
+                           if one.method.name in PLAIN))
     return median(found)
 
 
@@ -355,8 +355,8 @@ points are check points. {GA_SPLITS} of the splits at {', '.join(map(str, GA_COU
 ## Constants
 
 The median over splits of auto's independent RMSE divided by that of the best conventional model of
-the split, at 12, 20 and 40 points. Each constant of `termsel.fitting.bayesian.posterior` and of
-`termsel.auto.portfolio` is halved and doubled.
+the split, at 12, 20 and 40 points. Each constant of `termsel.adjustment.bayesian.posterior` and of
+`termsel.auto.rule` is halved and doubled.
 
 {constants}
 

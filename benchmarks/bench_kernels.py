@@ -12,9 +12,9 @@ from time import perf_counter, process_time
 
 import numpy as np
 
+from termsel.adjustment import Equations
+from termsel.adjustment.kernels import solve_many
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Lines, Points
-from termsel.fitting.adjustment import Equations
-from termsel.fitting.adjustment.kernels import solve_many
 from termsel.models.base import LINE, SAMPLE
 from termsel.models.polynomial import Polynomial3D
 from termsel.models.rational import RationalFunctions

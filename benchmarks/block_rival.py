@@ -12,9 +12,8 @@ import numpy as np
 
 from benchmarks.block_kinds import OWN, Kind, drawn
 from termsel import FeatureSet, Fit, Points
-from termsel.auto.portfolio import choose
-from termsel.data.control import Control
-from termsel.runs.task.given import all_candidates
+from termsel.data.fit_data import FitData
+from termsel.runs.given import auto_of_all
 from termsel_block.accuracy import independent_points, rmse
 from termsel_block.block import Block
 from termsel_block.geometry.frame import FloatArray, Frame
@@ -29,10 +28,10 @@ _ROUNDS = 12
 def fitted(block: Block, i: int, points: Points) -> Fit:
     """Return the fit of an image to points alone, by auto."""
     points = replace(points, roles=())
-    found = choose(Control.of(FeatureSet(points, crs=block.crs, rpc=block.images[i].rpc)),
-                   all_candidates(), whole=False)
+    found = auto_of_all().choose(FitData.of(FeatureSet(
+        points, crs=block.crs, rpc=block.images[i].rpc)), whole=False)
     assert found is not None
-    return found.chosen.fit
+    return found.chosen
 
 
 def compared(kind: Kind, seed: int) -> tuple[float, float, float]:

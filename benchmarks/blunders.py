@@ -29,15 +29,15 @@ from benchmarks.sets import (
     rmse_of,
     split,
 )
+from termsel.adjustment.bayesian import blunder_odds
+from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.auto import blunders, contradictions
+from termsel.auto.auto import Auto
 from termsel.auto.blunders import find_blunders
 from termsel.auto.contradictions import Suspects
-from termsel.auto.portfolio import choose
-from termsel.data.control import Control
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
+from termsel.data.fit_data import FitData
 from termsel.data.scaling import scaling_of
-from termsel.fitting.adjustment.monomials import graded_exponents, monomials
-from termsel.fitting.bayesian import blunder_odds
 
 COUNTS = (24, 40, 74)
 WORST = 1.5
@@ -135,9 +135,9 @@ def _quadratic(peer: Peer, points: Points, others: Points) -> float:
 
 def _auto(points: Points, others: Points, heights: bool) -> tuple[float, float]:
     """Return the independent RMSE of auto, and what it predicts, for all of the points."""
-    choice = choose(Control.of(FeatureSet(points), heights), whole=False)
+    choice = Auto().choose(FitData.of(FeatureSet(points), heights), whole=False)
     assert choice is not None
-    return rmse_of(choice.chosen.fit.errors(others)), choice.chosen.predicted
+    return rmse_of(choice.chosen.errors(others)), choice.chosen.held_out_rmse
 
 
 def measure(job: tuple[str, int, int, float]) -> Outcome | None:
@@ -152,7 +152,7 @@ def measure(job: tuple[str, int, int, float]) -> Outcome | None:
     wrong = np.zeros(count, dtype=bool)
     if share:
         mine, wrong = spoil(mine, sigma, share, seed)
-    found = find_blunders(Control.of(FeatureSet(mine), heights))
+    found = find_blunders(FitData.of(FeatureSet(mine), heights))
     assert found is not None
     nothing = np.zeros_like(wrong)
     ratio = {} if share else {nothing.tobytes(): 1.0}
@@ -282,7 +282,7 @@ def sensitivity(wanted: list[str], splits: int) -> str:
     def cell() -> str:
         ratios, named, lost = [], [], []
         for points, wrong, independent, heights, clean in cases:
-            found = find_blunders(Control.of(FeatureSet(points), heights))
+            found = find_blunders(FitData.of(FeatureSet(points), heights))
             assert found is not None
             out = found.blunders
             ratios.append(_auto(points.take(~out), independent, heights)[0] / clean)
@@ -352,8 +352,8 @@ are worse.
 
 Median ratio to clean data, blunders named, and right points left out, with each constant of
 `termsel.auto.contradictions`, `termsel.auto.blunders` and
-`termsel.fitting.bayesian.blunder_odds` halved and doubled: one point in 15 of 24 and of 40 points,
-one split each.
+`termsel.adjustment.bayesian.blunder_odds` halved and doubled: one point in 15 of 24 and of 40
+points, one split each.
 
 {sensitivity(wanted, 1)}
 

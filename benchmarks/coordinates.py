@@ -14,15 +14,15 @@ from functools import lru_cache
 from pathlib import Path
 from statistics import median
 
-from termsel.auto.portfolio import choose
-from termsel.data.control import Control
+from termsel.auto.auto import Auto
 from termsel.data.features import FeatureSet, Points
+from termsel.data.fit_data import FitData
 from termsel.data.scaling import scaling_of
 from termsel.fitting.least_squares import fit
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Affine, Polynomial3D
 from termsel.models.projective import DLT3D
-from termsel.runs.task.fit_crs import SYSTEMS, fit_crs_of
+from termsel.runs.fit_crs import SYSTEMS, fit_crs_of
 from termsel.simulate import simulate_scene
 from termsel.simulate.catalogue import SCENES
 
@@ -50,8 +50,8 @@ def errors(name: str, model: str, count: int, seed: int) -> dict[str, float] | N
         fit_crs = fit_crs_of(system, control)
         own = replace(control, fit_crs="" if fit_crs == control.crs else fit_crs)
         if model == AUTO:
-            choice = choose(Control.of(own, True))
-            fitted = choice.chosen.fit if choice else None
+            choice = Auto().choose(FitData.of(own, True))
+            fitted = choice.chosen if choice else None
         else:
             fitted = fit(MODELS[model], own, scaling_of(own))
         if fitted is None or not fitted.adjustment.redundancy > 0:

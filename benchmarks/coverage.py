@@ -23,11 +23,10 @@ from benchmarks.kept import resumed
 from benchmarks.sets import crs_of, names, put, rmse_of, split
 from benchmarks.unlike_maps import KINDS as MAPS
 from benchmarks.unlike_maps import unlike_map
-from termsel.auto.portfolio import choose
-from termsel.auto.repetition import repeated
+from termsel.auto.auto import Auto
 from termsel.core.threads import one_blas_thread
-from termsel.data.control import Control
 from termsel.data.features import FeatureSet, FloatArray, Points
+from termsel.data.fit_data import FitData
 from termsel.data.record.figures import CONFIDENCE, Predicted
 from termsel.fitting.accuracy import predicted_by, predicted_rmse
 from termsel.simulate.catalogue import SCENES
@@ -121,12 +120,12 @@ def case(name: str, count: int, seed: int) -> dict[str, Any] | None:
     mine, independent = drawn(name, count, seed)
     if len(independent) < 20:
         return None
-    control = Control.of(mine)
-    choice = choose(control, whole=False)
-    errors = None if choice is None else repeated(control)
+    control = FitData.of(mine)
+    choice = Auto().choose(control, whole=False)
+    errors = None if choice is None else Auto().repeated(control)
     if choice is None or errors is None:
         return None
-    fitted = choice.chosen.fit
+    fitted = choice.chosen
     found: FloatArray = fitted.errors(independent)
     sigma, n = fitted.sigma(independent.ground, measured=True), len(found)
     hull = Delaunay(mine.points.ground[:, :2]).find_simplex(independent.ground[:, :2]) >= 0

@@ -19,12 +19,12 @@ from benchmarks.kept import resumed
 from benchmarks.old_maps import MAPS, drawn
 from benchmarks.sets import MEASURED, crs_of, names, put, rmse_of
 from benchmarks.unlike_maps import KINDS, unlike_map
-from termsel.auto.portfolio import choose
-from termsel.auto.structures import named
+from termsel.auto.auto import Auto
+from termsel.auto.methods import named
 from termsel.core.errors import TermselError
 from termsel.core.threads import one_blas_thread
-from termsel.data.control import Control
 from termsel.data.features import FeatureSet, Points
+from termsel.data.fit_data import FitData
 
 PLAIN = ("affine", "projective", "dlt", "quadratic")
 SPLINES = ("tps", "tps, exact")
@@ -61,14 +61,14 @@ def split(name: str, count: int, seed: int) -> tuple[FeatureSet, Points]:
 def errors_of(name: str, count: int, seed: int) -> dict[str, float]:
     """Return the independent RMSE [px] of auto, of conventional models and of splines."""
     mine, independent = split(name, count, seed)
-    control = Control.of(mine)
-    choice, found = choose(control, whole=False), dict[str, float]()
-    found["auto"] = np.inf if choice is None else rmse_of(choice.chosen.fit.errors(independent))
+    control = FitData.of(mine)
+    choice, found = Auto().choose(control, whole=False), dict[str, float]()
+    found["auto"] = np.inf if choice is None else rmse_of(choice.chosen.errors(independent))
     for plain in PLAIN:
         candidate = named(plain)
         if candidate is not None and candidate.declines(control) is None:
             try:
-                found[plain] = rmse_of(candidate.fit_control(control).errors(independent))
+                found[plain] = rmse_of(candidate.fit(control).errors(independent))
             except TermselError:  # not determined
                 continue
     for spline in SPLINES if name in OLD_MAPS else ():

@@ -20,11 +20,11 @@ import numpy as np
 
 import termsel
 from benchmarks.sets import DATA
-from termsel.auto.structures import CANDIDATES
-from termsel.data.control import Control
+from termsel.adjustment.equations import line_normals
+from termsel.auto.methods import METHODS
 from termsel.data.features import FeatureSet, Points, select
+from termsel.data.fit_data import FitData
 from termsel.data.roles import Observations, observe
-from termsel.fitting.adjustment.equations import line_normals
 from termsel.fitting.fit import Undetermined
 from termsel.models.rpc import Rpc
 from termsel.simulate.catalogue import SCENES, Scene
@@ -152,10 +152,10 @@ def _told(observations: Observations, wrong: frozenset[str]) -> dict[str, float]
     both, heights = observations.together, observations.heights
     right = both.take(np.array([name not in wrong for name in both.ids]))
     found = {}
-    for one in CANDIDATES:
+    for one in METHODS:
         if one.model(heights) and one.kind != "robust":
             try:
-                fitted = one.fit_control(Control.of(right, heights))
+                fitted = one.fit(FitData.of(right, heights))
             except Undetermined:
                 continue
             rmse = fitted.rmse(observations.independent)

@@ -16,8 +16,8 @@ import numpy as np
 
 import termsel
 from benchmarks.sets import put
+from termsel.adjustment.parts import independent_parts, solve_parts
 from termsel.data.features import FloatArray
-from termsel.fitting.adjustment.parts import independent_parts, solve_parts
 from termsel.models.poles import POLE_MARGIN, guard_points
 from termsel.selection.problems.constraints import parents
 from termsel.selection.problems.selection import SelectionProblem

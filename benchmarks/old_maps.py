@@ -21,11 +21,12 @@ import numpy as np
 
 import termsel
 from benchmarks.sets import DATA, PLAIN, heights_of, put, rmse_of, split
+from termsel.adjustment.bayesian import field
 from termsel.auto import local
-from termsel.auto.portfolio import best_of, choose
-from termsel.data.control import Control
+from termsel.auto.auto import Auto
+from termsel.auto.rule import best_of
 from termsel.data.features import FeatureSet, Points
-from termsel.fitting.bayesian import field
+from termsel.data.fit_data import FitData
 from termsel.simulate.catalogue import SCENES
 from termsel_photos import simulate_map
 
@@ -72,22 +73,22 @@ def measure(name: str, count: int, seed: int) -> Split | None:
     if len(independent) < 30:
         return None
     control, start = FeatureSet(mine), time.process_time()
-    choice = choose(Control.of(control, heights_of(mine)))
+    choice = Auto().choose(FitData.of(control, heights_of(mine)))
     seconds = time.process_time() - start
     assert choice is not None
-    without = best_of(one for one in choice.judged if one.candidate.kind != "local")
+    without = best_of(one for one in choice.compared if one.method.kind != "local")
     assert without is not None
-    others = {one.name: rmse_of(one.fit.errors(independent)) for one in choice.judged
-              if one.name in PLAIN}
+    others = {one.method.name: rmse_of(one.errors(independent)) for one in choice.compared
+              if one.method.name in PLAIN}
     others |= {"tps": rmse_of(termsel.fit(control, "tps").errors(independent)),
                "tps, exact": rmse_of(termsel.fit(control, "tps",
                                                  smoothing=0.0).errors(independent))}
-    fitted = choice.chosen.fit
+    fitted = choice.chosen
     errors = fitted.errors(independent)
     bound = 1.645 * fitted.sigma(independent.ground, measured=True)
-    return Split(rmse_of(errors), rmse_of(without.chosen.fit.errors(independent)), others,
+    return Split(rmse_of(errors), rmse_of(without.chosen.errors(independent)), others,
                  float((np.abs(errors) <= bound).mean()),
-                 choice.chosen.name in ("field", "tps"), seconds)
+                 choice.method.name in ("field", "tps"), seconds)
 
 
 @dataclass(frozen=True)
@@ -186,11 +187,11 @@ def sensitivity(splits: int) -> str:
         found = []
         for name, count, seed in jobs:
             mine, independent = drawn(name, count, seed)
-            choice = choose(Control.of(FeatureSet(mine), heights_of(mine)))
+            choice = Auto().choose(FitData.of(FeatureSet(mine), heights_of(mine)))
             assert choice is not None
-            best = min(rmse_of(one.fit.errors(independent)) for one in choice.judged
-                       if one.name in PLAIN)
-            found.append(rmse_of(choice.chosen.fit.errors(independent)) / best)
+            best = min(rmse_of(one.errors(independent)) for one in choice.compared
+                       if one.method.name in PLAIN)
+            found.append(rmse_of(choice.chosen.errors(independent)) / best)
         return float(np.exp(np.mean(np.log(found))))
 
     as_is = ratio()

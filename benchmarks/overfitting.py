@@ -51,7 +51,7 @@ class Row:
 
 def measured(features: FeatureSet, task: Task, genes: BoolArray) -> FloatArray:
     """Return the squared errors of the independent points [px^2], shape (n,)."""
-    result = termsel.assess(task, genes)
+    result = termsel.assess(termsel.GivenGenes(genes), task)
     judging = features.points.take(np.array(features.points.roles) == "independent")
     return np.asarray((result.fit.errors(judging) ** 2).sum(axis=1))
 

@@ -17,7 +17,7 @@ from statistics import mean, median
 import numpy as np
 
 from benchmarks.sets import put
-from termsel.auto.structures import named
+from termsel.auto.methods import named
 from termsel.core.threads import one_blas_thread
 from termsel.data.features import FeatureSet, FloatArray, Points
 from termsel.fitting.fit import Fit

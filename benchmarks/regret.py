@@ -17,8 +17,8 @@ import numpy as np
 import termsel
 from benchmarks.new_points import NEW, scene
 from benchmarks.sets import put, rmse_of
+from termsel.adjustment.parts import independent_parts, solve_parts
 from termsel.data.features import BoolArray, FloatArray, no_lines
-from termsel.fitting.adjustment.parts import independent_parts, solve_parts
 from termsel.models.poles import POLE_MARGIN, guard_points
 
 SEEDS = range(301, 307)

@@ -21,11 +21,10 @@ import numpy as np
 from benchmarks.sets import DATA, put
 from termsel import FeatureSet, Points, Rpc, read_rpc
 from termsel.auto.blunders import find_blunders
-from termsel.auto.portfolio import choose
 from termsel.core.threads import one_blas_thread
-from termsel.data.control import Control
 from termsel.data.features import FloatArray
-from termsel.runs.task.given import all_candidates
+from termsel.data.fit_data import FitData
+from termsel.runs.given import auto_of_all
 from termsel_rpc.simulated import RPC_FILE
 
 COUNTS = (1, 2, 4, 8, 16)
@@ -118,13 +117,13 @@ def case(asked: tuple[str, int, int, bool]) -> Case:
         columns[right][:, :width], (image - seen)[right])[0]
         for width in COLUMNS if width <= right.sum()}
     points = Points(tuple(map(str, range(count))), image, ground)
-    control, portfolio = Control.of(FeatureSet(points, crs="EPSG:4979", rpc=rpc)), all_candidates()
+    control, portfolio = FitData.of(FeatureSet(points, crs="EPSG:4979", rpc=rpc)), auto_of_all()
     suspects = portfolio.suspects(control) or find_blunders(control, portfolio)
     out = np.zeros(count, dtype=bool) if suspects is None else suspects.blunders
-    choice = choose(control.take(~out), portfolio, whole=False)
+    choice = portfolio.choose(control.take(~out), whole=False)
     assert choice is not None
-    return Case(kind, count, missed(choice.chosen.fit.project(others)),
-                {width: missed(one) for width, one in rows.items()}, choice.chosen.name,
+    return Case(kind, count, missed(choice.chosen.project(others)),
+                {width: missed(one) for width, one in rows.items()}, choice.method.name,
                 suspects is not None and bool((out | suspects.undecided)[~right].any()),
                 bool(out[~right].any()), int(out[right].sum()))
 

@@ -15,12 +15,12 @@ from functools import partial
 import numpy as np
 
 from benchmarks.sets import crs_of, names, put, rmse_of, split
-from termsel.auto.portfolio import Portfolio, choose
-from termsel.auto.structures import CANDIDATES
+from termsel.auto.auto import Auto
+from termsel.auto.methods import METHODS
 from termsel.core.threads import one_blas_thread
-from termsel.data.control import Control
 from termsel.data.features import FeatureSet
-from termsel.runs.task.given import all_candidates
+from termsel.data.fit_data import FitData
+from termsel.runs.given import auto_of_all
 from termsel_bench.scenes.cameras import ALL_KINDS, CHOSEN, FRESH, Ranges, image_of
 from termsel_scanner.photos import CANDIDATES as CAMERAS
 
@@ -47,8 +47,9 @@ class Case:
 @one_blas_thread
 def case_of(name: str, count: int, seed: int, ranges: Ranges, known: tuple[str, ...]) -> Case:
     """Return the figures of one image of a kind, or of one split of a set."""
-    every_one = all_candidates() if known == PHOTOS else Portfolio(CANDIDATES)
-    without = Portfolio(one for one in every_one.candidates if one.name not in known)
+    every_one = auto_of_all() if known == PHOTOS else Auto(methods=METHODS)
+    without = Auto(methods=tuple(
+        method for method in every_one.methods if method.name not in known))
     if name in ALL_KINDS:
         every = image_of(name, seed, ranges, count + INDEPENDENT)
         first = np.arange(count + INDEPENDENT) < count
@@ -59,12 +60,12 @@ def case_of(name: str, count: int, seed: int, ranges: Ranges, known: tuple[str, 
     else:
         points, others = split(name, count, 1000 + seed)
         mine = FeatureSet(points, crs=crs_of(name))
-    control = Control.of(mine)
-    found = [choose(control, portfolio, whole=False) for portfolio in (without, every_one)]
+    control = FitData.of(mine)
+    found = [portfolio.choose(control, whole=False) for portfolio in (without, every_one)]
     if found[0] is None or found[1] is None:
         return Case(np.nan, np.nan, "")
-    before, after = (rmse_of(one.chosen.fit.errors(others)) for one in found if one)
-    return Case(before, after, found[1].chosen.name)
+    before, after = (rmse_of(one.chosen.errors(others)) for one in found if one)
+    return Case(before, after, found[1].method.name)
 
 
 def row(name: str, count: int, cases: list[Case], known: tuple[str, ...]) -> str:

@@ -22,7 +22,7 @@ from benchmarks.whole_image import timings
 from termsel.core.threads import one_blas_thread
 from termsel.data.coordinates.wgs84 import to_ecef
 from termsel.data.features import FeatureSet, FloatArray
-from termsel.models.rpc_fit import rpc_of
+from termsel.fitting.rpc_fit import rpc_of
 from termsel_scanner import Radar
 from termsel_scanner.annotation import LatticePoint, annotation_of, lattice_of
 

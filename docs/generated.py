@@ -21,7 +21,7 @@ from termsel.data.record.schema import json_schema
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.registry import Entry, registry
 from termsel.rooms import ROOMS
-from termsel.runs.task.request import DATA_OPTIONS
+from termsel.runs.request import DATA_OPTIONS
 from termsel.selection.solvers.budget import SEARCH_OPTIONS
 
 OF_EVERY_RUN = {"data": DATA_OPTIONS, "search": SEARCH_OPTIONS}
@@ -130,7 +130,7 @@ def section(kind: str, entry: Entry) -> Iterator[str]:
 
 def description(kind: str, entry: Entry) -> str:
     """Return the paragraphs of a docstring, or the summary of what has none."""
-    if kind in ("problems", "objectives", "candidates", "splits", "sections", "measures"):
+    if kind in ("problems", "objectives", "methods", "splits", "sections", "measures"):
         return entry.summary
     thing = entry.object
     text = inspect.cleandoc((thing if isinstance(thing, type) else type(thing)).__doc__ or "")

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from termsel.adjustment.equations import Equations
 from termsel.core.errors import TermselError
 from termsel.core.options import Option
 from termsel.data.features import FeatureSet, FloatArray, IntArray
 from termsel.data.scaling import Scaling
-from termsel.fitting.adjustment.equations import Equations
 from termsel.models.polynomial import Affine, Polynomial2D
 from termsel.models.quotient import Blocks, RationalModel
 from termsel.models.rational import RationalFunctions

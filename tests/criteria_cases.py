@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 import termsel
+from termsel.adjustment.equations import Equations, line_normals
 from termsel.data.features import FeatureSet
-from termsel.fitting.adjustment.equations import Equations, line_normals
 from termsel.models.base import SensorModel
 from termsel.models.poles import POLE_MARGIN
 from termsel.models.polynomial import Polynomial3D

@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.papers.trial import px
 from termsel import Equations, Task, prepare, search
 from termsel.fitting.least_squares import fit
-from termsel.runs.judgement.assess import fit_of
+from termsel.runs.searching import fit_of
 from termsel_rpc import matches
 
 RUNS = 20

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from termsel import FeatureSet, prepare
-from termsel.runs.judgement.assess import fit_of
-from termsel.runs.search.steps import search_in_steps
+from termsel.runs.searching import fit_of
+from termsel.runs.steps import search_in_steps
 
 
 @dataclass(frozen=True)

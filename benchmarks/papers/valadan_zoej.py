@@ -11,7 +11,7 @@ from benchmarks.papers.trial import px
 from termsel import Points, Task, prepare, search, simulate_scene
 from termsel.fitting.fit import Fit
 from termsel.fitting.least_squares import fit
-from termsel.runs.judgement.assess import fit_of
+from termsel.runs.searching import fit_of
 
 RUNS = 30
 """Scenes drawn for each table."""

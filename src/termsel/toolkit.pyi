@@ -1,6 +1,12 @@
 # Names for packages, and the modules that they are imported from when first used.
+from .adjustment.bayesian.cameras import turned as turned
+from .adjustment.monomials import Exponents as Exponents
+from .adjustment.monomials import graded_exponents as graded_exponents
+from .adjustment.monomials import monomial_name as monomial_name
+from .adjustment.monomials import monomials as monomials
+from .adjustment.solve import solve as solve
+from .auto.auto import Auto as Auto
 from .auto.blunders import find_blunders as find_blunders
-from .auto.portfolio import choose as choose
 from .cli.bars import search_bar as search_bar
 from .cli.bars import share_bar as share_bar
 from .cli.messages import echo as echo
@@ -96,12 +102,6 @@ from .fitting.accuracy import ASPRS_POINTS as ASPRS_POINTS
 from .fitting.accuracy import NSSDA_POINTS as NSSDA_POINTS
 from .fitting.accuracy import distances as distances
 from .fitting.accuracy import nssda as nssda
-from .fitting.adjustment.monomials import Exponents as Exponents
-from .fitting.adjustment.monomials import graded_exponents as graded_exponents
-from .fitting.adjustment.monomials import monomial_name as monomial_name
-from .fitting.adjustment.monomials import monomials as monomials
-from .fitting.adjustment.solve import solve as solve
-from .fitting.bayesian.cameras import turned as turned
 from .fitting.extrapolation import outside as outside
 from .fitting.figures import Rmses as Rmses
 from .fitting.figures import figures as figures
@@ -182,13 +182,13 @@ from .report.theme import styled as styled
 from .report.view import View as View
 from .report.view import nice as nice
 from .runs.notebook import notebook_observer as notebook_observer
+from .runs.provenance import versions as versions
+from .runs.recommend import recommended as recommended
+from .runs.request import DATA_OPTIONS as DATA_OPTIONS
+from .runs.request import Request as Request
+from .runs.request import request_of as request_of
 from .runs.run import problem_for as problem_for
-from .runs.search.recommend import recommended as recommended
-from .runs.task.provenance import versions as versions
-from .runs.task.request import DATA_OPTIONS as DATA_OPTIONS
-from .runs.task.request import Request as Request
-from .runs.task.request import Setup as Setup
-from .runs.task.task import prepared as prepared
+from .runs.task import prepared as prepared
 from .selection.best_subsets.features.walk import RowSystem as RowSystem
 from .selection.problems.base import WORST as WORST
 from .selection.problems.objectives import unit_deviations as unit_deviations

@@ -12,18 +12,19 @@ from scipy.special import fdtrc
 
 import termsel
 from termsel import FeatureSet, Points
+from termsel.adjustment.bayesian.held_out import chance_of
+from termsel.adjustment.bayesian.posterior import posterior, scales_of
+from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.auto import contradictions
+from termsel.auto.auto import Auto
 from termsel.auto.blunders import find_blunders, judge_others
 from termsel.auto.contradictions import Test as Contradictions
-from termsel.auto.portfolio import choose
+from termsel.auto.memory import Memory
 from termsel.auto.shrunken import average
-from termsel.data.control import Control
 from termsel.data.features import no_lines, no_points
+from termsel.data.fit_data import FitData
 from termsel.data.record.base import plain
 from termsel.data.scaling import scaling_of
-from termsel.fitting.adjustment.monomials import graded_exponents, monomials
-from termsel.fitting.bayesian.held_out import chance_of
-from termsel.fitting.bayesian.posterior import posterior, scales_of
 
 
 def scene(n: int, seed: int = 1, name: str = "ikonos-hamedan") -> FeatureSet:
@@ -55,16 +56,16 @@ def test_a_fifth_of_blunders_is_found_and_nothing_else(name: str, seed: int) -> 
     angle, size = rng.uniform(0, 2 * np.pi, 10), 0.5 * 10 ** rng.uniform(1.2, 2, 10)
     spoilt = moved(clean, {int(at): (s * np.cos(a), s * np.sin(a))
                            for at, s, a in zip(wrong, size, angle, strict=True)})
-    found = find_blunders(Control.of(spoilt, True))
+    found = find_blunders(FitData.of(spoilt, True))
     assert found is not None
     assert set(np.flatnonzero(found.blunders)) == set(wrong)
-    nothing = find_blunders(Control.of(clean, True))
+    nothing = find_blunders(FitData.of(clean, True))
     assert nothing is not None
     assert not nothing.blunders.any()
 
 
 def test_of_many_points_some_compare_the_polynomials(monkeypatch: pytest.MonkeyPatch) -> None:
-    control = Control.of(all_control(scene(50)), True)
+    control = FitData.of(all_control(scene(50)), True)
     used = np.arange(50) != 7
 
     def compared() -> np.ndarray:
@@ -142,7 +143,7 @@ def test_a_point_that_says_it_is_inexact_is_no_blunder() -> None:
     sigma = np.full((45, 2), 0.5)
     sigma[7] = 40.0
     told = spoilt.with_(points=replace(spoilt.points, sigma=sigma))
-    found, known = find_blunders(Control.of(spoilt, True)), find_blunders(Control.of(told, True))
+    found, known = find_blunders(FitData.of(spoilt, True)), find_blunders(FitData.of(told, True))
     assert found is not None
     assert known is not None
     assert list(np.flatnonzero(found.blunders)) == [7]
@@ -167,15 +168,15 @@ def test_an_error_below_rounding_is_no_blunder(error: float, blunder: bool) -> N
     ground = rng.uniform(0, [1000, 1000, 100], (40, 3))
     image = ground[:, 1::-1] * 2 + ground[:, 2:] * [0.1, -0.2] + ground[:, :1] ** 2 * [1e-4, 0]
     image[7, 0] += error
-    found = find_blunders(Control.of(FeatureSet(Points(tuple(map(str, range(40))), image, ground),
+    found = find_blunders(FitData.of(FeatureSet(Points(tuple(map(str, range(40))), image, ground),
                                      no_lines(), "local"), True))
     assert found is not None
     assert list(np.flatnonzero(found.blunders)) == ([7] if blunder else [])
     points = Points(tuple(map(str, range(40))), image, ground)
     there = np.isin(np.arange(40), [7, 8, 9])
-    choice = choose(Control.of(FeatureSet(points.take(~there), no_lines(), "local"), True))
+    choice = Auto().choose(FitData.of(FeatureSet(points.take(~there), no_lines(), "local"), True))
     assert choice is not None
-    others = judge_others(choice.chosen, True, points.take(there))
+    others = judge_others(choice.chosen, True, points.take(there), Memory())
     assert others is not None
     assert list(others.blunders) == [blunder, False, False]
 
@@ -186,7 +187,7 @@ def test_few_points_say_what_cannot_be_found() -> None:
     few = FeatureSet(replace(points, roles=("control",) * 9), no_lines(), "EPSG:4979")
     note, = (one for one in termsel.run("rfm-terms", features=few).notes
              if one.startswith("With 9 points an error must exceed "))
-    worst = find_blunders(Control.of(few, True)).limits.argmax()
+    worst = find_blunders(FitData.of(few, True)).limits.argmax()
     assert note.endswith(f" px at {points.ids[int(worst)]}.")
     more = termsel.run("rfm-terms", features=scene(60))
     assert not any(note.startswith("With ") for note in more.notes)
@@ -215,9 +216,9 @@ def test_roles_are_assigned_where_shares_are_given() -> None:
 
 
 def test_no_others_are_not_judged() -> None:
-    choice = choose(Control.of(termsel.simulate_scene("ikonos-hamedan", n_lines=0), True))
+    choice = Auto().choose(FitData.of(termsel.simulate_scene("ikonos-hamedan", n_lines=0), True))
     assert choice is not None
-    assert judge_others(choice.chosen, True, no_points()) is None
+    assert judge_others(choice.chosen, True, no_points(), Memory()) is None
 
 
 def test_the_chance_of_a_statistic_is_that_of_the_f_distribution() -> None:
@@ -232,7 +233,7 @@ def test_the_chance_of_a_statistic_is_that_of_the_f_distribution() -> None:
 def test_a_prediction_is_the_mean_over_all_solutions(
         few: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The means, compiled and not, against those by logarithms, with points not in use."""
-    monkeypatch.setattr("termsel.fitting.bayesian.held_out.FEW", few)
+    monkeypatch.setattr("termsel.adjustment.bayesian.held_out.FEW", few)
     features = scene(60)
     used = np.arange(60) < 45
     scaled = scaling_of(features).points(features.points)
@@ -272,7 +273,7 @@ def test_many_points_are_left_out_in_pieces(monkeypatch: pytest.MonkeyPatch) -> 
         return vars(found.left_out)
 
     whole = predicted()
-    monkeypatch.setattr("termsel.fitting.bayesian.posterior.AT_ONCE", 20)
+    monkeypatch.setattr("termsel.adjustment.bayesian.posterior.AT_ONCE", 20)
     for name, values in predicted().items():
         np.testing.assert_allclose(values, whole[name], rtol=1e-9, atol=1e-12)
 

@@ -12,14 +12,13 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.auto.portfolio import choose
-from termsel.auto.repetition import repeated
-from termsel.auto.structures import named
-from termsel.data.control import Control, carriers
+from termsel.auto.auto import Auto
+from termsel.auto.methods import named
 from termsel.data.coordinates.crs import transformation
 from termsel.data.features import FeatureSet, FloatArray, Points
+from termsel.data.fit_data import FitData, carriers
 from termsel.formats.readers.csv_tables import write_points_csv
-from termsel.runs.task import data_notes
+from termsel.runs import data_notes
 from termsel.simulate import pushbroom_at, simulate_scene
 
 Call = Callable[..., SimpleNamespace]
@@ -53,9 +52,9 @@ def test_auto_announces_only_what_it_compiles_itself(
         kept: bool, n: int, told: str, monkeypatch: pytest.MonkeyPatch,
         caplog: pytest.LogCaptureFixture) -> None:
     """Not what a search compiles, which would be announced at each of its runs."""
-    monkeypatch.setattr("termsel.fitting.adjustment.kernels.needs_compilation", lambda: True)
-    monkeypatch.setattr("termsel.fitting.bayesian.held_out.is_compiled", lambda _: kept)
-    monkeypatch.setattr("termsel.fitting.bayesian.held_out.FEW", 6)
+    monkeypatch.setattr("termsel.adjustment.kernels.needs_compilation", lambda: True)
+    monkeypatch.setattr("termsel.adjustment.bayesian.held_out.is_compiled", lambda _: kept)
+    monkeypatch.setattr("termsel.adjustment.bayesian.held_out.FEW", 6)
     with caplog.at_level("INFO", logger="termsel"):
         termsel.run(features=some(n))
     assert told in caplog.text
@@ -106,11 +105,11 @@ def test_a_similarity_is_chosen_where_it_predicts_best(mirrored: bool, chosen: s
 def test_so_few_points_are_held_out_from_what_all_choose(n: int, heights: bool) -> None:
     """Four of them would choose by luck, and may take a model that all refuse."""
     features = some(n)
-    choice = choose(Control.of(features, heights))
-    errors = repeated(Control.of(features, heights))
+    choice = Auto().choose(FitData.of(features, heights))
+    errors = Auto().repeated(FitData.of(features, heights))
     assert choice is not None
     assert errors is not None
-    expected: FloatArray = np.array(choice.chosen.squares)
+    expected: FloatArray = np.array(choice.chosen.held_out().squares)
     np.testing.assert_allclose((errors**2).sum(axis=1), expected, rtol=1e-6)
 
 
@@ -158,7 +157,7 @@ def coast(hills: tuple[int, ...], n: int = 24) -> FeatureSet:
 def test_heights_that_rest_on_one_point_or_two(hills: tuple[int, ...]) -> None:
     features = coast(hills)
     names = tuple(features.points.ids[i] for i in hills)
-    assert sorted(carriers(Control.of(features))) == sorted(names)
+    assert sorted(carriers(FitData.of(features))) == sorted(names)
     result = termsel.run("rfm-terms", features=features.with_(
         points=replace(features.points, roles=("control",) * 24)))
     note, = (note for note in result.notes if "lie on a plane" in note)
@@ -234,13 +233,13 @@ def test_a_hill_far_from_all_others_carries_the_heights() -> None:
     ground[5] = 60_000.0, 60_000.0, 300.0
     ground[:5, 2] = 0.4
     rough = features.with_(points=replace(features.points, ground=ground))
-    assert carriers(Control.of(rough), limit=1) == ("P5",)
+    assert carriers(FitData.of(rough), limit=1) == ("P5",)
 
 
 @pytest.mark.slow
 def test_heights_that_rest_on_more_are_used() -> None:
     features = coast((2, 5, 9, 13, 17, 20))
-    assert carriers(Control.of(features)) == ()
+    assert carriers(FitData.of(features)) == ()
     result = termsel.run("rfm-terms", features=features.with_(
         points=replace(features.points, roles=("control",) * 24)))
     assert result.fit.model.uses_height
@@ -251,7 +250,7 @@ def test_heights_that_rest_on_more_are_used() -> None:
 
 @pytest.mark.parametrize("hills", [(5, 17), (2, 5, 9)])
 def test_the_choice_is_repeated_where_a_fold_takes_the_hills(hills: tuple[int, ...]) -> None:
-    errors = repeated(Control.of(coast(hills), True))
+    errors = Auto().repeated(FitData.of(coast(hills), True))
     assert errors is not None
     assert np.isfinite(errors).all()
 
@@ -274,7 +273,7 @@ def test_what_heights_may_do_is_said_without_an_exponent() -> None:
     """Some pixels less than a hundred are rounded to a hundred."""
     plan = np.random.default_rng(0).uniform(0, 5000, (20, 2))
     ground = np.column_stack([plan, np.zeros(20)])
-    both = Control.of(FeatureSet(Points(tuple(map(str, range(20))), plan / 2, ground)), False)
+    both = FitData.of(FeatureSet(Points(tuple(map(str, range(20))), plan / 2, ground)), False)
     for height in np.arange(390.0, 410.0, 0.5):  # half of it is what it does, half of that in px
         other = Points(("hill",), plan[:1] / 2, np.array([[*plan[0], height]]))
         notes = list(data_notes._on_flat(both, other))
@@ -355,12 +354,12 @@ def test_an_affine_image_has_a_probability_of_its_own() -> None:
         image = ground @ np.array([[0.1, 0.02], [-0.02, 0.1], [0.04, 0.01]]) \
             + 0.5 * rng.standard_normal((208, 2))
         points = Points(tuple(map(str, range(208))), image, ground)
-        control, others = Control.of(FeatureSet(points.take(np.arange(208) < 8))), points.take(
+        control, others = FitData.of(FeatureSet(points.take(np.arange(208) < 8))), points.take(
             np.arange(208) >= 8)
-        choice, affine = choose(control), named("affine")
+        choice, affine = Auto().choose(control), named("affine")
         assert choice is not None
         assert affine is not None
-        fits = choice.chosen.fit, affine.fit_control(control)
+        fits = choice.chosen, affine.fit(control)
         ratios.append(np.divide(*(np.linalg.norm(fit.errors(others)) for fit in fits)))
     assert np.median(ratios) < 1.05
 
@@ -375,14 +374,14 @@ def test_few_points_of_a_map_are_averaged_over_what_they_do_not_tell_apart(n: in
         image = ground[:, 1::-1] * [-0.2, 0.21] + rng.normal(0, 2.0, (n + 60, 2))
         every = Points(tuple(map(str, range(n + 60))), image, ground)
         first = np.arange(n + 60) < n
-        control = Control.of(FeatureSet(every.take(first), crs="local"))
-        choice = choose(control, whole=False)
+        control = FitData.of(FeatureSet(every.take(first), crs="local"))
+        choice = Auto().choose(control, whole=False)
         affine = named("affine")
         assert choice is not None
         assert affine is not None
         reasons.append(choice.reason)
         errors, best = (np.hypot(*fit.errors(every.take(~first)).T) for fit in (
-            choice.chosen.fit, affine.fit_control(control)))
+            choice.chosen, affine.fit(control)))
         ratios.append(float(np.sqrt((errors**2).mean() / (best**2).mean())))
     assert np.median(ratios) < 1.1
     # Another candidate may be far better by luck.
@@ -397,7 +396,7 @@ def test_few_points_without_heights_that_a_scanner_saw_keep_its_prior() -> None:
                               np.zeros(9)])
     image = sensor.project(ground) + rng.normal(0, 0.3, (9, 2))
     ground[:, 2] = np.nan
-    choice = choose(Control.of(FeatureSet(Points(
+    choice = Auto().choose(FitData.of(FeatureSet(Points(
         tuple("ABCDEFGHI"), image, ground), crs="EPSG:4979")), whole=False)
     assert choice is not None
-    assert choice.chosen.candidate.name == "physical-cubic"
+    assert choice.method.name == "physical-cubic"

@@ -11,13 +11,12 @@ import pytest
 from click.testing import CliRunner
 
 import termsel
+from termsel.auto.auto import Auto
 from termsel.auto.blunders import find_blunders
-from termsel.auto.portfolio import choose, choose_features
-from termsel.auto.repetition import repeated
 from termsel.auto.shrunken import average, average_with_lines
 from termsel.cli.main import cli
-from termsel.data.control import Control
 from termsel.data.features import FeatureSet, Lines, no_lines
+from termsel.data.fit_data import FitData
 from termsel.data.roles import observe
 from termsel.data.scaling import scaling_of
 from termsel.io.result_folder import read_result
@@ -93,7 +92,7 @@ def test_wrong_lines_are_found_and_right_ones_kept(with_points: bool) -> None:
     control = control_of()
     if not with_points:
         control = control.with_(points=control.points.take([]))
-    found = find_blunders(Control.of(control, True))
+    found = find_blunders(FitData.of(control, True))
     assert found is not None
     named = {control.ids[i] for i in np.flatnonzero(found.blunders)}
     wrong = set(scene_truth("ikonos-hamedan").wrong_lines)
@@ -104,7 +103,7 @@ def test_wrong_lines_are_found_and_right_ones_kept(with_points: bool) -> None:
 
 def test_a_third_of_wrong_lines_is_found() -> None:
     control = control_of(n_lines=90, wrong_lines=30)
-    found = find_blunders(Control.of(control, True))
+    found = find_blunders(FitData.of(control, True))
     assert found is not None
     named = {control.ids[i] for i in np.flatnonzero(found.blunders)}
     wrong = set(scene_truth("ikonos-hamedan", n_lines=90, wrong_lines=30).wrong_lines)
@@ -115,7 +114,7 @@ def test_a_third_of_wrong_lines_is_found() -> None:
 def test_right_lines_and_points_stay() -> None:
     lost = []
     for seed in range(4):
-        found = find_blunders(Control.of(control_of(seed, wrong_lines=0), True))
+        found = find_blunders(FitData.of(control_of(seed, wrong_lines=0), True))
         assert found is not None
         lost.append(found.blunders.mean())
     assert np.mean(lost) < 0.005
@@ -126,7 +125,7 @@ def test_a_wrong_point_among_lines_is_found() -> None:
     image = control.points.image.copy()
     image[7] += [9.0, -7.0]
     spoilt = control.with_(points=replace(control.points, image=image))
-    found = find_blunders(Control.of(spoilt, True))
+    found = find_blunders(FitData.of(spoilt, True))
     assert found is not None
     assert list(np.flatnonzero(found.blunders)) == [7]
 
@@ -134,13 +133,13 @@ def test_a_wrong_point_among_lines_is_found() -> None:
 def test_shrunken_polynomials_of_lines_predict_better_than_plain_ones() -> None:
     """Few lines: least squares of all terms is far off, and leave-one-out knows."""
     control = control_of(1, n_points=8, n_lines=24, wrong_lines=0)
-    choice = choose(Control.of(control, True))
+    choice = Auto().choose(FitData.of(control, True))
     assert choice is not None
-    by_name = {one.name: one for one in choice.judged}
-    assert choice.chosen.name.startswith("shrunken")
-    assert choice.chosen.predicted < by_name["quadratic"].predicted
+    by_name = {one.method.name: one for one in choice.compared}
+    assert choice.method.name.startswith("shrunken")
+    assert choice.chosen.held_out_rmse < by_name["quadratic"].held_out_rmse
     independent = simulate_scene("ikonos-hamedan", n_points=60, n_lines=0, seed=9).points
-    mine, plain = (one.fit.rmse(independent) for one in (choice.chosen, by_name["quadratic"]))
+    mine, plain = (fitted.rmse(independent) for fitted in (choice.chosen, by_name["quadratic"]))
     assert mine is not None
     assert plain is not None
     assert mine.total < plain.total
@@ -153,12 +152,12 @@ def test_predictions_from_lines_come_true() -> None:
         control = control_of(seed, n_points=20, n_lines=40, wrong_lines=0)
         independent = simulate_scene("ikonos-hamedan", n_points=80, n_lines=0,
                                      seed=50 + seed).points
-        both = Control.of(control, True)
-        choice, errors = choose_features(both), repeated(both)
+        both = FitData.of(control, True)
+        choice, errors = Auto().choose_features(both), Auto().repeated(both)
         assert choice is not None
         assert errors is not None
         assert errors.shape == (len(control.points) + 40, 2)
-        rmse = choice.chosen.fit.rmse(independent)
+        rmse = choice.chosen.rmse(independent)
         assert rmse is not None
         ratios.append(rmse.total / np.sqrt((errors**2).sum(axis=1).mean()))
     assert 0.75 < np.median(ratios) < 1.3

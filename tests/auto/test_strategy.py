@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.auto.portfolio import choose
-from termsel.auto.repetition import repeated
+from termsel.adjustment.monomials import graded_exponents, monomials
+from termsel.auto.auto import Auto
+from termsel.auto.methods import METHODS
 from termsel.auto.selected import select_forward
 from termsel.auto.shrunken import average
-from termsel.auto.structures import CANDIDATES
-from termsel.data.control import Control
 from termsel.data.features import FeatureSet, Points
-from termsel.fitting.adjustment.monomials import graded_exponents, monomials
+from termsel.data.fit_data import FitData
 from termsel.io.result_folder import read_result
 from termsel.simulate import simulate_scene
 
@@ -83,7 +82,7 @@ def example() -> FeatureSet:
 
 def by_shrunken(one: str, other: str, judged: dict) -> float:
     """Return by how many standard errors the logarithms of squared errors of one are smaller."""
-    gain = np.log(judged[other].squares) - np.log(judged[one].squares)
+    gain = np.log(judged[other].held_out().squares) - np.log(judged[one].held_out().squares)
     return float(gain.mean() / gain.std(ddof=1) * np.sqrt(len(gain)))
 
 
@@ -92,10 +91,10 @@ def by_shrunken(one: str, other: str, judged: dict) -> float:
     (frame_camera(40), True, "dlt")])
 def test_the_reason_states_the_figures_that_decided(
         features: FeatureSet, heights: bool, chosen: str) -> None:
-    found = choose(Control.of(features, heights))
+    found = Auto().choose(FitData.of(features, heights))
     assert found is not None
-    judged = {one.name: one for one in found.judged}
-    assert found.chosen.name == chosen
+    judged = {one.method.name: one for one in found.compared}
+    assert found.method.name == chosen
     cubic = by_shrunken("shrunken-cubic", "shrunken-quadratic", judged)
     assert found.reason.startswith(
         f"regularised cubic is {'better' if cubic > 0 else 'worse'} than regularised quadratic by "
@@ -109,7 +108,7 @@ def test_the_reason_states_the_figures_that_decided(
     words = "better" if gain > 0 else "worse"
     assert (f"is {words} than {against.replace('-', ' ')} by {abs(gain):.2g} standard errors; it "
             f"must be better by more than {asked}") in found.reason
-    least = min(judged, key=lambda name: judged[name].predicted)
+    least = min(judged, key=lambda name: judged[name].held_out_rmse)
     assert ("is a limit of the regularised polynomials" in found.reason) == (
         least in ("affine", "quadratic", "cubic"))
 
@@ -121,9 +120,9 @@ def test_the_page_states_the_reason_of_the_choice(result: termsel.Result) -> Non
 
 def test_without_shrunken_polynomials_the_least_error_is_the_reason() -> None:
     features = simulate_scene("ikonos-hamedan", n_points=0, n_lines=5, wrong_lines=0)
-    found = choose(Control.of(features, True))
+    found = Auto().choose(FitData.of(features, True))
     assert found is not None
-    assert found.chosen.predicted == min(one.predicted for one in found.judged)
+    assert found.chosen.held_out_rmse == min(one.held_out_rmse for one in found.compared)
     assert found.reason == "It has the smallest leave-one-out RMSE."
 
 
@@ -302,10 +301,12 @@ def test_predictions_come_true() -> None:
         features = scene(100, seed)
         order = np.random.default_rng(seed).permutation(100)
         mine = FeatureSet(features.points.take(order[:40]))
-        choice, errors = choose(Control.of(mine, True)), repeated(Control.of(mine, True))
+        data = FitData.of(mine, True)
+        choice = Auto().choose(data)
+        errors = Auto().repeated(data)
         assert choice is not None
         assert errors is not None
-        found = choice.chosen.fit.errors(features.points.take(order[40:]))
+        found = choice.chosen.errors(features.points.take(order[40:]))
         ratios.append(np.sqrt((found**2).sum(axis=1).mean() / (errors**2).sum(axis=1).mean()))
     assert 0.8 < np.median(ratios) < 1.25
 
@@ -320,10 +321,10 @@ def test_the_full_rfm_is_chosen_where_it_is_the_truth_and_can_be_named() -> None
     denominators[0] = 1.0
     image = (columns @ numerators) / (columns @ denominators) + rng.normal(0, 0.01, (90, 2))
     points = Points(tuple(f"P{i}" for i in range(90)), image, ground)
-    choice = choose(Control.of(FeatureSet(points), True))
+    choice = Auto().choose(FitData.of(FeatureSet(points), True))
     assert choice is not None
-    assert choice.chosen.name == "rfm-3"
-    assert {one.name for one in choice.judged} <= {one.name for one in CANDIDATES}
+    assert choice.method.name == "rfm-3"
+    assert {one.method.name for one in choice.compared} <= {method.name for method in METHODS}
 
 
 def test_plane_points_get_plane_models() -> None:

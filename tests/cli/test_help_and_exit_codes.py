@@ -19,7 +19,7 @@ from termsel.plugins import registry as manager
 from termsel.plugins.commands import COMMANDS
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.registry import Registry
-from termsel.runs.task.request import DATA_OPTIONS
+from termsel.runs.request import DATA_OPTIONS
 
 PLUGIN = """
     import click
@@ -109,7 +109,7 @@ def test_imports_are_not_searched_for_cycles_all_the_time():
 
 def test_what_few_use_is_imported_by_those_who_use_it():
     _, loaded = imported("list", "models", then="import termsel.runs.run; ")
-    assert {"termsel_rpc.jitter", "termsel.fitting.adjustment.kernels"} <= loaded
+    assert {"termsel_rpc.jitter", "termsel.adjustment.kernels"} <= loaded
     assert not loaded & {"numba", "scipy.stats", "scipy.spatial", "scipy.optimize",
                          "scipy.interpolate", "pymoo", "pyproj"}
 
@@ -118,7 +118,7 @@ def test_a_choice_for_few_points_imports_neither_scipy_nor_numba_nor_proofs():
     text, loaded = imported("run", "--problem", "rfm-terms", "--quiet")
     assert "to choose and fit the model" in text
     assert not loaded & {"numba", "scipy", "numpy.ma", "termsel.selection.best_subsets.subsets",
-                         "termsel.runs.search.steps"}
+                         "termsel.runs.steps"}
 
 
 def test_help_tells_all_commands_as_they_tell_themselves(call):

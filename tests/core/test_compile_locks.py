@@ -51,7 +51,7 @@ def test_another_one_waits_until_the_turn_ends(tmp_path: Path,
 
 def test_what_cannot_be_compiled_keeps_no_turn(tmp_path: Path,
                                                monkeypatch: pytest.MonkeyPatch) -> None:
-    from termsel.fitting.adjustment.dispatchers import dispatcher_of
+    from termsel.adjustment.dispatchers import dispatcher_of
 
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
     dispatcher = dispatcher_of(untypable, {})

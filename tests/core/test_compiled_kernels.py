@@ -11,14 +11,14 @@ from pathlib import Path
 import numba
 import pytest
 
-from termsel.fitting.adjustment import dispatchers
-from termsel.fitting.adjustment.compiled import is_compiled
+from termsel.adjustment import dispatchers
+from termsel.adjustment.compiled import is_compiled
 
 NO_PLACE = """
 from numba.core import caching
 caching.CacheImpl._locator_classes = []  # as with a read-only home and a read-only package
 import numpy as np
-from termsel.fitting.adjustment.kernels import needs_compilation
+from termsel.adjustment.kernels import needs_compilation
 assert needs_compilation()
 """
 
@@ -66,7 +66,7 @@ def test_damaged_code_is_compiled_again(share: float, tmp_path: Path) -> None:
 
 TELL = """
 from own import kernel
-from termsel.fitting.adjustment.compiled import is_compiled
+from termsel.adjustment.compiled import is_compiled
 told = is_compiled(kernel)
 kernel(1.0)
 print(told, bool(kernel.dispatcher.stats.cache_hits))
@@ -76,7 +76,7 @@ print(told, bool(kernel.dispatcher.stats.cache_hits))
 @pytest.mark.slow
 def test_a_compilation_is_foretold_where_there_will_be_one(tmp_path: Path) -> None:
     source = tmp_path / "own.py"
-    source.write_text("from termsel.fitting.adjustment.compiled import compiled\n\n\n@compiled\n"
+    source.write_text("from termsel.adjustment.compiled import compiled\n\n\n@compiled\n"
                       "def kernel(x):\n    return x + 1.0\n")
 
     def told() -> str:
@@ -91,7 +91,7 @@ def test_a_compilation_is_foretold_where_there_will_be_one(tmp_path: Path) -> No
 
 PAIR = """
 from typing import NamedTuple
-from termsel.fitting.adjustment.compiled import compiled
+from termsel.adjustment.compiled import compiled
 
 
 class Pair(NamedTuple):
@@ -115,7 +115,7 @@ def test_code_kept_for_a_class_of_another_name_is_compiled_again(tmp_path: Path)
 
 
 COUNTS = """
-from termsel.fitting.adjustment.compiled import compiled
+from termsel.adjustment.compiled import compiled
 
 
 @compiled
@@ -189,7 +189,7 @@ print(bool(kernel.dispatcher.stats.cache_hits))
 LONG = """
 import time
 from numba.extending import overload
-from termsel.fitting.adjustment.compiled import compiled
+from termsel.adjustment.compiled import compiled
 
 
 def shift(x):

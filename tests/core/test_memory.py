@@ -11,82 +11,86 @@ from typing import Any
 import pytest
 
 import termsel
-from termsel.auto import memory
+from termsel.auto.auto import Auto
 from termsel.auto.blunders import find_blunders
-from termsel.auto.memory import remembered
-from termsel.auto.portfolio import Portfolio
+from termsel.auto.memory import Memory
 from termsel.core.errors import TermselError
-from termsel.data.control import Control
 from termsel.data.features import FeatureSet
+from termsel.data.fit_data import FitData
 
 
 @pytest.fixture
-def scene(monkeypatch: pytest.MonkeyPatch) -> FeatureSet:
-    monkeypatch.setattr(memory, "_known", {})
+def scene() -> FeatureSet:
     return termsel.simulate_scene("spot-isfahan", n_lines=0)
 
 
-def again(features: FeatureSet, shift: float = 0.0) -> Control:
+def again(features: FeatureSet, shift: float = 0.0) -> FitData:
     """Return other features with the same values, or with other ones."""
     points = features.points
-    return Control.of(features.with_(points=replace(points, image=points.image + shift)))
+    return FitData.of(features.with_(points=replace(points, image=points.image + shift)))
 
 
-def test_equal_features_with_equal_candidates_are_looked_at_once(scene: FeatureSet) -> None:
-    calls = []
+def test_equal_features_with_equal_methods_are_looked_at_once(scene: FeatureSet) -> None:
+    calls: list[str] = []
+    memory = Memory(kept=20)
 
-    def found(what: str, control: Control, portfolio: Portfolio) -> int:
-        return remembered(what, control, portfolio, lambda: calls.append(what) or len(calls))
+    def count_of(question: str, data: FitData, auto: Auto) -> Any:
+        return auto.recall(question, data, lambda: calls.append(question) or len(calls))
 
-    assert [found("this", again(scene), Portfolio()) for _ in range(2)] == [1, 1]
-    assert found("that", again(scene), Portfolio()) == 2
-    assert found("this", again(scene, 1e-9), Portfolio()) == 3
-    assert found("this", again(scene), Portfolio(Portfolio().candidates[1:])) == 4
-    assert found("this", replace(again(scene), heights=False), Portfolio()) == 5
-    assert found("this", again(scene), Portfolio()) == 1
+    auto = Auto(memory=memory)
+    assert [count_of("this", again(scene), auto) for _ in range(2)] == [1, 1]
+    assert count_of("that", again(scene), auto) == 2
+    assert count_of("this", again(scene, 1e-9), auto) == 3
+    assert count_of("this", again(scene), Auto(methods=auto.methods[1:], memory=memory)) == 4
+    assert count_of("this", replace(again(scene), heights=False), auto) == 5
+    assert count_of("this", again(scene), Auto(memory=memory)) == 1
+    assert count_of("this", again(scene), Auto(memory=Memory(kept=20))) == 6
 
 
-def test_where_a_candidate_failed_it_is_asked_again(scene: FeatureSet) -> None:
+def test_where_a_method_failed_it_is_asked_again(scene: FeatureSet) -> None:
     """What it lacked, as a file, may be there by now."""
     calls: list[int] = []
+    memory = Memory(kept=20)
     for _ in range(2):
-        portfolio = Portfolio()
+        auto = Auto(memory=memory)
 
-        def fail(portfolio: Portfolio = portfolio) -> None:
+        def fail(auto: Auto = auto) -> None:
             calls.append(1)
-            portfolio.faults["affine"] = TermselError("it failed")
+            auto.faults["affine"] = TermselError("it failed")
 
-        remembered("this", again(scene), portfolio, fail)
+        auto.recall("this", again(scene), fail)
     assert calls == [1, 1]
 
 
 def test_nobody_changes_what_is_remembered(scene: FeatureSet) -> None:
-    suspects = find_blunders(again(scene))
+    auto = Auto()
+    suspects = find_blunders(again(scene), auto)
     with pytest.raises(ValueError, match="read-only"):
         suspects.blunders[:] = True
-    assert not find_blunders(again(scene)).blunders.any()
+    assert not find_blunders(again(scene), auto).blunders.any()
 
 
-def test_the_last_used_are_kept(scene: FeatureSet, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(memory, "KEPT", 5)
+def test_the_last_used_are_kept(scene: FeatureSet) -> None:
+    memory = Memory(kept=5)
     calls: list[int] = []
-    for i in (0, *range(memory.KEPT), 0, memory.KEPT, 0, 1):
-        remembered(i, again(scene), Portfolio(), lambda i=i: calls.append(i))
-    assert calls == [*range(memory.KEPT + 1), 1]
+    for i in (0, *range(5), 0, 5, 0, 1):
+        memory.recall(i, again(scene), lambda i=i: calls.append(i))
+    assert calls == [*range(6), 1]
 
 
 def test_what_cannot_be_compared_is_looked_at_every_time(scene: FeatureSet) -> None:
     known: Any = type("Local", (), {})()
     calls: list[int] = []
+    memory = Memory(kept=20)
     for _ in range(2):
-        remembered("this", Control.of(replace(scene, rpc=known)), Portfolio(),
-                   lambda: calls.append(1))
+        memory.recall("this", FitData.of(replace(scene, rpc=known)), lambda: calls.append(1))
     assert calls == [1, 1]
 
 
 def test_another_run_on_the_same_features_tells_as_much(scene: FeatureSet) -> None:
     told: list[list[Any]] = [[], []]
-    runs = [termsel.run("poly-terms", features=scene, strategy="auto",
+    memory = Memory(kept=20)
+    runs = [termsel.run("poly-terms", features=scene, strategy="auto", memory=memory,
                         observers=[lambda seen, of=of: of.append((seen.evaluations, seen.share))])
             for of in told]
     assert told[0] == told[1]

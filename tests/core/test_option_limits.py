@@ -6,7 +6,7 @@ import pytest
 
 from termsel.core.options import Option
 from termsel.plugins.registry import registry
-from termsel.runs.task.request import DATA_OPTIONS
+from termsel.runs.request import DATA_OPTIONS
 
 
 def declared() -> dict[str, Option]:

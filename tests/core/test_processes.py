@@ -13,7 +13,7 @@ import pytest
 
 import termsel
 from termsel.results.result import Result
-from termsel.runs.task.task import Task
+from termsel.runs.task import Task
 
 SEEDS = (1, 2)
 

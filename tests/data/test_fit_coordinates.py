@@ -16,7 +16,6 @@ from click.testing import CliRunner
 import termsel
 from termsel.cli.main import cli
 from termsel.core.errors import TermselError
-from termsel.data.control import Control
 from termsel.data.coordinates.crs import (
     height_reference,
     is_geocentric,
@@ -25,12 +24,13 @@ from termsel.data.coordinates.crs import (
 )
 from termsel.data.coordinates.utm import metric_crs, polar_crs
 from termsel.data.features import FeatureSet, Lines, Points
+from termsel.data.fit_data import FitData
 from termsel.data.scaling import Scaling, scaling_of
 from termsel.fitting.least_squares import fit
+from termsel.fitting.rpc_fit import rpc_of
 from termsel.formats.readers.csv_tables import PointsCsv, write_points_csv
 from termsel.models.polynomial import Affine, Polynomial3D
-from termsel.models.rpc_fit import rpc_of
-from termsel.runs.task.fit_crs import fit_crs_of
+from termsel.runs.fit_crs import fit_crs_of
 
 pyproj = pytest.importorskip("pyproj")
 
@@ -172,7 +172,7 @@ def test_an_rpc_from_each_system(scene: FeatureSet, caplog: pytest.LogCaptureFix
 
 @pytest.mark.slow
 def test_auto_takes_the_best_by_leave_one_out(scene: FeatureSet) -> None:
-    from termsel.auto.portfolio import choose
+    from termsel.auto.auto import Auto
 
     few = scene.with_(points=scene.points.take(np.arange(36)))
     result = termsel.run("rfm-terms", features=few, strategy="auto", options={"fit_crs": "auto"})
@@ -181,9 +181,9 @@ def test_auto_takes_the_best_by_leave_one_out(scene: FeatureSet) -> None:
     predicted = {}
     for crs in SYSTEMS.values():
         own = FeatureSet(both, crs=few.crs, fit_crs="" if crs == few.crs else crs)
-        choice = choose(Control.of(own, True))
+        choice = Auto().choose(FitData.of(own, True))
         assert choice is not None
-        predicted[crs] = choice.chosen.predicted
+        predicted[crs] = choice.chosen.held_out_rmse
     assert result.data.fit_crs == min(predicted, key=lambda crs: predicted[crs])
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import termsel
+from termsel.adjustment.equations import line_normals
 from termsel.data.features import FeatureSet, Lines, Points
-from termsel.fitting.adjustment.equations import line_normals
 from termsel.models.polynomial import Affine, Polynomial3D
 from termsel.selection.criteria import CheckRmse, KFold, Press
 from termsel.selection.problems.base import Inputs

@@ -23,7 +23,7 @@ from termsel.plugins import hookspecs
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.loading import HOOKS
 from termsel.plugins.registry import registry
-from termsel.runs.task.request import DATA_OPTIONS
+from termsel.runs.request import DATA_OPTIONS
 from termsel.testing import check
 
 ROOT = Path(__file__).parents[2]

@@ -16,7 +16,8 @@ import termsel
 from benchmarks import accuracy, blunders, coverage, lines, old_maps
 from benchmarks.papers import konugurthi
 from benchmarks.sets import rmse_of, split
-from termsel.auto.base import Control
+from termsel.auto.auto import Auto
+from termsel.auto.validated import FitData
 from termsel.data.features import FeatureSet
 from tests.docs.test_evidence_pages import PAGES, row
 
@@ -39,10 +40,10 @@ def test_auto_and_the_best_plain_structure_of_a_scene() -> None:
     auto, quadratic = [], []
     for seed in range(splits("honest-accuracy")):
         mine, others = split("ikonos-hamedan", 20, seed)
-        choice = blunders.choose(Control.of(FeatureSet(mine)))
+        choice = Auto().choose(FitData.of(FeatureSet(mine)))
         assert choice is not None
-        auto.append(rmse_of(choice.chosen.fit.errors(others)))
-        quadratic.append(rmse_of(termsel.Polynomial3D(degree=2).fit(FeatureSet(mine))
+        auto.append(rmse_of(choice.chosen.errors(others)))
+        quadratic.append(rmse_of(termsel.fit(FeatureSet(mine), "poly3d", degree=2)
                                  .errors(others)))
     assert cells[2] == "quadratic, space"
     assert agrees(median(quadratic), cells[3])

@@ -16,16 +16,16 @@ from termsel.io.read import READ_OPTIONS
 from termsel.plugins.commands import COMMANDS
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.registry import registry
-from termsel.runs.task.request import DATA_OPTIONS
+from termsel.runs.request import DATA_OPTIONS
 from termsel.selection.solvers.budget import SEARCH_OPTIONS
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.glob("plugins/*/README.md")),
          *(page for page in sorted(ROOT.glob("docs/**/*.md")) if "_build" not in page.parts)]
-NAMED = {"--problem": ("problems",), "--model": ("models", "candidates"), "--solver": ("solvers",),
+NAMED = {"--problem": ("problems",), "--model": ("models", "methods"), "--solver": ("solvers",),
          "--criterion": ("criteria",), "--dataset": ("datasets",), "--to": ("writers",),
          "--export": ("writers",), "--format": ("readers",)}
-TABLES = {"problem": ("problems",), "model": ("models", "candidates"), "solver": ("solvers",),
+TABLES = {"problem": ("problems",), "model": ("models", "methods"), "solver": ("solvers",),
           "criterion": ("criteria",), "reader": ("readers",), "writer": ("writers",),
           "format": ("readers", "writers")}
 MADE = {"dlt-demo", "line-demo", "demo"}

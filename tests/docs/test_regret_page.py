@@ -29,8 +29,8 @@ def test_selections_are_judged_by_control_and_check_points_together() -> None:
     roles = np.array(points.roles)
     terms = tuple(f"{axis}.num:{name}" for axis in ("line", "sample") for name in ("1", *"XYZ"))
     known = points.take(roles != "independent")
-    fitted = termsel.Affine().fit(termsel.FeatureSet(
-        termsel.Points(known.ids, known.image, known.ground), crs=features.crs))
+    fitted = termsel.fit(termsel.FeatureSet(
+        termsel.Points(known.ids, known.image, known.ground), crs=features.crs), "affine")
     errors = fitted.errors(points.take(roles == "independent"))
     assert regret.judged(features, terms) == pytest.approx((rmse_of(errors), 8))
 

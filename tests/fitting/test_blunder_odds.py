@@ -9,12 +9,12 @@ import pytest
 from scipy.special import logsumexp
 
 from termsel import FeatureSet, Lines, Points
+from termsel.adjustment.bayesian.blunder_odds import FORM, SIZES, blunder_odds
+from termsel.adjustment.bayesian.posterior import Posterior, posterior
+from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.auto.blunders import find_blunders
-from termsel.data.control import Control
 from termsel.data.features import FloatArray, no_lines
-from termsel.fitting.adjustment.monomials import graded_exponents, monomials
-from termsel.fitting.bayesian.blunder_odds import FORM, SIZES, blunder_odds
-from termsel.fitting.bayesian.posterior import Posterior, posterior
+from termsel.data.fit_data import FitData
 
 PLANE = graded_exponents(2, 2)
 N = 12
@@ -81,7 +81,7 @@ def far_point(shift: float) -> FeatureSet:
     (12.0, False, False), (60.0, True, True), (200.0, True, False)])
 def test_a_far_point_alone_is_left_out_once_it_is_likelier_a_blunder(
         shift: float, blunder: bool, probable: bool) -> None:
-    found = find_blunders(Control.of(far_point(shift), True))
+    found = find_blunders(FitData.of(far_point(shift), True))
     assert found is not None
     assert (found.blunders[0], found.probable[0]) == (blunder, probable)
     assert not found.blunders[1:].any()
@@ -95,7 +95,7 @@ def test_what_is_below_the_error_found_for_certain_is_called_probable() -> None:
     image[7] += 25.0
     features = features.with_(points=replace(features.points, image=image))
     without = np.delete(np.arange(24), [2, 3, 4, 9, 13, 14, 15, 16])
-    found = find_blunders(Control.of(features.take(without), True))
+    found = find_blunders(FitData.of(features.take(without), True))
     assert found is not None
     assert np.flatnonzero(found.blunders).tolist() == [0, 4]
     assert found.probable.tolist() == (found.blunders & (found.errors < found.limits)).tolist()
@@ -103,7 +103,7 @@ def test_what_is_below_the_error_found_for_certain_is_called_probable() -> None:
 
 
 def test_among_few_points_it_is_named_and_stays() -> None:
-    found = find_blunders(Control.of(far_point(60.0).take(np.arange(24) < 20), True))
+    found = find_blunders(FitData.of(far_point(60.0).take(np.arange(24) < 20), True))
     assert found is not None
     assert not found.blunders.any()
     assert np.flatnonzero(found.undecided).tolist() == [0]
@@ -115,7 +115,7 @@ def test_with_lines_it_is_named_and_stays() -> None:
     ground = np.concatenate([rng.uniform(0, 400, (6, 2, 2)), rng.uniform(0, 100, (6, 2, 1))], 2)
     image = ground[..., 1::-1] * 2 + 0.5 * rng.standard_normal((6, 2, 2))
     both = features.with_(lines=Lines(tuple("ABCDEF"), image, ground))
-    found = find_blunders(Control.of(both, True))
+    found = find_blunders(FitData.of(both, True))
     assert found is not None
     assert found.undecided.tolist() == [True, *[False] * 29]
     assert not found.blunders.any()

@@ -8,12 +8,12 @@ from scipy.stats import multivariate_normal
 
 import termsel
 from termsel import FeatureSet, TermselError
+from termsel.adjustment.bayesian import physics
+from termsel.adjustment.bayesian.cameras import seen_by_frames, seen_by_radars
+from termsel.adjustment.bayesian.physics import FREE, Equations, Prior, Solutions
+from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.auto.physical import averaged, averaged_of
-from termsel.data.control import Control
-from termsel.fitting.adjustment.monomials import graded_exponents, monomials
-from termsel.fitting.bayesian import physics
-from termsel.fitting.bayesian.cameras import seen_by_frames, seen_by_radars
-from termsel.fitting.bayesian.physics import FREE, Equations, Prior, Solutions
+from termsel.data.fit_data import FitData
 from termsel.simulate import simulate_scene
 from termsel_bench.scenes.cameras import CHOSEN, image_of
 
@@ -164,7 +164,7 @@ def test_no_radar_sees_both_sides_of_its_track():
 
 def test_more_than_the_fewest_points_must_call_for_it_by_strong_evidence():
     for count, at_odds_of_ten in ((6, False), (8, True)):
-        control = Control.of(simulate_scene("spot-isfahan", roles=(count, 0, 0), n_lines=0))
+        control = FitData.of(simulate_scene("spot-isfahan", roles=(count, 0, 0), n_lines=0))
         found = averaged(control.scaled.points, control.scaling, control.features.crs,
                          graded_exponents(3, 3))
         physical = len(found.physical)
@@ -180,7 +180,7 @@ def test_more_than_the_fewest_points_must_call_for_it_by_strong_evidence():
 @pytest.mark.parametrize(("count", "needed"), [(12, [False, False, True]),
                                                (16, [False, True, True])])
 def test_beyond_twelve_points_it_must_also_predict_points_better(count, needed):
-    control = Control.of(simulate_scene("spot-isfahan", roles=(count, 0, 0), n_lines=0))
+    control = FitData.of(simulate_scene("spot-isfahan", roles=(count, 0, 0), n_lines=0))
     found = averaged(control.scaled.points, control.scaling, control.features.crs,
                      graded_exponents(3, 3))
     assert [replace(found, worse=worse).alone(None) for worse in (-1.5, 0.0, 1.5)] == needed
@@ -192,7 +192,7 @@ def test_no_satellite_has_pixels_of_millimetres_or_of_kilometres(shrunk, meant):
     """Degrees without a CRS are no metres. SPOT's 10 m are a pixel, and so are 0.5 m."""
     points = simulate_scene("spot-isfahan", roles=(8, 0, 0), n_lines=0).points
     metres = (points.ground - points.ground.mean(axis=0)) * [90e3, 111e3, 1.0]
-    control = Control.of(FeatureSet(replace(points, ground=shrunk * metres)))
+    control = FitData.of(FeatureSet(replace(points, ground=shrunk * metres)))
     found = averaged(control.scaled.points, control.scaling, "", graded_exponents(3, 3))
     assert (found is not None) == meant
 

@@ -9,6 +9,9 @@ import pytest
 from scipy import stats
 
 import termsel
+from termsel.adjustment.equations import Equations
+from termsel.adjustment.monomials import RPC00B, monomial_name
+from termsel.adjustment.solve import solve
 from termsel.core.errors import TermselError, unknown_name
 from termsel.core.options import Option
 from termsel.data.coordinates.places import beyond
@@ -17,9 +20,6 @@ from termsel.data.features import FeatureSet, FloatArray, Lines, Points
 from termsel.data.roles import by_roles, observe
 from termsel.data.scaling import scaling_of
 from termsel.data.splits import SPLITS
-from termsel.fitting.adjustment.equations import Equations
-from termsel.fitting.adjustment.monomials import RPC00B, monomial_name
-from termsel.fitting.adjustment.solve import solve
 from termsel.fitting.diagnosis import significance
 from termsel.fitting.figures import in_role
 from termsel.fitting.fit import Fit

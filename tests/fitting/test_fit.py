@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.auto.structures import CANDIDATES
+from termsel.adjustment.solve import solve
+from termsel.auto.methods import METHODS
 from termsel.data.features import FeatureSet, Lines, Points, no_lines, no_points
 from termsel.data.scaling import scaling_of
-from termsel.fitting.adjustment.solve import solve
 from termsel.fitting.least_squares import LeastSquares
 from termsel.fitting.least_squares import fit as low_level
 from termsel.fitting.residuals import Residuals
@@ -119,7 +119,7 @@ def test_rfm_as_normal_equations() -> None:
 # The prior of a scanner declines these points; tests/fitting/test_camera_prior.py has its errors.
 # Projective transformations and pinhole cameras are for oblique views;
 # tests/models/test_oblique_views.py and tests/models/test_pinhole_cameras.py have their errors.
-@pytest.mark.parametrize("name", [one.name for one in CANDIDATES if one.with_heights
+@pytest.mark.parametrize("name", [one.name for one in METHODS if one.with_heights
                                   and one.name not in ("physical-cubic", "projective", "pinhole")])
 def test_leave_one_out_of_points_repeats_the_procedure(name: str) -> None:
     features = points_of(50 if name == "rfm-3" else 45 if name == "ridge" else 26)
@@ -251,7 +251,7 @@ def test_every_way_of_naming_a_model_gives_the_same_fit(make: object) -> None:
     features = points_of(40)
     model = make()
     options = {"order": 2} if isinstance(model, type) else {}
-    expected = RationalFunctions(order=2).fit(features)
+    expected = termsel.fit(features, RationalFunctions(order=2))
     found = termsel.fit(features, model, **options)
     np.testing.assert_array_equal(found.adjustment.coefficients,
                                   expected.adjustment.coefficients)

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from termsel.adjustment import Equations, solve
+from termsel.adjustment.blocks import paying, reduced
+from termsel.adjustment.kernels import BLOCK, _prepared, needs_compilation, solve_many
 from termsel.data.features import FeatureSet, Points
-from termsel.fitting.adjustment import Equations, solve
-from termsel.fitting.adjustment.blocks import paying, reduced
-from termsel.fitting.adjustment.kernels import BLOCK, _prepared, needs_compilation, solve_many
 from termsel.models.rational import RationalFunctions
 
 SYSTEMS = st.tuples(
@@ -233,7 +233,7 @@ def test_masks_that_do_not_fit_are_refused():
 def test_compilation_is_announced_and_not_part_of_the_import():
     solve_many(system(np.random.default_rng(7), 5, 1, 3), None, None)
     assert not needs_compilation()
-    code = "import sys, termsel.fitting.adjustment; sys.exit('numba' in sys.modules)"
+    code = "import sys, termsel.adjustment; sys.exit('numba' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

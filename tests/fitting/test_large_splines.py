@@ -9,8 +9,8 @@ import pytest
 
 import termsel
 from termsel import FeatureSet, Points
-from termsel.fitting.bayesian import kernels, thin_plate
-from termsel.fitting.bayesian.thin_plate import ThinPlates, thin_plates
+from termsel.adjustment.bayesian import kernels, thin_plate
+from termsel.adjustment.bayesian.thin_plate import ThinPlates, thin_plates
 from termsel.models import interpolating
 
 UNITS = (1.0, 0.9)

@@ -7,10 +7,10 @@ import pytest
 from scipy.optimize import least_squares
 
 from termsel import TermselError, prepare, simulate_scene
+from termsel.adjustment.equations import line_normals
+from termsel.adjustment.lines import approximate_image, row_weights
 from termsel.data.features import FeatureSet, Lines, Points, no_points
 from termsel.data.scaling import scaling_of
-from termsel.fitting.adjustment.equations import line_normals
-from termsel.fitting.adjustment.lines import approximate_image, row_weights
 from termsel.fitting.least_squares import fit
 from termsel.models.rational import RationalFunctions
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from termsel import prepare
+from termsel.adjustment import Equations, nearby
+from termsel.adjustment.kernels import solve_many
 from termsel.data.features import BoolArray
-from termsel.fitting.adjustment import Equations, nearby
-from termsel.fitting.adjustment.kernels import solve_many
 from termsel.selection.solvers.heuristics.swap import neighbours
 from termsel.selection.solvers.ledger import Ledger
 

@@ -9,8 +9,8 @@ import pytest
 from scipy.optimize import least_squares, minimize
 
 import termsel
+from termsel.adjustment.equations import Equations
 from termsel.auto.robust import HUBER, TUKEY, reweighted
-from termsel.fitting.adjustment.equations import Equations
 from termsel.fitting.diagnosis import NORMAL_MEDIAN
 from termsel.simulate import simulate_scene
 

@@ -10,15 +10,15 @@ from scipy.interpolate import RBFInterpolator
 from scipy.stats import multivariate_normal
 
 import termsel
-from termsel.auto.portfolio import choose
-from termsel.data.control import Control
+from termsel.adjustment.bayesian import field, posterior
+from termsel.adjustment.bayesian.field import collocate
+from termsel.adjustment.bayesian.foresight import foresee
+from termsel.adjustment.bayesian.thin_plate import thin_plates
+from termsel.adjustment.monomials import graded_exponents, monomials
+from termsel.adjustment.orthogonal import orthogonal
+from termsel.auto.auto import Auto
 from termsel.data.features import FeatureSet, FloatArray, Points
-from termsel.fitting.adjustment.monomials import graded_exponents, monomials
-from termsel.fitting.adjustment.orthogonal import orthogonal
-from termsel.fitting.bayesian import field, posterior
-from termsel.fitting.bayesian.field import collocate
-from termsel.fitting.bayesian.foresight import foresee
-from termsel.fitting.bayesian.thin_plate import thin_plates
+from termsel.data.fit_data import FitData
 from termsel_photos import simulate_map
 
 UNITS = (1.0, 0.7)
@@ -123,7 +123,7 @@ def one_cell(monkeypatch: pytest.MonkeyPatch) -> tuple[float, float, tuple[float
     """Leave one solution with a field on the grid, and return its size, ratio and lengths."""
     size, ratio, lengths = 10.0, 0.25, (0.4, 0.8)
     monkeypatch.setattr(posterior, "SIZES", np.array([size]))
-    monkeypatch.setattr("termsel.fitting.bayesian.foresight.SIZES", np.array([size]))
+    monkeypatch.setattr("termsel.adjustment.bayesian.foresight.SIZES", np.array([size]))
     for name, value in (("RATIOS", (ratio,)), ("FALLS", (0.1,)),
                         ("LENGTHS", (lengths, lengths[::-1])),
                         ("FIELD", 1 - 1e-15), ("ALIKE", 0.0)):
@@ -309,38 +309,39 @@ def total(errors: FloatArray) -> float:
 @pytest.mark.parametrize("seed", [0, 1])
 def test_local_deformation_calls_for_a_field(seed: int) -> None:
     control, others = unseen(simulate_map(seed=seed, n_points=260, sheets=(1, 1), local=10.0), 60)
-    choice = choose(Control.of(control, False))
+    choice = Auto().choose(FitData.of(control, False))
     assert choice is not None
-    assert choice.chosen.name in ("field", "tps")
+    assert choice.method.name in ("field", "tps")
     assert "probability of local deformation" in choice.reason
-    best = min(total(one.fit.errors(others)) for one in choice.judged if one.candidate.is_plain)
-    assert total(choice.chosen.fit.errors(others)) < 0.8 * best
+    best = min(total(one.errors(others)) for one in choice.compared if one.method.is_plain)
+    assert total(choice.chosen.errors(others)) < 0.8 * best
     # It knows how uncertain it is between the points.
-    sigma = choice.chosen.fit.sigma(others.ground, measured=True)
-    inside = np.abs(choice.chosen.fit.errors(others)) < 1.645 * sigma
+    sigma = choice.chosen.sigma(others.ground, measured=True)
+    inside = np.abs(choice.chosen.errors(others)) < 1.645 * sigma
     assert 0.83 < inside.mean() < 0.97
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_an_affine_scan_calls_for_no_field(seed: int) -> None:
     control, others = unseen(simulate_map(seed=seed, n_points=240, sheets=(1, 1), local=0.0), 40)
-    choice = choose(Control.of(control, False))
+    choice = Auto().choose(FitData.of(control, False))
     assert choice is not None
-    assert choice.chosen.candidate.kind != "local"
-    assert not {"field", "tps"} & {one.name for one in choice.judged}
+    assert choice.method.kind != "local"
+    assert not {"field", "tps"} & {one.method.name for one in choice.compared}
     # Nor does it harm where it is asked for.
     field_errors = termsel.fit(control, "field").errors(others)
-    assert total(field_errors) < 1.05 * total(choice.chosen.fit.errors(others))
+    assert total(field_errors) < 1.05 * total(choice.chosen.errors(others))
 
 
 def test_folds_of_twenty_points_are_judged_as_all_of_them_are() -> None:
     """They have 19: were a spline a course of its own there, all of them would choose a field."""
     control, _ = unseen(simulate_map(seed=0, n_points=120, sheets=(1, 2), local=0.0, joints=12.0),
                         20)
-    whole, *folds = (choose(Control.of(control.take(np.arange(20) != out), False), whole=False)
-                     for out in (20, *range(6)))
+    whole, *folds = (
+        Auto().choose(FitData.of(control.take(np.arange(20) != out), False), whole=False)
+        for out in (20, *range(6)))
     assert whole is not None
-    assert sum(one is not None and one.chosen.name == whole.chosen.name for one in folds) >= 4
+    assert sum(one is not None and one.method.name == whole.method.name for one in folds) >= 4
 
 
 def test_few_points_of_joined_sheets_are_predicted_as_a_spline_does() -> None:
@@ -348,9 +349,9 @@ def test_few_points_of_joined_sheets_are_predicted_as_a_spline_does() -> None:
     for seed in range(8):
         control, others = unseen(simulate_map(
             seed=seed, n_points=112, sheets=(1, 2), local=0.0, joints=12.0), 12)
-        choice = choose(Control.of(control, False), whole=False)
+        choice = Auto().choose(FitData.of(control, False), whole=False)
         assert choice is not None
-        errors.append([total(choice.chosen.fit.errors(others)),
+        errors.append([total(choice.chosen.errors(others)),
                        *(total(termsel.fit(control, name).errors(others))
                          for name in ("tps", "shrunken-cubic"))])
     auto, spline, cubic = np.exp(np.log(errors).mean(axis=0))

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 import termsel
+from termsel.adjustment.monomials import RPC00B
 from termsel.core.errors import TermselError
 from termsel.core.files.atomic import write_bytes
 from termsel.data.features import FeatureSet, Points
 from termsel.data.rasters import empty_tiff
-from termsel.fitting.adjustment.monomials import RPC00B
+from termsel.fitting.rpc_fit import rpc_of
 from termsel.formats.readers.csv_tables import LinesCsv, PointsCsv
 from termsel.formats.rpc_files import read_rpc, rpb_text
 from termsel.formats.vrt import picture_for
@@ -33,7 +34,6 @@ from termsel.formats.writers.selections import (
     PointsTable,
     QgisPointsWriter,
 )
-from termsel.models.rpc_fit import rpc_of
 from termsel.results.result import Result
 from termsel.testing import Check, checks, example_results
 

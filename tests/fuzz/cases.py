@@ -29,7 +29,7 @@ from termsel.plugins.registry import registry
 from termsel.report import pictures
 from termsel.report.pictures import picture
 from termsel.results.checksums import SEALS, of_record
-from termsel.runs.task.request import DATA_OPTIONS
+from termsel.runs.request import DATA_OPTIONS
 from termsel.simulate import read_geometry
 from tests.fuzz import readers, surfaces
 from tests.fuzz import seeds as formats

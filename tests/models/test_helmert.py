@@ -42,16 +42,16 @@ def test_it_is_the_similarity_of_scikit_image() -> None:
 def test_two_points_determine_it(angle: float, mirrored: bool) -> None:
     features = scene(12, angle=angle, mirrored=mirrored)
     two = features.take(np.arange(12) < 2)
-    fitted = Helmert2D(mirrored=mirrored).fit(two)
+    fitted = termsel.fit(two, Helmert2D(mirrored=mirrored))
     assert np.abs(fitted.errors(features.points)).max() < 1e-6
-    wrong = Helmert2D(mirrored=not mirrored).fit(two)  # fits its two points, and no others
+    wrong = termsel.fit(two, Helmert2D(mirrored=not mirrored))  # fits its two points, and no others
     assert np.abs(wrong.errors(two.points)).max() < 1e-6
     assert np.abs(wrong.errors(features.points)).max() > 100
 
 
 def test_one_point_is_refused_with_what_is_needed() -> None:
     with pytest.raises(termsel.TermselError, match="2 equations for the 4 terms") as refusal:
-        Helmert2D().fit(scene(1))
+        termsel.fit(scene(1), Helmert2D())
     assert "at least 2" in str(refusal.value.hint)
 
 

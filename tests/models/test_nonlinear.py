@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 
 import termsel
+from termsel.adjustment.equations import Equations
+from termsel.auto.validated import validated
 from termsel.core.isolation.faults import PluginFault
 from termsel.data.features import FloatArray
-from termsel.fitting.adjustment.equations import Equations
 from termsel.testing import check
 
 PAGE = Path(__file__).parents[2] / "docs/how-to/kinds/nonlinear.md"
@@ -160,9 +161,9 @@ def test_a_candidate_of_auto_is_judged_about_its_fit(page: dict[str, Any],
                                                      scene: termsel.FeatureSet) -> None:
     control = scene.take(np.arange(60) < 25)
     candidate = termsel.Structure("fish", "a fisheye camera", page["Fisheye"](), termsel.Affine())
-    judged = candidate.judge(termsel.Control.of(control))
+    judged = validated(candidate, termsel.FitData.of(control))
     repeated = termsel.fit(control, page["Fisheye"]).leave_one_out_rmse().total
-    assert np.sqrt(judged.squares.mean()) == pytest.approx(repeated, rel=1e-3)
+    assert np.sqrt(judged.held_out().squares.mean()) == pytest.approx(repeated, rel=1e-3)
 
 
 @pytest.mark.parametrize(("method", "value", "said"), [

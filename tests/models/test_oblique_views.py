@@ -10,12 +10,12 @@ import pytest
 
 import termsel
 from benchmarks.oblique import LINES, SAMPLES, Scene, case_of, rmse, scene
-from termsel.auto.base import has_pole, refusal
+from termsel.auto.auto import Auto
 from termsel.auto.blunders import find_blunders
-from termsel.auto.portfolio import choose
-from termsel.auto.structures import named
-from termsel.data.control import Control
+from termsel.auto.methods import named
+from termsel.auto.validated import has_pole, refusal, validated
 from termsel.data.features import FloatArray
+from termsel.data.fit_data import FitData
 from termsel.data.scaling import scaling_of
 from termsel.data.view import view_of
 
@@ -28,9 +28,9 @@ PROJECTIONS = ("projective", "dlt", "pinhole")
 
 def chosen_by(drawn: Scene) -> tuple[str, float]:
     """Return what is chosen from all control, and its RMSE at the truth."""
-    choice = choose(Control.of(drawn.features))
+    choice = Auto().choose(FitData.of(drawn.features))
     assert choice is not None
-    return choice.chosen.name, rmse(choice.chosen.fit.project(drawn.ground), drawn.image)
+    return choice.method.name, rmse(choice.chosen.project(drawn.ground), drawn.image)
 
 
 @pytest.mark.parametrize(("angle", "relief", "count"), [
@@ -64,15 +64,15 @@ def test_birds_eye_views_that_are_drawn_roughly_are_projective(count: int, seed:
 def test_heights_count_by_what_they_do_in_the_image() -> None:
     """Hills of 3 m in a plain of kilometres, near a camera that looks along the ground."""
     low, level = (scene(10, relief, 20, 4).features for relief in (8, 0))
-    assert Control.of(low).heights
-    assert not Control.of(level).heights
+    assert FitData.of(low).heights
+    assert not FitData.of(level).heights
 
 
 def test_a_pole_among_the_control_is_refused_and_named() -> None:
     drawn = scene(20, 100, 20, 0)
     dlt = named("dlt")
     assert dlt is not None
-    fitted = dlt.fit_control(Control.of(drawn.features))
+    fitted = dlt.fit(FitData.of(drawn.features))
     assert not has_pole(fitted)
     assert refusal(fitted) == ""
     coefficients = fitted.adjustment.coefficients.copy()
@@ -92,10 +92,10 @@ def test_overfitted_rational_functions_are_refused_still() -> None:
     drawn = scene(15, 100, 24, 1)
     rfm = named("rfm-2")
     assert rfm is not None
-    control = Control.of(drawn.features)
-    judged = rfm.judge(control)
+    control = FitData.of(drawn.features)
+    judged = validated(rfm, control)
     # 38 terms of 48 coordinates have a pole somewhere, or errors of the left out that are great.
-    assert judged is None or judged.predicted > 5.0
+    assert judged is None or judged.held_out_rmse > 5.0
 
 
 def test_a_refused_model_says_why(tmp_path: Path) -> None:
@@ -112,9 +112,9 @@ def test_a_refused_model_says_why(tmp_path: Path) -> None:
 
 def fit_of(angle: int = 10, relief: int = 0) -> tuple[Scene, termsel.Fit]:
     drawn = scene(angle, relief, 20, 1)
-    choice = choose(Control.of(drawn.features))
+    choice = Auto().choose(FitData.of(drawn.features))
     assert choice is not None
-    return drawn, choice.chosen.fit
+    return drawn, choice.chosen
 
 
 def behind(drawn: Scene) -> FloatArray:
@@ -312,13 +312,13 @@ def test_an_image_from_above_shows_no_sky() -> None:
 def test_what_an_oblique_view_predicts_is_no_blunder(angle: int, relief: int, count: int) -> None:
     """Polynomials name a right point for the bend of the view; a blunder is still named alone."""
     features = scene(angle, relief, count, 2).features
-    right = find_blunders(Control.of(features))
+    right = find_blunders(FitData.of(features))
     assert right is not None
     assert not (right.blunders | right.undecided).any()
 
     image = features.points.image.copy()
     image[7] += [200.0, -200.0]
-    wrong = find_blunders(Control.of(replace(features, points=replace(features.points,
+    wrong = find_blunders(FitData.of(replace(features, points=replace(features.points,
                                                                       image=image))))
     assert wrong is not None
     assert np.flatnonzero(wrong.blunders | wrong.undecided).tolist() == [7]
@@ -329,7 +329,7 @@ def test_a_medium_blunder_in_an_oblique_view_is_named_alone(angle: int, relief: 
     features = scene(angle, relief, 30, 1).features
     image = features.points.image.copy()
     image[11] += [15.0, -20.0]
-    found = find_blunders(Control.of(replace(features, points=replace(features.points,
+    found = find_blunders(FitData.of(replace(features, points=replace(features.points,
                                                                       image=image))))
     assert found is not None
     assert np.flatnonzero(found.blunders).tolist() == [11]

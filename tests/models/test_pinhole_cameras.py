@@ -9,9 +9,9 @@ import pytest
 
 import termsel
 from benchmarks.oblique import Scene, rival, rmse, scene
-from termsel.auto.structures import named
-from termsel.data.control import Control
+from termsel.auto.methods import named
 from termsel.data.features import FloatArray
+from termsel.data.fit_data import FitData
 from termsel.fitting.fit import Undetermined
 from termsel.fitting.pinhole import pinhole_of
 
@@ -19,7 +19,7 @@ from termsel.fitting.pinhole import pinhole_of
 def seen_by(drawn: Scene, *, size: bool = True) -> FloatArray:
     """Return where the camera of all control sees the truth, with its image's size or without."""
     features = drawn.features if size else replace(drawn.features, image_size=None)
-    control = Control.of(features)
+    control = FitData.of(features)
     camera = pinhole_of(control.scaled, control.scaling)
     assert camera is not None
     ground = control.scaling.ground(drawn.ground)
@@ -86,7 +86,7 @@ def test_errors_are_as_large_as_their_standard_deviations() -> None:
         drawn = scene(20, 100, 6, 40 + seed)
         pinhole = named("pinhole")
         assert pinhole is not None
-        fitted = pinhole.fit_control(Control.of(drawn.features))
+        fitted = pinhole.fit(FitData.of(drawn.features))
         errors = fitted.project(drawn.ground) - drawn.image
         squares.append((errors / fitted.sigma(drawn.ground))**2)
     assert 0.6 < np.sqrt(np.mean([one.mean() for one in squares])) < 1.6
@@ -111,7 +111,7 @@ def test_what_is_seen_from_above_calls_for_no_camera(name: str, count: int) -> N
     assert pinhole is not None
     few = features.take(np.arange(len(features)) < count)
     with pytest.raises(Undetermined):
-        pinhole.fit_control(Control.of(few))
+        pinhole.fit(FitData.of(few))
 
 
 def test_four_points_over_hills_get_a_camera_of_unknown_accuracy() -> None:

@@ -7,8 +7,8 @@ import pytest
 from skimage.transform import ProjectiveTransform
 
 import termsel
+from termsel.adjustment import solve
 from termsel.data.features import FeatureSet, FloatArray, Points, no_lines
-from termsel.fitting.adjustment import solve
 from termsel.models.projective import DLT2D, DLT3D, Projective2D
 from termsel.models.quotient import RationalModel
 from termsel.models.rational import RationalFunctions

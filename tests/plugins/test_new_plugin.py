@@ -22,7 +22,7 @@ from termsel.cli.new_plugin import KINDS, package
 from termsel.plugins.registry import Registry
 
 LISTED = {"model": "models", "solver": "solvers", "problem": "problems", "criterion": "criteria",
-          "objective": "objectives", "candidate": "candidates", "dataset": "datasets",
+          "objective": "objectives", "method": "methods", "dataset": "datasets",
           "split": "splits", "section": "sections", "measure": "measures",
           "reader": "readers", "writer": "writers"}
 

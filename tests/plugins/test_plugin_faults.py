@@ -23,9 +23,9 @@ from termsel.data.datasets import DatasetSpec
 from termsel.data.features import FeatureSet
 from termsel.models.quotient import Blocks
 from termsel.plugins.registry import Registry
-from termsel.runs.judgement.assess import fit_of
 from termsel.runs.run import run
-from termsel.runs.task.task import Task, prepare
+from termsel.runs.searching import fit_of
+from termsel.runs.task import Task, prepare
 from termsel.selection.criteria import CheckRmse
 from termsel.selection.problems.base import Evaluation, Problem, Selection
 from termsel.selection.problems.genome import Genome

@@ -209,7 +209,7 @@ def descended(task: termsel.Task) -> np.ndarray:
 def test_any_optimiser_gets_a_result() -> None:
     task = termsel.prepare("poly-terms", options={"degree": 2})
     genes = descended(task)
-    result = termsel.assess(task, genes)
+    result = termsel.assess(termsel.GivenGenes(genes), task)
     assert isinstance(result, Result)
     assert result.selection == task.problem.decode(genes)
     assert result.objectives["check-rmse"] == pytest.approx(result.rmse["check"].total)
@@ -222,8 +222,9 @@ def test_any_optimiser_gets_a_result() -> None:
                                    lambda genes: genes[None], lambda genes: list(genes)[:3]])
 def test_assess_refuses_genes_of_another_kind(wrong) -> None:  # type: ignore[no-untyped-def]
     task = termsel.prepare("poly-terms", options={"degree": 2})
+    genes = task.problem.genome.random(np.random.default_rng(1), 1)[0]
     with pytest.raises(TermselError, match="assess got genes of the type"):
-        termsel.assess(task, wrong(task.problem.genome.random(np.random.default_rng(1), 1)[0]))
+        termsel.assess(termsel.GivenGenes(wrong(genes)), task)
 
 
 def farthest_pair(selected: PopulationSelection) -> np.ndarray:

@@ -170,7 +170,7 @@ def test_what_has_options_is_returned_as_its_class(install, registry, kind):
 def test_built_ins_follow_the_one_rule(kind):
     names = Registry([])
     assert all(inspect.isclass(entry.object) == (
-        kind not in ("problems", "objectives", "candidates", "datasets", "splits"))
+        kind not in ("problems", "objectives", "methods", "datasets", "splits"))
                for entry in names.entries(kind))
 
 

@@ -376,7 +376,8 @@ def test_what_no_command_repeats_is_said(tmp_path: Path) -> None:
     assert "termsel run \\" not in text
     task = termsel.prepare("poly-terms")
     genes = task.problem.genome.random(np.random.default_rng(1), 1)[0]
-    assert "genes were given" in not_by_command(termsel.assess(task, genes).record)
+    result = termsel.assess(termsel.GivenGenes(genes), task)
+    assert "genes were given" in not_by_command(result.record)
 
 
 @pytest.mark.slow

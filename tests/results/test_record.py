@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.auto.structures import CANDIDATES, named
+from termsel.auto.methods import METHODS, named
 from termsel.core.errors import TermselError
 from termsel.data.features import FeatureSet, no_lines, no_points
 from termsel.data.record.base import plain
@@ -189,7 +189,7 @@ def test_every_model_is_the_same_again(name: str) -> None:
 @pytest.mark.parametrize("features", [
     SCENE.with_(lines=no_lines()), SCENE.with_(points=no_points()), PLANE],
     ids=["points", "lines", "map"])
-@pytest.mark.parametrize("name", [one.name for one in CANDIDATES])
+@pytest.mark.parametrize("name", [one.name for one in METHODS])
 def test_every_candidate_is_the_same_again(name: str, features: FeatureSet) -> None:
     candidate = named(name)
     assert candidate is not None

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from termsel.adjustment.equations import Equations
+from termsel.adjustment.solve import solve
 from termsel.core.errors import TermselError
-from termsel.fitting.adjustment.equations import Equations
-from termsel.fitting.adjustment.solve import solve
 from termsel.selection.best_subsets import subsets
 from termsel.selection.best_subsets.columns.system import (
     SCORES,

@@ -13,15 +13,16 @@ import numpy as np
 import pytest
 
 import termsel
+from termsel.adjustment.equations import Equations
+from termsel.adjustment.leave_out import leave_one_out
 from termsel.data.features import FeatureSet, Points, no_lines, no_points
 from termsel.data.scaling import scaling_of
-from termsel.fitting.adjustment.equations import Equations
-from termsel.fitting.adjustment.leave_out import leave_one_out
+from termsel.fitting.population import Fits
 from termsel.formats.readers.csv_tables import write_points_csv
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Polynomial3D
 from termsel.models.quotient import RationalModel
-from termsel.selection.criteria import CheckRmse, Ebic, Fits, KFold, Press
+from termsel.selection.criteria import CheckRmse, Ebic, KFold, Press
 from termsel.selection.problems.base import WORST, Inputs
 from termsel.selection.problems.selection import SelectionProblem
 from termsel.selection.solvers.proofs.exact import gap

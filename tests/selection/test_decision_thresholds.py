@@ -9,25 +9,26 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.auto.base import Candidate, Judged
+from termsel.adjustment.monomials import graded_exponents, monomials
+from termsel.auto.auto import Auto
 from termsel.auto.compare import compare
-from termsel.auto.portfolio import choose
-from termsel.auto.repetition import repeated
+from termsel.auto.methods import Structure, named
 from termsel.auto.selected import select_forward
 from termsel.auto.shrunken import average
-from termsel.auto.structures import named
-from termsel.data.control import Control
+from termsel.auto.validated import validated
 from termsel.data.coordinates.places import spatial_order
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points, no_points
+from termsel.data.fit_data import FitData
 from termsel.data.roles import by_roles
-from termsel.fitting.adjustment.monomials import graded_exponents, monomials
-from termsel.fitting.fit import Fit
+from termsel.fitting.fit import HeldOut
+from termsel.fitting.method import Method
+from termsel.fitting.population import Fits
 from termsel.models.projective import DLT3D
 from termsel.results.checksums import of_features
-from termsel.runs.search.recommend import recommended
-from termsel.runs.task.request import Request
-from termsel.runs.task.task import observe, prepare
-from termsel.selection.criteria import Ebic, Fits, KFold
+from termsel.runs.recommend import recommended
+from termsel.runs.request import Request
+from termsel.runs.task import observe, prepare
+from termsel.selection.criteria import Ebic, KFold
 from termsel.selection.problems.base import Evaluation, Problem, Selection
 from termsel.selection.problems.genome import Genome
 from termsel.selection.problems.segments import Bits
@@ -36,7 +37,7 @@ from termsel.selection.solvers.budget import Budget
 from termsel.selection.solvers.ledger import Ledger
 from termsel.selection.solvers.proofs.proof import limits_of
 from termsel.selection.solvers.refinement import POLISH_SHARE
-from termsel.selection.solvers.search import Search, search
+from termsel.selection.solvers.search import SearchResult, search
 
 CUBIC = graded_exponents(3, 3)
 
@@ -74,15 +75,15 @@ def bent(slope: float, n: int = 60) -> FeatureSet:
 def test_a_pole_in_a_box_half_as_wide_again_excludes_a_candidate(slope: float, kept: bool) -> None:
     control, rfm = bent(slope), named("rfm-2")
     assert rfm is not None
-    assert rfm.fit_control(Control.of(control)).determined
-    assert (rfm.judge(Control.of(control)) is not None) == kept
+    assert rfm.fit(FitData.of(control)).determined
+    assert (validated(rfm, FitData.of(control)) is not None) == kept
 
 
 @pytest.mark.parametrize("slope", [0.5, 0.7, 0.95])
 def test_a_pole_below_the_camera_excludes_no_candidate(slope: float) -> None:
     control, dlt = photograph(slope), named("dlt")
     assert dlt is not None
-    assert dlt.judge(Control.of(control)) is not None
+    assert validated(dlt, FitData.of(control)) is not None
 
 
 def gain_of(standard_errors: float, n: int = 40) -> FloatArray:
@@ -101,13 +102,14 @@ def test_what_must_be_better_by_how_much(cubic: float, dlt: float, chosen: str,
     one = np.random.default_rng(2).uniform(1, 2, 40)
     squares = {"shrunken-quadratic": one, "shrunken-cubic": one * gain_of(cubic),
                "dlt": one * gain_of(dlt), "quadratic": 0.1 * one}
-    # The quadratic one is contained in the regularised one, so that it cannot win.
-    monkeypatch.setattr(Candidate, "judge", lambda candidate, control: (
-        Judged(candidate, candidate.fit_control(control),
-               squares[candidate.name]) if candidate.name in squares else None))
-    found = choose(Control.of(control, True))
+    # The quadratic one is contained in the shrunken one, so that it cannot win.
+    monkeypatch.setattr(Method, "tried", lambda method, _: method.name in squares)
+    fit = Structure.fit
+    monkeypatch.setattr(Structure, "fit", lambda method, data: replace(
+        fit(method, data), stored_held_out=HeldOut(squares[method.name])))
+    found = Auto().choose(FitData.of(control, True))
     assert found is not None
-    assert found.chosen.name == chosen
+    assert found.method.name == chosen
     assert ("by 1 standard error;" in found.reason) == (cubic == 1.02)
 
 
@@ -116,15 +118,15 @@ def test_every_point_is_in_one_fold_and_predicted_by_the_others() -> None:
     rng = np.random.default_rng(3)
     ground = places(23)
     control = set_of(ground, 100 * ground[:, :2] + rng.normal(0, 1, (23, 2)))
-    errors = repeated(Control.of(control, True))
+    errors = Auto().repeated(FitData.of(control, True))
     assert errors is not None
     order = spatial_order(ground[:, :2])
     for out in ([order[0], order[20]], [order[2], order[22]], [order[3]]):
         others = ~np.isin(np.arange(23), out)
-        choice = choose(Control.of(control.with_(points=control.points.take(others)), True))
+        choice = Auto().choose(FitData.of(control.with_(points=control.points.take(others)), True))
         assert choice is not None
         np.testing.assert_allclose(
-            errors[out], choice.chosen.fit.errors(control.points.take(out)), rtol=1e-9)
+            errors[out], choice.chosen.errors(control.points.take(out)), rtol=1e-9)
 
 
 def test_forward_selection_keeps_a_third_of_the_equations() -> None:
@@ -256,13 +258,12 @@ def test_checksums_of_features_cover_roles_and_deviations() -> None:
     assert len(sums) == 3
 
 
-def test_a_fit_is_what_the_portfolio_judges() -> None:
+def test_errors_of_points_without_noise_are_rounding() -> None:
     control, affine = photograph(0.0), named("affine")
     assert affine is not None
-    judged = affine.judge(Control.of(control))
-    assert judged is not None
-    assert isinstance(judged.fit, Fit)
-    assert judged.predicted < 1e-6
+    fitted = validated(affine, FitData.of(control))
+    assert fitted is not None
+    assert fitted.held_out_rmse < 1e-6
 
 
 class Listed(Problem):
@@ -279,10 +280,10 @@ class Listed(Problem):
     def decode(self, genes: BoolArray) -> Selection:
         raise NotImplementedError
 
-    def found(self) -> Search:
+    def found(self) -> SearchResult:
         n = self.genome.size
         front = tuple(np.arange(n) < size for size in range(1, n + 1))
-        return Search(front[0], self.values[0], 0.0, 1, n, 1, 0, 0.0, False, front=front)
+        return SearchResult(front[0], self.values[0], 0.0, 1, n, 1, 0, 0.0, False, front=front)
 
 
 def recommended_size(rule: str, first: list[float], second: list[float], n_check: int = 25) -> int:

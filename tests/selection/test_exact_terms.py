@@ -13,10 +13,11 @@ import pytest
 import termsel
 from termsel.core.errors import TermselError
 from termsel.data.record.base import plain
-from termsel.runs.judgement.assess import assessed
+from termsel.fitting.population import Fits
+from termsel.runs.searching import assessed
 from termsel.selection.best_subsets import descents as subset_descents
 from termsel.selection.best_subsets import subsets
-from termsel.selection.criteria import CheckRmse, Fits
+from termsel.selection.criteria import CheckRmse
 from termsel.selection.solvers.genetic.ga import GeneticAlgorithm
 from termsel.selection.solvers.proofs import exact
 from termsel.selection.solvers.proofs import proof as proof_module

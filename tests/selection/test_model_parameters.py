@@ -65,7 +65,7 @@ def test_a_problem_that_replaces_an_option_says_so() -> None:
     for degree, said in ((3, [note]), (2, [])):
         task = termsel.prepare(recipe, options={"degree": degree})
         genes = task.problem.genome.random(np.random.default_rng(1), 1)[0]
-        notes = termsel.assess(task, genes).notes
+        notes = termsel.assess(termsel.GivenGenes(genes), task).notes
         assert [note for note in notes if note.startswith("Option")] == said
 
 

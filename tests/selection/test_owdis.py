@@ -12,12 +12,12 @@ import pytest
 from scipy import stats
 
 import termsel
+from termsel.adjustment.equations import line_normals
 from termsel.data.features import Lines
-from termsel.fitting.adjustment.equations import line_normals
 from termsel.fitting.diagnosis import correlations, orientation_spread, significance
 from termsel.models.rpc import Rpc
-from termsel.runs.search import steps
-from termsel.runs.search.steps import search_in_steps
+from termsel.runs import steps
+from termsel.runs.steps import search_in_steps
 from termsel.simulate import simulate_scene
 
 QUICK = {"population": 40, "polish": False}

@@ -10,9 +10,9 @@ from pymoo.algorithms.moo.age2 import AGEMOEA2Survival
 from scipy.spatial import ConvexHull, QhullError
 
 import termsel
+from termsel.adjustment.parts import independent_parts
 from termsel.data.features import FeatureSet, Points
-from termsel.fitting.adjustment.parts import independent_parts
-from termsel.runs.search.recommend import recommended
+from termsel.runs.recommend import recommended
 from termsel.selection.problems.coverage import hull_areas, uncovered_share
 from termsel.selection.problems.objectives import (
     PopulationSelection,
@@ -20,7 +20,7 @@ from termsel.selection.problems.objectives import (
     uncovered,
     unevenness,
 )
-from termsel.selection.solvers.search import Search
+from termsel.selection.solvers.search import SearchResult
 from termsel_optimisers.survivals import _AgeSurvival
 
 SOLVERS = ("nsga2", "age-moea2", "sms-emoa", "spea2")
@@ -55,7 +55,7 @@ def test_nsga2_lies_on_the_exact_front_of_the_21_term_problem() -> None:
     assert np.mean(on) >= 0.9
 
 
-def two(n: int = 4) -> tuple[termsel.Task, Search]:
+def two(n: int = 4) -> tuple[termsel.Task, SearchResult]:
     task = termsel.prepare("poly-terms", solver="nsga2", options={"degree": 4})
     return task, termsel.search(task.problem, task.solver, generations=n)
 
@@ -89,11 +89,11 @@ def test_the_least_ebic_of_a_front() -> None:
     assert (figures.violation[:2] > 0).all()
     best = np.where(figures.violation > 0, np.inf, figures.objectives[:, 0]).argmin()
     assert best >= 2
-    of_front = Search(**{**vars(found), "front": front})
+    of_front = SearchResult(**{**vars(found), "front": front})
     assert (recommended(task, of_front).genes == front[best]).all()
     # Without any member of enough redundancy it is the best criterion.
     first = task.problem.evaluate(np.array(rich)).objectives[:, 0].argmin()
-    crowded = Search(**{**vars(found), "front": rich})
+    crowded = SearchResult(**{**vars(found), "front": rich})
     assert (recommended(task, crowded).genes == rich[first]).all()
 
 
@@ -128,7 +128,7 @@ def test_rules_that_cannot_be() -> None:
 
 def test_a_front_of_one_member_is_recommended() -> None:
     task, found = two()
-    alone = Search(**{**vars(found), "front": found.front[:1]})
+    alone = SearchResult(**{**vars(found), "front": found.front[:1]})
     task.options["problem"]["recommend"] = "knee"
     assert (recommended(task, alone).genes == found.front[0]).all()
 

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from termsel.adjustment.equations import Equations
+from termsel.adjustment.lines import row_weights
+from termsel.adjustment.solve import solve
 from termsel.core.errors import TermselError
 from termsel.data.features import BoolArray, FloatArray, Lines, Points
-from termsel.fitting.adjustment.equations import Equations
-from termsel.fitting.adjustment.lines import row_weights
-from termsel.fitting.adjustment.solve import solve
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
 from termsel.models.quotient import Blocks, RationalModel

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import termsel
+from termsel.fitting.losses import figure
 from termsel.selection.criteria import Huber, KFold, Median, Press
-from termsel.selection.criteria.losses import figure
 from termsel.simulate import simulate_scene
 from tests.criteria_cases import (
     CASES,

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.runs.search import steps
-from termsel.runs.search.recommend import recommended
-from termsel.selection.solvers.search import Search
+from termsel.runs import steps
+from termsel.runs.recommend import recommended
+from termsel.selection.solvers.search import SearchResult
 
 
-def found(value: float = 1.0, **more: object) -> Search:
+def found(value: float = 1.0, **more: object) -> SearchResult:
     """A search that ended with a value of its objective."""
-    return Search(**{  # type: ignore[arg-type]  # values of several kinds
+    return SearchResult(**{  # type: ignore[arg-type]  # values of several kinds
         "genes": np.ones(8, dtype=bool), "objectives": np.array([value]), "violation": 0.0,
         "seed": 1, "evaluations": 10, "generations": 1, "lookups": 0, "seconds": 0.1,
         "interrupted": False, **more})
@@ -67,7 +67,7 @@ def test_a_search_in_steps_tells_of_both(order: str, word: str, counts: str,
         120, 7, 12, 1.5)
 
 
-def once(search: Search) -> Callable[..., Search]:
+def once(search: SearchResult) -> Callable[..., SearchResult]:
     """A search that may be called once."""
     left = [search]
     return lambda *_, **__: left.pop()

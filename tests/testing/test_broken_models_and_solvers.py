@@ -11,9 +11,10 @@ import pytest
 from termsel.core.errors import TermselError
 from termsel.core.options import Option
 from termsel.data.features import FloatArray
+from termsel.fitting.population import Fits
 from termsel.models.polynomial import Affine
 from termsel.models.rational import RationalFunctions
-from termsel.selection.criteria import CheckRmse, Criterion, Fits
+from termsel.selection.criteria import CheckRmse, Criterion
 from termsel.selection.problems.base import Problem
 from termsel.selection.solvers.base import Generation, Solver
 from termsel.selection.solvers.genetic.ga import GeneticAlgorithm

@@ -10,6 +10,7 @@ import pytest
 
 from termsel.core.errors import TermselError
 from termsel.data.features import FeatureSet, FloatArray, Points
+from termsel.fitting.losses import LOSS
 from termsel.models.helmert import Helmert2D
 from termsel.models.interpolating import Field, Field3D, ThinPlate
 from termsel.models.polynomial import (
@@ -21,7 +22,6 @@ from termsel.models.projective import DLT2D, DLT3D, Projective2D
 from termsel.models.quotient import Blocks, RationalModel
 from termsel.models.rational import RationalFunctions
 from termsel.selection.criteria import CheckRmse, Ebic, Huber, KFold, Median, Press
-from termsel.selection.criteria.losses import LOSS
 from termsel.selection.problems.base import Inputs
 from termsel.selection.problems.selection import SelectionProblem
 from termsel.selection.solvers.bridges.pareto import Nsga2

@@ -12,11 +12,12 @@ import pytest
 from scipy import stats
 
 import termsel
-from termsel.auto.portfolio import choose
-from termsel.auto.repetition import repeated
-from termsel.data.control import Control
+from termsel.adjustment.bayesian.posterior import SIZES, posterior
+from termsel.adjustment.monomials import graded_exponents, monomials
+from termsel.auto.auto import Auto
 from termsel.data.coordinates.metres import in_metres
 from termsel.data.features import FeatureSet, Points
+from termsel.data.fit_data import FitData
 from termsel.data.record.figures import InImage, OnGround, rmse_interval
 from termsel.data.scaling import scaling_of
 from termsel.fitting.accuracy import (
@@ -27,8 +28,6 @@ from termsel.fitting.accuracy import (
     predicted_by,
     predicted_rmse,
 )
-from termsel.fitting.adjustment.monomials import graded_exponents, monomials
-from termsel.fitting.bayesian.posterior import SIZES, posterior
 from termsel.fitting.residuals import freedom_of, rmse_of
 from termsel.fitting.uncertainty import _Belief, shared_variance
 from termsel.models.polynomial import Polynomial3D
@@ -148,10 +147,12 @@ def test_interval_of_simulated_scenes_holds_the_independent_rmse() -> None:
         points = simulate_scene("spot-isfahan", seed=200 + seed, n_points=112).points
         order = np.random.default_rng(seed).permutation(112)
         control = FeatureSet(points.take(order[:12]))
-        choice, errors = choose(Control.of(control, True)), repeated(Control.of(control, True))
+        data = FitData.of(control, True)
+        choice = Auto().choose(data)
+        errors = Auto().repeated(data)
         assert choice is not None
         assert errors is not None
-        fitted = choice.chosen.fit
+        fitted = choice.chosen
         found = predicted_by(fitted, errors, 100)
         independent = fitted.rmse(points.take(order[12:]))
         assert independent is not None

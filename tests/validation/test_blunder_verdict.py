@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.auto.portfolio import Portfolio, choose
+from termsel.auto.auto import Auto
 from termsel.data.features import FeatureSet, no_lines
 from termsel.data.roles import by_roles
 from termsel.results.repeat import command
-from termsel.runs.task.verdict import judge_features, judge_independent
+from termsel.runs.verdict import judge_features, judge_independent
 
 ROLES = ("control", "check", "independent")
 QUICK = {"population": 30, "polish": False}
@@ -105,7 +105,7 @@ def test_clean_scenes_have_no_blunders() -> None:
     named = 0
     for seed in range(10):
         observations = by_roles(scene({}, 27, seed))
-        verdict = judge_features(observations, Portfolio())
-        mine, _ = judge_independent(observations, choose(observations.pool, Portfolio()))
+        verdict = judge_features(observations, Auto())
+        mine, _ = judge_independent(observations, Auto().choose(observations.pool))
         named += bool(verdict.blunders or mine.outliers)
     assert named <= 1

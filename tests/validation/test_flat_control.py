@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.data.control import Control, off_plane, with_usual_heights
 from termsel.data.features import FeatureSet, FloatArray, Lines, Points
+from termsel.data.fit_data import FitData, off_plane, with_usual_heights
 from termsel.fitting.accuracy import predicted_by
 from termsel.simulate import pushbroom_at
 
@@ -94,16 +94,16 @@ def test_heights_that_tell_are_used_and_predicted_without_more() -> None:
 
 def test_noise_that_hides_what_heights_do_makes_the_model_plane() -> None:
     """With 3 px of noise 2 m of relief tell less of a height than views in general do."""
-    quiet, noisy = (Control.of(scene("affine", "rough", 20, noise).take(
+    quiet, noisy = (FitData.of(scene("affine", "rough", 20, noise).take(
         np.arange(20 + OTHERS) < 20)) for noise in (0.01, 3.0))
     assert quiet.heights is False  # 2 m move the image by 0.1 px
     rough = scene("affine", "six", 20, 3.0)
-    assert Control.of(rough.take(np.arange(20 + OTHERS) < 20)).heights
+    assert FitData.of(rough.take(np.arange(20 + OTHERS) < 20)).heights
     steep = np.where(np.arange(80)[:, None] < 20, rough.points.ground * [1, 1, 0.01],
                      rough.points.ground)
     low = FeatureSet(Points(rough.points.ids, rough.points.image, steep,
                             roles=rough.points.roles), crs=rough.crs)
-    assert not Control.of(low.take(np.arange(80) < 20)).heights
+    assert not FitData.of(low.take(np.arange(80) < 20)).heights
     assert not noisy.heights
 
 
@@ -111,14 +111,14 @@ def test_one_blunder_does_not_hide_what_heights_do() -> None:
     features = scene("affine", "six", 20).take(np.arange(20 + OTHERS) < 20)
     image = features.points.image.copy()
     image[11] += 300.0
-    assert Control.of(features.with_(points=Points(
+    assert FitData.of(features.with_(points=Points(
         features.points.ids, image, features.points.ground,
         roles=features.points.roles))).heights
 
 
 def test_places_like_the_control_change_nothing() -> None:
     features = termsel.simulate_scene("spot-isfahan", n_points=60)
-    control = Control.of(FeatureSet(features.points.take(range(20)), crs=features.crs))
+    control = FitData.of(FeatureSet(features.points.take(range(20)), crs=features.crs))
     ground = features.points.ground[20:]
     assert with_usual_heights(control, ground) is ground
     found = termsel.fit(control.features, "shrunken-quadratic")
@@ -165,7 +165,7 @@ def test_heights_in_feet_do_what_they_do_in_metres() -> None:
     notes, effects = [], []
     for ground, vertical in ((points.ground, 5703), (feet, 6360)):  # NAVD88, in m and in feet
         crs = f"EPSG:32618+{vertical}"
-        control = Control.of(FeatureSet(Points(
+        control = FitData.of(FeatureSet(Points(
             points.ids[:12], points.image[:12], ground[:12]), crs=crs))
         effects.append(off_plane(control, ground)[1])
         found = termsel.run("poly-terms", model="affine", solver="all-terms", criterion="press",

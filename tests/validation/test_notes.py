@@ -18,11 +18,11 @@ from termsel.fitting.least_squares import LEAST_SQUARES, LeastSquares
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Affine, Polynomial2D
 from termsel.models.rational import RationalFunctions
-from termsel.runs.auto import strategy as auto
-from termsel.runs.judgement.judge import notes_on
-from termsel.runs.task import verdict
+from termsel.runs import choosing as auto
+from termsel.runs import verdict
+from termsel.runs.judgement import notes_on
 from termsel.selection.criteria import CheckRmse, Criterion, Press
-from termsel.selection.solvers.search import Search
+from termsel.selection.solvers.search import SearchResult
 
 GRID = np.array([(x, y, 0.3 * (x - y) ** 2) for x in range(5) for y in range(5)], dtype=float)
 """Ground of 25 points; heights are no plane."""
@@ -78,15 +78,15 @@ def fitted(observations: Observations, model: SensorModel | None = None,
                              np.ones(len(control), dtype=bool) if used is None else used)
 
 
-def found(value: float = 1.0, **more: object) -> Search:
+def found(value: float = 1.0, **more: object) -> SearchResult:
     """A search that ended with a value of its objective."""
-    return Search(**{  # type: ignore[arg-type]  # values of several kinds
+    return SearchResult(**{  # type: ignore[arg-type]  # values of several kinds
         "genes": np.ones(8, dtype=bool), "objectives": np.array([value]), "violation": 0.0,
         "seed": 1, "evaluations": 10, "generations": 1, "lookups": 0, "seconds": 0.1,
         "interrupted": False, **more})
 
 
-def notes(observations: Observations, search: Search | None = None,
+def notes(observations: Observations, search: SearchResult | None = None,
           chosen: Fit | None = None, criterion: Criterion | None = None) -> list[str]:
     return list(notes_on(observations, criterion or CheckRmse(), search or found(),
                          chosen or fitted(observations)))

@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 
 import termsel
-from termsel.auto.base import Candidate
-from termsel.auto.structures import named
+from termsel.auto.methods import named
 from termsel.core.errors import counted
 from termsel.fitting.figures import Baseline
+from termsel.fitting.method import Method
 from termsel.fitting.residuals import Rmse
-from termsel.runs.judgement.judge import judge, judge_choice, name_conventional
+from termsel.runs.judgement import judge, judge_choice, name_conventional
 
 
 def rmse(independent: float | None, n: int = 20) -> dict[str, Rmse | None]:
@@ -126,7 +126,7 @@ def test_noise_is_that_of_both_coordinates_and_stands_at_the_end() -> None:
     assert "noise" not in judged(1.0)
 
 
-def candidate(name: str) -> Candidate:
+def candidate(name: str) -> Method:
     found = named(name)
     assert found is not None
     return found

@@ -101,7 +101,7 @@ class ResultDock(QDockWidget):
         chosen_name = strategy.get("chosen")
         self.candidates.addItem(f"chosen by auto: {chosen_name}" if chosen_name
                                 else "the choice of auto", "")
-        for candidate in strategy.get("candidates", []):
+        for candidate in strategy.get("methods", []):
             predicted = candidate.get("predicted")
             text = "" if predicted is None else f", predicted {predicted:.3g} px"
             model = model_named(candidate["name"], candidate["model"])

@@ -28,7 +28,7 @@ def problem() -> OwdisBlock:
     return OwdisBlock(BLOCK, tie_candidates=30, most=12)
 
 
-def test_all_candidates_are_the_adjustment_itself() -> None:
+def test_auto_of_all_are_the_adjustment_itself() -> None:
     """With every tie and point the linearised step is none."""
     whole = OwdisBlock(BLOCK, tie_candidates=1000)
     everything = np.ones((1, whole.genome.size), bool)

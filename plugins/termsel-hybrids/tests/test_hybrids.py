@@ -375,7 +375,7 @@ def test_features_are_judged_with_the_correction_by_those_in_use(name: str) -> N
         selected = task.problem.decode(one).features
         assert selected is not None
         alone = points.take(np.isin(points.ids, selected))
-        result = termsel.assess(task, one)
+        result = termsel.assess(termsel.GivenGenes(one), task)
         of_check = result.fit.rmse(check)
         assert of_check is not None
         assert value == pytest.approx(of_check.total)
@@ -394,7 +394,7 @@ def test_a_polynomial_with_a_correction_is_no_rpc_as_it_is() -> None:
     places = points.ground * [0.05, 0.05, 100.0] + [48.0, 35.0, 1000.0]
     image = 1000.0 * points.ground[:, :2] + np.random.default_rng(0).normal(0, 0.1, (30, 2))
     control = FeatureSet(Points(points.ids, image, places), crs="EPSG:4979")
-    assert rpc_of(model_of("poly2d", degree=2).fit(control)).how == "exact"
-    found = rpc_of(model_of("multiquadric").fit(control))
+    assert rpc_of(termsel.fit(control, model_of("poly2d", degree=2))).how == "exact"
+    found = rpc_of(termsel.fit(control, model_of("multiquadric")))
     assert found.how.startswith("all")  # refitted: the polynomial alone is another model
     assert 1e-3 < found.worst < 1.0

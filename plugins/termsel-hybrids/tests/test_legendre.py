@@ -38,7 +38,7 @@ def test_polynomials_of_all_terms_are_those_of_monomials() -> None:
     scene = termsel.simulate_scene("ikonos-hamedan")
     points = scene.points
     options = {"order": 2, "denominators": "none"}
-    mine, plain = (model(**options).fit(scene).project(points.ground)
+    mine, plain = (termsel.fit(scene, model(**options)).project(points.ground)
                    for model in (RationalLegendre, termsel.RationalFunctions))
     assert mine == pytest.approx(plain, abs=1e-6)
 

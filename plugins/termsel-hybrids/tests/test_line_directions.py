@@ -60,32 +60,32 @@ def _turn() -> FloatArray:
 @pytest.mark.parametrize("model", MODELS)
 def test_two_points_and_lines_determine_all(model: type[SensorModel]) -> None:
     features, others = _scene(_turn(), 2, slid=200.0)
-    fitted = model().fit(features)
+    fitted = termsel.fit(features, model())
     assert np.abs(fitted.errors(others)).max() < 1e-6
 
 
 def test_an_affine_projection_is_recovered_and_is_not_conformal() -> None:
     features, others = _scene(np.array([[0.9, 0.2, 0.3], [-0.1, 0.5, 0.1]]), 4)
-    assert np.abs(LineAffine().fit(features).errors(others)).max() < 1e-6
-    assert np.abs(LineConformal().fit(features).errors(others)).max() > 10
+    assert np.abs(termsel.fit(features, LineAffine()).errors(others)).max() < 1e-6
+    assert np.abs(termsel.fit(features, LineConformal()).errors(others)).max() > 10
 
 
 def test_places_of_lines_are_of_no_account() -> None:
     features, others = _scene(_turn(), 2, slid=200.0)
-    assert np.abs(termsel.Affine().fit(features).errors(others)).max() > 10
-    assert np.abs(LineAffine().fit(features).errors(others)).max() < 1e-6
+    assert np.abs(termsel.fit(features, termsel.Affine()).errors(others)).max() > 10
+    assert np.abs(termsel.fit(features, LineAffine()).errors(others)).max() < 1e-6
 
 
 def test_a_mirrored_image_is_one_seen_from_below() -> None:
     features, others = _scene(_turn() * [1, -1, 1], 3)
-    assert np.abs(LineConformal().fit(features).errors(others)).max() < 1e-6
+    assert np.abs(termsel.fit(features, LineConformal()).errors(others)).max() < 1e-6
 
 
 @pytest.mark.parametrize("model", MODELS)
 def test_lines_alone_are_refused(model: type[SensorModel]) -> None:
     features, _ = _scene(_turn(), 2)
     with pytest.raises(termsel.TermselError, match="determine"):
-        model().fit(features.with_(points=features.points.take(np.arange(0))))
+        termsel.fit(features.with_(points=features.points.take(np.arange(0))), model())
 
 
 def test_a_line_with_a_large_deviation_counts_less() -> None:
@@ -96,7 +96,8 @@ def test_a_line_with_a_large_deviation_counts_less() -> None:
 
     def off(sigma: float) -> float:
         lines = replace(wrong, sigma=np.array([sigma] + [1.0] * 24))
-        return float(np.abs(LineAffine().fit(features.with_(lines=lines)).errors(others)).max())
+        fitted = termsel.fit(features.with_(lines=lines), LineAffine())
+        return float(np.abs(fitted.errors(others)).max())
 
     assert off(100.0) < off(1.0) / 10
 

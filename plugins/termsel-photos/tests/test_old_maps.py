@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel import Control, FeatureSet, Points
+from termsel import FeatureSet, FitData, Points
 from termsel.testing import invoke
-from termsel.toolkit import FloatArray, choose, find_blunders
+from termsel.toolkit import Auto, FloatArray, find_blunders
 from termsel_photos import maps, simulate_map
 
 
@@ -99,7 +99,7 @@ def scattered(seed: int, n: int) -> tuple[Points, Points]:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_local_deformation_is_no_blunder(seed: int) -> None:
-    found = find_blunders(Control.of(FeatureSet(scattered(seed, 60)[0]), False))
+    found = find_blunders(FitData.of(FeatureSet(scattered(seed, 60)[0]), False))
     assert found is not None
     assert found.blunders.mean() <= 0.02
 
@@ -108,19 +108,19 @@ def test_local_deformation_is_no_blunder(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_no_spline_bends_to_a_blunder(seed: int) -> None:
     mine, others = scattered(seed, 60)
-    clean = choose(Control.of(FeatureSet(mine), False))
+    clean = Auto().choose(FitData.of(FeatureSet(mine), False))
     image = mine.image.copy()
     bad = [7, 30]
     image[bad] += [[250.0, -180.0], [-150.0, 300.0]]
     spoilt = replace(mine, image=image)
-    found = find_blunders(Control.of(FeatureSet(spoilt), False))
+    found = find_blunders(FitData.of(FeatureSet(spoilt), False))
     assert found is not None
     assert found.blunders[bad].all()
     assert found.blunders.sum() <= 3
-    again = choose(Control.of(FeatureSet(spoilt.take(~found.blunders)), False))
+    again = Auto().choose(FitData.of(FeatureSet(spoilt.take(~found.blunders)), False))
     assert clean is not None
     assert again is not None
-    assert total(again.chosen.fit.errors(others)) < 1.1 * total(clean.chosen.fit.errors(others))
+    assert total(again.chosen.errors(others)) < 1.1 * total(clean.chosen.errors(others))
 
 
 @pytest.mark.slow
@@ -179,6 +179,6 @@ def test_a_blunder_smaller_than_the_error_of_any_polynomial_is_found() -> None:
     middle = int(np.argmin(np.linalg.norm(mine.image - [3000, 4000], axis=1)))
     image = mine.image.copy()
     image[middle] += 3 * polynomial.line
-    found = find_blunders(Control.of(FeatureSet(replace(mine, image=image)), False))
+    found = find_blunders(FitData.of(FeatureSet(replace(mine, image=image)), False))
     assert found is not None
     assert found.blunders.tolist() == [i == middle for i in range(100)]

@@ -75,7 +75,7 @@ def test_figure_condition_is_the_predicted_error_of_the_fit() -> None:
                            options={"degree": 2})
     genes = np.ones(task.problem.genome.size, dtype=bool)
     value = task.problem.evaluate(genes[None]).objectives[0, 0]
-    fitted = termsel.assess(task, genes).fit
+    fitted = termsel.assess(termsel.GivenGenes(genes), task).fit
     points = fitted.control.points
     ground = points.ground
     low, high = ground[:, :2].min(axis=0), ground[:, :2].max(axis=0)
@@ -98,7 +98,7 @@ def test_figure_condition_prefers_fewer_terms_than_the_control_rmse_does() -> No
     task = termsel.prepare("rfm-terms", dataset="ikonos-hamedan", criterion="figure-condition",
                            options={"order": 2})
     found = termsel.search(task.problem, task.solver, seed=1, evaluations=4000)
-    result = termsel.assess(task, found.genes)
+    result = termsel.assess(termsel.GivenGenes(found.genes), task)
     independent = result.rmse["independent"]
     assert independent is not None
     assert independent.total < 2

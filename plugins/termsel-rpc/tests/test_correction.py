@@ -163,7 +163,7 @@ def off(result: Result, features: FeatureSet, width: int) -> float:
 
 
 @pytest.mark.parametrize("candidate", CORRECTIONS, ids=lambda one: one.name)
-def test_every_candidate_keeps_the_rules(candidate: termsel.Candidate) -> None:
+def test_every_candidate_keeps_the_rules(candidate: termsel.Method) -> None:
     for check in checks(candidate, features=[scene(6, 3), scene(2), scene(30, 2)]):
         check.run()
 

@@ -107,7 +107,7 @@ def test_one_blunder_hardly_moves_a_robust_fit() -> None:
 
 
 @pytest.mark.parametrize("candidate", CANDIDATES, ids=lambda one: one.name)
-def test_candidates_keep_the_rules(candidate: termsel.Candidate) -> None:
+def test_candidates_keep_the_rules(candidate: termsel.Method) -> None:
     kind = candidate.name.partition("-")[0]
     for check in checks(candidate, features=[photo(kind, 10), photo("frame", 3)]):
         check.run()
@@ -159,11 +159,12 @@ def test_a_camera_that_points_name_may_look_towards_the_horizon() -> None:
     frame, errors = CANDIDATES[0], []
     for seed in range(4):
         control, ground, image = oblique(seed)
-        assert frame.judge(termsel.Control.of(control)) is None  # nobody says that it is a photo
-        names = {"sensor": ("frame",) * len(control.points)}
+        assert not frame.tried(termsel.FitData.of(control))  # nobody says that it is a photo
+        names = {"sensor": np.array(["frame"] * len(control.points), dtype=object)}
         named = replace(control, points=replace(control.points, attributes=names))
-        judged = frame.judge(termsel.Control.of(named))
-        if judged is not None:
-            errors.append(np.sqrt(((judged.fit.project(ground) - image)**2).sum(axis=1).mean()))
+        data = termsel.FitData.of(named)
+        assert frame.tried(data)
+        fitted = frame.fit(data)
+        errors.append(np.sqrt(((fitted.project(ground) - image)**2).sum(axis=1).mean()))
     assert len(errors) >= 3
     assert np.median(errors) < 3.0

@@ -25,7 +25,7 @@ from termsel import (
     write_points_csv,
 )
 from termsel.testing import invoke
-from termsel.toolkit import Setup, prepared
+from termsel.toolkit import Request, prepared
 from termsel_stability import frequencies as module
 from termsel_stability import stability
 
@@ -226,9 +226,9 @@ def test_twins_share_a_role_in_every_repetition(monkeypatch: pytest.MonkeyPatch)
                    some.ground + 1e-6, None, some.roles)
     drawn = []
 
-    def recorded(setup: Setup) -> Any:
-        drawn.append(dict(zip(setup.features.ids, setup.features.points.roles, strict=True)))
-        return prepared(setup)
+    def recorded(request: Request) -> Any:
+        drawn.append(dict(zip(request.features.ids, request.features.points.roles, strict=True)))
+        return prepared(request)
 
     monkeypatch.setattr(module, "prepared", recorded)
     stability("rfm-terms", features=FeatureSet(points.join(twins)), **QUICK)

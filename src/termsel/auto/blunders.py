@@ -30,18 +30,18 @@ from functools import cache
 
 import numpy as np
 
-from termsel.auto.base import Judged, Suspects
+from termsel.adjustment.bayesian.field import Collocation
+from termsel.adjustment.bayesian.held_out import chance_of
+from termsel.auto.auto import Auto
 from termsel.auto.contradictions import STRAIN, UNLIKELY, Division, Test, polynomial_of
-from termsel.auto.memory import remembered
-from termsel.auto.portfolio import Portfolio, choose
+from termsel.auto.memory import Memory
 from termsel.auto.robust import reweighted
 from termsel.auto.shrunken import Averaging
-from termsel.data.control import Control
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
+from termsel.data.fit_data import FitData
 from termsel.data.record.chances import median
-from termsel.fitting.bayesian.field import Collocation
-from termsel.fitting.bayesian.held_out import chance_of
 from termsel.fitting.fit import Fit
+from termsel.fitting.method import Suspects
 
 Whole = Callable[[], Test | None]
 """The test by all features, which is made where one is asked for."""
@@ -65,18 +65,19 @@ LEAST = 21
 coefficients of a cubic polynomial, and a right point that shows a bend may look like one."""
 
 
-def find_blunders(control: Control, portfolio: Portfolio | None = None) -> Suspects | None:
+def find_blunders(control: FitData, auto: Auto | None = None) -> Suspects | None:
     """Return which control features are blunders; None where they are too few for a test.
 
     What the regularised polynomial suspects is left out of the choice among all candidates, by
     default those that are built in. Features that the chosen one predicts within STRAIN are no
     blunders: their errors were the polynomial's.
     """
-    portfolio = portfolio or Portfolio()
-    return remembered("blunders", control, portfolio, lambda: _found(control, portfolio))
+    choice = auto or Auto()
+    suspects: Suspects | None = choice.recall("blunders", control, lambda: _found(control, choice))
+    return suspects
 
 
-def _found(control: Control, portfolio: Portfolio) -> Suspects | None:
+def _found(control: FitData, auto: Auto) -> Suspects | None:
     everything = np.ones(len(control), dtype=bool)
     whole = cache(Division(control, everything).shrunken_test)
     core = _core(control, whole)
@@ -84,7 +85,7 @@ def _found(control: Control, portfolio: Portfolio) -> Suspects | None:
         return None
     used, test = _settled(control, *_forward(control, *core, whole))
     while not (used.all() or test.local) and (
-            choice := choose(control.take(used), portfolio, whole=False)):
+            choice := auto.choose(control.take(used), whole=False)):
         more = used | _predicted_by(choice.chosen, control.features)
         if (more == used).all():
             break
@@ -94,17 +95,17 @@ def _found(control: Control, portfolio: Portfolio) -> Suspects | None:
         kept = _without_probable(control, used)
     if (kept != used).any():
         test = Division(control, kept).test() or test
-    seen = _by_projection(control, portfolio, kept)
+    seen = _by_projection(control, auto, kept)
     if seen is not None:
         kept, test = seen
     far, decided = test.far(len(control)), test.decided()
     blunders, undecided = ~kept, kept & far & ~decided
-    cleared = _explained(control, portfolio, blunders | undecided)
+    cleared = _explained(control, auto, blunders | undecided)
     return test.suspects(blunders & ~cleared, blunders & ~cleared & ~(far & decided),
                          undecided & ~cleared, everything)
 
 
-def _by_projection(control: Control, portfolio: Portfolio,
+def _by_projection(control: FitData, auto: Auto,
                    used: BoolArray) -> tuple[BoolArray, Test] | None:
     """Judge all points by a central projection, where those in use call for one; None else.
 
@@ -113,10 +114,10 @@ def _by_projection(control: Control, portfolio: Portfolio,
     """
     if len(control.features.lines):
         return None
-    choice = choose(control.take(used), portfolio, whole=False)
-    if choice is None or not choice.chosen.candidate.central or choice.chosen.fit.view is None:
+    choice = auto.choose(control.take(used), whole=False)
+    if choice is None or not choice.method.central or choice.chosen.view is None:
         return None
-    projection = choice.chosen.candidate
+    projection = choice.method
 
     def tested(division: Division) -> Test | None:
         return division.test_by(projection)
@@ -136,7 +137,7 @@ def _stands_out(errors: FloatArray) -> bool:
     return bool(errors.max() > STRAIN * median(errors) / 1.05)
 
 
-def _explained(control: Control, portfolio: Portfolio, suspected: BoolArray) -> BoolArray:
+def _explained(control: FitData, auto: Auto, suspected: BoolArray) -> BoolArray:
     """Return which suspected points a parametric model of all other points predicts.
 
     Polynomials and random fields follow an oblique view badly: what bends there is the image. A
@@ -144,8 +145,8 @@ def _explained(control: Control, portfolio: Portfolio, suspected: BoolArray) -> 
     """
     cleared = np.zeros(len(control), dtype=bool)
     while not len(control.features.lines) and (suspected & ~cleared).any():
-        choice = choose(control.take(~suspected | cleared), portfolio, whole=False)
-        if choice is None or not _is_parametric(choice.chosen.fit):
+        choice = auto.choose(control.take(~suspected | cleared), whole=False)
+        if choice is None or not _is_parametric(choice.chosen):
             break
         further = suspected & ~cleared & _predicted_by(choice.chosen, control.features)
         if not further.any():
@@ -160,7 +161,7 @@ def _is_parametric(fitted: Fit) -> bool:
                 or isinstance(fitted.interpolation, Collocation))
 
 
-def _without_probable(control: Control, used: BoolArray) -> BoolArray:
+def _without_probable(control: FitData, used: BoolArray) -> BoolArray:
     """Leave out points that are likelier blunders than right, the likeliest one first each time."""
     kept = used.copy()
     while (~kept).sum() < int(MOST * len(control)):
@@ -171,17 +172,18 @@ def _without_probable(control: Control, used: BoolArray) -> BoolArray:
     return kept
 
 
-def _predicted_by(chosen: Judged, features: FeatureSet) -> BoolArray:
-    """Return the features that a candidate predicts as it predicts those it was fitted to."""
-    averaged = isinstance(chosen.fit.estimator, Averaging)
+def _predicted_by(chosen: Fit, features: FeatureSet) -> BoolArray:
+    """Return the features that a fit predicts as it predicts those that it was made with."""
+    averaged = isinstance(chosen.estimator, Averaging)
     if len(features.lines) and averaged:  # the test was by the same polynomial
         return np.zeros(len(features), dtype=bool)
     # The median of the sum of two squared normal variables is 2 ln 2.
-    bound = STRAIN * np.sqrt(median(chosen.squares) / (2 * np.log(2)))
-    if _is_parametric(chosen.fit):
+    squares = chosen.held_out().squares
+    bound = STRAIN * np.sqrt(median(squares) / (2 * np.log(2)))
+    if _is_parametric(chosen):
         # The test was of another model than the chosen one.
-        bound = max(bound, CLEAR * np.sqrt(chosen.squares.max()))
-    return np.asarray(_errors(chosen.fit, features) <= bound)
+        bound = max(bound, CLEAR * np.sqrt(squares.max()))
+    return np.asarray(_errors(chosen, features) <= bound)
 
 
 def _errors(fitted: Fit, features: FeatureSet) -> FloatArray:
@@ -195,25 +197,26 @@ def _errors(fitted: Fit, features: FeatureSet) -> FloatArray:
     return largest
 
 
-def judge_others(chosen: Judged, heights: bool, others: Points) -> Suspects | None:
+def judge_others(chosen: Fit, heights: bool, others: Points,
+                 memory: Memory) -> Suspects | None:
     """Return which of other points, that took no part, contradict all others, control or not.
 
     The choice is that for control without blunders, with heights or not. None as for
     `find_blunders`, or without other points.
     """
-    control, count = chosen.fit.control, len(chosen.fit.control.points)
+    control, count = chosen.control, len(chosen.control.points)
     if not len(others):
         return None
-    every = Control.of(control.with_(points=control.points.join(others)), heights)
+    every = FitData.of(control.with_(points=control.points.join(others)), heights)
     there = np.zeros(len(every), dtype=bool)
     there[count:count + len(others)] = True
     # Where control is scarce, the others tell more than it does. They begin with those it predicts.
     used = ~there | _predicted_by(chosen, every.features)
-    return remembered((there.tobytes(), used.tobytes()), every, Portfolio(()),
-                      lambda: _contradicting(every, there, used))
+    return memory.recall((there.tobytes(), used.tobytes()), every,
+                         lambda: _contradicting(every, there, used))
 
 
-def _contradicting(every: Control, there: BoolArray, used: BoolArray) -> Suspects | None:
+def _contradicting(every: FitData, there: BoolArray, used: BoolArray) -> Suspects | None:
     """Return which of the features `there` contradict all others, beginning with those `used`."""
     whole = cache(Division(every, ~np.zeros_like(there)).shrunken_test)
     test = Division(every, used).shrunken_test()
@@ -225,7 +228,7 @@ def _contradicting(every: Control, there: BoolArray, used: BoolArray) -> Suspect
     return test.suspects(blunders & decided, np.zeros_like(there), blunders & ~decided, there)
 
 
-def _core(control: Control, whole: Whole,
+def _core(control: FitData, whole: Whole,
           tested: Tested = Division.shrunken_test) -> tuple[BoolArray, Test] | None:
     """Return the features that remain where those that fit worst are set aside, and their test.
 
@@ -256,7 +259,7 @@ def _core(control: Control, whole: Whole,
     return used, test
 
 
-def _weighty(control: Control, whole: Whole) -> BoolArray:
+def _weighty(control: FitData, whole: Whole) -> BoolArray:
     """Return the features that have weight under a robust quadratic polynomial."""
     weightless, most = _weightless(control), int(MOST * len(control))
     if weightless is not None and weightless.sum() <= most:
@@ -267,7 +270,7 @@ def _weighty(control: Control, whole: Whole) -> BoolArray:
     return used
 
 
-def _weightless(control: Control) -> BoolArray | None:
+def _weightless(control: FitData) -> BoolArray | None:
     """Return the features with a row of no weight; None if they are too few for a quadratic."""
     model = polynomial_of(control.heights, 2)
     equations = model.equations(control.scaled)
@@ -279,7 +282,7 @@ def _weightless(control: Control) -> BoolArray | None:
     return weightless
 
 
-def _forward(control: Control, used: BoolArray, test: Test, whole: Whole,
+def _forward(control: FitData, used: BoolArray, test: Test, whole: Whole,
              tested: Tested = Division.shrunken_test) -> tuple[BoolArray, Test]:
     """Admit features again that those in use predict; leave out those they no longer do."""
     n, seen = len(control), set[bytes]()
@@ -310,7 +313,7 @@ def _forward(control: Control, used: BoolArray, test: Test, whole: Whole,
     return used, test
 
 
-def _settled(control: Control, used: BoolArray, test: Test) -> tuple[BoolArray, Test]:
+def _settled(control: FitData, used: BoolArray, test: Test) -> tuple[BoolArray, Test]:
     """Judge again by a random field, where the points in use call for one.
 
     Local deformation is no blunder, and what is small next to the error of a polynomial may be

@@ -1,4 +1,4 @@
-"""Fits without any search, with which every selection is compared."""
+"""What a selection is compared with: methods that need no search, over the same features."""
 
 from __future__ import annotations
 
@@ -7,37 +7,53 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from termsel.auto.base import Candidate, refusal
-from termsel.auto.portfolio import Choice, Portfolio, choose
-from termsel.auto.structures import ROBUST
-from termsel.data.control import Control
+from termsel.auto.auto import Auto
+from termsel.auto.methods import ROBUST
+from termsel.auto.rule import Choice, method_of
+from termsel.auto.validated import refusal
+from termsel.data.fit_data import FitData
 from termsel.data.roles import Observations
 from termsel.fitting.figures import BOTH, Baseline, baseline, finite_or_none
 from termsel.fitting.fit import Fit
+from termsel.fitting.method import Method
 from termsel.models.quotient import RationalModel
 
 WITHOUT_BLUNDERS = "without-blunders"
 """Name of the baseline that is chosen once blunders are left out."""
 
+Row = tuple[str, Fit | int, float | None]
+"""Name, fit and RMSE by leave-one-out [px] of a method, fitted to control and check together; where
+these do not determine it the number of its terms for the fit."""
+
 
 @dataclass(frozen=True, eq=False)
-class Yardsticks:
-    """What a selection is compared with."""
+class Comparison:
+    """What a selection is compared with.
 
-    # Name, fit and RMSE by leave-one-out [px] of each, fitted to control and check together; where
-    # these do not determine it the number of its terms for the fit.
-    fits: tuple[tuple[str, Fit | int, float | None], ...]
-    # Name of the one that `choose` takes for control and check, without a look at the independent
-    # points; empty if none is determined.
+    Parameters
+    ----------
+    rows : tuple of Row
+    reference : str
+        Name of the method that auto chooses for control and check, without a look at the
+        independent points; empty if none is determined.
+    choice : Choice or None
+        That choice.
+    blunders : int
+        Features that it does without.
+    refused : mapping of str to str
+        Why, of fits that are determined.
+    """
+
+    rows: tuple[Row, ...]
     reference: str
-    choice: Choice | None  # that choice
-    blunders: int = 0  # features that it does without
-    refused: Mapping[str, str] = field(default_factory=dict)  # why, of fits that are determined
+    choice: Choice | None
+    blunders: int = 0
+    refused: Mapping[str, str] = field(default_factory=dict)
 
     @property
-    def candidate(self) -> Candidate | None:
-        """The candidate that is chosen."""
-        return self.choice.chosen.candidate if self.choice else None
+    def method(self) -> Method | None:
+        """The method that is chosen."""
+        return self.choice.method if self.choice else None
 
     def baselines(self, observations: Observations) -> tuple[Baseline, ...]:
         """Return the figures of all fits for some observations."""
@@ -45,68 +61,68 @@ class Yardsticks:
             Baseline(name, fitted, BOTH, False, dict.fromkeys(("control", "check", "independent")))
             if isinstance(fitted, int) else baseline(
                 name, fitted, predicted, observations, refused=self.refused.get(name, ""))
-            for name, fitted, predicted in self.fits)
+            for name, fitted, predicted in self.rows)
 
 
-def compare(observations: Observations, choice: Choice | None = None,
-            portfolio: Portfolio | None = None) -> Yardsticks:
-    """Return the candidates fitted to control and check together.
+def compare(observations: Observations, auto: Auto, choice: Choice | None = None) -> Comparison:
+    """Return the methods of a choice, fitted to control and check together.
 
     No search is made with the check points there, so they are free to serve as control. A
     rational model that was refused, as it has a pole, is shown too, with the reason.
 
-    `choice` is that of `choose` for control and check, twins merged, or of `choose_features`: all
-    are then fitted to the features that it chooses. By default it is that of `choose`, from the
-    built-in candidates.
+    `choice` is that of `Auto.choose` for control and check, twins merged, or of
+    `Auto.choose_features`: all are then fitted to the features that it chooses. By default it is
+    that of `Auto.choose`.
     """
-    portfolio = portfolio or Portfolio()
     both = observations.pool
-    choice = choice or choose(both, portfolio)
-    if choice and choice.chosen.fit.control is not both.features:
-        both = Control.of(choice.chosen.fit.control, both.heights)
+    choice = choice or auto.choose(both)
+    if choice and choice.chosen.control is not both.features:
+        both = FitData.of(choice.chosen.control, both.heights)
     fits: dict[str, tuple[Fit, float | None]] = {}
     if choice:
-        fits = {one.name: (one.fit, finite_or_none(one.predicted)) for one in choice.judged}
-    rows: list[tuple[str, Fit | int, float | None]] = []
+        fits = {method_of(fitted).name: (fitted, finite_or_none(fitted.held_out_rmse))
+                for fitted in choice.compared}
+    rows: list[Row] = []
     refused: dict[str, str] = {}
-    for one in portfolio.candidates:
-        if one in ROBUST or (one.name not in fits
-                             and portfolio.ask(one, "declines", both) is not None):
+    for method in auto.methods:
+        name = method.name
+        if method in ROBUST or (
+                name not in fits and auto.ask(method, "declines", both) is not None):
             continue
-        if one.name not in fits and not one.for_few and isinstance(
-                portfolio.ask(one, "model", both.heights), RationalModel):
-            fitted = portfolio.ask(one, "fit_control", both)
+        model = auto.ask(method, "model", both.heights)
+        if name not in fits and not method.for_few and isinstance(model, RationalModel):
+            fitted = auto.ask(method, "fit", both)
             if fitted is not None and (not fitted.estimator.least_squares
                                        or fitted.adjustment.redundancy > 0):
-                fits[one.name] = fitted, None
-                refused[one.name] = refusal(fitted)
-        if one.name in fits:
-            rows.append((one.name, *fits[one.name]))
-        elif np.isfinite(size := portfolio.ask(one, "size", both.heights) or np.inf) \
-                and not one.for_few:
-            rows.append((one.name, int(size), None))
-    return Yardsticks(tuple(rows), choice.chosen.name if choice else "", choice,
-                      refused={name: why for name, why in refused.items() if why})
+                fits[name] = fitted, None
+                refused[name] = refusal(fitted)
+        size = auto.ask(method, "size", both.heights) or np.inf
+        if name in fits:
+            rows.append((name, *fits[name]))
+        elif np.isfinite(size) and not method.for_few:
+            rows.append((name, int(size), None))
+    return Comparison(tuple(rows), choice.method.name if choice else "", choice,
+                      refused={name: reason for name, reason in refused.items() if reason})
 
 
-def compare_robustly(observations: Observations, blunders: Collection[str]) -> Yardsticks:
-    """Return the built-in candidates, as `compare` does, and fits that blunders do not spoil.
+def compare_robustly(observations: Observations, auto: Auto,
+                     blunders: Collection[str]) -> Comparison:
+    """Return the methods of a choice, as `compare` does, and fits that blunders do not spoil.
 
-    These are M-estimators, and the candidate that is chosen without the blunders. Where there are
+    These are M-estimators, and the method that is chosen without the blunders. Where there are
     some, it is the reference.
     """
     both = observations.pool
-    portfolio = Portfolio()
-    yardsticks = compare(observations, portfolio=portfolio)
-    fits = ((one.name, portfolio.ask(one, "fit_control", both)) for one in ROBUST
-            if one.model(both.heights))
-    rows = (*yardsticks.fits, *(
-        (name, fitted, None) for name, fitted in fits
+    comparison = compare(observations, auto)
+    robust = ((method.name, auto.ask(method, "fit", both)) for method in ROBUST
+              if method.model(both.heights))
+    rows = (*comparison.rows, *(
+        (name, fitted, None) for name, fitted in robust
         if fitted is not None and fitted.adjustment.redundancy >= 1))
-    out = np.isin(both.features.ids, list(blunders))
-    choice = choose(both.take(~out), portfolio) if out.any() else None
+    is_blunder = np.isin(both.features.ids, list(blunders))
+    choice = auto.choose(both.take(~is_blunder)) if is_blunder.any() else None
     if choice is None:
-        return replace(yardsticks, fits=rows)
+        return replace(comparison, rows=rows)
     chosen = choice.chosen
-    return Yardsticks((*rows, (WITHOUT_BLUNDERS, chosen.fit, chosen.predicted)),
-                      WITHOUT_BLUNDERS, choice, int(out.sum()), yardsticks.refused)
+    return Comparison((*rows, (WITHOUT_BLUNDERS, chosen, chosen.held_out_rmse)),
+                      WITHOUT_BLUNDERS, choice, int(is_blunder.sum()), comparison.refused)

@@ -11,19 +11,20 @@ from typing import TypeVar
 
 import numpy as np
 
-from termsel.auto.base import Candidate, Suspects, gain_of
+from termsel.adjustment.bayesian.field import Collocation, collocate
+from termsel.adjustment.bayesian.held_out import Prediction, chance_of
+from termsel.adjustment.bayesian.of_lines import coupled
+from termsel.adjustment.bayesian.posterior import Posterior, posterior, scales_of
+from termsel.adjustment.equations import weights_of
+from termsel.adjustment.lines import row_weights
+from termsel.adjustment.monomials import monomials
 from termsel.auto.local import LIKELY
-from termsel.auto.portfolio import BETTER
-from termsel.data.control import Control
+from termsel.auto.rule import BETTER
+from termsel.auto.validated import gain_of
 from termsel.data.features import BoolArray, FloatArray, IntArray
-from termsel.fitting.adjustment.equations import weights_of
-from termsel.fitting.adjustment.lines import row_weights
-from termsel.fitting.adjustment.monomials import monomials
-from termsel.fitting.bayesian.field import Collocation, collocate
-from termsel.fitting.bayesian.held_out import Prediction, chance_of
-from termsel.fitting.bayesian.of_lines import coupled
-from termsel.fitting.bayesian.posterior import Posterior, posterior, scales_of
+from termsel.data.fit_data import FitData
 from termsel.fitting.fit import Undetermined
+from termsel.fitting.method import Method, Suspects
 from termsel.models.polynomial import Polynomial, Polynomial2D, Polynomial3D
 
 UNLIKELY = 1e-3
@@ -86,11 +87,11 @@ class Test:
 class Division:
     """Features, of which those `used` (n,) predict all."""
 
-    every: Control
+    every: FitData
     used: BoolArray
 
     @cached_property
-    def in_use(self) -> Control:
+    def in_use(self) -> FitData:
         """The features in use, with the scaling that all are predicted in.
 
         Points are tested in their own coordinates, whatever those of the fit.
@@ -98,7 +99,7 @@ class Division:
         features = self.every.features
         if not features.fit_crs or len(features.lines):
             return self.every.take(self.used)
-        return Control.of(replace(features, fit_crs="").take(self.used), self.every.heights)
+        return FitData.of(replace(features, fit_crs="").take(self.used), self.every.heights)
 
     @property
     def _collocated(self) -> Collocation | None:
@@ -147,7 +148,7 @@ class Division:
         one = _better(*(_of_points(self, degree) for degree in (2, 3)))
         return one.test() if one else None
 
-    def test_by(self, projection: Candidate) -> Test | None:
+    def test_by(self, projection: Method) -> Test | None:
         """Return what a central projection of the points in use predicts.
 
         With the leverage h of a point in use and its residual r, the others predict it with the
@@ -155,7 +156,7 @@ class Division:
         where they do not determine it.
         """
         try:
-            fitted = projection.fit_control(self.in_use)
+            fitted = projection.fit(self.in_use)
         except Undetermined:
             return None
         points = self.every.features.points

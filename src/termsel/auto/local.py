@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from termsel.adjustment.bayesian.field import Collocation
+from termsel.adjustment.interpolation import Interpolation
 from termsel.data.features import BoolArray, FeatureSet, Points
 from termsel.data.scaling import Scaling
-from termsel.fitting.adjustment.interpolation import Interpolation
-from termsel.fitting.bayesian.field import Collocation
 from termsel.fitting.fit import Estimator, Fit, HeldOut, Undetermined
-from termsel.fitting.fittable import Fittable
 from termsel.fitting.least_squares import LeastSquares
+from termsel.models.base import SensorModel
 
 LIKELY = 0.75
 """Probability of a random field beyond which points call for it: odds of three to one, beyond
@@ -30,7 +30,7 @@ def asked_of(found: Collocation) -> float:
     return LIKELY * (1.0 - found.few)
 
 
-def interpolated(model: Fittable, control: FeatureSet, scaling: Scaling) -> Interpolation | None:
+def interpolated(model: SensorModel, control: FeatureSet, scaling: Scaling) -> Interpolation | None:
     """Return what a model predicts from control points; None where they are too few."""
     return model.prepared(scaling, control.crs).interpolation(scaling.features(control))
 
@@ -44,7 +44,7 @@ class Interpolated(Estimator):
 
     name = "interpolated"
 
-    def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+    def fit(self, model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
         """Fit a model (see `Estimator.fit`)."""
         points_alone(control, used, "an interpolation")
@@ -59,7 +59,7 @@ class Interpolated(Estimator):
         errors = found.errors * scaling.image_scale
         unknown = np.full(len(terms), np.nan)
         return replace(plain, estimator=self, trace=found.effective,
-                       held_out=HeldOut.of(errors, control.take(used)),
+                       stored_held_out=HeldOut.of(errors, control.take(used)),
                        adjustment=replace(plain.adjustment, deviations=unknown,
                                           correlations=None))
 

@@ -1,4 +1,4 @@
-"""What was found of the last features, for runs in one process on the same data.
+"""What was found of features, for runs on the same data that pass it on to each other.
 
 Another solver, seed or criterion changes nothing of what the features alone say.
 """
@@ -8,40 +8,57 @@ from __future__ import annotations
 import hashlib
 import pickle
 from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
-from termsel.auto.portfolio import Portfolio
-from termsel.data.control import Control
+from termsel.data.fit_data import FitData
 
 KEPT = 16
 """How much is kept, the last used: verdicts and errors, a few numbers for each feature."""
 
 _T = TypeVar("_T")
-_known: dict[Hashable, tuple[Any]] = {}
 
-_UNTOLD = (pickle.PicklingError, TypeError, AttributeError, ValueError, RecursionError,
-           NotImplementedError)
+_NO_PICKLE = (pickle.PicklingError, TypeError, AttributeError, ValueError, RecursionError,
+              NotImplementedError)
 """What pickling raises of what cannot be."""
 
 
-def remembered(what: Hashable, control: Control, portfolio: Portfolio,
-               find: Callable[[], _T]) -> _T:
-    """Return what was found of equal features and the same candidates, or find it.
+@dataclass(frozen=True, eq=False)
+class Memory:
+    """What was found of the last features by some methods.
 
-    Nothing is kept where a candidate failed, as it may not the next time.
+    Parameters
+    ----------
+    kept : int
+        How many answers are kept, the last used.
     """
-    try:
-        told = hashlib.sha256(pickle.dumps(control)).digest()  # features may be many
-    except _UNTOLD:  # by what a package made of an RPC
-        return find()
-    key = what, told, portfolio.candidates, tuple(portfolio.faults)
-    found = _known.pop(key, None)  # put to the end; each step is one for all threads
-    if found is None:
-        before = len(portfolio.faults)
-        found = (find(),)
-        if len(portfolio.faults) > before:
-            return found[0]
-    _known[key] = found
-    while len(_known) > KEPT:
-        _known.pop(list(_known)[0], None)  # noqa: RUF015 (threads may add meanwhile)
-    return found[0]
+
+    kept: int = KEPT
+    _answers: dict[Hashable, tuple[Any]] = field(default_factory=dict, init=False, repr=False)
+
+    def recall(self, question: Hashable, data: FitData, find: Callable[[], _T],
+               faults: Callable[[], int] = lambda: 0) -> _T:
+        """Return what was found of equal features, or find it.
+
+        `question` says what of, and by which methods. Nothing is kept where finding it raised the
+        number of `faults`, as it may not the next time.
+        """
+        try:
+            checksum = hashlib.sha256(pickle.dumps(data)).digest()  # features may be many
+        except _NO_PICKLE:  # by what a package made of an RPC
+            return find()
+        key = question, checksum
+        answer = self._answers.pop(key, None)  # put to the end; each step is one for all threads
+        if answer is None:
+            before = faults()
+            answer = (find(),)
+            if faults() > before:
+                return answer[0]
+        self._answers[key] = answer
+        while len(self._answers) > self.kept:
+            self._answers.pop(list(self._answers)[0], None)  # noqa: RUF015 (threads may add)
+        return answer[0]
+
+    def __reduce__(self) -> tuple[type[Memory], tuple[int]]:
+        # Another process finds its own answers.
+        return Memory, (self.kept,)

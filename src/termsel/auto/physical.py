@@ -7,17 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.auto.base import gain_of
-from termsel.auto.local import LIKELY, asked_of, points_alone
-from termsel.auto.shrunken import Average, average, fit_of
-from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
-from termsel.data.scaling import Scaling
-from termsel.fitting.adjustment.equations import weights_of
-from termsel.fitting.adjustment.monomials import Exponents, graded_exponents, monomials
-from termsel.fitting.bayesian.cameras import in_space
-from termsel.fitting.bayesian.field import Collocation, collocate
-from termsel.fitting.bayesian.foresight import foresee
-from termsel.fitting.bayesian.physics import (
+from termsel.adjustment.bayesian.cameras import in_space
+from termsel.adjustment.bayesian.field import Collocation, collocate
+from termsel.adjustment.bayesian.foresight import foresee
+from termsel.adjustment.bayesian.physics import (
     BOX,
     FRAMES,
     PLACES,
@@ -29,10 +22,17 @@ from termsel.fitting.bayesian.physics import (
     marginal,
     of_cameras,
 )
-from termsel.fitting.bayesian.posterior import Posterior, polynomial_posterior
+from termsel.adjustment.bayesian.posterior import Posterior, polynomial_posterior
+from termsel.adjustment.equations import weights_of
+from termsel.adjustment.monomials import Exponents, graded_exponents, monomials
+from termsel.auto.local import LIKELY, asked_of, points_alone
+from termsel.auto.shrunken import Average, average, fit_of
+from termsel.auto.validated import gain_of
+from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
+from termsel.data.scaling import Scaling
 from termsel.fitting.fit import Estimator, Fit, Undetermined
-from termsel.fitting.fittable import Fittable
 from termsel.fitting.uncertainty import Spread
+from termsel.models.base import SensorModel
 from termsel.models.polynomial import Polynomial
 
 FEWEST, MOST = 6, 40
@@ -185,7 +185,7 @@ class Physical(Estimator):
 
     name = "physical"
 
-    def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+    def fit(self, model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
         """Fit a cubic polynomial (see `Estimator.fit`) with all its terms."""
         assert isinstance(model, Polynomial)

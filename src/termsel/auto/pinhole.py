@@ -6,16 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.data.control import is_off_plane
+from termsel.adjustment.monomials import monomials
+from termsel.adjustment.solve import Adjustment
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
+from termsel.data.fit_data import is_off_plane
 from termsel.data.scaling import Scaling
 from termsel.data.view import CLEARER, View, view_of
-from termsel.fitting.adjustment.monomials import monomials
-from termsel.fitting.adjustment.solve import Adjustment
 from termsel.fitting.fit import Estimator, Fit, HeldOut, Undetermined
-from termsel.fitting.fittable import Fittable
 from termsel.fitting.pinhole import FEWEST, Pinhole, pinhole_near, pinhole_of
 from termsel.fitting.uncertainty import Spread
+from termsel.models.base import SensorModel
 from termsel.models.projective import Projective
 
 MOST = 20
@@ -43,7 +43,7 @@ class PinholeCamera(Estimator):
 
     name = "pinhole"
 
-    def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+    def fit(self, model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
         """Fit a projection (see `Estimator.fit`) with all its terms."""
         assert isinstance(model, Projective)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from termsel.adjustment.parts import independent_parts
+from termsel.adjustment.ridge import Spectrum, choose_penalty
+from termsel.adjustment.solve import TOLERANCE
 from termsel.data.features import BoolArray, FeatureSet, FloatArray
 from termsel.data.scaling import Scaling
-from termsel.fitting.adjustment.parts import independent_parts
-from termsel.fitting.adjustment.ridge import Spectrum, choose_penalty
-from termsel.fitting.adjustment.solve import TOLERANCE
 from termsel.fitting.fit import Estimator, Fit
-from termsel.fitting.fittable import Fittable
 from termsel.fitting.least_squares import LeastSquares
+from termsel.models.base import SensorModel
 from termsel.models.terms import Term
 
 
@@ -31,7 +31,7 @@ class RidgeByOrder(Estimator):
 
     name = "ridge-by-order"
 
-    def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+    def fit(self, model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
         """Fit a model (see `Estimator.fit`); its adjustment is that of least squares."""
         plain = LeastSquares(iterated=False).fit(model, control, scaling, terms, used)

@@ -12,14 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from termsel.adjustment.equations import Equations
 from termsel.data.features import BoolArray, FeatureSet, FloatArray
 from termsel.data.record.chances import median
 from termsel.data.scaling import Scaling
-from termsel.fitting.adjustment.equations import Equations
 from termsel.fitting.diagnosis import NORMAL_MEDIAN
 from termsel.fitting.fit import Estimator, Fit
-from termsel.fitting.fittable import Fittable
 from termsel.fitting.least_squares import LeastSquares
+from termsel.models.base import SensorModel
 
 HUBER, TUKEY = 1.345, 4.685
 """Standard deviations from which a row has less weight, or none: both estimators are 95 % efficient
@@ -39,7 +39,7 @@ class Reweighted(Estimator):
     name = "reweighted"
     biweight: bool
 
-    def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+    def fit(self, model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
         """Fit a model (see `Estimator.fit`), for lines under denominators to first order."""
         plain = LeastSquares(iterated=False).fit(model, control, scaling, terms, used)

@@ -13,16 +13,16 @@ from math import comb
 
 import numpy as np
 
+from termsel.adjustment.equations import weights_of
+from termsel.adjustment.monomials import monomials
+from termsel.adjustment.rounding import ROUNDING, largest
+from termsel.adjustment.solve import TOLERANCE
 from termsel.auto.local import points_alone
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray
 from termsel.data.scaling import Scaling
-from termsel.fitting.adjustment.equations import weights_of
-from termsel.fitting.adjustment.monomials import monomials
-from termsel.fitting.adjustment.rounding import ROUNDING, largest
-from termsel.fitting.adjustment.solve import TOLERANCE
 from termsel.fitting.fit import Estimator, Fit, HeldOut, Undetermined
-from termsel.fitting.fittable import Fittable
 from termsel.fitting.least_squares import LEAST_SQUARES
+from termsel.models.base import SensorModel
 from termsel.models.polynomial import Polynomial
 
 MAX_FOLDS = 100
@@ -44,7 +44,7 @@ class ForwardSelection(Estimator):
     name = "forward-selection"
     least_squares = True
 
-    def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+    def fit(self, model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
         """Fit a polynomial (see `Estimator.fit`), offering all its terms."""
         assert isinstance(model, Polynomial)
@@ -61,7 +61,7 @@ class ForwardSelection(Estimator):
         chosen = np.concatenate([one.terms for one in sides])
         fitted = LEAST_SQUARES.fit(model, control, scaling, chosen, used)
         return replace(fitted, estimator=self,
-                       held_out=HeldOut.of(errors, control.take(used)))
+                       stored_held_out=HeldOut.of(errors, control.take(used)))
 
 
 def select_forward(columns: FloatArray, target: FloatArray,

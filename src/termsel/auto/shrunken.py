@@ -17,7 +17,7 @@ Noise is taken to be the same in line and sample; its variance is integrated out
 Every solution on the grid is linear in the measurements. Leaving a point out changes it, and
 its probability, in closed form, so that the leave-one-out errors are those of the whole
 procedure repeated without each point. Lines couple line and sample:
-`termsel.fitting.bayesian.of_lines` has the same for them.
+`termsel.adjustment.bayesian.of_lines` has the same for them.
 
 References
 ----------
@@ -32,17 +32,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from termsel.adjustment.bayesian.of_lines import averaged
+from termsel.adjustment.bayesian.posterior import polynomial_posterior
+from termsel.adjustment.equations import line_normals, weights_of
+from termsel.adjustment.lines import row_weights
+from termsel.adjustment.monomials import Exponents, monomials
+from termsel.adjustment.solve import Adjustment
 from termsel.core.errors import counted
 from termsel.data.features import BoolArray, FeatureSet, FloatArray
 from termsel.data.scaling import Scaling
-from termsel.fitting.adjustment.equations import line_normals, weights_of
-from termsel.fitting.adjustment.lines import row_weights
-from termsel.fitting.adjustment.monomials import Exponents, monomials
-from termsel.fitting.adjustment.solve import Adjustment
-from termsel.fitting.bayesian.of_lines import averaged
-from termsel.fitting.bayesian.posterior import polynomial_posterior
 from termsel.fitting.fit import Estimator, Fit, HeldOut, Undetermined
-from termsel.fitting.fittable import Fittable
+from termsel.models.base import SensorModel
 from termsel.models.polynomial import Polynomial
 
 
@@ -64,7 +64,7 @@ class Averaging(Estimator):
 
     name = "averaging"
 
-    def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+    def fit(self, model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
         """Fit a polynomial (see `Estimator.fit`) with all its terms."""
         assert isinstance(model, Polynomial)

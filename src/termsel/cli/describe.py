@@ -48,7 +48,7 @@ def describe(name: str) -> None:
 
 
 def _describe_problem(entry: Entry) -> None:
-    from termsel.runs.task.request import DATA_OPTIONS
+    from termsel.runs.request import DATA_OPTIONS
 
     recipe = entry.object
     echo(f"\n{recipe.summary}")
@@ -129,7 +129,7 @@ _FUNCTIONS = {
     "Measure": ("compute", "Use it with termsel compare --measures {}.")}
 
 
-def _describe_candidate(entry: Entry) -> None:
+def _describe_method(entry: Entry) -> None:
     one = entry.object
     echo(f"\n{entry.summary}")
     _pairs({"chosen": "never: it is shown for comparison" if one.only_shown else
@@ -160,7 +160,7 @@ _DESCRIBE: dict[str, Callable[[Entry], None]] = {
     "problems": _describe_problem, "models": _describe_model, "solvers": _describe_solver,
     "criteria": _describe_criterion, "objectives": _describe_function,
     "splits": _describe_function, "sections": _describe_function, "measures": _describe_function,
-    "candidates": _describe_candidate, "datasets": _describe_dataset}
+    "methods": _describe_method, "datasets": _describe_dataset}
 
 
 def _document(entry: Entry) -> None:

@@ -17,7 +17,7 @@ def list_(kind: str | None, as_json: bool) -> None:
 
     Without KIND it says how many of each there are.
 
-    KIND is problems, models, solvers, criteria, objectives, candidates, datasets, splits, sections,
+    KIND is problems, models, solvers, criteria, objectives, methods, datasets, splits, sections,
     measures, readers or writers.
 
     \b

@@ -16,7 +16,7 @@ from termsel.cli.messages import echo, say_written
 from termsel.core.errors import TermselError, unknown_name
 from termsel.core.version import plugin_bound
 
-KINDS = ("model", "solver", "problem", "criterion", "objective", "candidate", "dataset", "split",
+KINDS = ("model", "solver", "problem", "criterion", "objective", "method", "dataset", "split",
          "section", "measure", "reader", "writer", "command")
 
 _NAME = re.compile(r"[A-Za-z](?:[A-Za-z0-9]|[-_.](?=[A-Za-z0-9]))*")
@@ -28,7 +28,7 @@ _USE = {
     "criterion": "Use it: `termsel run --problem rfm-terms --criterion {name}`",
     "objective": "Use it: `termsel run --problem owdis-points --solver nsga2 "
                  "--set objectives={name}`",
-    "candidate": "Use it: `termsel run --points FILE --crs EPSG:n`; auto judges it with its own.",
+    "method": "Use it: `termsel run --points FILE --crs EPSG:n`; auto judges it with its own.",
     "dataset": "Use it: `termsel run --problem rfm-terms --dataset {name}`",
     "split": "Use it: `termsel run --problem rfm-terms --set roles={name}`",
     "section": "Use it: `termsel report DIR`, with the folder of a result; the section comes last.",

@@ -1,4 +1,4 @@
-"""How many threads linear algebra uses."""
+"""How linear algebra uses the machine: threads, and memory between its arrays."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ from functools import lru_cache, wraps
 from typing import ParamSpec, TypeVar
 
 from threadpoolctl import ThreadpoolController
+
+FREED = 1 << 20
+"""Numbers of an array that is freed at once, and never filled."""
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -19,9 +22,26 @@ def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
     # and on a busy machine it takes several times the processor time.
     @wraps(function)
     def alone(*args: P.args, **kwargs: P.kwargs) -> R:
+        _keep_freed_memory()
         with _libraries(len(sys.modules)).limit(limits=1, user_api="blas"):
             return function(*args, **kwargs)
     return alone
+
+
+def _keep_freed_memory() -> None:
+    """Let the C library keep memory that arrays free, once in a process.
+
+    That of Linux gives back what is free beyond twice the largest piece that was ever freed, and
+    asks the system for it again at the next array: 256 page faults for each of 1 MB.
+    """
+    numpy = sys.modules.get("numpy")
+    if numpy is not None and not _memory_is_kept:
+        numpy.empty(FREED)
+        _memory_is_kept.append(True)
+
+
+_memory_is_kept: list[bool] = []
+"""Whether this process has freed such an array."""
 
 
 @lru_cache(1)

@@ -12,8 +12,8 @@ from itertools import combinations
 
 import numpy as np
 
-from termsel.data.control import Control
 from termsel.data.features import FloatArray, IntArray
+from termsel.data.fit_data import FitData
 
 FEWEST, MOST = 4, 12
 """Numbers of points that are looked at: of more, errors tell."""
@@ -30,7 +30,7 @@ class Exchange:
     is_pair: bool
 
 
-def exchange_of(control: Control) -> Exchange | None:
+def exchange_of(control: FitData) -> Exchange | None:
     """Return which points reverse single triangles of a plane; None if none does, or of hills."""
     count = len(control.features.points)
     if control.heights or len(control.features.lines) or not FEWEST <= count <= MOST:
@@ -61,7 +61,7 @@ def exchange_of(control: Control) -> Exchange | None:
     return Exchange(tuple(range(count)), False)
 
 
-def errors_by_others(control: Control) -> FloatArray:
+def errors_by_others(control: FitData) -> FloatArray:
     """Return how far each point is from where an affine transformation of the others sees it [px].
     """
     points = control.scaled.points

@@ -10,7 +10,6 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from termsel.core.errors import TermselError, unknown_name
-from termsel.data.control import Control, carriers
 from termsel.data.coordinates.crs import LOCAL
 from termsel.data.coordinates.globe import on_globe
 from termsel.data.coordinates.longitudes import without_jump
@@ -23,6 +22,7 @@ from termsel.data.features import (
     no_lines,
     no_points,
 )
+from termsel.data.fit_data import FitData, carriers
 from termsel.data.lattices import Lattice, lattice_of
 from termsel.data.splits import ASSIGNABLE as ASSIGNABLE
 from termsel.data.splits import STRATIFIED, Split
@@ -72,11 +72,11 @@ class Observations:
             and self.joint.heights and not self.carriers
 
     @cached_property
-    def pool(self) -> Control:
+    def pool(self) -> FitData:
         """What a choice is made from: the features of `together`, twins merged."""
         features = merged(self.together)
         return (replace(self.joint, heights=self.heights) if features is self.together
-                else Control.of(features, self.heights))
+                else FitData.of(features, self.heights))
 
     @cached_property
     def lattice(self) -> Lattice | None:
@@ -91,9 +91,9 @@ class Observations:
         return all_points.take(np.array(rows, dtype=np.intp))
 
     @cached_property
-    def joint(self) -> Control:
+    def joint(self) -> FitData:
         """Those of `together` with their scaling, heights where these differ."""
-        return Control.of(self.together)
+        return FitData.of(self.together)
 
     def fitted_in(self, crs: str) -> Observations:
         """Return the observations with the CRS a model is to be fitted in."""

@@ -14,10 +14,11 @@ from typing import TypeVar
 
 import numpy as np
 
+from termsel.adjustment.equations import weights_of
 from termsel.core.errors import counted
-from termsel.data.control import Control, off_plane, with_usual_heights
 from termsel.data.coordinates.metres import in_metres
 from termsel.data.features import FeatureSet, FloatArray, IntArray, Points
+from termsel.data.fit_data import FitData, off_plane, with_usual_heights
 from termsel.data.record.chances import quantile, t_quantile
 from termsel.data.record.figures import (
     CONFIDENCE,
@@ -28,7 +29,6 @@ from termsel.data.record.figures import (
     StandardFigure,
     rmse_interval,
 )
-from termsel.fitting.adjustment.equations import weights_of
 from termsel.fitting.fit import Fit
 from termsel.fitting.next_places import share_left
 from termsel.fitting.normality import chances_if_normal
@@ -161,7 +161,7 @@ def predicted_of_all(fitted: Fit, expected: Predicted, ground: FloatArray) -> Pr
 def _by_heights(fitted: Fit, control: FeatureSet, ground: FloatArray) -> float:
     """Return the mean square error that places (m, 3) add by heights unlike the control's [px^2].
     """
-    flat = Control(control, fitted.scaling, False)
+    flat = FitData(control, fitted.scaling, False)
     usual = with_usual_heights(flat, ground)
     if usual is ground:
         return 0.0

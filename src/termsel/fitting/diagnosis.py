@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from termsel.adjustment.equations import line_normals
 from termsel.data.features import FloatArray, Lines, select
 from termsel.data.record.chances import t_beyond
 from termsel.data.record.figures import Significance
-from termsel.fitting.adjustment.equations import line_normals
 from termsel.fitting.fit import Fit
 
 NORMAL_MEDIAN = 0.6745

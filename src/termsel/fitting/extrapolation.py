@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from termsel.core.errors import counted
-from termsel.data.control import Control, off_plane
 from termsel.data.coordinates.places import beyond, centres
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
+from termsel.data.fit_data import FitData, off_plane
 from termsel.data.scaling import Scaling
 from termsel.fitting.uncertainty import sees_heights
 
@@ -39,7 +39,7 @@ def by_heights(used: FeatureSet, scaling: Scaling, project: Callable[[FloatArray
 
     0 where the control in use tells it, and where the model, which projects places, knows it.
     """
-    effect = off_plane(Control(used, scaling, False), ground)[1]
+    effect = off_plane(FitData(used, scaling, False), ground)[1]
     if effect.any() and sees_heights(project, ground):
         effect *= 0.0
     return effect[:, None]**2 / 2  # the direction is not known

@@ -104,7 +104,7 @@ def in_role(fitted: Fit, observations: Observations) -> Fit:
     used = np.array([True] * len(control.points)
                     + [name in lines for name in control.lines.features], dtype=bool)
     return replace(fitted, control=control, used=used,
-                   estimator=GIVEN, held_out=None, made=fitted)
+                   estimator=GIVEN, stored_held_out=None, made=fitted)
 
 
 def figures(fitted: Fit, observations: Observations) -> dict[str, Rmse | None]:

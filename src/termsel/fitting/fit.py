@@ -6,11 +6,15 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, is_dataclass, replace
 from functools import cached_property
-from typing import ClassVar
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from termsel.adjustment.equations import line_normals
+from termsel.adjustment.interpolation import Interpolation
+from termsel.adjustment.rounding import ROUNDING
+from termsel.adjustment.solve import Adjustment
 from termsel.core.display import Glance
 from termsel.core.errors import TermselError
 from termsel.core.threads import one_blas_thread
@@ -19,15 +23,12 @@ from termsel.data.features import BoolArray, FeatureSet, FloatArray, Lines, Poin
 from termsel.data.record.base import Settings
 from termsel.data.scaling import Scaling, scaling_of
 from termsel.data.view import View, view_of
-from termsel.fitting.adjustment.equations import line_normals
-from termsel.fitting.adjustment.interpolation import Interpolation
-from termsel.fitting.adjustment.solve import Adjustment
 from termsel.fitting.extrapolation import by_heights
-from termsel.fitting.fittable import Fittable
-from termsel.fitting.locate import Surface, locate
 from termsel.fitting.misfit import Misfit, misfit_of
 from termsel.fitting.residuals import Residuals, Rmse, control_residuals, rmse_of
 from termsel.fitting.uncertainty import Spread, spread_of
+from termsel.models.base import SensorModel
+from termsel.models.locate import Surface, locate
 
 AT_ONCE = 2000
 """Places whose covariances are held in memory."""
@@ -56,13 +57,13 @@ class Estimator(ABC):
         return asdict(self) if is_dataclass(self) and not isinstance(self, type) else {}
 
     @abstractmethod
-    def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+    def fit(self, model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
         """Fit a model to control features.
 
         Parameters
         ----------
-        model : Fittable
+        model : SensorModel
         control : FeatureSet
             In px and ground units.
         scaling : Scaling
@@ -91,6 +92,22 @@ class Estimator(ABC):
         """Return the central projection that scaled features in use call for, or None."""
         return view_of(features.points)
 
+    def held_out(self, fitted: Fit) -> HeldOut:
+        """Return the errors of features in use, each under this estimator without it.
+
+        By default the fit is repeated without each feature.
+
+        Raises
+        ------
+        Undetermined
+            If the control without some feature does not determine the terms.
+        """
+        errors, determined = fitted.errors_without_each
+        if not determined:
+            raise Undetermined("without one of its control features the fit is not determined",
+                               hint="Measure more control, or choose a model with fewer terms.")
+        return HeldOut.of(np.concatenate(errors), fitted.control.take(fitted.used))
+
     def without_each(self, fitted: Fit) -> Iterator[Fit]:
         """Yield a fit of this estimator without each feature in use, by repeating it."""
         for out in np.flatnonzero(fitted.used):
@@ -105,7 +122,7 @@ class Given(Estimator):
     name = "given"
     repeatable = False
 
-    def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+    def fit(self, model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
         """Refuse, as it is not known how the coefficients were found."""
         raise TermselError("this fit has given coefficients, so no feature can be held out",
@@ -121,20 +138,33 @@ class HeldOut:
 
     Parameters
     ----------
-    errors : ndarray, shape (m, 2)
-        Measured minus predicted [px], as of `FeatureSet.ground_vertices`.
     squares : ndarray, shape (n,)
-        Sums of their squares by feature.
+        Squared error of each feature [px^2]: of a point dl^2 + ds^2, of a line the sum over its
+        vertices.
+    errors : ndarray, shape (m, 2), optional
+        Measured minus predicted [px], as of `FeatureSet.ground_vertices`; None where an estimator
+        finds their squares alone.
     """
 
-    errors: FloatArray
     squares: FloatArray
+    errors: FloatArray | None = None
 
     @classmethod
     def of(cls, errors: FloatArray, features: FeatureSet) -> HeldOut:
         """Return the errors of features in use, with the sums of their squares."""
         squares = np.bincount(features.vertex_feature, weights=(errors**2).sum(axis=1))
-        return cls(errors, np.asarray(squares, dtype=np.float64))
+        return cls(np.asarray(squares, dtype=np.float64), errors)
+
+
+class Maker(Protocol):
+    """What made a fit: a `termsel.Method`, which stands above fits."""
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+
+    def held_out(self, fitted: Fit) -> HeldOut:
+        """Return the errors of features of a fit, each under the same procedure without it."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -158,13 +188,15 @@ class Fit(Glance):
     trace : float, optional
         Trace of the matrix that turns measurements into fitted values, where coefficients are
         shrunk.
-    held_out : HeldOut, optional
-        Errors without each point, where the estimator finds them on its way.
+    stored_held_out : HeldOut, optional
+        Errors without each feature, where the estimator finds them on its way.
     made : Fit, optional
         The fit as it was made, where `control` is only a part of what it was fitted to.
+    method : Method, optional
+        What made the fit, if it is more than an estimator.
     """
 
-    model: Fittable
+    model: SensorModel
     scaling: Scaling
     control: FeatureSet
     terms: BoolArray
@@ -172,8 +204,9 @@ class Fit(Glance):
     adjustment: Adjustment
     estimator: Estimator
     trace: float | None = None
-    held_out: HeldOut | None = None
+    stored_held_out: HeldOut | None = None
     made: Fit | None = None
+    method: Maker | None = None
 
     def _glance(self) -> tuple[str, Mapping[str, str]]:
         rmse = self.control_rmse()
@@ -228,9 +261,11 @@ class Fit(Glance):
     def with_coefficients(self, coefficients: FloatArray, estimator: Estimator = GIVEN,
                           trace: float = np.nan) -> Fit:
         """Return the fit with coefficients that are not those of least squares."""
-        return replace(self, estimator=estimator, trace=trace, held_out=None, adjustment=replace(
-            self.adjustment, coefficients=coefficients, sigma0=np.nan, correlations=None,
-            deviations=np.full(len(coefficients), np.nan), steps=None, converged=True))
+        unknown = np.full(len(coefficients), np.nan)
+        adjustment = replace(self.adjustment, coefficients=coefficients, sigma0=np.nan,
+                             correlations=None, deviations=unknown, steps=None, converged=True)
+        return replace(self, estimator=estimator, trace=trace, stored_held_out=None,
+                       adjustment=adjustment)
 
     def project(self, ground: ArrayLike) -> FloatArray:
         """Return where ground points are seen.
@@ -408,7 +443,7 @@ class Fit(Glance):
         return image
 
     def locate(self, image: ArrayLike, heights: ArrayLike | Surface) -> FloatArray:
-        """Return the ground points seen at image points (see `termsel.fitting.locate.locate`)."""
+        """Return the ground points seen at image points (see `termsel.models.locate.locate`)."""
         centre, scale = self.ground_box()
         scale = np.maximum(scale, reach(
             self.control, self.model.options, self.model.known_image()))
@@ -460,7 +495,7 @@ class Fit(Glance):
             If the control without some feature does not determine the terms, or the
             coefficients were given.
         """
-        each, determined = self._left_out
+        each, determined = self.errors_without_each
         if not determined:
             raise Undetermined("without one of its control features the fit is not determined",
                                hint="Measure more control, or choose a model with fewer terms.")
@@ -474,20 +509,51 @@ class Fit(Glance):
                 lines[self.control.lines.feature == out - n] = errors.reshape(-1, 2, 2)
         return control_residuals(self.control, self.used, points, lines)
 
+    def held_out(self) -> HeldOut:
+        """Return the errors of features in use, each under the same procedure without it.
+
+        They are those that the estimator found on its way; else those of the method that made the
+        fit, which has them in closed form, or repeats itself.
+
+        Raises
+        ------
+        Undetermined
+            If the others do not determine the fit.
+        """
+        return self._held_out
+
+    @cached_property
+    def _held_out(self) -> HeldOut:
+        if self.stored_held_out is not None:
+            return self.stored_held_out
+        return (self.estimator if self.method is None else self.method).held_out(self)
+
+    @property
+    def held_out_rmse(self) -> float:
+        """RMSE of features in use, each held out [px], over points and vertices of lines."""
+        errors = len(self.control.points) + 2 * len(self.control.lines)
+        return float(np.sqrt(self.held_out().squares.sum() / errors))
+
+    @property
+    def rounding(self) -> float:
+        """Errors up to which they are rounding [px]."""
+        return ROUNDING * self.scaling.image_scale
+
     def leave_one_out_rmse(self) -> Rmse | None:
         """Return the RMSE of the control features in use, each under the fit without it.
 
         Where the others do not determine the terms, their least-norm solution counts.
         """
-        each, _ = self._left_out
+        each, _ = self.errors_without_each
         return rmse_of(np.concatenate(each), len(each))
 
     @cached_property
-    def _left_out(self) -> tuple[tuple[FloatArray, ...], bool]:
+    def errors_without_each(self) -> tuple[tuple[FloatArray, ...], bool]:
         """Errors of each feature in use by the fit without it, and whether all are determined."""
-        if self.held_out is not None:
+        if self.stored_held_out is not None and self.stored_held_out.errors is not None:
+            errors = self.stored_held_out.errors
             owner = self.control.take(self.used).vertex_feature
-            return tuple(self.held_out.errors[owner == i] for i in range(owner.max() + 1)), True
+            return tuple(errors[owner == i] for i in range(owner.max() + 1)), True
         found = self.interpolation if self.estimator.repeatable else None
         return _repeated(self) if found is None else (
             tuple(found.errors[:, None] * self.scaling.image_scale), True)

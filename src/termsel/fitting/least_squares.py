@@ -7,16 +7,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from termsel.adjustment.equations import Equations
+from termsel.adjustment.iterated import HALVINGS, ITERATIONS
+from termsel.adjustment.leave_out import leave_one_out
+from termsel.adjustment.parts import IndependentPart, independent_parts
+from termsel.adjustment.solve import Adjustment, solve
 from termsel.core.isolation.faults import wrong
-from termsel.data.features import BoolArray, FeatureSet, FloatArray
+from termsel.data.features import BoolArray, FeatureSet, FloatArray, no_points
 from termsel.data.scaling import Scaling
-from termsel.fitting.adjustment.equations import Equations
-from termsel.fitting.adjustment.iterated import HALVINGS, ITERATIONS
-from termsel.fitting.adjustment.leave_out import leave_one_out
-from termsel.fitting.adjustment.parts import IndependentPart, independent_parts
-from termsel.fitting.adjustment.solve import Adjustment, solve
-from termsel.fitting.fit import Estimator, Fit
-from termsel.fitting.fittable import Fittable
+from termsel.fitting.fit import Estimator, Fit, HeldOut, Undetermined
+from termsel.fitting.population import Fits
+from termsel.models.base import SensorModel
+from termsel.models.quotient import RationalModel
+
+REFITTED = 40
+"""Points up to which distances are iterated again without each of them: of more, one step from the
+solution is as good."""
 
 OFFSET, ROUNDING = 1e-3, 1e-12
 """A fit has converged where a step would take away less than this share of the residuals
@@ -36,7 +42,7 @@ class LeastSquares(Estimator):
     least_squares = True
     iterated: bool = True
 
-    def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+    def fit(self, model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
         """Fit a model (see `Estimator.fit`); `Fit.determined` says whether there is one."""
         model = model.prepared(scaling, control.crs)
@@ -44,6 +50,25 @@ class LeastSquares(Estimator):
         adjustment = (adjust(model, features, terms, used) if self.iterated
                       else solve(first_order(model, features), terms, used))
         return Fit(model, scaling, control, terms, used, adjustment, self)
+
+    def held_out(self, fitted: Fit) -> HeldOut:
+        """Return the errors of features in use, each under least squares without it.
+
+        In closed form, as the criterion press judges: where equations are not exact, those to
+        first order are taken throughout, but for few points, whose distances are minimised again
+        without each.
+
+        Raises
+        ------
+        Undetermined
+            If some feature is indispensable, or a denominator is too small at its place.
+        """
+        squares = left_out_squares(fitted)
+        if not np.isfinite(squares).all():
+            raise Undetermined(
+                "without one of its control features the fit is not determined, or has a pole at "
+                "its place", hint="Measure more control, or choose a model with fewer terms.")
+        return HeldOut(squares)
 
     def without_each(self, fitted: Fit) -> Iterator[Fit]:
         """Yield the fits without each feature, in closed form.
@@ -71,7 +96,7 @@ class LeastSquares(Estimator):
 LEAST_SQUARES = LeastSquares()
 
 
-def adjust(model: Fittable, features: FeatureSet, terms: BoolArray,
+def adjust(model: SensorModel, features: FeatureSet, terms: BoolArray,
            used: BoolArray) -> Adjustment:
     """Return the least squares of distances, by Gauss-Newton where equations are not exact.
 
@@ -126,7 +151,7 @@ def adjust(model: Fittable, features: FeatureSet, terms: BoolArray,
     return replace(adjustment, steps=steps, converged=converged)
 
 
-def _linearised(model: Fittable, features: FeatureSet, coefficients: FloatArray) -> Equations:
+def _linearised(model: SensorModel, features: FeatureSet, coefficients: FloatArray) -> Equations:
     """Return the equations about a solution, of a model that has them."""
     equations = model.linearised(features, coefficients)
     if equations is None:
@@ -134,7 +159,7 @@ def _linearised(model: Fittable, features: FeatureSet, coefficients: FloatArray)
     return equations
 
 
-def first_order(model: Fittable, features: FeatureSet) -> Equations:
+def first_order(model: SensorModel, features: FeatureSet) -> Equations:
     """Return the equations by which a search judges selections, of scaled features.
 
     Of a model with a start they are those about the least squares of all terms.
@@ -161,7 +186,7 @@ def solutions_without_each(parts: tuple[IndependentPart, ...], terms: BoolArray,
     return solutions
 
 
-def fit(model: Fittable, control: FeatureSet, scaling: Scaling,
+def fit(model: SensorModel, control: FeatureSet, scaling: Scaling,
         terms: BoolArray | None = None, used: BoolArray | None = None, *,
         iterated: bool = True) -> Fit:
     """Fit a model to control features by least squares, whether or not they determine it.
@@ -172,3 +197,35 @@ def fit(model: Fittable, control: FeatureSet, scaling: Scaling,
     terms = np.ones(len(model.terms), dtype=bool) if terms is None else terms
     used = np.ones(len(control), dtype=bool) if used is None else used
     return LeastSquares(iterated).fit(model, control, scaling, terms, used)
+
+
+def left_out_squares(fitted: Fit) -> FloatArray:
+    """Return the squared error of each control feature under the fit without it [px^2], (n,).
+
+    By least squares, as the criterion press judges: with equations to first order where others are
+    not exact, so that this is closed form throughout; of few points the least squares of distances
+    are found again without each. Infinite throughout where some feature is indispensable, and where
+    a denominator falls short.
+    """
+    model = fitted.model
+    control = fitted.scaled_control
+    weighted = isinstance(model, RationalModel) and model.weighted
+    equations = model.linearised(control, fitted.adjustment.coefficients) if weighted else None
+    parts = independent_parts(equations or first_order(model, control), model.axis)
+    solutions = solutions_without_each(parts, fitted.terms, fitted.used)
+    if solutions is None:
+        return np.full(len(control), np.inf)
+    if weighted and len(control) <= REFITTED and not len(control.lines):
+        solutions = _refitted_without_each(fitted)
+    fits = Fits(model, control.points, no_points(), fitted.scaling.image_scale,
+                fitted.terms[None], fitted.adjustment.coefficients[None], control.lines, parts)
+    return np.asarray(fits.held_out_each(solutions[:, None])[0])
+
+
+def _refitted_without_each(fitted: Fit) -> FloatArray:
+    """Return the least squares of distances in the image of points without each, shape (n, k)."""
+    model, control, n = fitted.model, fitted.scaled_control, len(fitted.control)
+    assert isinstance(model, RationalModel)
+    return model.least_distances(
+        control.points, independent_parts(model.equations(control), model.axis),
+        np.tile(fitted.terms, (n, 1)), ~np.eye(n, dtype=bool))

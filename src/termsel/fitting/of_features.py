@@ -9,8 +9,8 @@ from termsel.core.threads import one_blas_thread
 from termsel.data.features import FeatureSet
 from termsel.data.scaling import scaling_of
 from termsel.fitting.fit import Fit, Undetermined
-from termsel.fitting.fittable import Fittable
 from termsel.fitting.least_squares import LEAST_SQUARES
+from termsel.models.base import SensorModel
 
 AS_CONTROL = ("control", "")
 """Roles of the points that a fit takes as control; "" is that of a point without a role."""
@@ -35,7 +35,7 @@ def control_of(features: FeatureSet) -> FeatureSet:
 
 
 @one_blas_thread
-def fit_all_terms(model: Fittable, control: FeatureSet) -> Fit:
+def fit_all_terms(model: SensorModel, control: FeatureSet) -> Fit:
     """Fit all terms of a model by least squares to the features that `control_of` returns.
 
     Raises `Undetermined` if the control does not determine the terms.

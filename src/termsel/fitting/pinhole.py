@@ -28,10 +28,10 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from termsel.data.features import FeatureSet, FloatArray, IntArray
+from termsel.adjustment.equations import weights_of
+from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray
 from termsel.data.scaling import Scaling, metres_of
 from termsel.data.view import View
-from termsel.fitting.adjustment.equations import weights_of
 
 FOCAL, FOCAL_SPREAD = 1.8, 0.7
 """Focal length by the half diagonal of the image, and the standard deviation of its logarithm: from
@@ -192,7 +192,7 @@ class Measured:
         damping = np.full(len(cameras), 1e-3)
         for _ in range(steps):
             design, left = self.system(cameras, rows, sigma)
-            known = np.isfinite(left).all(axis=1)
+            known = np.asarray(np.isfinite(left).all(axis=1))
             design = np.where(known[:, None, None], design, 0.0)
             left = np.where(known[:, None], left, 0.0)
             normal = np.einsum("sri,srj->sij", design, design)
@@ -360,10 +360,10 @@ def _starts(measured: Measured) -> Cameras:
     design[..., 0, 0] = design[..., 1, 1] = focal[:, None]
     design[..., 2] = -away
     right = away * turned[..., 2:] - focal[:, None, None] * turned[..., :2]
-    design = design.reshape(len(focal), -1, 3)
-    normal = np.einsum("sri,srj->sij", design, design)
+    rows = design.reshape(len(focal), -1, 3)
+    normal = np.einsum("sri,srj->sij", rows, rows)
     shift = np.linalg.solve(normal + 1e-12 * np.eye(3), np.einsum(
-        "sri,sr->si", design, right.reshape(len(focal), -1))[..., None])[..., 0]
+        "sri,sr->si", rows, right.reshape(len(focal), -1))[..., None])[..., 0]
     cameras = Cameras(rotation, shift, focal, np.tile(measured.middle, (len(focal), 1)))
     # A start may have points behind it that better ones have not.
     costs = ((measured.image - cameras.image(measured.ground)) ** 2).sum(axis=2).mean(axis=1)
@@ -407,7 +407,7 @@ def _turns(turn: FloatArray) -> FloatArray:
     return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)
 
 
-def _either(which: FloatArray, one: Cameras, other: Cameras) -> Cameras:
+def _either(which: BoolArray, one: Cameras, other: Cameras) -> Cameras:
     """Return of each pair of cameras the one where `which`, (s,), and else the other."""
     return Cameras(np.where(which[:, None, None], one.rotation, other.rotation),
                    np.where(which[:, None], one.shift, other.shift),

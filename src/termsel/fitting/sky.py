@@ -11,7 +11,7 @@ import numpy as np
 from termsel.core.errors import TermselError
 from termsel.data.features import BoolArray, FloatArray
 from termsel.fitting.fit import Fit
-from termsel.fitting.locate import Surface
+from termsel.models.locate import Surface
 
 SKY = "above the horizon"
 FAR = f"{SKY} or much farther away than any control"

@@ -1,12 +1,12 @@
 """How uncertain a fitted model is at any place.
 
-The truth is believed to be a shrunken cubic polynomial (see `termsel.fitting.bayesian.posterior`):
-its posterior, given the same control points, says how likely each other course of the image is
-between and beyond them. The mean square error of any fit at a place is the variance of that
-posterior there, and the square of the distance of the fit from its mean. A model of a kind that
-the polynomial does not contain, and that predicts left-out control no worse than by a standard
-error, is judged by the propagation of the noise through its own adjustment, as is one of lines or
-of few points. A spline
+The truth is believed to be a shrunken cubic polynomial (see
+`termsel.adjustment.bayesian.posterior`): its posterior, given the same control points, says how
+likely each other course of the image is between and beyond them. The mean square error of any fit
+at a place is the variance of that posterior there, and the square of the distance of the fit from
+its mean. A model of a kind that the polynomial does not contain, and that predicts left-out
+control no worse than by a standard error, is judged by the propagation of the noise through its
+own adjustment, as is one of lines or of few points. A spline
 or a random field has a variance of its own. To all others comes what the model does not fit
 (`termsel.fitting.misfit`). Where the control does not tell what a height does, the
 effect of views in general is added (`termsel.fitting.extrapolation.by_heights`).
@@ -19,14 +19,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from termsel.adjustment.bayesian.field import Collocation
+from termsel.adjustment.bayesian.foresight import foresee
+from termsel.adjustment.bayesian.posterior import Posterior, polynomial_posterior
+from termsel.adjustment.equations import weights_of
+from termsel.adjustment.monomials import graded_exponents, monomials
+from termsel.adjustment.solve import Adjustment
 from termsel.data.features import BoolArray, FeatureSet, FloatArray
-from termsel.fitting.adjustment.equations import weights_of
-from termsel.fitting.adjustment.monomials import graded_exponents, monomials
-from termsel.fitting.adjustment.solve import Adjustment
-from termsel.fitting.bayesian.field import Collocation
-from termsel.fitting.bayesian.foresight import foresee
-from termsel.fitting.bayesian.posterior import Posterior, polynomial_posterior
-from termsel.fitting.fittable import Fittable
+from termsel.models.base import SensorModel
 
 DEGREE = 3
 """Degree of the polynomial that the truth is believed to be; that of the model, if higher."""
@@ -53,7 +53,7 @@ class Spread:
     factors: FloatArray | None = None
 
 
-def spread_of(model: Fittable, control: FeatureSet, terms: BoolArray, adjustment: Adjustment,
+def spread_of(model: SensorModel, control: FeatureSet, terms: BoolArray, adjustment: Adjustment,
               ground: FloatArray, image: FloatArray, *, least_squares: bool) -> Spread:
     """Return the mean square errors of what a fit predicts; NaN where there is no redundancy.
 
@@ -83,14 +83,14 @@ def sees_heights(project: Callable[[FloatArray], FloatArray], ground: FloatArray
     return bool((project(some) != project(some + np.array([0.0, 0.0, 1.0]))).any())
 
 
-def believed_spread(model: Fittable, control: FeatureSet, ground: FloatArray,
+def believed_spread(model: SensorModel, control: FeatureSet, ground: FloatArray,
                     image: FloatArray) -> Spread | None:
     """Return the mean square errors as the polynomial sees them (see `spread_of`), or None."""
     believed = _Belief.of(model, control)
     return None if believed is None else believed.spread(ground, image)
 
 
-def shared_variance(model: Fittable, control: FeatureSet) -> float | None:
+def shared_variance(model: SensorModel, control: FeatureSet) -> float | None:
     """Return the relative variance of the mean square error that all places have in common.
 
     Where few coefficients are uncertain, the mean square of errors all over the scene is so, too.
@@ -124,7 +124,7 @@ class _Belief:
     variables: int
 
     @classmethod
-    def of(cls, model: Fittable, control: FeatureSet,
+    def of(cls, model: SensorModel, control: FeatureSet,
            heights: bool | None = None) -> _Belief | None:
         """Return what is believed, by default with the heights that the model uses.
 
@@ -170,7 +170,7 @@ def _unknown(count: int) -> Spread:
     return Spread(np.full((count, 2), np.nan), np.full(2, np.nan))
 
 
-def _propagated(model: Fittable, control: FeatureSet, terms: BoolArray, adjustment: Adjustment,
+def _propagated(model: SensorModel, control: FeatureSet, terms: BoolArray, adjustment: Adjustment,
                 ground: FloatArray) -> tuple[Spread, FloatArray]:
     """Return the noise propagated through an adjustment, and squared held-out errors of features.
 

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from termsel.adjustment.compiled import compiled
 from termsel.data.coordinates.crs import horizontal
 from termsel.data.coordinates.longitudes import nearest
 from termsel.data.features import FloatArray
-from termsel.fitting.adjustment.compiled import compiled
 from termsel.fitting.fit import Fit
 from termsel.formats.heights import Dem
 

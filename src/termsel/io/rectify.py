@@ -22,6 +22,7 @@ from termsel.data.coordinates.crs import (
     to_wgs84,
 )
 from termsel.data.rasters import gdal_name, open_raster, refuse_empty_giant, require_rasterio
+from termsel.fitting.rpc_fit import GOOD, RpcFit, rpc_of
 from termsel.fitting.sky import NEAR_OR_FAR, why_not_shown
 from termsel.formats.deviation import places_of, say_deviation
 from termsel.formats.heights import Dem, say_difference, surface_of, write_ellipsoidal
@@ -41,7 +42,6 @@ from termsel.io.map_grid import (
 from termsel.io.map_pixels import map_pixels, warp
 from termsel.io.map_positions import MapPositions
 from termsel.io.replacing import require_replaceable
-from termsel.models.rpc_fit import GOOD, RpcFit, rpc_of
 
 if TYPE_CHECKING:
     from termsel.results.result import Result

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from termsel.adjustment.compiled import compiled
 from termsel.data.features import BoolArray, FloatArray
-from termsel.fitting.adjustment.compiled import compiled
 
 Values = NDArray[Any]
 

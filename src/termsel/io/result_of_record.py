@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from msgspec import ValidationError, convert
 
-from termsel.auto.base import Candidate
 from termsel.core.errors import TermselError, printable
 from termsel.core.version import __version__
 from termsel.data.features import FeatureSet
@@ -21,6 +20,7 @@ from termsel.data.twins import merged
 from termsel.fitting.diagnosis import Diagnosis
 from termsel.fitting.figures import Baseline, figures, in_role, residuals_of, rmse_from
 from termsel.fitting.fit import Estimator, Fit
+from termsel.fitting.method import Method
 from termsel.models.base import SensorModel
 from termsel.plugins.registry import registry
 from termsel.results.result import CARRIED, Result
@@ -152,12 +152,12 @@ def _final(record: Record, model: SensorModel, observations: Observations) -> Fi
 
 
 def _estimator(record: Record) -> Estimator | None:
-    """Return the estimator of the candidate that auto chose, if a plugin provides it."""
-    plugin = record.plugins.get("candidate")
+    """Return the estimator of the method that auto chose, if a plugin provides it."""
+    plugin = record.plugins.get("method")
     if plugin is None:
         return None
-    candidate: Candidate = registry().get("candidates", plugin.name)
-    return candidate.estimator
+    method: Method = registry().get("methods", plugin.name)
+    return method.estimator
 
 
 def _model_type(plugin: PluginRecord | None, name: str) -> type[SensorModel]:

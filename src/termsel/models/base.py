@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
+from termsel.adjustment.equations import Equations
+from termsel.adjustment.interpolation import Interpolation
 from termsel.core.errors import TermselError, first_of
 from termsel.core.isolation.arrays import of_shape, of_type, returns
 from termsel.core.isolation.calls import Check
@@ -17,10 +19,6 @@ from termsel.data.coordinates.crs import to_wgs84
 from termsel.data.extent import KnownImage
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray
 from termsel.data.scaling import Scaling
-from termsel.fitting.adjustment.equations import Equations
-from termsel.fitting.adjustment.interpolation import Interpolation
-from termsel.fitting.fit import Fit
-from termsel.fitting.of_features import control_of, fit_all_terms
 
 if TYPE_CHECKING:
     from termsel.models.rpc import Rpc
@@ -161,34 +159,6 @@ class SensorModel(Configurable, ABC):
         # A new instance, which checks its options and keeps nothing of this one but its place.
         changed = type(self)(**{**self.options, **values})
         return changed if self.scaling is None else changed.prepared(self.scaling, self.crs)
-
-    def fit(self, features: FeatureSet) -> Fit:
-        """Fit all terms to control features by least squares.
-
-        Parameters
-        ----------
-        features : FeatureSet
-            Lines, and points with the role control or none, are control. Points with the role
-            check, independent or off are left out.
-
-        Raises
-        ------
-        TermselError
-            If there is no control, the control does not determine the terms, or heights that the
-            model uses are unknown.
-
-        Examples
-        --------
-        >>> import termsel
-        >>> scene = termsel.simulate_scene("ikonos-hamedan")
-        >>> fitted = termsel.Polynomial2D(degree=2).fit(scene)
-        >>> fitted.adjustment.redundancy
-        20
-        """
-        # Check and independent points stay out, and a model with heights needs all of them.
-        control = control_of(features)
-        require_heights(self, control)
-        return fit_all_terms(self, control)
 
     def geographic(self, ground: FloatArray) -> FloatArray:
         """Return WGS84 longitude, latitude [deg] and ellipsoidal height [m], shape (n, 3).

@@ -6,11 +6,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from termsel.adjustment.equations import Equations
+from termsel.adjustment.lines import image_equations
 from termsel.core.options import Option
 from termsel.data.coordinates.crs import is_geographic
 from termsel.data.features import FeatureSet, FloatArray, IntArray
-from termsel.fitting.adjustment.equations import Equations
-from termsel.fitting.adjustment.lines import image_equations
 from termsel.models.base import BOTH, LINE, SAMPLE, SensorModel
 
 

@@ -7,13 +7,13 @@ from typing import ClassVar
 
 import numpy as np
 
+from termsel.adjustment.bayesian.field import collocate
+from termsel.adjustment.bayesian.thin_plate import thin_plates
+from termsel.adjustment.interpolation import Interpolation
+from termsel.adjustment.monomials import Exponents, graded_exponents
 from termsel.core.errors import TermselError, amount
 from termsel.core.options import Option
 from termsel.data.features import FeatureSet, FloatArray
-from termsel.fitting.adjustment.interpolation import Interpolation
-from termsel.fitting.adjustment.monomials import Exponents, graded_exponents
-from termsel.fitting.bayesian.field import collocate
-from termsel.fitting.bayesian.thin_plate import thin_plates
 from termsel.models.helmert import plane_units
 from termsel.models.polynomial import Polynomial
 
@@ -88,7 +88,7 @@ class Field(Interpolating):
     A regularised cubic polynomial of X and Y, a stationary random field with Matern covariance, for
     what is local, and noise. The lengths, size and noise of the field are not set: solutions on
     a grid are averaged with their probabilities, those without a field among them (see
-    `termsel.fitting.bayesian.field`). For old maps, sheets and scanners that shake.
+    `termsel.adjustment.bayesian.field`). For old maps, sheets and scanners that shake.
 
     The field takes up any affine function, so that its terms make no difference.
 

@@ -14,7 +14,7 @@ from termsel.data.coordinates.crs import is_geocentric
 from termsel.data.coordinates.places import spatial_order
 from termsel.data.features import FeatureSet, FloatArray, Points
 from termsel.data.view import view_of
-from termsel.fitting.fittable import Fittable
+from termsel.models.base import SensorModel
 
 POLE_MARGIN = 0.1
 """Least value of a denominator over the scene; vendor RPCs stay within some hundredths of 1."""
@@ -74,7 +74,7 @@ def guard_points(control: FeatureSet, check: Points, wider: float = 1.0) -> Floa
     return guard
 
 
-def pole_violation(model: Fittable, coefficients: FloatArray, ground: FloatArray,
+def pole_violation(model: SensorModel, coefficients: FloatArray, ground: FloatArray,
                    margin: float = POLE_MARGIN) -> FloatArray:
     """Return how far denominators are below a margin, shape (p,); 0 is safe."""
     below = model.denominators(coefficients, ground)

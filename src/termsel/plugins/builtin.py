@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 from termsel.plugins.hookspecs import hookimpl
 
 if TYPE_CHECKING:
-    from termsel.auto.base import Candidate
     from termsel.data.datasets import DatasetSpec
     from termsel.data.splits import Split
+    from termsel.fitting.method import Method
     from termsel.formats.base import Reader, Writer
     from termsel.models import SensorModel
     from termsel.selection.criteria import Criterion
@@ -77,11 +77,11 @@ def termsel_solvers() -> Iterable[type[Solver]]:
 
 
 @hookimpl
-def termsel_candidates() -> Iterable[Candidate]:
-    """Return the built-in candidates of the strategy auto."""
-    from termsel.auto.structures import CANDIDATES
+def termsel_methods() -> Iterable[Method]:
+    """Return the built-in methods that need no search."""
+    from termsel.auto.methods import METHODS
 
-    return CANDIDATES
+    return METHODS
 
 
 @hookimpl

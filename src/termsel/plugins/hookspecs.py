@@ -35,11 +35,11 @@ import pluggy
 if TYPE_CHECKING:
     import click
 
-    from termsel.auto.base import Candidate
     from termsel.core.isolation.parts import Part
     from termsel.core.options import Configurable
     from termsel.data.datasets import DatasetSpec
     from termsel.data.splits import Split
+    from termsel.fitting.method import Method
     from termsel.formats.base import Reader, Writer
     from termsel.models import SensorModel
     from termsel.results.extras import Measure, ReportSection
@@ -115,12 +115,12 @@ def termsel_solvers() -> Iterable[type[Solver]]:
 
 
 @hookspec
-def termsel_candidates() -> Iterable[Candidate]:
+def termsel_methods() -> Iterable[Method]:
     """Return candidates of the strategy auto, next to those that are built in.
 
     Returns
     -------
-    iterable of Candidate
+    iterable of Method
         Each with a `name` as in `termsel.fit`. One that fails is left out of the choice, and a note
         names it.
     """

@@ -108,7 +108,7 @@ KINDS = {
     "solvers": Kind("solver", "termsel.selection.solvers", "Solver"),
     "criteria": Kind("criterion", "termsel.selection.criteria", "Criterion", must_start=True),
     "objectives": Kind("objective", "termsel.selection.problems.objectives", "Objective"),
-    "candidates": Kind("candidate", "termsel.auto.base", "Candidate"),
+    "methods": Kind("method", "termsel.fitting.method", "Method"),
     "matchers": Kind("matcher", "", "Matcher", must_start=True),
     "datasets": Kind("data set", "termsel.data.datasets", "DatasetSpec"),
     "splits": Kind("split", "termsel.data.splits", "Split"),

@@ -297,7 +297,7 @@ def _points_of(distribution: Distribution) -> tuple[list[EntryPoint], str]:
 
 def _spare_numba() -> None:
     """Let numba find its extensions now: it fails at what no reader of metadata can read, once."""
-    from termsel.fitting.adjustment.numba_settings import import_numba
+    from termsel.adjustment.numba_settings import import_numba
 
     import_numba()
     from numba.core.entrypoints import init_all

@@ -9,7 +9,7 @@ from __future__ import annotations
 import platform
 from collections.abc import Iterator
 
-from termsel.auto.portfolio import EXACT
+from termsel.auto.auto import EXACT
 from termsel.core.display.numbers import rounded
 from termsel.core.errors import counted, first_of
 from termsel.data.record.base import plain

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from termsel.auto.compare import WITHOUT_BLUNDERS
-from termsel.auto.structures import named
+from termsel.auto.methods import BY_NAME
 from termsel.data.record.figures import RmseByRole
 from termsel.data.record.record import Record
 
@@ -19,9 +19,9 @@ ROLE_WORDS = {"control": "control", "check": "selection", "independent": "indepe
 def label_of(name: str) -> str:
     """Return what tables and charts call a fit without a search: a baseline or a candidate of auto.
     """
-    candidate = named(name)
-    if candidate is not None:
-        return candidate.label
+    method = BY_NAME.get(name)
+    if method is not None:
+        return method.label
     words = {"all-terms": "all terms", WITHOUT_BLUNDERS: "without blunders"}
     return words.get(name, name.replace("-", " ").replace("rpc", "RPC"))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import PurePath
 
-from termsel.auto.structures import named
+from termsel.auto.methods import BY_NAME
 from termsel.core.display.numbers import rounded
 from termsel.core.errors import amount, counted, cut, percent
 from termsel.data.coordinates.crs import LOCAL, short
@@ -146,7 +146,7 @@ def title_of(record: Record) -> str:
         return "rational function model" if record.model == "rfm" else record.model
     if shift := _shift_of(record):
         return f"vendor RPC plus {shift}"
-    candidate = named(strategy.chosen)
+    candidate = BY_NAME.get(strategy.chosen)
     return label_of(strategy.chosen) if candidate is None else \
         candidate.title.partition(" ")[2]
 

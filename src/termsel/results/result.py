@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from msgspec import UNSET, convert, structs
@@ -44,8 +44,8 @@ from termsel.data.thumbnail import thumbnail
 from termsel.fitting.diagnosis import Diagnosis
 from termsel.fitting.figures import Baseline, Rmses, in_role, residuals_of, rmse_record
 from termsel.fitting.fit import Fit
-from termsel.fitting.locate import Surface
 from termsel.fitting.residuals import Residuals
+from termsel.models.locate import Surface
 from termsel.report.accuracy import accuracy_of
 from termsel.report.answers import document
 from termsel.report.first_screen import next_step, title_of
@@ -59,7 +59,6 @@ from termsel.results.shown import Shown
 from termsel.selection.problems.base import Selection
 
 if TYPE_CHECKING:
-    from termsel.models.base import SensorModel
     from termsel.models.rpc import Rpc
 
 CARRIED = (
@@ -247,7 +246,7 @@ class Result(Glance):
         """Return the fit of a member of the front, or of the best selection of a size."""
         observations = by_roles(self.features)
         selected = member.selection
-        model = cast("SensorModel", self.fit.model).with_parameters(selected.parameters or {})
+        model = self.fit.model.with_parameters(selected.parameters or {})
         iterated = None if member.iterated is UNSET else member.iterated
         return least_squares_of(
             model, observations.control, self.fit.scaling, np.isin(model.terms, selected.terms),
@@ -334,7 +333,7 @@ class Result(Glance):
 
         Rational functions and polynomials to the third degree of WGS84 longitude, latitude and
         ellipsoidal height are RPCs as they are. Any other fit is replaced by the RPC next to
-        it, and what that costs is logged; `termsel.models.rpc_fit.rpc_of` returns it.
+        it, and what that costs is logged; `termsel.fitting.rpc_fit.rpc_of` returns it.
 
         Parameters
         ----------
@@ -347,7 +346,7 @@ class Result(Glance):
             If the ground coordinates cannot be turned into longitude and latitude, or no RPC
             comes near the fit.
         """
-        from termsel.models.rpc_fit import rpc_of
+        from termsel.fitting.rpc_fit import rpc_of
 
         return rpc_of(self.exported, heights).rpc
 

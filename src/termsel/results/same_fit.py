@@ -12,16 +12,15 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from termsel.adjustment.solve import Adjustment
 from termsel.auto import estimators
 from termsel.core.errors import TermselError
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.data.record.figures import AdjustmentFigures
 from termsel.data.record.record import FitRecord
 from termsel.data.scaling import Scaling
-from termsel.fitting.adjustment.solve import Adjustment
 from termsel.fitting.figures import finite_or_none, number
 from termsel.fitting.fit import Estimator, Fit, HeldOut
-from termsel.fitting.fittable import Fittable
 from termsel.fitting.least_squares import LeastSquares
 from termsel.models.base import SensorModel
 from termsel.models.poles import guard_points, pole_margin, pole_violation
@@ -30,7 +29,8 @@ from termsel.models.poles import guard_points, pole_margin, pole_violation
 def fit_record(fitted: Fit) -> FitRecord:
     """Return how the coefficients of a fit were found."""
     made = fitted.made or fitted
-    held_out = None if made.held_out is None else made.held_out.errors.tolist()
+    errors = None if made.stored_held_out is None else made.stored_held_out.errors
+    held_out = None if errors is None else errors.tolist()
     return FitRecord(made.estimator.name, made.estimator.options,
                      None if made.trace is None else finite_or_none(made.trace), held_out,
                      None if fitted.made is None else made.control.ids)
@@ -80,7 +80,7 @@ def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, use
         if estimator.repeatable:  # a record of termsel 0.2 or earlier
             again = estimator.fit(model, control, scaling, terms, used)
             trace = again.trace
-            held_out = again.held_out
+            held_out = again.stored_held_out
     # The figures of the record, whatever the rounding of this machine.
     adjustment = Adjustment(
         values,
@@ -98,7 +98,7 @@ def _by_term(model: SensorModel, values: Mapping[str, float | None],
     return np.array([number(values.get(name, default)) for name in model.terms])
 
 
-def least_squares_of(model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+def least_squares_of(model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
                      used: BoolArray, check: Points, iterated: bool | None = None) -> Fit:
     """Return the fit of a selection of terms and features, as a run makes it.
 

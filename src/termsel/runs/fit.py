@@ -1,26 +1,30 @@
-"""The public verb `fit`: any model by its name, its class or itself, and any candidate."""
+"""The public verb `fit`: any model by its name, its class or itself, and any method."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, cast
 
-from termsel.auto.base import Candidate
 from termsel.core.errors import TermselError, unknown_name
 from termsel.core.isolation.faults import blamed
+from termsel.core.threads import one_blas_thread
 from termsel.data.features import FeatureSet
+from termsel.data.fit_data import FitData
 from termsel.data.roles import with_roles
 from termsel.fitting.fit import Fit
+from termsel.fitting.method import Method
+from termsel.fitting.of_features import control_of, fit_all_terms
 from termsel.io.read import features_of
-from termsel.models.base import SensorModel
+from termsel.models.base import SensorModel, require_heights
 from termsel.plugins.registry import registry
-from termsel.runs.task.blank_heights import note_on_blank, to_leave_out
+from termsel.runs.blank_heights import note_on_blank, to_leave_out
 
 log = logging.getLogger(__name__)
 
 
-def fit(features: Any, model: str | type[SensorModel] | SensorModel = "rfm", *,
+def fit(features: Any, model: str | type[SensorModel] | SensorModel | Method = "rfm", *,
         crs: str | None = None, columns: str | Mapping[str, Any] | None = None,
         **options: Any) -> Fit:
     """Fit one model to control features, without any selection.
@@ -31,14 +35,14 @@ def fit(features: Any, model: str | type[SensorModel] | SensorModel = "rfm", *,
         The name of a file, or a table such as a DataFrame, is read by `termsel.read`. Lines, and
         points with the role control or none, are control. Points with the role check,
         independent or off are left out.
-    model : str, class or SensorModel
-        Name of a model, or of a candidate that needs no search: affine, dlt, projective,
+    model : str, class, SensorModel or Method
+        Name of a model, or of a method that needs no search: affine, dlt, projective,
         quadratic, cubic, rfm-2, rfm-3, ridge, selected, shrunken-quadratic, shrunken-cubic,
         huber, tukey. Of a name that both have, the model is taken.
     crs, columns : optional
         As for `termsel.read`, where features are read.
     **options
-        Options of the model; a candidate has none.
+        Options of the model; a method has none.
 
     Returns
     -------
@@ -66,13 +70,15 @@ def fit(features: Any, model: str | type[SensorModel] | SensorModel = "rfm", *,
         names = registry()
         if (model_type := names.known("models", model)) is not None:
             return _fitted(cast(type[SensorModel], model_type)(**options), features)
-        candidate: Candidate | None = names.known("candidates", model)
-        if candidate is None:
-            raise unknown_name("model", model, {*names.names("models"), *names.names("candidates")},
-                               names.hint(model, "models", "candidates"))
-        _refuse(options, f"candidate {model!r}")
-        with blamed(candidate, "fit"):
-            return candidate.fit(_with_heights(features))
+        method: Method | None = names.known("methods", model)
+        if method is None:
+            raise unknown_name("model", model, {*names.names("models"), *names.names("methods")},
+                               names.hint(model, "models", "methods"))
+        _refuse(options, f"method {model!r}")
+        return _by_method(method, features)
+    if isinstance(model, Method):
+        _refuse(options, f"method {model.name!r}")
+        return _by_method(model, features)
     given = registry().taken("models", model)
     if isinstance(given, SensorModel):
         _refuse(options, f"model {given.name!r}, which has its options already,")
@@ -80,8 +86,20 @@ def fit(features: Any, model: str | type[SensorModel] | SensorModel = "rfm", *,
     return _fitted(cast(type[SensorModel], given)(**options), features)
 
 
+@one_blas_thread
+def _by_method(method: Method, features: FeatureSet) -> Fit:
+    data = FitData.of(control_of(_with_heights(features)))
+    with blamed(method, "fit"):
+        reason = method.declines(data)
+        if reason is not None:
+            raise TermselError(reason, hint="Choose another method, such as shrunken-cubic.")
+        return replace(method.fit(data), method=method)
+
+
 def _fitted(model: SensorModel, features: FeatureSet) -> Fit:
-    return model.fit(_with_heights(features) if model.uses_height else features)
+    control = control_of(_with_heights(features) if model.uses_height else features)
+    require_heights(model, control)
+    return fit_all_terms(model, control)
 
 
 def _with_heights(features: FeatureSet) -> FeatureSet:

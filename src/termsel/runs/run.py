@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 import logging
-import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from msgspec import convert
 
-from termsel.auto.portfolio import Portfolio
+from termsel.adjustment import kernels
+from termsel.adjustment.bayesian import held_out
+from termsel.auto.auto import Auto
+from termsel.auto.memory import Memory
 from termsel.core.errors import TermselError
 from termsel.core.files.names import CERTIFICATE
 from termsel.core.threads import one_blas_thread
-from termsel.data.control import Control
 from termsel.data.datasets import DatasetSpec
 from termsel.data.features import FeatureSet
-from termsel.data.record.search import SearchLimits
-from termsel.fitting.adjustment import kernels
-from termsel.fitting.bayesian import held_out
+from termsel.data.fit_data import FitData
+from termsel.fitting.method import Method
 from termsel.formats.rpc_files import with_rpc
 from termsel.io.read import features_of
 from termsel.io.result_folder import claimed, write_result
@@ -31,15 +30,15 @@ from termsel.models.base import SensorModel
 from termsel.models.rpc import Rpc
 from termsel.plugins.registry import registry
 from termsel.results.result import Result
-from termsel.runs.auto.strategy import LEAST, choose_for, wanted
+from termsel.runs.blank_heights import to_leave_out
+from termsel.runs.choosing import LEAST, choose_for, wanted
+from termsel.runs.finding import result_of
+from termsel.runs.fit_crs import with_polar
+from termsel.runs.given import auto_of
 from termsel.runs.notebook import notebook_observer
-from termsel.runs.task.blank_heights import to_leave_out
-from termsel.runs.task.fit_crs import with_polar
-from termsel.runs.task.given import all_candidates
-from termsel.runs.task.request import Request, loaded
-from termsel.runs.task.rpc_given import part_of_rpc, with_part
-from termsel.runs.task.task import Task, observe, prepared, with_shares
-from termsel.runs.task.verdict import judge_features
+from termsel.runs.request import loaded, method_words, request_of
+from termsel.runs.rpc_given import part_of_rpc, with_part
+from termsel.runs.task import Task, observe, prepared, with_shares
 from termsel.selection.criteria import Criterion
 from termsel.selection.problems.recipes import Recipe
 from termsel.selection.solvers.base import Solver
@@ -47,10 +46,6 @@ from termsel.selection.solvers.heuristics.yardsticks import AllTerms
 from termsel.selection.solvers.search import Observer
 
 log = logging.getLogger(__name__)
-
-FREED = 1 << 20
-"""Numbers of an array that is freed at once, and never filled. The C library of Linux gives back
-memory beyond twice what was freed in one piece, and asks the system for it at the next array."""
 
 SEARCH_COMPILES, AUTO_COMPILES = 4, 2
 """Seconds that the first run of a search, and of the strategy auto, spends on compilation."""
@@ -71,6 +66,7 @@ def run(
     criterion: str | type[Criterion] | Criterion | None = None,
     options: Mapping[str, Any] | None = None,
     strategy: str | None = None,
+    method: str | Method | None = None,
     seed: int = 1,
     generations: int | None = None,
     evaluations: int | None = None,
@@ -79,6 +75,7 @@ def run(
     observers: Iterable[Observer] = (),
     out: Path | str | None = None,
     overwrite: bool = False,
+    memory: Memory | None = None,
 ) -> Result:
     """Search a problem and assess the selection.
 
@@ -102,6 +99,9 @@ def run(
         the problem allows it and neither model, solver, criterion, budget nor any option but
         those of the data is given; for problems that select features only where none is named. A
         prepared task is always run as asked.
+    method : str or Method, optional
+        A method that needs no search, in place of "auto", which chooses among them: its name, such
+        as "shrunken-cubic", or a `Method` of your own.
     seed : int
         Seed of the search.
     generations, evaluations : int, optional
@@ -117,6 +117,8 @@ def run(
         Folder for result.json, residuals.csv, summary.txt and the features.
     overwrite : bool
         Whether a result that is there may be replaced.
+    memory : Memory, optional
+        What runs on the same features found: pass the same object to each of them.
 
     Returns
     -------
@@ -134,7 +136,6 @@ def run(
     >>> round(result.rmse["independent"].total, 1) > 0
     True
     """
-    np.empty(FREED)
     if features is not None:
         source = source or (str(features) if isinstance(features, str | Path) else None)
         features = features_of(features, crs, columns)
@@ -142,58 +143,55 @@ def run(
     elif crs is not None or columns is not None or rpc is not None:
         raise TermselError("crs, columns and rpc are for features that are given",
                            hint="Give features, such as the name of a file.")
+    asked: dict[str, Any] = {"dataset": dataset, "source": source, "model": model, "solver": solver,
+             "criterion": criterion, "options": options}
     limits = {"generations": generations, "evaluations": evaluations, "seconds": seconds,
               "patience": patience}
-    limited = any(limit is not None for limit in limits.values())
-    task = problem if isinstance(problem, Task) else None
-    request = Request(
-        problem=None if isinstance(problem, Task) else problem, features=features,
-        dataset=dataset, source=source, model=model, solver=solver, criterion=criterion,
-        options=options)
-    if problem is None:
-        request = replace(request, problem=problem_for(features, dataset))
-    shown = notebook_observer(task.recipe.name if task else str(problem or "auto"))
+    is_limited = any(limit is not None for limit in limits.values())
+    shown = notebook_observer(
+        problem.recipe.name if isinstance(problem, Task) else str(problem or "auto"))
     observers = (*observers, *([] if shown is None else [shown]), *registry().observers())
-    if task is None:
-        if wanted(strategy, registry().taken("problems", request.problem),
-                  [*request.method(), *["a budget"] * limited], unnamed=problem is None):
-            return _chosen(request, seed, observers, out, overwrite)
-        task = prepared(request.setup())
+    if isinstance(problem, Task):
+        _refuse_named({"features": features, **asked})
+        task = problem
+    else:
+        named = problem_for(features, dataset) if problem is None else problem
+        words = [*method_words(model, solver, criterion, options), *["a budget"] * is_limited]
+        recipe = registry().taken("problems", named)
+        if method is not None or wanted(strategy, recipe, words, unnamed=problem is None):
+            return _chosen(method, named, features, asked, words, seed, observers, out, overwrite,
+                           memory)
+        task = prepared(request_of(named, features=features, **asked))
         if strategy is None and task.recipe.portfolio and problem is None:
-            named = [*request.method(), *["a budget"] * limited]
             log.warning("Note: %s asks for a search by %s, which takes the place of the automatic "
                         "choice. Leave %s out to have the model chosen automatically.",
-                        " and ".join(named), task.solver.name,
-                        "it" if len(named) == 1 else "them")
+                        " and ".join(words), task.solver.name,
+                        "it" if len(words) == 1 else "them")
         if task.features.rpc is not None and "rpc" not in task.model.options:
             log.warning("Warning: the model %s makes no use of the RPC. Leave model, solver and "
                         "criterion out to have it corrected.", task.model.name)
-    elif request.named():
-        raise TermselError(f"a prepared task takes no {', '.join(sorted(request.named()))}",
-                           hint="Give them to termsel.prepare.")
-    if not limited:
+    if not is_limited:
         limits |= {"generations": task.recipe.generations, "patience": task.recipe.patience}
-
     if task.solver.options.get("certificate") and out is None:
         raise TermselError("a certificate is a file of the folder of a result, and there is none",
                            hint="Add --out DIR, in Python out=.", name="certificate")
 
-    def searched() -> Result:
-        from termsel.runs.judgement.assess import assessed
-        from termsel.runs.search.blunders_out import search_without_blunders  # not for auto
+    def search() -> Result:
+        from termsel.runs.assess import assess  # not for auto
+        from termsel.runs.searching import Search
 
-        verdict = judge_features(task.observations, Portfolio(), task.options["data"]["tested"])
-        last, found = search_without_blunders(task, verdict, seed=seed, **limits,
-                                              observers=observers)
-        # As plain numbers, for the record.
-        budget = convert({
-            name: float(limit) if name == "seconds" else int(limit)
-            for name, limit in limits.items() if limit is not None and math.isfinite(limit)},
-            SearchLimits)
-        return replace(assessed(last, found, verdict), budget=budget)
+        searching = Search(limits={**limits, "seed": seed, "observers": observers})
+        return assess(searching, task, memory=memory)
 
-    return _written(searched, out, overwrite,
-                    SEARCH_COMPILES if kernels.needs_compilation() else 0)
+    return _written(search, out, overwrite, SEARCH_COMPILES if kernels.needs_compilation() else 0)
+
+
+def _refuse_named(asked: Mapping[str, Any]) -> None:
+    """Refuse what is asked for next to a task that has been prepared."""
+    named = sorted(word for word, value in asked.items() if value is not None)
+    if named:
+        raise TermselError(f"a prepared task takes no {', '.join(named)}",
+                           hint="Give them to termsel.prepare.")
 
 
 def problem_for(features: FeatureSet | None, dataset: str | DatasetSpec | None = None) -> str:
@@ -209,32 +207,39 @@ def problem_for(features: FeatureSet | None, dataset: str | DatasetSpec | None =
     return "poly-terms" if plane else "rfm-terms"
 
 
-def _chosen(request: Request, seed: int, observers: Iterable[Observer], out: Path | str | None,
-            overwrite: bool) -> Result:
-    """Return the result of the strategy "auto", which builds no problem."""
+def _chosen(method: str | Method | None, problem: str | Recipe, features: FeatureSet | None,
+            asked: Mapping[str, Any], words: Sequence[str], seed: int,
+            observers: Iterable[Observer], out: Path | str | None, overwrite: bool,
+            memory: Memory | None) -> Result:
+    """Return the result of a method that needs no problem: by default of "auto"."""
+    if method is not None and words:
+        raise TermselError(f"a method is asked for, and {words[0]}", hint="Leave one of them out.")
+    auto = auto_of(method, memory)
     # It fits to check points as to control, and yet shows their figures; points go with lines.
-    options = {"check_as": "judge", **(request.options or {})}
-    if registry().taken("problems", request.problem).control == "lines":
+    options = {"check_as": "judge", **(asked["options"] or {})}
+    if registry().taken("problems", problem).control == "lines":
         options["mixed"] = True
-    setup = replace(request, criterion="press", solver=AllTerms, options=options).setup()
-    if setup.recipe.search_first and setup.features.without_height():
+    request = request_of(problem, features=features, **{
+        **asked, "criterion": "press", "solver": AllTerms, "options": options})
+    if request.recipe.search_first and request.features.without_height():
         # The model of the search is not asked for, so that it asks for no heights.
-        setup = replace(setup, model=registry().get("models", "poly2d")())
-    setup = with_shares(setup, auto=True)
-    least = _fewest(setup.features)
-    observations = observe(setup, least)
+        request = replace(request, model=registry().get("models", "poly2d")())
+    request = with_shares(request, auto=True)
+    least = _fewest(request.features, auto)
+    observations = observe(request, least)
     part = part_of_rpc(observations.together)
     if part is not None:
-        setup = with_part(setup, part)
-        observations = observe(setup, least)
+        request = with_part(request, part)
+        observations = observe(request, least)
     observations = with_polar(observations)
     # Whether a search of lines follows, which compiles more, is not known yet.
     compiles = held_out.needs_compilation(len(observations.together.points))
-    return _written(lambda: choose_for(setup, observations, seed, observers), out, overwrite,
-                    AUTO_COMPILES if compiles else 0)
+    return _written(lambda: result_of(request, choose_for(
+        request, observations, auto, seed, observers)), out, overwrite,
+        AUTO_COMPILES if compiles else 0)
 
 
-def _fewest(features: FeatureSet) -> int:
+def _fewest(features: FeatureSet, auto: Auto) -> int:
     """Return the fewest features to choose by: one where something is known of the image."""
     if features.rpc is not None:
         return 1
@@ -242,7 +247,7 @@ def _fewest(features: FeatureSet) -> int:
                       + [True] * len(features.lines.features), dtype=bool)
     if not 0 < in_use.sum() < LEAST:
         return LEAST
-    return min(LEAST, all_candidates().least(Control.of(features.take(in_use))))
+    return min(LEAST, auto.fewest(FitData.of(features.take(in_use))))
 
 
 def _written(work: Callable[[], Result], out: Path | str | None, overwrite: bool, longer: int

@@ -11,9 +11,9 @@ import numpy as np
 
 from termsel.data.features import FeatureSet, FloatArray, Points
 from termsel.fitting.of_features import fit_all_terms
+from termsel.fitting.rpc_fit import rpc_of
 from termsel.models.polynomial import Polynomial3D
 from termsel.models.rpc import Rpc
-from termsel.models.rpc_fit import rpc_of
 from termsel.simulate.orbit import pushbroom_at
 from termsel.simulate.render import checkerboard, render
 from termsel.simulate.terrain import Terrain, hilly

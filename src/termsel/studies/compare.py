@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from termsel.adjustment.kernels import needs_compilation
 from termsel.core.errors import TermselError, counted
 from termsel.core.files.atomic import private_folder
 from termsel.core.files.lock import locked
@@ -16,11 +17,10 @@ from termsel.core.files.names import JOURNAL
 from termsel.core.isolation.parts import part
 from termsel.core.options import options_of_file
 from termsel.data.features import FeatureSet
-from termsel.fitting.adjustment.kernels import needs_compilation
 from termsel.io.export import writer_of
 from termsel.plugins.registry import registry
 from termsel.runs.notebook import line_of_many
-from termsel.runs.task.provenance import versions
+from termsel.runs.provenance import versions
 from termsel.studies.cells.cell import Cell, cells_of, kind_of
 from termsel.studies.cells.folder import PLAN, keys_by_labels, write_plan
 from termsel.studies.cells.images import IMAGES, folders_of, write_files

@@ -7,9 +7,10 @@ from itertools import product
 import numpy as np
 
 from termsel.data.features import BoolArray, FloatArray, Points
+from termsel.fitting.population import Fits
 from termsel.models.polynomial import Polynomial3D
 from termsel.models.terms import Term
-from termsel.selection.criteria import Criterion, Fits
+from termsel.selection.criteria import Criterion
 from termsel.selection.problems.base import Inputs
 from termsel.selection.problems.selection import SelectionProblem
 from termsel.selection.solvers.proofs.proof import prove

@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from termsel.adjustment.solve import solve
 from termsel.core.errors import TermselError
 from termsel.data.features import FeatureSet, FloatArray, Points
-from termsel.fitting.adjustment.solve import solve
 from termsel.fitting.least_squares import adjust
 from termsel.models.base import SensorModel
 from termsel.models.quotient import RationalModel
+from termsel.runs.fit import fit as fit_model
 from termsel.testing.cases import require
 from termsel.testing.scenes import MIXES, accepted_scenes, experiment, fitted, seeded
 
@@ -170,14 +171,14 @@ def fit(model: SensorModel) -> None:
     assert scaling is not None
     features = FeatureSet(Points(points.ids, scaling.pixels(points.image),
                                  scaling.unscaled(points.ground)), crs=model.crs)
-    error = np.abs(model.fit(features).project(scaling.unscaled(ground))
+    error = np.abs(fit_model(features, model).project(scaling.unscaled(ground))
                    - scaling.pixels(model.project(truth, ground))).max() / scaling.image_scale
     require(error <= EXACT, "fit() to points without noise that project() gave misses other points "
                             f"by {error:.1g} (scaled units)")
     # A little noise, so that errors without a point are not zero.
     noise = NOISE * scaling.image_scale * seeded().normal(size=(len(points), 2))
-    noisy_fit = model.fit(features.with_(points=replace(
-        features.points, image=features.points.image + noise)))
+    noisy_fit = fit_model(features.with_(points=replace(
+        features.points, image=features.points.image + noise)), model)
     left_out = noisy_fit.leave_one_out
     for i in (0, len(points) // 2):
         is_used = np.arange(len(points)) != i

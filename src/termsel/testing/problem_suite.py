@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from termsel.runs.task.task import prepare
+from termsel.runs.task import prepare
 from termsel.selection.problems.base import Evaluation, Problem, Selection, evaluation_fault
 from termsel.selection.problems.recipes import Recipe
 from termsel.selection.solvers.heuristics.swap import neighbours

@@ -11,10 +11,10 @@ from termsel.core.errors import TermselError
 from termsel.plugins.kinds import KINDS
 from termsel.selection.problems.base import Problem
 from termsel.testing import (
-    candidates,
     commands,
     criteria,
     datasets,
+    methods,
     models,
     objectives,
     of_results,
@@ -33,7 +33,7 @@ SUITES: dict[str, Suite] = {
     "criteria": criteria.SUITE,
     "objectives": objectives.SUITE,
     "problems": problem_suite.SUITE,
-    "candidates": candidates.SUITE,
+    "methods": methods.SUITE,
     "datasets": datasets.SUITE,
     "splits": splits.SUITE,
     "sections": of_results.SECTIONS,
@@ -55,7 +55,7 @@ def checks(thing: Any, *, expected_failures: Mapping[str, str] | None = None,
     thing : object
         What a hook returns: a class of models, solvers, criteria, readers or writers, or an object
         of one with the options to check it with; a `Recipe`, `DatasetSpec`, `Objective`,
-        `Split`, `ReportSection`, `Measure` or `Candidate`. Or a `Problem`, or what makes one; a
+        `Split`, `ReportSection`, `Measure` or `Method`. Or a `Problem`, or what makes one; a
         ``click.Command``; the name of an installed package.
     expected_failures : mapping, optional
         Checks that it is known to fail, by name, with the reason.
@@ -74,7 +74,7 @@ def checks(thing: Any, *, expected_failures: Mapping[str, str] | None = None,
         - writer: `filename`, as for a reader; `results`, those to write (by default
           `example_results`); `verify`, which takes a result and the path it was written to, and
           raises AssertionError if they do not agree.
-        - candidate: `features`, an iterable of `FeatureSet`, where it is not for any points.
+        - method: `features`, an iterable of `FeatureSet`, where it is not for any points.
         - command: `words`, what a user types after its name.
 
     Returns

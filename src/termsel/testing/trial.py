@@ -15,7 +15,7 @@ from termsel.core.errors import TermselError
 from termsel.selection.problems.base import Problem
 from termsel.selection.solvers.base import Generation, Solver
 from termsel.selection.solvers.ledger import Progress
-from termsel.selection.solvers.search import Search, search
+from termsel.selection.solvers.search import SearchResult, search
 from termsel.testing.problems import Counted
 
 FEW = 4
@@ -53,12 +53,12 @@ class Trial:
         yield from islice(
             self.solver.generations(self.posed(problem), np.random.default_rng(1)), n)
 
-    def search(self, problem: Problem, *, seed: int = 1, **budget: Any) -> Search:
+    def search(self, problem: Problem, *, seed: int = 1, **budget: Any) -> SearchResult:
         """Search as a run does."""
         return search(self.posed(problem), self.solver, seed=seed, **budget)
 
     def search_until(self, reached: Callable[[Progress], bool], problem: Problem, *,
-                     seed: int = 1, evaluations: int) -> Search:
+                     seed: int = 1, evaluations: int) -> SearchResult:
         """Search as a run does, and end as after Ctrl-C if more would not show more."""
         # Later generations must not be able to undo what was reached.
         def end(progress: Progress) -> None:

@@ -15,8 +15,8 @@ from termsel.data.features import FeatureSet, Points
 from termsel.formats.base import Writer
 from termsel.models.rational import RationalFunctions
 from termsel.results.result import Result
-from termsel.runs.judgement.assess import assessed
-from termsel.runs.task.task import prepare
+from termsel.runs.searching import assessed
+from termsel.runs.task import prepare
 from termsel.selection.solvers.search import search
 from termsel.testing.cases import Case, Suite, declares, instance, label, refused, require
 from termsel.testing.scenes import imaged, random_coefficients, seeded

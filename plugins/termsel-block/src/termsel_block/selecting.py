@@ -20,7 +20,7 @@ from termsel import (
     Evaluation,
     Genome,
     Problem,
-    Search,
+    SearchResult,
     Selection,
     Solver,
     TermselError,
@@ -51,7 +51,7 @@ class Selected:
     control : tuple of (str, str)
         Image and id of each point or line.
     ties : tuple of str
-    search : Search
+    search : SearchResult
     check, check_of_all : float
         RMSE of the check points with the selection and with all candidates [px], linearised.
     result : BlockResult
@@ -62,7 +62,7 @@ class Selected:
 
     control: tuple[tuple[str, str], ...]
     ties: tuple[str, ...]
-    search: Search
+    search: SearchResult
     check: float
     check_of_all: float
     result: BlockResult

@@ -27,7 +27,7 @@ from termsel_rpc.rigorous import PushbroomRefine
 from termsel_rpc.simulated import CANDIDATES, MATCHES, candidates, matches
 
 if TYPE_CHECKING:
-    from termsel import Candidate, Criterion, Recipe, SensorModel
+    from termsel import Criterion, Method, Recipe, SensorModel
 
 __all__ = ["Ce90", "E50PerArea", "PushbroomRefine", "RpcAffine", "RpcDrift",
            "RpcField", "RpcJitter", "RpcShift", "candidates", "matches"]
@@ -52,7 +52,7 @@ def termsel_problems() -> Iterable[Recipe]:
 
 
 @hookimpl
-def termsel_candidates() -> Iterable[Candidate]:
+def termsel_methods() -> Iterable[Method]:
     """Return the corrections of an RPC that features have."""
     return [*CORRECTIONS, LOCAL, JITTERED]
 

@@ -12,12 +12,12 @@ import numpy as np
 
 from termsel import (
     Adjustment,
-    Candidate,
-    Control,
     Estimator,
     FeatureSet,
     Fit,
+    FitData,
     HeldOut,
+    Method,
     Rpc,
     Scaling,
     SensorModel,
@@ -172,10 +172,10 @@ def _model(rpc: Rpc) -> RpcAffine:
 
 
 @dataclass(frozen=True, eq=False)
-class CorrectedRpc(Candidate):
+class CorrectedRpc(Method):
     """The RPC that features have, corrected as far as they tell: as delivered, by a shift, ..."""
 
-    def declines(self, control: Control) -> str | None:
+    def declines(self, control: FitData) -> str | None:
         """Return why the RPC is not one of this image, or the features cannot correct it."""
         rpc = control.features.rpc
         if not isinstance(rpc, Rpc):
@@ -200,7 +200,7 @@ class CorrectedRpc(Candidate):
                     "image, or line and sample are swapped")
         return None
 
-    def fit_control(self, control: Control) -> Fit:
+    def fit(self, control: FitData) -> Fit:
         """Fit the correction, whatever the features determine."""
         rpc = control.features.rpc
         if not isinstance(rpc, Rpc):
@@ -237,7 +237,7 @@ class CorrectedRpc(Candidate):
                 f"{', '.join(chances)}). At the corners the correction is known to {sigma:.2g} "
                 "px.")
 
-    def suspects(self, control: Control) -> Suspects | None:
+    def suspects(self, control: FitData) -> Suspects | None:
         """Return blunders among few features, by what all others and the RPC predict."""
         return None if len(control) >= FEW else _suspects(control, _model_of(control))
 
@@ -245,13 +245,13 @@ class CorrectedRpc(Candidate):
 _WORDS = ("no correction", "a shift", "a drift along the lines", "an affine correction")
 
 
-def _model_of(control: Control) -> RpcAffine:
+def _model_of(control: FitData) -> RpcAffine:
     rpc = control.features.rpc
     assert isinstance(rpc, Rpc)
     return _model(rpc).prepared(control.scaling, control.features.crs)
 
 
-def _suspects(control: Control, model: RpcAffine) -> Suspects | None:
+def _suspects(control: FitData, model: RpcAffine) -> Suspects | None:
     """Return the blunders, by hypotheses: none, each feature, pairs with one of the likeliest.
 
     A blunder lies anywhere, as likely within 2 to 4 px of its place as within 20 to 40. Beforehand

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel import Control, Fit, Option, Rpc, Undetermined
+from termsel import Fit, FitData, Option, Rpc, Undetermined
 from termsel_rpc.correction import CorrectedRpc
 from termsel_rpc.image_space import RPC, RpcShift
 from termsel_rpc.refinement import FloatArray
@@ -87,7 +87,7 @@ def splines(lines: FloatArray, rpc: Rpc, intervals: int) -> FloatArray:
 class JitteredRpc(CorrectedRpc):
     """The RPC that features have, with as many intervals as leave-one-out calls for."""
 
-    def fit_control(self, control: Control) -> Fit:
+    def fit(self, control: FitData) -> Fit:
         """Fit the splines; the least number of intervals within a standard error of the best."""
         rpc = control.features.rpc
         if not isinstance(rpc, Rpc):
@@ -117,11 +117,11 @@ class JitteredRpc(CorrectedRpc):
         return (f"The points call for a correction of the vendor's RPC that changes along the "
                 f"lines, over {fitted.model.options['intervals']} intervals.")
 
-    def suspects(self, control: Control) -> None:
+    def suspects(self, control: FitData) -> None:
         """Return None: the corrections with a prior look for blunders."""
 
 
-def _left_out(model: RpcJitter, control: Control) -> FloatArray | None:
+def _left_out(model: RpcJitter, control: FitData) -> FloatArray | None:
     """Return squared errors of the equations without their own rows; None where undetermined."""
     equations = model.equations(control.scaling.features(control.features))
     u, size, _ = np.linalg.svd(equations.A, full_matrices=False)

@@ -9,11 +9,11 @@ from typing import Any, Protocol
 import numpy as np
 
 from termsel import (
-    Control,
     Estimator,
     FeatureSet,
     Field,
     Fit,
+    FitData,
     HeldOut,
     Rpc,
     Scaling,
@@ -151,7 +151,7 @@ class LocalRpc(CorrectedRpc):
     """The RPC that features have, with a random field where evidence and leave-one-out call for it.
     """
 
-    def fit_control(self, control: Control) -> Fit:
+    def fit(self, control: FitData) -> Fit:
         """Fit the field, unless corrections alone predict left-out points as well."""
         rpc = control.features.rpc
         if not isinstance(rpc, Rpc):
@@ -164,12 +164,10 @@ class LocalRpc(CorrectedRpc):
             for estimator, kind in ((self.estimator, model),
                                     (Correction(), RpcAffine(rpc=model.options["rpc"]))))
         # Both estimators find them.
-        assert with_field.held_out is not None
-        assert without.held_out is not None
         tiny = np.finfo(float).tiny
         # Mean of the logarithm of the ratio of squares: no single point decides.
-        gain = np.log(np.maximum(without.held_out.squares, tiny)
-                      / np.maximum(with_field.held_out.squares, tiny)).mean()
+        gain = np.log(np.maximum(without.held_out().squares, tiny)
+                      / np.maximum(with_field.held_out().squares, tiny)).mean()
         if gain <= 0:
             raise Undetermined("corrections of the RPC alone predict left-out points as well as a "
                                "random field does", hint="Choose rpc-affine, or --strategy auto.")
@@ -182,7 +180,7 @@ class LocalRpc(CorrectedRpc):
         return (f"The points call for local corrections of the vendor's RPC: the probability of a "
                 f"random field is {field.probability:.3g}; it must exceed {LIKELY:g}.")
 
-    def suspects(self, control: Control) -> None:
+    def suspects(self, control: FitData) -> None:
         """Return None: the corrections with a prior look for blunders."""
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from termsel import Candidate, Reader, SensorModel, hookimpl
+from termsel import Method, Reader, SensorModel, hookimpl
 from termsel_scanner.candidate import RADAR, SCANNER
 from termsel_scanner.lattice import SentinelLattice
 from termsel_scanner.photos import CANDIDATES as PHOTOS
@@ -31,6 +31,6 @@ def termsel_readers() -> Iterable[type[Reader]]:
 
 
 @hookimpl
-def termsel_candidates() -> Iterable[Candidate]:
+def termsel_methods() -> Iterable[Method]:
     """Return the scanner and the radar that points name, and the cameras of photos."""
     return [SCANNER, RADAR, *PHOTOS]

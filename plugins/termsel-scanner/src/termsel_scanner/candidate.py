@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel import Candidate, Control, Estimator, Fit, SensorModel, Undetermined
+from termsel import Estimator, Fit, FitData, Method, SensorModel, Undetermined
 from termsel_scanner.annotation import annotation_of, is_annotation
 from termsel_scanner.physical import RobustFit, ShiftFit, as_stated
 from termsel_scanner.product import images_of
@@ -30,10 +30,10 @@ FEWEST, MOST = 3, 12
 
 
 @dataclass(frozen=True, eq=False)
-class NamedScanner(Candidate):
+class NamedScanner(Method):
     """The scanner that a column of the points names."""
 
-    def declines(self, control: Control) -> str | None:
+    def declines(self, control: FitData) -> str | None:
         """Return why no scanner is known, or the points are not for one.
 
         A name that no sensor has is an error, which the run tells.
@@ -53,7 +53,7 @@ class NamedScanner(Candidate):
         _scanner(named)
         return None
 
-    def fit_control(self, control: Control) -> Fit:
+    def fit(self, control: FitData) -> Fit:
         """Fit the scanner that is named."""
         named = sensor_of(control)
         if not named:
@@ -86,10 +86,10 @@ class NamedScanner(Candidate):
 
 
 @dataclass(frozen=True, eq=False)
-class NamedRadar(Candidate):
+class NamedRadar(Method):
     """The radar whose annotation a column of the points names."""
 
-    def declines(self, control: Control) -> str | None:
+    def declines(self, control: FitData) -> str | None:
         """Return why no annotation is named, or the points are not for one.
 
         An annotation that cannot be read is an error, which the run tells.
@@ -105,7 +105,7 @@ class NamedRadar(Candidate):
         annotation_of(named)
         return None
 
-    def settles(self, control: Control) -> str | None:
+    def settles(self, control: FitData) -> str | None:
         """Return that the points were computed from the annotation, whose geometry is exact.
 
         Raises TermselError where they are a lattice over bursts that overlap.
@@ -118,7 +118,7 @@ class NamedRadar(Candidate):
         return ("The points are the lattice that was computed from this annotation. Its orbit and "
                 "timing hold between them, too, so that nothing is fitted to them.")
 
-    def fit_control(self, control: Control) -> Fit:
+    def fit(self, control: FitData) -> Fit:
         """Fit the shifts of the radar whose annotation is named; none to its own lattice."""
         named = sensor_of(control)
         if not names_annotation(named):
@@ -151,7 +151,7 @@ def names_annotation(named: str) -> bool:
         named.lower().endswith(".xml") and is_annotation(path)))
 
 
-def _radar(control: Control) -> Radar:
+def _radar(control: FitData) -> Radar:
     """Return the radar that the points name, with the burst if they name one."""
     bursts = set(control.features.points.attributes.get(BURST, ()))
     options: dict[str, Any] = {}
@@ -160,7 +160,7 @@ def _radar(control: Control) -> Radar:
     return Radar(metadata=sensor_of(control), **options)
 
 
-def _with_all_terms(estimator: Estimator, model: SensorModel, control: Control) -> Fit:
+def _with_all_terms(estimator: Estimator, model: SensorModel, control: FitData) -> Fit:
     """Return the fit of a model with all its terms to all control."""
     return estimator.fit(model, control.features, control.scaling,
                          np.ones(len(model.terms), dtype=bool), np.ones(len(control), dtype=bool))
@@ -173,7 +173,7 @@ def _scanner(named: str) -> Scanner | TrackedScanner:
     return Scanner(sensor=named)
 
 
-def sensor_of(control: Control) -> str:
+def sensor_of(control: FitData) -> str:
     """Return the one name that all points have in the column, or ""."""
     names = set(control.features.points.attributes.get(COLUMN, ()))
     return str(names.pop()).strip() if len(names) == 1 else ""

@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 
 from termsel import (
-    Candidate,
-    Control,
     FeatureSet,
     Fit,
-    Judged,
+    FitData,
+    Method,
     Option,
     SensorModel,
     Undetermined,
@@ -286,12 +285,12 @@ class Panoramic(Photo):
 
 
 @dataclass(frozen=True, eq=False)
-class FewOfPhoto(Candidate):
+class FewOfPhoto(Method):
     """A camera of which nothing is known, for few points."""
 
     camera: type[Photo] = Frame
 
-    def declines(self, control: Control) -> str | None:
+    def declines(self, control: FitData) -> str | None:
         """Return why the features are not for a photo."""
         features = control.features
         if len(features.lines) or len(features.points) < FEWEST:
@@ -303,7 +302,7 @@ class FewOfPhoto(Candidate):
             return "it needs heights that differ"
         return None
 
-    def _has_relief(self, control: Control) -> bool:
+    def _has_relief(self, control: FitData) -> bool:
         """Return whether heights do something in the image, though polynomials do not show it."""
         points = control.scaled.points
         model = self.camera().prepared(control.scaling, control.features.crs)
@@ -313,21 +312,21 @@ class FewOfPhoto(Candidate):
         rest = up - columns @ np.linalg.lstsq(columns, up)[0]
         return bool(np.linalg.norm(rest) > RELIEF * np.sqrt(np.var(plan, axis=1).sum()))
 
-    def judge(self, control: Control) -> Judged | None:
-        """Return the candidate fitted and judged where the points say that they are of a photo.
+    def tried(self, data: FitData) -> bool:
+        """Return whether the points say that they are of a photo.
 
         To try cameras on every image would take auto several times as long. What calls for an
         oblique view gets termsel's own pinhole camera.
         """
-        return super().judge(control) if sensor_of(control) == self.camera.name else None
+        return sensor_of(data) == self.camera.name
 
     @staticmethod
-    def _is_oblique(control: Control) -> bool:
+    def _is_oblique(control: FitData) -> bool:
         """Return whether the points call for a view of unlike distances from the camera."""
         view = view_of(control.scaled.points)
         return view is not None and view.depth < OBLIQUE
 
-    def fit_control(self, control: Control) -> Fit:
+    def fit(self, control: FitData) -> Fit:
         """Fit the camera by all features."""
         model = self.camera().prepared(control.scaling, control.features.crs)
         assert isinstance(model, Photo)

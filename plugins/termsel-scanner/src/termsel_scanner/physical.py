@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from termsel import (
     Adjustment,
-    Control,
     Equations,
     Estimator,
     FeatureSet,
     Fit,
+    FitData,
     HeldOut,
     Points,
     Scaling,
@@ -287,7 +287,7 @@ class ShiftFit(RobustFit):
         """Fit a camera (see `Estimator.fit`), or hold it against its own lattice."""
         ready = model.prepared(scaling, control.crs)
         mine = control.take(used)
-        errors = as_stated(ready, Control(mine, scaling, heights=True))
+        errors = as_stated(ready, FitData(mine, scaling, heights=True))
         if errors is None:
             return super().fit(model, control, scaling, terms, used)
         values = np.zeros(len(ready.terms))
@@ -318,7 +318,7 @@ class ShiftFit(RobustFit):
         return float(np.sqrt(squares / (EXPERIENCE + freedom)))
 
 
-def as_stated(ready: Physical, control: Control) -> FloatArray | None:
+def as_stated(ready: Physical, control: FitData) -> FloatArray | None:
     """Return how far points are from where a camera without corrections sees them, (n, 2) [px].
 
     None where they are no lattice that was computed from its metadata.

@@ -18,6 +18,7 @@ from termsel import (
     Structure,
     TermselError,
     estimator,
+    fit,
 )
 from termsel_sklearn.arrays import FloatArray
 from termsel_sklearn.parts import WithOptions, weights_of
@@ -129,9 +130,9 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
             if self.strategy in ("shrunken", "selected") and (flat.polynomial_degree or 0) < 2:
                 raise ValueError(f"strategy {self.strategy!r} needs a polynomial of at least "
                                  "degree 2")
-            self.fit_ = Structure(
+            self.fit_ = fit(FeatureSet(points, crs="local"), Structure(
                 flat.name, f"model {flat.name!r}", high, flat,
-                estimator=STRATEGIES[self.strategy]).fit(FeatureSet(points, crs="local"))
+                estimator=STRATEGIES[self.strategy]))
         except TermselError as error:
             raise ValueError(str(error)) from error
         return self

@@ -15,7 +15,6 @@ from termsel.toolkit import (
     LeastSquares,
     Observer,
     Progress,
-    Request,
     Rmse,
     Rmses,
     answered,
@@ -29,6 +28,7 @@ from termsel.toolkit import (
     pole_violation,
     prepared,
     recommended,
+    request_of,
     rmse_record,
     scaling_of,
     select,
@@ -154,9 +154,9 @@ def stability(
     if repeats < 2 or not 0 < threshold <= 1:
         raise TermselError(f"{repeats} repetitions with the threshold {threshold} say nothing",
                            hint="Give at least 2 repetitions and a threshold above 0, up to 1.")
-    request = Request(problem=problem, features=features, dataset=dataset, model=model,
-                      solver=solver, criterion=criterion, options=options)
-    task = prepared(request.setup())
+    parts = {"model": model, "solver": solver, "criterion": criterion}
+    task = prepared(request_of(problem, features=features, dataset=dataset, options=options,
+                               **parts))
     other_segments = {"features" if segment.name == "features" else "other values than terms"
                       for segment in task.problem.genome.segments
                       if segment.name == "features" or not isinstance(segment, Bits)}
@@ -176,8 +176,9 @@ def stability(
     interrupted = False
     for repetition in range(repeats):
         try:
-            redrawn = prepared(replace(request, features=_with_drawn_roles(task, rng), options={
-                **fixed_options, "roles": "file"}).setup())
+            redrawn = prepared(request_of(
+                problem, features=_with_drawn_roles(task, rng), dataset=dataset,
+                options={**fixed_options, "roles": "file"}, **parts))
             outcome = search(redrawn.problem, redrawn.solver, seed=seed + repetition,
                              generations=generations, evaluations=evaluations, seconds=seconds,
                              patience=patience, **redrawn.options["search"],

@@ -389,7 +389,7 @@ class Record(RecordPart, frozen=True, kw_only=True):
     versions: Mapping[str, str]
     """Versions of Python, termsel and the packages it computes with."""
     plugins: Mapping[str, PluginRecord]
-    """Of problem, model, solver, criterion, the solver of a second step (then) and the candidate
+    """Of problem, model, solver, criterion, the solver of a second step (then) and the method
     that auto chose, those that plugins provide."""
     checksums: Checksums | None = None
     """Checksums by which `termsel.read_result` refuses a result that was changed."""

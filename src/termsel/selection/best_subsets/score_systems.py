@@ -8,10 +8,10 @@ from functools import cache, cached_property
 
 import numpy as np
 
+from termsel.adjustment.compiled import is_compiled
+from termsel.adjustment.solve import TOLERANCE
 from termsel.core.errors import TermselError, unknown_name
 from termsel.data.features import BoolArray, FloatArray, IntArray
-from termsel.fitting.adjustment.compiled import is_compiled
-from termsel.fitting.adjustment.solve import TOLERANCE
 from termsel.selection.best_subsets.bounds.branch import branch
 from termsel.selection.best_subsets.bounds.check_errors import decide_block
 from termsel.selection.best_subsets.bounds.closed import first_closed

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from termsel.adjustment.parts import IndependentPart
+from termsel.adjustment.rounding import ROUNDING
 from termsel.core.errors import TermselError
 from termsel.core.options import COUNT, Option
 from termsel.data.features import FloatArray, IntArray
-from termsel.fitting.adjustment.parts import IndependentPart
-from termsel.fitting.adjustment.rounding import ROUNDING
-from termsel.selection.criteria.base import Criterion, Fits
+from termsel.fitting.population import Fits
+from termsel.selection.criteria.base import Criterion
 
 if TYPE_CHECKING:
     from termsel.selection.best_subsets.columns.system import SubsetSystem

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from termsel.data.features import FloatArray
-from termsel.selection.criteria.base import Criterion, Fits
-from termsel.selection.criteria.losses import HUBER, MEDIAN, THRESHOLD, figure
+from termsel.fitting.losses import HUBER, MEDIAN, THRESHOLD, figure
+from termsel.fitting.population import Fits
+from termsel.selection.criteria.base import Criterion
 
 
 def _figure(fits: Fits, loss: str, threshold: float = THRESHOLD.default) -> FloatArray:

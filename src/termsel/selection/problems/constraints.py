@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from termsel.adjustment.parts import IndependentPart
 from termsel.core.errors import TermselError, unknown_name
 from termsel.core.options import Option
 from termsel.data.features import BoolArray, FloatArray, IntArray
-from termsel.fitting.adjustment.parts import IndependentPart
 from termsel.models.terms import Term
 from termsel.selection.problems.segments import Bits
 

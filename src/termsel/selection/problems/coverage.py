@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from termsel.adjustment.compiled import compiled
 from termsel.data.features import BoolArray, FloatArray
-from termsel.fitting.adjustment.compiled import compiled
 
 
 @compiled

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from termsel.adjustment.equations import Equations, row_axes
+from termsel.adjustment.rounding import ROUNDING, by_size
 from termsel.core.errors import TermselError
 from termsel.data.features import (
     BoolArray,
@@ -18,8 +20,6 @@ from termsel.data.features import (
     Points,
     no_lines,
 )
-from termsel.fitting.adjustment.equations import Equations, row_axes
-from termsel.fitting.adjustment.rounding import ROUNDING, by_size
 from termsel.models.base import LINE, SAMPLE
 from termsel.models.quotient import RationalModel
 from termsel.selection.best_subsets.columns.system import SubsetSystem

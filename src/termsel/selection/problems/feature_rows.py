@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from termsel.adjustment.parts import IndependentPart
 from termsel.data.features import BoolArray, FloatArray
-from termsel.fitting.adjustment.parts import IndependentPart
 from termsel.selection.best_subsets.features.walk import RowSystem
 from termsel.selection.criteria.base import CheckRmse
 from termsel.selection.problems.constraints import most_terms

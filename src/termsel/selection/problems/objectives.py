@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from termsel.adjustment.equations import Equations
+from termsel.adjustment.parts import IndependentPart
 from termsel.core.isolation.arrays import of_shape
 from termsel.core.isolation.faults import blamed, wrong
 from termsel.data.coordinates.places import centres
 from termsel.data.features import BoolArray, FeatureSet, FloatArray
-from termsel.fitting.adjustment.equations import Equations
-from termsel.fitting.adjustment.parts import IndependentPart
 from termsel.selection.problems.coverage import uncovered_share
 
 

@@ -8,17 +8,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from termsel.adjustment.parts import independent_parts, solve_parts
+from termsel.adjustment.rounding import ROUNDING, by_size
 from termsel.core.errors import TermselError, unknown_name
 from termsel.data.coordinates.places import centres
 from termsel.data.features import BoolArray, FloatArray, IntArray, select
-from termsel.fitting.adjustment.parts import independent_parts, solve_parts
-from termsel.fitting.adjustment.rounding import ROUNDING, by_size
 from termsel.fitting.least_squares import first_order
+from termsel.fitting.population import Fits
 from termsel.models.base import LINE, SAMPLE, SensorModel
 from termsel.models.poles import guard_points, pole_margin, pole_violation
 from termsel.models.quotient import RationalModel
 from termsel.models.terms import Term
-from termsel.selection.criteria import Criterion, Fits
+from termsel.selection.criteria import Criterion
 from termsel.selection.problems.base import (
     WORST,
     EnumerablePart,

@@ -42,7 +42,7 @@ Observer = Callable[[Progress], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Search:
+class SearchResult:
     """A finished or interrupted search.
 
     Parameters
@@ -102,7 +102,7 @@ class Search:
     proof: Proof | FeatureProof | None = None
     certificate_content: Mapping[str, Any] | None = None
 
-    def after(self, earlier: Search, *notes: str) -> Search:
+    def after(self, earlier: SearchResult, *notes: str) -> SearchResult:
         """Return the search with evaluations and history of an earlier one, and notes on both."""
         later = tuple(structs.replace(row, evaluations=row.evaluations + earlier.evaluations)
                       for row in self.history)
@@ -126,7 +126,7 @@ def search(
     tolerance: float = TOLERANCE,
     polish: bool = False,
     observers: Iterable[Observer] = (),
-) -> Search:
+) -> SearchResult:
     """Search a problem with a solver.
 
     Every solver has the same budget by default. A local refinement (`polish`), which may follow
@@ -227,7 +227,7 @@ def search(
     details = generation.details if generation else {}
     # With several objectives the front is made of all that was evaluated, whatever the solver says.
     front = ledger.front() if len(problem.objectives) > 1 else details.get("front", ())
-    return Search(genes=ledger.best_genes, objectives=ledger.best_objectives,
+    return SearchResult(genes=ledger.best_genes, objectives=ledger.best_objectives,
                   violation=ledger.best[0], seed=seed, evaluations=ledger.count,
                   generations=generation.index if generation else 0, lookups=ledger.lookups,
                   seconds=time.perf_counter() - start, interrupted=interrupted, polish=refined,

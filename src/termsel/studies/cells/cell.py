@@ -16,10 +16,10 @@ from termsel.plugins.hookspecs import PROJECT
 from termsel.plugins.loading import canonical
 from termsel.plugins.registry import SESSION, registry
 from termsel.results.extras import Measure
-from termsel.runs.auto.strategy import LEAST, wanted
+from termsel.runs.choosing import LEAST, wanted
+from termsel.runs.request import DATA_OPTIONS, Request, request_of
 from termsel.runs.run import problem_for
-from termsel.runs.task.request import DATA_OPTIONS, Request, Setup
-from termsel.runs.task.task import build, observe, scale, with_shares
+from termsel.runs.task import Task, checked, observe, with_shares
 from termsel.selection.solvers.base import Solver
 from termsel.selection.solvers.budget import SEARCH_OPTIONS
 from termsel.studies.cells.identity import made_of
@@ -202,8 +202,8 @@ class _Kinds:
             checksums = {role: made_of(getattr(request, role))
                          for role in ("recipe", "model", "criterion", "solver", "then")}
             if strategy == "auto":
-                checksums["candidates"] = made_of([entry.object
-                                                   for entry in registry().entries("candidates")])
+                checksums["methods"] = made_of(
+                    [entry.object for entry in registry().entries("methods")])
             if measures:
                 checksums["measures"] = made_of([measure.compute for measure in measures])
             solver: Solver = request.solver
@@ -211,7 +211,7 @@ class _Kinds:
                 observations = observe(with_shares(request, auto=strategy == "auto"),
                                        LEAST if strategy == "auto" else 3)
                 if strategy != "auto":
-                    build(request, observations, *scale(request, observations))
+                    checked(Task(request, observations))
             except TermselError as error:
                 first = first or error
                 continue
@@ -227,7 +227,7 @@ class _Kinds:
             named.path if named else (), first.what, first.hint))
 
     def _asked(self, strategy: str, specs: Mapping[str, Asked | None], data: Data,
-               options: Mapping[str, Any]) -> Setup:
+               options: Mapping[str, Any]) -> Request:
         problem = specs["problem"]
         assert problem is not None
         names: dict[str, Any] = {role: spec.thing or spec.name for role, spec in specs.items()
@@ -238,9 +238,10 @@ class _Kinds:
                 recipe = registry().taken("problems", problem.thing or problem.name)
                 wanted("auto", recipe, [f"the option {key}" for key in problem.options])
                 method = {"criterion": "press", "solver": "all-terms"}
-            return _without_certificate(Request(
-                **{**names, **method}, features=data.features, source=data.source,
-                options=options).setup())
+            named_problem = names.pop("problem")
+            return _without_certificate(request_of(
+                named_problem, **{**names, **method}, features=data.features, source=data.source,
+                options=options))
         except TermselError as error:
             raise self._at_fault(specs, error) from error
 
@@ -257,7 +258,7 @@ class _Kinds:
         return self._spec.places.error(problem.path if problem else (), error.what, error.hint)
 
     def _options(self, strategy: str, specs: Mapping[str, Asked | None],
-                 request: Setup) -> dict[str, Any]:
+                 request: Request) -> dict[str, Any]:
         """Return the options of each part, and those for every cell that some part has."""
         declared: dict[str, tuple[Option, ...]] = {"data": DATA_OPTIONS}
         if strategy != "auto":
@@ -297,13 +298,13 @@ class _Kinds:
         return chosen
 
 
-def _without_certificate(setup: Setup) -> Setup:
+def _without_certificate(request: Request) -> Request:
     """Refuse a certificate: it is a file of the folder of a result, which cells have not."""
-    if setup.solver.options.get("certificate"):
+    if request.solver.options.get("certificate"):
         raise TermselError("cells of a study keep no certificates",
                            hint="Run the cell alone: termsel run ... --out DIR.",
                            name="certificate")
-    return setup
+    return request
 
 
 def _cell(spec: Spec, strategy: str, specs: Mapping[str, Asked | None], kind: _Kind, data: Data,
@@ -354,17 +355,17 @@ def _measures_of(spec: Spec) -> list[Measure]:
     return [names.get("measures", name) for name in spec.measures]
 
 
-def _of_others(strategy: str, setup: Setup, measures: Iterable[Measure]) -> bool:
+def _of_others(strategy: str, request: Request, measures: Iterable[Measure]) -> bool:
     """Return whether plugins that are not termsel's, or objects from Python, take part in cells."""
     own_distributions = {PROJECT, *own_packages()}
     if strategy == "auto":  # its candidates are those of all plugins
         return any(slot.plugin.distribution not in own_distributions for slot in registry().slots)
-    components = (setup.model, setup.criterion, setup.solver, setup.then)
+    components = (request.model, request.criterion, request.solver, request.then)
     classes = [type(component) for component in components if component]
-    entries = map(registry().origin, (setup.recipe, *classes, *measures))
+    entries = map(registry().origin, (request.recipe, *classes, *measures))
     if any(entry is not None and entry.provided_by == SESSION for entry in entries):
         return False  # what is registered in this process has a name in no other one
-    code = (setup.recipe.build, *classes, *(measure.compute for measure in measures))
+    code = (request.recipe.build, *classes, *(measure.compute for measure in measures))
     # A module's top-level package is its distribution, but for spelling.
     return not own_distributions.issuperset(
         canonical(component.__module__.partition(".")[0]) for component in code)

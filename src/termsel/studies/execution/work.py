@@ -10,6 +10,8 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Final
 
+from termsel.auto.auto import Auto
+from termsel.auto.memory import Memory
 from termsel.core.display.quiet import quieted
 from termsel.core.errors import TermselError
 from termsel.core.files.atomic import private_folder
@@ -23,14 +25,14 @@ from termsel.plugins.loading import attempt
 from termsel.plugins.registry import registry
 from termsel.results.extras import measured
 from termsel.results.result import Result
-from termsel.runs.judgement.assess import assessed, estimated, is_feasible
 from termsel.runs.run import run
-from termsel.runs.search.blunders_out import search_without_blunders
-from termsel.runs.task.task import Task, prepare
+from termsel.runs.searching import assessed, estimated, is_feasible
+from termsel.runs.task import Task, prepare
+from termsel.runs.without_blunders import search_without_blunders
 from termsel.selection.solvers.ledger import Progress
 from termsel.selection.solvers.proofs.exact import gap
 from termsel.selection.solvers.proofs.proof import TIE, count
-from termsel.selection.solvers.search import Search
+from termsel.selection.solvers.search import SearchResult
 from termsel.studies.cells.cell import Cell
 from termsel.studies.cells.journal import CellRecord, State
 from termsel.studies.cells.neighbours import setting_of
@@ -63,6 +65,10 @@ def failed(key: str, reason: str, features: FeatureSet | None = None) -> Outcome
     """Return the outcome of a cell that has no result; of features it says where they are."""
     figures = {} if features is None else setting_of(features)
     return Outcome(CellRecord(key, FAILED, reason, figures, [], []))
+
+
+MEMORY = Memory()
+"""What this process found of the features of its cells: many cells have the same."""
 
 
 @one_blas_thread
@@ -134,7 +140,7 @@ def _as_asked(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
              for role in ("problem", "model", "criterion", "solver") if call[role] is not None}
     task = prepare(**names, features=features, source=cell.data.source, options=call["options"])
     task, search = search_without_blunders(
-        task, seed=call["seed"], observers=[trace],
+        task, Auto(memory=MEMORY), seed=call["seed"], observers=[trace],
         **{name: call.get(name) for name in ("generations", "evaluations", "seconds",
                                                "patience")})
     if search.interrupted:
@@ -185,7 +191,7 @@ def _rmse(by_role: Mapping[str, Rmse | None]) -> dict[str, float | int | None]:
             **{f"n_{role}": 0 if rmse is None else rmse.n for role, rmse in by_role.items()}}
 
 
-def _proven(task: Task, search: Search) -> bool:
+def _proven(task: Task, search: SearchResult) -> bool:
     """Return whether a search proved the optimum of all selections, not of the smaller ones."""
     certificate = search.certificate or {}
     if not certificate.get("optimal"):
@@ -196,7 +202,7 @@ def _proven(task: Task, search: Search) -> bool:
         return True
 
 
-def _optimum(cell: Cell, task: Task, search: Search) -> float | None:
+def _optimum(cell: Cell, task: Task, search: SearchResult) -> float | None:
     """Return the proven optimum of the problem, if that is known quickly."""
     value = float(search.objectives[0])
     if _proven(task, search):

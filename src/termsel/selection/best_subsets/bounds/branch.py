@@ -12,8 +12,8 @@ from functools import partial
 
 import numpy as np
 
+from termsel.adjustment.compiled import compiled
 from termsel.data.features import FloatArray
-from termsel.fitting.adjustment.compiled import compiled
 from termsel.selection.best_subsets.bounds import check_errors, held_out
 from termsel.selection.best_subsets.columns.arrays import (
     CheckSpace,

@@ -32,8 +32,8 @@ from functools import partial
 
 import numpy as np
 
+from termsel.adjustment.compiled import compiled
 from termsel.data.features import FloatArray
-from termsel.fitting.adjustment.compiled import compiled
 from termsel.selection.best_subsets.columns.arrays import BoundSpace
 
 _compiled = partial(compiled, _nrt=False, fastmath={"reassoc", "contract", "arcp", "nsz"})

@@ -27,8 +27,8 @@ from functools import partial
 
 import numpy as np
 
+from termsel.adjustment.compiled import compiled
 from termsel.data.features import FloatArray
-from termsel.fitting.adjustment.compiled import compiled
 from termsel.selection.best_subsets.columns.arrays import Limits, Vectors
 from termsel.selection.best_subsets.columns.kernels import PRESS, dot, remove, squares, subtract
 

@@ -22,7 +22,7 @@ from functools import partial
 
 import numpy as np
 
-from termsel.fitting.adjustment.compiled import compiled
+from termsel.adjustment.compiled import compiled
 from termsel.selection.best_subsets.bounds.trees import (
     DEPENDENT,
     ROUNDING,

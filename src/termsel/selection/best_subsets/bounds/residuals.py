@@ -15,8 +15,8 @@ from functools import partial
 
 import numpy as np
 
+from termsel.adjustment.compiled import compiled
 from termsel.data.features import IntArray
-from termsel.fitting.adjustment.compiled import compiled
 from termsel.selection.best_subsets.bounds.poles import node_bound, order_columns
 from termsel.selection.best_subsets.bounds.trees import ROUNDING, Tree, eliminate, square, write
 from termsel.selection.best_subsets.columns.arrays import Limits, Records, Vectors, WalkPosition

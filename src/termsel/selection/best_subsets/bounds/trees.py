@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from termsel.adjustment.compiled import compiled
+from termsel.adjustment.solve import TOLERANCE
 from termsel.data.features import FloatArray
-from termsel.fitting.adjustment.compiled import compiled
-from termsel.fitting.adjustment.solve import TOLERANCE
 
 _compiled = partial(compiled, fastmath={"reassoc", "contract", "arcp", "nsz"})
 

@@ -22,8 +22,8 @@ from functools import partial
 
 import numpy as np
 
+from termsel.adjustment.compiled import compiled
 from termsel.data.features import FloatArray
-from termsel.fitting.adjustment.compiled import compiled
 from termsel.selection.best_subsets.columns.arrays import Products, SubsetBlock
 
 _compiled = partial(compiled, _nrt=False, fastmath={"reassoc", "contract", "arcp", "nsz"})

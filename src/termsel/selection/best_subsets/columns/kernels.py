@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from termsel.adjustment.compiled import compiled
 from termsel.data.features import FloatArray, IntArray
-from termsel.fitting.adjustment.compiled import compiled
 from termsel.selection.best_subsets.columns.arrays import (
     Depth,
     Limits,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from termsel.adjustment.solve import TOLERANCE
 from termsel.data.features import BoolArray, FloatArray, IntArray
-from termsel.fitting.adjustment.solve import TOLERANCE
 
 
 def triangle_of(rows: FloatArray, n: int) -> tuple[FloatArray, float]:

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from termsel.adjustment.compiled import compiled
 from termsel.data.features import FloatArray
-from termsel.fitting.adjustment.compiled import compiled
 from termsel.selection.best_subsets.features.arrays import (
     EntrySpace,
     FeatureRows,

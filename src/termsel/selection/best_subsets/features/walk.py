@@ -23,9 +23,9 @@ from typing import Any
 
 import numpy as np
 
+from termsel.adjustment.compiled import is_compiled
 from termsel.core.errors import TermselError
 from termsel.data.features import BoolArray, FloatArray, IntArray
-from termsel.fitting.adjustment.compiled import is_compiled
 from termsel.selection.best_subsets.features.arrays import (
     EntrySpace,
     FeatureRows,

@@ -9,10 +9,10 @@ from functools import cached_property
 
 import numpy as np
 
+from termsel.adjustment.rounding import ROUNDING, largest
+from termsel.adjustment.solve import TOLERANCE
 from termsel.core.errors import TermselError
 from termsel.data.features import BoolArray, FloatArray, IntArray
-from termsel.fitting.adjustment.rounding import ROUNDING, largest
-from termsel.fitting.adjustment.solve import TOLERANCE
 from termsel.selection.best_subsets.columns.system import SubsetSystem
 from termsel.selection.problems.base import EnumerablePart, Problem
 from termsel.selection.solvers.base import Generation, Solver

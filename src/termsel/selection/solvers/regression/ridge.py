@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from termsel.adjustment.ridge import Spectrum, choose_penalty
+from termsel.adjustment.solve import TOLERANCE
 from termsel.core.options import Option
 from termsel.data.features import BoolArray, FloatArray
-from termsel.fitting.adjustment.ridge import Spectrum, choose_penalty
-from termsel.fitting.adjustment.solve import TOLERANCE
 from termsel.selection.problems.base import Problem
 from termsel.selection.solvers.base import Generation, Solver
 from termsel.selection.solvers.regression.base import Regression, generation_of, regressions

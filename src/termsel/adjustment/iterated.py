@@ -1,0 +1,118 @@
+"""Least squares of distances in the image, of many selections of the terms of quotients at once.
+
+The linear equations of a quotient are those of its distances multiplied by the denominator. Here
+they are divided by it, about the last solution: Gauss-Newton, as a single fit is iterated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from termsel.adjustment.parts import IndependentPart
+from termsel.adjustment.solve import TOLERANCE
+from termsel.data.features import BoolArray, FloatArray, IntArray
+
+ITERATIONS = 50
+"""Most Gauss-Newton steps of a fit; two or three are usual, ten from a distant start."""
+
+HALVINGS = tuple(0.5**i for i in range(8))
+"""Shares of a Gauss-Newton step that are tried in turn."""
+
+GAIN = 1e-5
+"""Share of the residuals that a last step may leave: their squares are then known to 1e-10."""
+
+
+@dataclass(frozen=True, eq=False)
+class Quotients:
+    """Image coordinates that are quotients of linear forms: target = above x / (1 + below x)."""
+
+    above: FloatArray  # (m, k)
+    below: FloatArray  # (m, k)
+    target: FloatArray  # (m,)
+    weights: FloatArray  # (p, m): 0 of rows that are not in use
+
+    def misfits(self, x: FloatArray,
+                individuals: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return weighted distances, quotients, and weights over denominators of some, (p, m)."""
+        with np.errstate(all="ignore"):  # beyond a pole, where no step ends
+            denominators = 1.0 + x @ self.below.T
+            quotients = (x @ self.above.T) / denominators
+            weights = self.weights[individuals]
+            return weights * (self.target - quotients), quotients, weights / denominators
+
+    def squares(self, prior: FloatArray | None, x: FloatArray, individuals: IntArray) -> FloatArray:
+        """Return the sums of squares that are to be least, shape (p,)."""
+        prior_squares = 0.0 if prior is None else ((prior * x)**2).sum(axis=1)
+        return np.asarray((self.misfits(x, individuals)[0]**2).sum(axis=1) + prior_squares)
+
+
+def least_distances(quotients: Quotients, systems: tuple[IndependentPart, ...], terms: BoolArray,
+                    coefficients: FloatArray) -> FloatArray:
+    """Return coefficients (p, k) of the least weighted distances, from those of a first solution.
+
+    Each part of the terms (p, k) is iterated by itself. Steps that do not lessen the sum of squares
+    are halved.
+    """
+    solution = coefficients.copy()
+    for system in systems:
+        columns = system.columns
+        rows = (quotients.above[:, columns].any(axis=1) | quotients.below[:, columns].any(axis=1))
+        distances = Quotients(quotients.above[np.ix_(rows, columns)],
+                              quotients.below[np.ix_(rows, columns)], quotients.target[rows],
+                              quotients.weights[:, rows])
+        prior = system.equations.prior
+        system_terms = terms[:, columns]
+        x = solution[:, columns]
+        active = np.arange(len(terms))
+        for _ in range(ITERATIONS):
+            step, gain, before = _steps(distances, prior, system_terms[active], x[active], active)
+            # The length of Q'v is what a full step would take from the residuals.
+            worthwhile = gain > GAIN * np.sqrt(before)
+            active = active[worthwhile]
+            step = step[worthwhile]
+            before = before[worthwhile]
+            # Steps are halved until the squares are less; who never gets there is done.
+            not_improved = np.arange(len(active))
+            for share in HALVINGS:
+                candidate = x[active[not_improved]] + share * step[not_improved]
+                after = distances.squares(prior, candidate, active[not_improved])
+                improved = after < (1 - 1e-10) * before[not_improved]
+                x[active[not_improved[improved]]] = candidate[improved]
+                not_improved = not_improved[~improved]
+            active = np.delete(active, not_improved)
+            if not len(active):
+                break
+        solution[:, columns] = x
+    return solution
+
+
+def _steps(system: Quotients, prior: FloatArray | None, terms: BoolArray, x: FloatArray,
+           active: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return full steps (p, k), what they would take from the distances, and the squares (p,)."""
+    v, quotients, factors = system.misfits(x, active)
+    step = np.zeros_like(x)
+    gain = np.zeros(len(x))
+    sizes = terms.sum(axis=1)
+    sizes[~np.isfinite(v).all(axis=1)] = 0  # no step from beyond a pole
+    for size in np.unique(sizes[sizes > 0]):
+        batch = np.flatnonzero(sizes == size)
+        columns: IntArray = np.nonzero(terms[batch])[1].reshape(-1, size)
+        # Derivative of w (t - a x / d), d = 1 + b x, but for its sign: w (a - (a x / d) b) / d.
+        rows = (system.above.T[columns] - quotients[batch, None] * system.below.T[columns]
+                ) * factors[batch, None]
+        misfits = v[batch]
+        # Pseudo-observations p x = 0: rows p, misfits -p x.
+        if prior is not None:
+            rows = np.concatenate([rows, prior[columns][..., None] * np.eye(size)], axis=2)
+            misfits = np.concatenate([misfits, -prior[columns] * np.take_along_axis(
+                x[batch], columns, axis=1)], axis=1)
+        q, r = np.linalg.qr(rows.swapaxes(1, 2))
+        lengths = np.linalg.norm(rows, axis=2)
+        determined = (np.abs(np.diagonal(r, axis1=1, axis2=2)) > TOLERANCE * lengths).all(axis=1)
+        projections = np.einsum("pmn,pm->pn", q, misfits)[determined]
+        step[batch[determined, None], columns[determined]] = np.linalg.solve(
+            r[determined], projections[..., None])[..., 0]
+        gain[batch[determined]] = np.linalg.norm(projections, axis=1)
+    return step, gain, system.squares(prior, x, active)

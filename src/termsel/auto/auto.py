@@ -1,0 +1,467 @@
+"""The method "auto": the best of several methods for the features, by what each predicts.
+
+Nothing here knows of roles: what it is given are features it may use. A choice looks at all methods
+for all features; to see what it is worth it is made again in folds, without some of the features
+each time.
+"""
+
+from __future__ import annotations
+
+import numbers
+from collections.abc import Callable, Iterable
+from dataclasses import KW_ONLY, dataclass, field, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from termsel.adjustment.lines import row_weights
+from termsel.auto.memory import Memory
+from termsel.auto.methods import METHODS
+from termsel.auto.rule import (
+    BETTER,
+    Choice,
+    base_of,
+    best_of,
+    contained,
+    gain,
+    method_of,
+    standard_errors,
+)
+from termsel.auto.validated import gain_of, has_pole
+from termsel.core.errors import TermselError
+from termsel.core.isolation.arrays import of_shape, of_type
+from termsel.core.isolation.faults import HINT, PluginFault, blamed, is_own, wrong
+from termsel.data.coordinates.places import ground_centres, spatial_order
+from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray, no_lines
+from termsel.data.fit_data import FitData, carriers
+from termsel.data.lattices import FEWEST as FEWEST_LINES
+from termsel.data.lattices import Lattice, lattice_of
+from termsel.fitting.fit import Fit, HeldOut, Undetermined
+from termsel.fitting.method import Method, Suspects
+from termsel.models.base import SensorModel
+
+EXACT = 3
+"""Number of points up to which a model fits them exactly, and none is chosen."""
+
+FOLDS_WITH_LINES = 10
+"""Folds in which the whole choice is repeated where there are lines, which take longer."""
+
+FOLDS = ((40, 20), (5000, 10), (50_000, 5), (np.inf, 2))
+"""Folds for fewer points than a number: of many, nine tenths or four fifths predict all but as well
+as all, and of very many a half."""
+
+FOLDS_OF_LATTICE = 8
+"""Folds of the lines of a lattice, and of its columns: of a radar image with ten, one each."""
+
+MANY_POINTS = 20
+"""Points from which on folds do not try what all points together come nowhere near to choosing."""
+
+Watch = Callable[[Fit | None], None]
+"""Called with the fit of each method as soon as it is held against the features; with None where
+the features do not determine it."""
+
+_RETURNED = {"declines": str, "describe": str, "fit": Fit, "held_out": HeldOut,
+             "model": SensorModel, "nearly": bool, "refit": Fit,
+             "size": numbers.Real, "suspects": Suspects, "tried": bool}
+"""Types of what hooks of a method return, if it is not None."""
+
+
+@dataclass(frozen=True, eq=False)
+class Auto(Method):
+    """The method that chooses among methods. One of a plugin that fails is left out from then on.
+
+    Parameters
+    ----------
+    methods : tuple of Method
+        In the order of the tables that compare them; by default those that are built in.
+    memory : Memory
+        What was found of the last features, by this choice or another.
+    faults : dict
+        Why methods are left out, by name.
+    whole : FeatureSet, optional
+        All features, where those to choose by are a part: then all of them count for
+        `Method.most`.
+    hopeless : frozenset of str
+        Names of methods that are not tried on parts of the features.
+    """
+
+    name: str = "auto"
+    title: str = "the best of all methods"
+    _: KW_ONLY
+    methods: tuple[Method, ...] = METHODS
+    memory: Memory = field(default_factory=Memory)
+    faults: dict[str, TermselError] = field(default_factory=dict)
+    whole: FeatureSet | None = None
+    hopeless: frozenset[str] = frozenset()
+
+    def __post_init__(self) -> None:
+        for method in self.methods:
+            if not (isinstance(method.most, numbers.Real) and method.most > 0):
+                self.faults[method.name] = TermselError(
+                    f"method {method.name!r} has most={method.most!r:.40}, which is no number of "
+                    "features", hint=HINT)
+
+    # What it is as a method.
+
+    def fit(self, data: FitData) -> Fit:
+        """Return the fit of the method that is chosen (see `choose_features`)."""
+        choice = self.choose_features(data)
+        if choice is None:
+            raise Undetermined(f"the features are too few for a choice: it takes "
+                               f"{self.fewest(data)}", hint="Measure more.")
+        return choice.chosen
+
+    def held_out(self, fitted: Fit) -> HeldOut:
+        """Return the errors of features where the choice is made again without them.
+
+        Raises
+        ------
+        Undetermined
+            If some fold leaves too little to choose by.
+        """
+        data = FitData.of(fitted.control, fitted.model.uses_height)
+        errors = self.repeated(data)
+        if errors is None:
+            raise Undetermined("the features are too few to repeat the choice without some of them",
+                               hint="Measure more.")
+        return HeldOut.of(errors, fitted.control)
+
+    # What methods say, and which fail.
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences on the methods that are left out, with what their authors must know."""
+        return tuple(f"Left out of the choice: {fault.what}. {fault.hint or HINT}"
+                     for fault in self.faults.values())
+
+    def ask(self, method: Method, hook: str, *args: Any) -> Any:
+        """Return what a hook of a method returns.
+
+        None where the features do not determine the method, and where it fails: then it is left out
+        from now on, unless it is termsel's own.
+        """
+        return self._asked(method, hook, lambda: getattr(method, hook)(*args))
+
+    def _asked(self, method: Method, hook: str, call: Callable[[], Any]) -> Any:
+        if method.name in self.faults:
+            return None
+        try:
+            with blamed(method, hook):
+                answer = call()
+            answer = bool(answer) if isinstance(answer, np.bool_) else answer
+            fault = answer is not None and of_type(answer, _RETURNED[hook])
+            if fault:
+                raise wrong(method, hook, fault)
+        except Undetermined:
+            return None
+        except TermselError as error:
+            if is_own(method):
+                raise
+            self.faults[method.name] = error if isinstance(error, PluginFault) else \
+                TermselError(f"method {method.name!r} says: {error.what}", hint=error.hint)
+            return None
+        return answer
+
+    def offered(self, data: FitData, *, for_few: bool = False) -> list[Method]:
+        """Return the methods to choose from for some features, the plainest first."""
+        sizes = {method: self.ask(method, "size", data.heights) for method in self.methods
+                 if not method.only_shown and method.for_few == for_few
+                 and method.name not in self.faults and self._count(data) <= method.most
+                 and self.ask(method, "declines", data) is None}
+        return sorted((method for method in sizes if method.name not in self.faults),
+                      key=lambda method: sizes[method])
+
+    def _count(self, data: FitData) -> int:
+        """Return how many features there are, of all that these are a part of."""
+        whole = self.whole or data.features
+        return len(whole) if len(data.features.lines) else len(whole.points)
+
+    def suspects(self, data: FitData) -> Suspects | None:
+        """Return which features contradict what some method knows; None if none tells."""
+        answers = (self.ask(method, "suspects", data) for method in self.offered(data))
+        return next((suspects for suspects in answers if suspects is not None), None)
+
+    def fewest(self, data: FitData) -> int:
+        """Return the fewest features to choose by."""
+        return 1 if any(method.from_one for method in self.offered(data)) else EXACT + 1
+
+    def validated(self, method: Method, data: FitData) -> Fit | None:
+        """Return a method fitted to features, with the errors of each held out.
+
+        None where it is not tried on them, they do not determine it with redundancy, it has a pole,
+        or it fails.
+        """
+        if method.name in self.hopeless or not self.ask(method, "tried", data):
+            return None
+        made: Fit | None = self.ask(method, "fit", data)
+        if made is None:
+            return None
+        fitted = replace(made, method=method)
+        if fitted.stored_held_out is None and (
+                fitted.adjustment.redundancy < 1 or has_pole(fitted)):
+            return None
+        held_out: HeldOut | None = self._asked(method, "held_out", fitted.held_out)
+        if held_out is None:
+            return None
+        if not is_own(method):
+            fault = of_shape(held_out.squares, (len(data),)) or (
+                None if isinstance(getattr(fitted.estimator, "name", None), str) else
+                "returned a fit by an estimator without a name, by which a result is read again")
+            if fault is not None:
+                self.faults[method.name] = wrong(method, "held_out", fault)
+                return None
+        return fitted
+
+    # The choice.
+
+    def choose(self, data: FitData, watch: Watch | None = None, *,
+               whole: bool = True) -> Choice | None:
+        """Fit the methods to features and choose by leave-one-out; None if none is determined.
+
+        A regularised polynomial is averaged over all that lies between the plain ones, by a measure
+        that needs no points to be left out. The rule is that of `termsel.auto.rule.best_of`: where
+        the points call for a random field, the regularised polynomial with it takes the place of
+        those without. Where features are too few for any method with a prior, similarities and a
+        plane affine polynomial are tried, too. With `whole`, methods that others contain are fitted
+        all the same, to be shown.
+        """
+        offered = self.offered(data)
+        if (settled := self._settled(offered, data)) is not None:
+            return settled
+        fits: dict[str, Fit] = {}
+        # What contains others comes first where these need not be fitted then.
+        order = offered if whole else sorted(offered, key=lambda method: -len(method.contains))
+        for method in order:
+            called_for = fits.keys() >= set(method.needs) and (
+                whole or not contained(method, fits.values()))
+            fitted = self.validated(method, data) if called_for else None
+            if fitted:
+                fits[method.name] = fitted
+            if watch:
+                watch(fitted)
+        compared = [fits[method.name] for method in offered if method.name in fits]
+        if not any(method_of(fitted).has_prior for fitted in compared):
+            compared = [*self.few(data), *compared]
+        return self.best_of(compared)
+
+    def _settled(self, offered: Iterable[Method], data: FitData) -> Choice | None:
+        """Return the choice of the method that the features call for alone, if one says so."""
+        for method in offered:
+            reason = self._settles(method, data)
+            fitted = self.validated(method, data) if reason else None
+            if fitted is not None:
+                return Choice(fitted, (fitted,), str(reason))
+        return None
+
+    def _settles(self, method: Method, data: FitData) -> str | None:
+        """Return why the features call for a method alone, if they do.
+
+        Raises TermselError where the method says what the user must say first.
+        """
+        try:
+            with blamed(method, "settles"):
+                reason = method.settles(data)
+            if reason is not None and (fault := of_type(reason, str)):
+                raise wrong(method, "settles", fault)
+        except PluginFault as fault:
+            self.faults[method.name] = fault
+            return None
+        return reason
+
+    def few(self, data: FitData) -> list[Fit]:
+        """Return the fits of methods for few features that have redundancy."""
+        fits = (self.validated(method, data) for method in self.offered(data, for_few=True))
+        return [fitted for fitted in fits if fitted]
+
+    def best_of(self, fits: Iterable[Fit]) -> Choice | None:
+        """Return the choice among fits by the rule; None if there is none."""
+        return best_of(fits, lambda fitted: self.ask(method_of(fitted), "describe", fitted))
+
+    def choose_features(self, data: FitData, watch: Watch | None = None, *,
+                        whole: bool = True) -> Choice | None:
+        """Choose as `choose`, and whether from points with lines, or from the points alone.
+
+        Lines that add more error than redundancy are left out whole: where the points alone predict
+        the points, each by the others, better by BETTER standard errors. The control of the chosen
+        fit then has no lines. `watch` is told of the choice from all features alone.
+        """
+        count = len(data.features.points)
+        choice = self.choose(data, watch, whole=whole)
+        if choice is None or not count or not len(data.features.lines):
+            return choice
+        points = FitData.of(data.features.with_(lines=no_lines()), data.heights)
+        alone = self.choose(points, whole=whole)
+        if alone is None:
+            return choice
+        advantage = gain_of(alone.chosen.held_out().squares,
+                            choice.chosen.held_out().squares[:count], choice.chosen.rounding)
+        comparison = (
+            f"Points alone predict the points {'better' if advantage > 0 else 'worse'} than points "
+            f"with lines do, by {standard_errors(advantage)}")
+        if advantage > BETTER:
+            return replace(alone, reason=f"{alone.reason} {comparison}, so the lines are not used.")
+        return replace(choice, reason=f"{choice.reason} {comparison}; to be used alone they must "
+                                      f"be better by more than {BETTER:g}.")
+
+    # The choice, repeated without some of the features.
+
+    def for_parts_of(self, data: FitData, choice: Choice | None = None) -> Auto:
+        """Return the choice for parts of features: of these all count for `Method.most`.
+
+        With the choice from all of them, methods that it came nowhere near are not fitted: those
+        without a prior that predict no better than the one to be beaten, and those that all
+        features do not determine, or do not call for, unless they say that parts may.
+        """
+        parts = replace(self, whole=data.features, hopeless=frozenset())
+        priors = [] if choice is None else [
+            fitted for fitted in choice.compared if method_of(fitted).has_prior]
+        if choice is None or not priors:
+            return parts
+        base = base_of(priors)[0]
+        is_near = {method_of(fitted).name: method_of(fitted).has_prior or gain(fitted, base) > 0.0
+                   for fitted in choice.compared}
+
+        def may_be_chosen(method: Method) -> bool:
+            # What others contain, or what needs others, is fitted in parts only where these say so.
+            if contained(method, priors) or not is_near.keys() >= set(method.needs):
+                return True
+            if method.name in is_near:
+                return is_near[method.name]
+            return bool(self.ask(method, "nearly", data))
+
+        return replace(parts, hopeless=frozenset(
+            method.name for method in parts.offered(data) if not may_be_chosen(method)))
+
+    def repeated(self, data: FitData, watch: Watch | None = None,
+                 choice: Choice | None = None) -> FloatArray | None:
+        """Return the errors of features under choices made without them, (n_points + n_lines, 2).
+
+        In each fold, spread over the scene, the choice is made again, so that its errors are not
+        those that it was made by. They are measured minus predicted [px]: of a point its line and
+        sample; of a line the distances of its two vertices, weighted by how well the image line is
+        known there, so that they compare with two coordinates of a point. None if some fold leaves
+        too little to choose by, or lines alone that are too few to shrink. `choice` is that from
+        all features, if it is known.
+        """
+        count = 0
+        folds = folds_of(data.features)
+
+        def see(fitted: Fit | None) -> None:
+            nonlocal count
+            count += 1
+            if watch:
+                watch(fitted)
+
+        def find() -> tuple[FloatArray | None, int]:
+            return self._errors_in_folds(data, see, folds, choice), count
+
+        errors: FloatArray | None
+        errors, tried = self.recall(("repeated", folds), data, find)
+        for _ in range(tried - count):  # what was found before is told, too
+            see(None)
+        return errors
+
+    def recall(self, question: Any, data: FitData, find: Callable[[], Any]) -> Any:
+        """Return what these methods found of equal features before, or find it."""
+        key = question, self.methods, tuple(self.faults)
+        return self.memory.recall(key, data, find, lambda: len(self.faults))
+
+    def _errors_in_folds(self, data: FitData, watch: Watch, folds: int,
+                         choice: Choice | None) -> FloatArray | None:
+        features = data.features
+        order = spatial_order(ground_centres(features))
+        count = len(features.points)
+        owner = features.feature
+        errors = np.empty((len(owner), 2))
+        fit_without = self._fitting_without(data, watch, choice)
+        for fold in range(folds):
+            out = np.zeros(len(data), dtype=bool)
+            out[order[fold::folds]] = True
+            held = features.take(out)
+            fitted = fit_without(out)
+            if fitted is None:
+                return None
+            distances = np.linalg.norm(fitted.line_errors(held.lines), axis=2)
+            errors[:count][out[:count]] = fitted.errors(held.points)
+            errors[count:][out[owner[count:]]] = distances
+        if count < len(owner):
+            weights = row_weights(data.scaled, heights=data.heights)
+            errors[count:] *= weights[2 * count:].reshape(-1, 2)
+        errors.setflags(write=False)  # whoever asks again gets the same
+        return errors
+
+    def _fitting_without(self, data: FitData, watch: Watch,
+                         choice: Choice | None) -> Callable[[BoolArray], Fit | None]:
+        """Return what makes the choice again without some features, and returns its fit if any."""
+        features = data.features
+        whole = cache(lambda: self.choose(data, whole=False))
+        many = len(features.points) >= MANY_POINTS and not len(features.lines)
+        parts = self.for_parts_of(data, (choice or whole()) if many else None)
+        fewest = self.fewest(data)
+
+        def fit_without(out: BoolArray) -> Fit | None:
+            rest = data.take(~out)
+            # Relief that rests on one feature of the others tells nothing of those held out.
+            flat = replace(rest, heights=rest.heights and not carriers(rest, limit=1))
+            chosen = None if len(rest) < fewest else \
+                parts.choose_features(flat, watch, whole=False)
+            fitted = None if chosen is None else chosen.chosen
+            if chosen is None or not any(
+                    method_of(compared).has_prior for compared in chosen.compared):
+                if not len(features.points):
+                    return None
+                # Few features choose by luck: what all of them choose is fitted to these.
+                if usual := whole():
+                    fitted = self.ask(usual.method, "refit", usual.chosen, rest) or fitted
+            return fitted
+
+        return fit_without
+
+    def between_lines(self, data: FitData, lattice: Lattice, watch: Watch,
+                      choice: Choice) -> tuple[FloatArray, IntArray] | None:
+        """Return errors of points of a lattice without their line [px], (m, 2), and the lines.
+
+        Or without their column, where that makes greater ones. The choice is made again without
+        some lines, whose neighbours stay. The outermost ones always stay, as nothing is asked for
+        beyond them, and so do those next to them where there are others: one line on a side is not
+        enough to go on from. None if some part of the lattice leaves too little to choose by.
+        """
+        fit_without = self._fitting_without(data, watch, choice)
+        along_lines_and_columns = []
+        for number in (lattice.line, lattice.column):
+            errors = np.full((len(data), 2), np.nan)
+            count = int(number.max()) + 1
+            first, last = _held_out_lines(count)
+            inside = (number >= first) & (number <= last)
+            for fold in range(_folds_along(count)):
+                out = inside & ((number - first) % FOLDS_OF_LATTICE == fold)
+                fitted = fit_without(out)
+                if fitted is None:
+                    return None
+                errors[out] = fitted.errors(data.features.take(out).points)
+            along_lines_and_columns.append((errors[inside], number[inside]))
+        return max(along_lines_and_columns,
+                   key=lambda found: float((found[0]**2).sum(axis=1).mean()))
+
+
+def folds_of(features: FeatureSet) -> int:
+    """Return in how many folds the whole choice is repeated."""
+    if len(features.lines):
+        return min(FOLDS_WITH_LINES, len(features))
+    lattice = lattice_of(features.points)
+    if lattice is not None:
+        return _folds_along(lattice.lines) + _folds_along(lattice.columns)
+    return next(min(folds, len(features)) for below, folds in FOLDS if len(features) < below)
+
+
+def _held_out_lines(count: int) -> tuple[int, int]:
+    """Return the first and the last of so many lines that are left out."""
+    edge = 2 if count > 2 * FEWEST_LINES else 1
+    return edge, count - 1 - edge
+
+
+def _folds_along(count: int) -> int:
+    """Return in how many folds so many lines are left out."""
+    first, last = _held_out_lines(count)
+    return min(FOLDS_OF_LATTICE, last - first + 1)

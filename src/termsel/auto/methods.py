@@ -1,0 +1,232 @@
+"""The built-in methods that need no search: structures of terms, each with its estimator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from termsel.adjustment.bayesian.field import Collocation
+from termsel.auto.local import EXCLUDED, LIKELY, Interpolated, asked_of, interpolated
+from termsel.auto.physical import CHOSEN, FEWEST, Physical, averaged_of
+from termsel.auto.pinhole import MOST, PinholeCamera, call_for_camera, may_be_oblique
+from termsel.auto.ridge import RidgeByOrder
+from termsel.auto.robust import Reweighted
+from termsel.auto.selected import ForwardSelection
+from termsel.auto.shrunken import Averaging
+from termsel.data.fit_data import FitData, is_off_plane
+from termsel.data.scaling import metres_of
+from termsel.data.view import view_of
+from termsel.fitting.fit import Fit, Undetermined
+from termsel.fitting.least_squares import LEAST_SQUARES, LeastSquares
+from termsel.fitting.method import Method
+from termsel.fitting.of_features import require_determined
+from termsel.models.base import SensorModel
+from termsel.models.helmert import Helmert2D
+from termsel.models.interpolating import Field, Field3D, ThinPlate
+from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
+from termsel.models.projective import DLT3D, Projective2D
+from termsel.models.rational import RationalFunctions
+
+
+@dataclass(frozen=True, eq=False)
+class Structure(Method):
+    """A method with one model for features with heights and one for others.
+
+    Parameters
+    ----------
+    name, title
+        As for `Method`, whose other parameters follow by name.
+    with_heights, without : SensorModel or None
+        The model for features with heights that differ, and for others; None if there is none.
+    """
+
+    with_heights: SensorModel | None
+    without: SensorModel | None
+
+    def declines(self, data: FitData) -> str | None:
+        """Return why there is no model for features with heights, or without."""
+        if self.model(data.heights) is not None:
+            return None
+        return (f"{self.title} needs heights that are known and differ" if self.without is None
+                else f"{self.title} is for features without heights")
+
+    def fit(self, data: FitData) -> Fit:
+        """Fit the model by the estimator, offering all its terms."""
+        model = self.model(data.heights)
+        assert model is not None
+        terms, used = (np.ones(n, dtype=bool) for n in (len(model.terms), len(data)))
+        return require_determined(
+            self.estimator.fit(model, data.features, data.scaling, terms, used))
+
+    def model(self, heights: bool) -> SensorModel | None:
+        """Return the model for features with heights, or without."""
+        return self.with_heights if heights else self.without
+
+    def nearly(self, data: FitData) -> bool:
+        """Return False: what all features do not determine, parts do not either."""
+        return False
+
+    def size(self, heights: bool) -> float:
+        """Return the number of terms, where no estimator selects or shrinks them by the points."""
+        model = self.model(heights)
+        fixed = isinstance(self.estimator, LeastSquares | RidgeByOrder)
+        return len(model.terms) if model is not None and fixed else np.inf
+
+
+class _OfPlane(Structure):
+    """A projective transformation, which needs a view where heights count."""
+
+    def declines(self, data: FitData) -> str | None:
+        """Return why it is not for features with heights: they do more than the view does."""
+        if data.heights and view_of(data.scaled.points) is None:
+            return f"{self.title} is for features without heights, or for oblique views"
+        return super().declines(data)
+
+
+class _OfCamera(Structure):
+    """A projection that is a camera with few unknowns."""
+
+    def declines(self, control: FitData) -> str | None:
+        """Return why it is not for lines, or for coordinates of which nobody knows the level."""
+        if len(control.features.lines):
+            return f"{self.title} takes points alone, and there are lines"
+        if metres_of(control.features, control.scaling) is None:
+            return f"{self.title} needs to know which way is up, so no geocentric coordinates"
+        return None
+
+    def fit(self, control: FitData) -> Fit:
+        """Fit the camera, where the points call for an oblique view."""
+        if not call_for_camera(control.scaled, control.scaling):
+            raise Undetermined("the points do not call for an oblique view by a camera without "
+                               "distortion",
+                               hint="Choose another model, such as dlt or projective.")
+        # With heights wherever they differ: the camera knows what they do.
+        known = not control.features.without_height()
+        return super().fit(
+            replace(control, heights=known and is_off_plane(control.scaled.points)))
+
+    def refit(self, fitted: Fit, control: FitData) -> Fit:
+        """Return the camera of other points that is next to that of a fit."""
+        assert isinstance(self.estimator, PinholeCamera)
+        return self.estimator.refit(fitted, control.features)
+
+    def nearly(self, control: FitData) -> bool:
+        """Return whether the points may be of an oblique view."""
+        return may_be_oblique(control.scaled)
+
+
+class _Selected(Structure):
+    """A structure whose terms are selected."""
+
+    def refit(self, fitted: Fit, data: FitData) -> Fit:
+        """Return the least-squares fit of the terms that were selected."""
+        return LEAST_SQUARES.fit(fitted.model, data.features, data.scaling, fitted.terms,
+                                 np.ones(len(data), dtype=bool))
+
+
+class _WithField(Structure):
+    """A structure with a random field, which declines where the field is not likely."""
+
+    def nearly(self, data: FitData) -> bool:
+        """Return whether the field is not all but excluded, so that parts may call for it."""
+        model = self.model(data.heights)
+        assert model is not None
+        found = interpolated(model, data.features, data.scaling)
+        return isinstance(found, Collocation) and found.probability > EXCLUDED
+
+    def describe(self, fitted: Fit) -> str:
+        """Return the probability of the field."""
+        found = fitted.interpolation
+        assert isinstance(found, Collocation)
+        if found.few > 0.0 and found.probability <= LIKELY:
+            return (f"{self.label} is an average: so few points do not tell polynomials, fields, a "
+                    "spline and an affine image apart. The probability of local deformation is "
+                    f"{found.probability:.3g}.")
+        asked = f"; it must exceed {asked_of(found):g}" * (found.few == 0.0)
+        return (f"{self.label} is called for: the probability of local deformation is "
+                f"{found.probability:.3g}{asked}.")
+
+
+class _WithPhysics(Structure):
+    """A structure with the prior of known cameras, which declines where that is not likely."""
+
+    def refit(self, fitted: Fit, data: FitData) -> Fit:
+        """Return the fit to more points, which may no longer call for the prior."""
+        try:
+            return self.fit(data)
+        except Undetermined:
+            return named("shrunken-cubic").fit(data)
+
+    def describe(self, fitted: Fit) -> str:
+        """Return what called for the prior."""
+        odds = "three" if fitted.used.sum() <= FEWEST else "twenty"
+        return (f"{self.label} is called for: a known kind of camera, most likely "
+                f"{averaged_of(fitted).kind}, is more than {odds} times as likely as an image of "
+                "which nothing is known.")
+
+
+def _polynomials(degree: int) -> tuple[SensorModel, SensorModel]:
+    return Polynomial3D(degree=degree), Polynomial2D(degree=degree)
+
+
+_LIMITS = ("affine", "quadratic", "cubic")
+_SHRUNKEN = ("shrunken-quadratic", "shrunken-cubic")
+_FAMILY = "the regularised polynomials"
+
+ROBUST = (
+    Structure("huber", "a quadratic polynomial by Huber's estimator", *_polynomials(2),
+              estimator=Reweighted(biweight=False), short="quadratic, Huber", only_shown=True),
+    Structure("tukey", "a quadratic polynomial by Tukey's biweight", *_polynomials(2),
+              estimator=Reweighted(biweight=True), short="quadratic, Tukey", only_shown=True))
+"""Those that give features that fit badly less weight."""
+
+METHODS: tuple[Structure, ...] = (
+    Structure("similarity", "a plane similarity", Helmert2D(), Helmert2D(), is_plain=True,
+              for_few=True),
+    Structure("mirrored-similarity", "a mirrored plane similarity", Helmert2D(mirrored=True),
+              Helmert2D(mirrored=True), short="mirrored similarity", is_plain=True, for_few=True),
+    Structure("plane-affine", "an affine polynomial without heights", Polynomial2D(degree=1), None,
+              short="plane affine", is_plain=True, for_few=True),
+    Structure("affine", "an affine polynomial", Affine(), Polynomial2D(degree=1), is_plain=True),
+    Structure("dlt", "a DLT", DLT3D(weighted=True), None, short="DLT", is_plain=True, central=True),
+    _OfPlane("projective", "a projective transformation", Projective2D(weighted=True),
+             Projective2D(weighted=True), is_plain=True, central=True),
+    Structure("quadratic", "a quadratic polynomial", *_polynomials(2), is_plain=True),
+    Structure("cubic", "a cubic polynomial", *_polynomials(3), is_plain=True),
+    Structure("rfm-2", "a second-order RFM", RationalFunctions(order=2), None,
+              short="second-order RFM", is_plain=True),
+    Structure("rfm-3", "a third-order RFM", RationalFunctions(), None, short="full RFM"),
+    Structure("ridge", "a third-order RFM by ridge regression", RationalFunctions(), None,
+              estimator=RidgeByOrder(), short="full RFM, ridge", only_shown=True),
+    _Selected("selected", "a cubic polynomial of selected terms", *_polynomials(3),
+              estimator=ForwardSelection(), short="selected cubic"),
+    Structure("shrunken-quadratic", "a regularised quadratic polynomial", *_polynomials(2),
+              estimator=Averaging(), short="regularised quadratic", has_prior=True,
+              contains=_LIMITS, family=_FAMILY),
+    Structure("shrunken-cubic", "a regularised cubic polynomial", *_polynomials(3),
+              estimator=Averaging(), short="regularised cubic", has_prior=True, contains=_LIMITS,
+              family=_FAMILY),
+    _WithField("field", "a regularised cubic polynomial with a random field", Field3D(), Field(),
+               estimator=Interpolated(), short="random field", has_prior=True,
+               contains=(*_LIMITS, *_SHRUNKEN), family=_FAMILY),
+    Structure("tps", "a thin-plate spline", None, ThinPlate(), estimator=Interpolated(),
+              short="thin-plate spline", needs=("field",)),
+    _WithPhysics("physical-cubic",
+                 "a cubic polynomial with the sensor-geometry prior",
+                 *_polynomials(3), estimator=Physical(), short="physical cubic", has_prior=True,
+                 contains=(*_LIMITS, *_SHRUNKEN, "field", "tps"), family=_FAMILY, most=CHOSEN),
+    _OfCamera("pinhole", "a pinhole camera", DLT3D(weighted=True), Projective2D(weighted=True),
+              estimator=PinholeCamera(), short="pinhole camera", central=True, most=MOST),
+    *ROBUST,
+)
+"""All built-in methods, in the order of the tables that compare them."""
+
+
+BY_NAME: dict[str, Structure] = {method.name: method for method in METHODS}
+"""The built-in methods by name; the registry knows those of plugins, too."""
+
+
+def named(name: str) -> Structure:
+    """Return the built-in method of a name that there is."""
+    return BY_NAME[name]

@@ -1,0 +1,260 @@
+"""The features that models are fitted to, with their scaling and their relief.
+
+Heights serve where the control tells what a metre of height does better than physics alone does:
+the view of a camera from the air or from space is inclined by some 27 degrees, so that a metre of
+height moves an image by about half as much as a metre on the ground. Heights are flat where all
+that they could do is less than what can be measured. They are so, too, where only one or two
+features are off a plane: such a feature has the leverage 1, so that what its height does cannot be
+told from an error, and no other feature predicts it. Of two such features each has the other alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from termsel.data.coordinates.metres import height_unit, plan_of
+from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray, Points
+from termsel.data.lattices import Lattice, lattice_of
+from termsel.data.scaling import Scaling, in_fit_crs, metres_of, scaling_of
+from termsel.data.view import View, view_of
+
+FLAT = 1e-8
+"""Scaled distance from a plane up to which heights are taken to lie on it: rounding."""
+
+PARALLAX = 0.5
+"""Standard deviation of what a metre of height does in an image, by a metre on the ground: the
+tangent of the angle of view. That of a satellite is seldom above 0.6, of a photo or of radar 1."""
+
+MEASURED = 0.5
+"""Standard deviation of a measurement in an image [px], or MEASURED_PART of its half-range."""
+
+MEASURED_PART = 1e-3
+
+OTHER = 1.5
+"""How many times as far off a plane other places are whose heights are not those of the control."""
+
+MANY = 12
+BEST = 5 / 6
+"""Number of points from which on they show how well they are measured, and the part by which."""
+
+ENOUGH = 8
+"""Number of features from which on two of them may carry the relief. Without two of fewer, hardly
+anything is left that could be off a plane."""
+
+
+@dataclass(frozen=True, eq=False)
+class FitData:
+    """Features that models are fitted to, whatever the roles of the points.
+
+    Parameters
+    ----------
+    features : FeatureSet
+    scaling : Scaling
+        That of these features.
+    heights : bool
+        Whether models with heights are fitted; else plane ones.
+    """
+
+    features: FeatureSet
+    scaling: Scaling
+    heights: bool
+
+    @classmethod
+    def of(cls, features: FeatureSet, heights: bool | None = None) -> Self:
+        """Return features with their scaling; by default with heights where these differ."""
+        control = cls(features, scaling_of(features), bool(heights))
+        return control if heights is not None else replace(
+            control, heights=heights_differ(control))
+
+    def __len__(self) -> int:
+        return len(self.features)
+
+    @property
+    def lattice(self) -> Lattice | None:
+        """The lattice that the features are, as a processor computes them, if they are one."""
+        return None if len(self.features.lines) else lattice_of(self.features.points)
+
+    @property
+    def scaled(self) -> FeatureSet:
+        """The features in scaled coordinates."""
+        return self.scaling.features(self.features)
+
+    def take(self, mask: BoolArray) -> Self:
+        """Return some of the features, with a scaling of their own; itself where all are taken."""
+        return self if mask.all() else self.of(self.features.take(mask), self.heights)
+
+
+def heights_differ(control: FitData) -> bool:
+    """Return whether all features have heights, and these tell what a height does."""
+    if control.features.without_height():
+        return False
+    plane, z, _ = _vertices(control)
+    return _tells(control, _about_plane(plane, z)[0], np.ones(len(z), dtype=bool))
+
+
+def carriers(control: FitData, limit: int = 2) -> tuple[str, ...]:
+    """Return the ids of one or two features without which heights tell nothing; or none.
+
+    All ids where they tell nothing already. Heights are known. `limit`, 1 or 2, is how many are
+    looked for; of fewer than `ENOUGH` one.
+    """
+    limit = limit if len(control) >= ENOUGH else 1
+    plane, z, owner = _vertices(control)
+    keep = np.ones(len(z), dtype=bool)
+    # One feature after another is removed, that which the plane of heights gains most from.
+    carrying = list[int]()
+    off_plane_heights, free = _about_plane(plane, z)
+    if not _tells(control, off_plane_heights, keep):
+        return control.features.ids
+    while len(carrying) < limit:
+        # What the sum of squares falls by without a vertex: its residual squared by 1 - leverage.
+        gain = np.bincount(owner[keep], off_plane_heights**2 / free, minlength=len(control))
+        carrying.append(int(np.argmax(gain)))
+        keep &= owner != carrying[-1]
+        off_plane_heights, free = _about_plane(plane[keep], z[keep])
+        if not _tells(control, off_plane_heights, keep):
+            return tuple(control.features.ids[i] for i in carrying)
+    return ()
+
+
+def off_plane(control: FitData, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return how far places (m, 3) are off the plane of the control's heights, and what that does.
+
+    In units of height, and the standard deviation of what it does to the image [px], each (m,). 0
+    where a height is not known, where those of the control are not, and where they tell what a
+    height does. Carriers have no influence on the plane.
+    """
+    none = np.zeros(len(ground))
+    carrying = () if control.features.without_height() else carriers(control)
+    if not carrying or not np.isfinite(_effect(control)):
+        return none, none
+    (plane, z, owner) = _vertices(control)
+    scaled = control.scaling.ground(ground)
+    keep = ~np.isin(np.array(control.features.ids)[owner], carrying) | (
+        len(carrying) == len(control))
+    # The plane through all vertices but those of carriers; of all where nothing else is there.
+    fitted = _plane_at(scaled) @ np.linalg.lstsq(plane[keep], z[keep])[0]
+    off = np.where(np.isnan(ground[:, 2]), 0.0, np.abs(scaled[:, 2] - fitted))
+    return off * control.scaling.ground_scale[2], off * _effects(control, scaled)
+
+
+def with_usual_heights(control: FitData, ground: FloatArray) -> FloatArray:
+    """Return places (m, 3) with heights as far off a plane as the control's are (mean squares).
+
+    Unchanged where they are already, but for `OTHER`, and where a height is not known.
+    """
+    if control.features.without_height() or not np.isfinite(_effect(control)):
+        return ground
+    (plane, z, _) = _vertices(control)
+    scaled = control.scaling.ground(ground)
+    fitted = np.linalg.lstsq(plane, z)[0]
+    off = np.nan_to_num(scaled[:, 2] - _plane_at(scaled) @ fitted)
+    usual = np.linalg.norm(z - plane @ fitted) / np.sqrt(max(len(z) - plane.shape[1], 1))
+    mean_off = np.linalg.norm(off) / np.sqrt(max(len(off), 1))
+    if mean_off <= max(OTHER * usual, FLAT):
+        return ground
+    # Heights go towards the plane, so that their root mean square about it becomes the usual one.
+    off *= (1.0 - usual / mean_off) * control.scaling.ground_scale[2]
+    return ground - np.pad(off[:, None], ((0, 0), (2, 0)))
+
+
+def is_off_plane(points: Points) -> bool:
+    """Return whether scaled points with heights lie on no plane, but for rounding."""
+    rest, _ = _about_plane(_plane_at(points.ground), points.ground[:, 2])
+    return bool(np.abs(rest).max(initial=0.0) > FLAT)
+
+
+def _tells(control: FitData, off_plane_heights: FloatArray, keep: BoolArray) -> bool:
+    """Return whether scaled heights off a plane, of the vertices `keep`, tell what a height does.
+    """
+    if not np.abs(off_plane_heights).max(initial=0.0) > FLAT:
+        return False
+    scaled = control.scaling.ground(control.features.ground_vertices())[keep]
+    return bool(np.linalg.norm(off_plane_heights * _effects(control, scaled)) > _noise(control))
+
+
+def _noise(control: FitData) -> float:
+    """Return the standard deviation of a measurement [px], or more where many points show it.
+
+    They do so by what a quadratic polynomial or a view leaves, without the points that fit worst:
+    blunders would hide what heights do.
+    """
+    floor = min(MEASURED, MEASURED_PART * control.scaling.image_scale)
+    points = control.scaled.points
+    if len(control.features.lines) or len(points) < MANY:
+        return floor
+    x, y, z = points.ground.T
+    columns = np.stack([x**0, x, y, z, x * x, x * y, y * y], axis=1)
+    image = points.image
+    for count in (len(points), round(BEST * len(points))):
+        # Residuals of the quadratic, and 1 - leverage of each point: it divides the residual, so
+        # that a point that bends the fit to itself is not taken for a good one.
+        q = np.linalg.qr(columns)[0]
+        residuals = image - q @ (q.T @ image)
+        free = np.maximum(1.0 - (q**2).sum(axis=1), np.finfo(float).eps)
+        best = np.argsort(np.linalg.norm(residuals, axis=1) / free)[:round(BEST * count)]
+        square = (residuals**2).sum() / (len(image) - columns.shape[1]) / 2
+        columns = columns[best]
+        image = image[best]
+    # An oblique view is no quadratic: there the projection tells how well points are measured.
+    view = view_of(points)
+    noise = float(np.sqrt(square))
+    if view is not None:
+        noise = min(noise, view.noise)
+    return max(floor, noise * control.scaling.image_scale)
+
+
+def _effects(control: FitData, scaled: FloatArray) -> FloatArray:
+    """Return the standard deviation of what a scaled height of 1 does at scaled places [px], (n,).
+
+    In an oblique view it does more the nearer a place is to the camera.
+    """
+    view = _view(control)
+    effect = _effect(control)
+    if view is None or not np.isfinite(effect):
+        return np.full(len(scaled), effect)
+    # Pixels by a metre on the ground, along X and Y; the larger of both is across the view.
+    metres = metres_of(control.features, control.scaling)
+    assert metres is not None
+    across = view.magnification(scaled) * control.scaling.image_scale / metres[:2]
+    return np.asarray(PARALLAX * metres[2] * across.max(axis=1))
+
+
+def _view(control: FitData) -> View | None:
+    return view_of(control.scaled.points)
+
+
+def _effect(control: FitData) -> float:
+    """Return the standard deviation of what a scaled height of 1 does to the image [px].
+
+    Infinite for geocentric coordinates, whose Z is no height.
+    """
+    features = control.features
+    plan = plan_of(features.fit_crs or features.crs, in_fit_crs(
+        features.ground_vertices(), features.crs, features.fit_crs))
+    if plan is None:
+        return np.inf
+    # The scale of the image is the ratio of the scatters in the image [px] and on the ground [m].
+    across = np.sqrt(plan.var(axis=0).sum())
+    image = np.sqrt(features.image_vertices().var(axis=0).sum())
+    metres = control.scaling.ground_scale[2] * height_unit(features.fit_crs or features.crs)
+    return float(PARALLAX * metres * image / across) if across else np.inf
+
+
+def _vertices(control: FitData) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Return columns of a plane, scaled heights and the feature of each point and vertex."""
+    scaled = control.scaling.ground(control.features.ground_vertices())
+    return _plane_at(scaled), scaled[:, 2], control.features.vertex_feature
+
+
+def _plane_at(scaled: FloatArray) -> FloatArray:
+    return np.column_stack([np.ones(len(scaled)), scaled[:, :2]])
+
+
+def _about_plane(plane: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return how far heights are off the closest plane, and 1 minus the leverage of each."""
+    q = np.linalg.qr(plane)[0]
+    return z - q @ (q.T @ z), np.maximum(1.0 - (q**2).sum(axis=1), np.finfo(float).eps)

@@ -1,0 +1,211 @@
+"""The one interface of all that turns control into a fitted model."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import KW_ONLY, dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from termsel.data.features import BoolArray, FloatArray
+from termsel.data.fit_data import FitData
+from termsel.fitting.fit import Estimator, Fit, HeldOut
+from termsel.fitting.least_squares import LEAST_SQUARES
+from termsel.models.base import SensorModel
+
+
+@dataclass(frozen=True, eq=False)
+class Suspects:
+    """Features against the predictions of the others, points before lines.
+
+    Parameters
+    ----------
+    blunders : ndarray of bool, shape (n,)
+    probable : ndarray of bool, shape (n,)
+        Those blunders that the features in use do not show for certain.
+    undecided : ndarray of bool, shape (n,)
+        Those with such an error that the others do not determine the model at their place.
+    errors : ndarray, shape (n,)
+        Largest error in line or sample, or of a vertex off its line, as the features in use predict
+        it [px].
+    limits : ndarray, shape (n,)
+        Error that would be named at each feature [px].
+    """
+
+    blunders: BoolArray
+    probable: BoolArray
+    undecided: BoolArray
+    errors: FloatArray
+    limits: FloatArray
+
+    def __post_init__(self) -> None:
+        for array in (self.blunders, self.probable, self.undecided, self.errors, self.limits):
+            array.setflags(write=False)  # who asks again gets the same
+
+
+@dataclass(frozen=True, eq=False)
+class Method(ABC):
+    """Whatever turns control into a fitted model: one interface for all that termsel does.
+
+    A method has a name and `fit`; the errors that it makes at features held out are its
+    estimator's, or its own (`held_out`). One object is fitted to many parts of the same features,
+    so it keeps nothing of them. The other attributes say what place it has among the methods that
+    the method "auto" chooses from.
+
+    Parameters
+    ----------
+    name : str
+        As in `termsel.fit` and ``termsel describe``.
+    title : str
+        In words, with its article, such as "a cubic polynomial".
+    short : str
+        Title in tables; by default the name.
+    estimator : Estimator
+        How its coefficients are found; with it a stored result is the same fit again.
+    is_plain : bool
+        Whether it takes neither selection nor shrinkage, and is plainer than a full RFM.
+    has_prior : bool
+        Whether a prior of its own holds what the features do not determine. Then it is chosen where
+        it is better by one standard error; else it must be better by three, and have the smaller
+        RMSE.
+    contains : tuple of str
+        Names of methods that it has as limits. They are not chosen next to it. Where it has a
+        prior, it takes the place of those among them that have one, as soon as it is called for.
+    family : str
+        Plural that names it together with others that have the same limits.
+    needs : tuple of str
+        Names of methods without which it is not called for.
+    for_few : bool
+        Whether it is for features that are too few for any method with a prior.
+    only_shown : bool
+        Whether it is shown for comparison and never chosen.
+    central : bool
+        Whether it is a central projection, as whole images may be: two standard errors are then
+        enough for it in place of three.
+    from_one : bool
+        Whether one feature is enough, as the method knows what features do not determine. Then
+        two or three are not taken for a model that they determine exactly.
+    most : float
+        Number of features up to which it is tried: more tell as much as what it knows. Where the
+        choice is repeated without some features, the number of all of them counts.
+    """
+
+    kind: ClassVar[str] = "method"
+    """Word for it in messages."""
+    name: str
+    title: str
+    _: KW_ONLY
+    short: str = ""
+    estimator: Estimator = LEAST_SQUARES
+    is_plain: bool = False
+    has_prior: bool = False
+    contains: tuple[str, ...] = ()
+    family: str = ""
+    needs: tuple[str, ...] = ()
+    for_few: bool = False
+    only_shown: bool = False
+    central: bool = False
+    from_one: bool = False
+    most: float = np.inf
+
+    @property
+    def label(self) -> str:
+        """What tables and short sentences call it."""
+        return self.short or self.name
+
+    @property
+    def summary(self) -> str:
+        """What lists say of it."""
+        return f"{self.title[:1].upper()}{self.title[1:]}."
+
+    @abstractmethod
+    def fit(self, data: FitData) -> Fit:
+        """Fit the method to features, whatever the roles of points.
+
+        Parameters
+        ----------
+        data : FitData
+            The features with their scaling. All that is known of the image is in its features:
+            the size of the image, the CRS, further columns of the file.
+
+        Returns
+        -------
+        Fit
+
+        Raises
+        ------
+        Undetermined
+            If the features do not determine the method, or do not call for it.
+        """
+
+    def held_out(self, fitted: Fit) -> HeldOut:
+        """Return the errors of features of a fit of this method, each held out.
+
+        By default they are those that the estimator finds: of least squares in closed form, else by
+        repeating the fit without each feature. A method that chooses repeats the choice.
+
+        Raises
+        ------
+        Undetermined
+            If the others do not determine the fit.
+        """
+        return fitted.estimator.held_out(fitted)
+
+    def declines(self, data: FitData) -> str | None:
+        """Return in a sentence why it is not for such features, or None if it is.
+
+        It is asked before every fit, so it should be quick.
+        """
+        return None
+
+    def tried(self, data: FitData) -> bool:
+        """Return whether auto tries it on such features, which it does not decline."""
+        return True
+
+    def refit(self, fitted: Fit, data: FitData) -> Fit:
+        """Return the final fit: the structure of a fit that was chosen, fitted to more features.
+
+        It raises what `fit` does.
+        """
+        return self.fit(data)
+
+    def describe(self, fitted: Fit) -> str:
+        """Return one sentence on why the features call for it; "" if leave-one-out tells all."""
+        return ""
+
+    def nearly(self, data: FitData) -> bool:
+        """Return whether parts of many features may call for it where all of them do not.
+
+        It is asked where it could not be fitted to all of them. Then it is fitted in the folds in
+        which the choice is repeated, unless it says no; that saves time.
+        """
+        return True
+
+    def settles(self, data: FitData) -> str | None:
+        """Return in a sentence why features call for this method alone; None if they do not.
+
+        Such as points that were computed by the very geometry that it knows. No other method is
+        then tried.
+
+        Raises
+        ------
+        TermselError
+            If they call for it alone, and it lacks something that the user must say: the run ends.
+        """
+        return None
+
+    def suspects(self, data: FitData) -> Suspects | None:
+        """Return which features contradict what the method knows of the image.
+
+        None, the default, leaves them to the test by regularised polynomials.
+        """
+        return None
+
+    def model(self, heights: bool) -> SensorModel | None:
+        """Return the model for features with heights, or without; None where it depends."""
+        return None
+
+    def size(self, heights: bool) -> float:
+        """Return the number of terms if that is fixed; the plainest are tried first."""
+        return np.inf

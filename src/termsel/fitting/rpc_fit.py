@@ -1,0 +1,250 @@
+"""RPCs from fitted models: taken over as they are, or fitted to a grid."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from termsel.adjustment.monomials import RPC00B
+from termsel.core.errors import TermselError
+from termsel.data.coordinates.crs import WGS84, normalise, to_wgs84
+from termsel.data.coordinates.longitudes import nearest
+from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points, select
+from termsel.data.scaling import scaling_of
+from termsel.fitting.fit import Fit
+from termsel.fitting.least_squares import fit
+from termsel.fitting.sky import part_said, refuse_sky
+from termsel.models.base import SensorModel
+from termsel.models.rational import RationalFunctions
+from termsel.models.rpc import N_COEFFICIENTS, Rpc
+from termsel.models.terms import AXES, Term
+
+log = logging.getLogger(__name__)
+
+EXACT = 1e-6
+"""Largest difference [px] between the model and an RPC that is taken over."""
+
+GOOD = 0.05
+"""Largest loss [px] at which the selected terms are kept rather than all."""
+
+_GRID = 21  # places along either side of the image
+_LEVELS = 7  # heights
+_RIDGES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # weights that hold denominators, of equations in scale
+_WIDER, _TRIED = 1.1, 5000  # box in which denominators are looked at, and places there
+_LEAST_DENOMINATOR = 0.05  # of a denominator, which is 1 in the middle
+
+
+@dataclass(frozen=True)
+class RpcFit:
+    """An RPC and its distance from the model it replaces.
+
+    `how` is "exact" if it was taken over as it is, "its own" if the model knows it; else the terms
+    it was refitted with: "the selected", "all 78", "all 78 (small denominators)" or "all 40
+    polynomial". Greatest and root mean square distance from the fitted model [px] are over the
+    image and the heights, between the places the RPC was fitted to. `part` says which part of an
+    oblique image the RPC does not follow.
+    """
+
+    rpc: Rpc
+    how: str
+    worst: float
+    rms: float
+    part: str = ""
+
+
+def rpc_of(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcFit:
+    """Return the RPC of a fitted model, and what it loses.
+
+    Parameters
+    ----------
+    fitted : Fit
+        A fit of any model, in any CRS that can be converted to WGS84.
+    heights : tuple of float, optional
+        Least and largest height that the RPC is for, by default those of the control.
+
+    Raises
+    ------
+    TermselError
+        If the ground coordinates cannot be converted to WGS84 longitude and latitude, the model
+        cannot be inverted over the image, no RPC comes near it, or the image shows the sky.
+
+    Notes
+    -----
+    A rational function of scaled WGS84 coordinates has the coefficients of an RPC: they are
+    taken over. Another model may know its RPC itself (`SensorModel.as_rpc`). Otherwise an RPC
+    is fitted to a grid of image places and heights, as RPCs are made from rigorous models
+    (terrain-independent; Tao and Hu, "A comprehensive study of the rational function model for
+    photogrammetric processing", PE&RS 67 (2001) 1347-1357): with the selected terms, and with
+    all of them where that loses more than 0.05 px. Where no cubic follows the image, as in ground
+    range, denominators follow its noise up to a pole; there their coefficients are held near zero.
+    """
+    convert = to_wgs84(fitted.control.crs)
+    refuse_sky(fitted, "an RPC")
+    excluded_part = part_said(fitted)
+    model = fitted.model
+    # In the order of their worth: the model's own RPC, coefficients taken over, a refit.
+    rpc = declared = (model.as_rpc(fitted.adjustment.coefficients)
+                      if isinstance(model, SensorModel) else None)
+    if rpc is None and normalise(fitted.control.fit_crs or fitted.control.crs) in WGS84:
+        rpc = taken_over(fitted)
+    if rpc is not None:
+        control_ground, expected = _seen(fitted, heights)
+        if declared is not None and not len(control_ground):
+            control_ground = fitted.control.ground_vertices()
+            expected = fitted.project(control_ground)
+        worst, rms = _loss(rpc, convert(control_ground), expected)
+        if worst <= (EXACT if declared is None else GOOD):
+            return RpcFit(rpc, "exact" if worst <= EXACT else "its own", worst, rms, excluded_part)
+    low, high = heights or _heights(fitted)
+    image, ground = _grid(fitted, convert, _GRID, np.linspace(low, high, _LEVELS))
+    # One place and one level fewer, so that the check lies between the places of the fit.
+    between, ground_between = _grid(fitted, convert, _GRID - 1,
+                                    np.linspace(low, high, _LEVELS - 1))
+    candidates = []
+    for how, terms, ridge in _term_sets(fitted):
+        rpc = _refitted(image, ground, terms, ridge)
+        loss = (np.inf, np.inf) if _has_pole(rpc, ground) else _loss(rpc, ground_between, between)
+        candidates.append(RpcFit(rpc, how, *loss, excluded_part))
+        if candidates[-1].worst <= GOOD:
+            break
+    best = min(candidates, key=lambda candidate: candidate.worst)
+    if not np.isfinite(best.worst):
+        raise TermselError("no RPC comes near this model",
+                           hint="Export it as geolocation-vrt or gcp-grid-vrt.")
+    log.log(logging.INFO if best.worst <= GOOD else logging.WARNING,
+            "RPC: refitted to the model in longitude, latitude and height with %s terms. It "
+            f"differs from the model by at most {best.worst:.2g} px (rms {best.rms:.2g} px), over "
+            f"the image and heights from {low:.0f} to {high:.0f}.", best.how)
+    if excluded_part:
+        log.warning("Warning: %s. The RPC follows the model in the rest alone.", excluded_part)
+    return best
+
+
+def taken_over(fitted: Fit) -> Rpc | None:
+    """Return the RPC with the coefficients of a fit in longitude, latitude and height.
+
+    None if its terms are not those of an RPC.
+    """
+    above = np.zeros((2, N_COEFFICIENTS))
+    below = np.zeros((2, N_COEFFICIENTS))
+    below[:, 0] = 1.0
+    for name, value in zip(fitted.model.terms, fitted.adjustment.coefficients, strict=True):
+        if value == 0:
+            continue
+        # Each coefficient goes to its place in RPC00B order; one of both axes to both.
+        term = Term.parse(name)
+        column = _column(term)
+        if column is None:
+            return None
+        axis = slice(None) if term.axis == "both" else AXES.index(term.axis)
+        (below if term.is_denominator else above)[axis, column] += value
+    scaling = fitted.scaling
+    lon, lat, height = scaling.ground_offset
+    # Longitudes may go on beyond 180 degrees; an RPC's offset does not.
+    return Rpc(image_offset=scaling.image_offset, image_scale=(scaling.image_scale,) * 2,
+               ground_offset=(float(nearest(np.array(lon), 0.0)), lat, height),
+               ground_scale=scaling.ground_scale,
+               line_numerator=tuple(above[0]), line_denominator=tuple(below[0]),
+               sample_numerator=tuple(above[1]), sample_denominator=tuple(below[1]))
+
+
+def _column(term: Term) -> int | None:
+    """Return the place of a term's coefficient in RPC00B order; None if an RPC has none."""
+    if term.part not in ("numerator", "denominator") or isinstance(term.exponents, str):
+        return None
+    return RPC00B.index(term.exponents) if term.exponents in RPC00B else None
+
+
+def _term_sets(fitted: Fit) -> Iterator[tuple[str, BoolArray, float]]:
+    """Yield what to refit with: names and masks of terms of the full model, and a ridge."""
+    terms = [Term.parse(name) for name in RationalFunctions().terms]
+    selected = [Term.parse(name) for name in select(fitted.model.terms, fitted.terms)]
+    if all(_column(term) is not None for term in selected):
+        # A shared denominator becomes one each, as it is in an RPC.
+        yield "the selected", np.array([term in selected or term.shared in selected
+                                        for term in terms]), 0.0
+    all_terms = np.ones(len(terms), dtype=bool)
+    yield "all 78", all_terms, 0.0
+    for ridge in _RIDGES:
+        yield "all 78 (small denominators)", all_terms, ridge
+    # Without denominators there are no poles.
+    yield "all 40 polynomial", np.array([not term.is_denominator for term in terms]), 0.0
+
+
+def _heights(fitted: Fit) -> tuple[float, float]:
+    """Return the least and the largest height of the control, and of what is known."""
+    heights = fitted.control.ground_vertices()[:, 2]
+    heights = heights[np.isfinite(heights)]
+    known = fitted.model.known_image()
+    if known is not None:
+        heights = np.concatenate([heights, known.area[:, 2]])
+    return (float(heights.min()), float(heights.max())) if heights.size else (0.0, 0.0)
+
+
+def _seen(fitted: Fit, heights: tuple[float, float] | None) -> tuple[FloatArray, FloatArray]:
+    """Return places all over the ground of the control that lie in the image, and where."""
+    # A fixed seed: the same fit has the same RPC.
+    share = np.random.default_rng(0).uniform(-1.0, 1.0, (1000, 3))
+    middle, half = fitted.ground_box()
+    if heights is not None:
+        middle[2] = (heights[0] + heights[1]) / 2.0
+        half[2] = (heights[1] - heights[0]) / 2.0
+    ground = middle + share * half
+    image = fitted.project(ground)
+    low, high = fitted.image_box()
+    inside = ((image >= low) & (image <= high)).all(axis=1) & fitted.holds(ground)
+    return ground[inside], image[inside]
+
+
+def _grid(fitted: Fit, convert: Callable[[FloatArray], FloatArray], across: int,
+          levels: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return image places and where they see the ground at several heights, in WGS84."""
+    steps = np.unique(levels)
+    (first_line, first_sample), (last_line, last_sample) = fitted.image_box()
+    lines = np.linspace(first_line, last_line, across)
+    samples = np.linspace(first_sample, last_sample, across)
+    # Every line with every sample at every height: three columns.
+    image = np.stack([axis.ravel() for axis in np.meshgrid(lines, samples, steps)], axis=1)
+    ground = fitted.locate(image[:, :2], image[:, 2])
+    is_seen = np.isfinite(ground).all(axis=1)
+    if is_seen.mean() < 0.8:
+        raise TermselError(
+            f"the model has no ground position for {1 - is_seen.mean():.0%} of the image",
+            hint="Do not use it: choose a simpler model, or fewer terms.")
+    is_seen &= fitted.holds(ground)
+    return image[is_seen, :2], convert(ground[is_seen])
+
+
+def _refitted(image: FloatArray, ground: FloatArray, terms: BoolArray, ridge: float = 0.0) -> Rpc:
+    model = RationalFunctions(ridge=ridge)
+    if np.ptp(ground[:, 2]) < 1e-6:
+        # At a single height all terms with Z are constants times others.
+        terms = terms & np.array(["Z" not in Term.parse(name).column for name in model.terms])
+    points = Points(tuple(map(str, range(len(image)))), image, ground)
+    control = FeatureSet(points, crs="EPSG:4979")
+    rpc = taken_over(fit(model, control, scaling_of(control), terms))
+    assert rpc is not None  # the terms are those of an RPC
+    return rpc
+
+
+def _has_pole(rpc: Rpc, ground: FloatArray) -> bool:
+    """Return whether a denominator comes near zero in a box wider than that of some ground."""
+    share = np.random.default_rng(0).uniform(-_WIDER, _WIDER, (_TRIED, 3))
+    low = ground.min(axis=0)
+    high = ground.max(axis=0)
+    below = rpc.denominators((low + high) / 2.0 + share * (high - low) / 2.0)
+    return bool((below < _LEAST_DENOMINATOR).any())
+
+
+def _loss(rpc: Rpc, ground: FloatArray, image: FloatArray) -> tuple[float, float]:
+    if not len(ground):
+        return float("inf"), float("inf")
+    # A pole gives an infinite distance, which refuses the RPC.
+    with np.errstate(all="ignore"):
+        distance = np.hypot(*(rpc.project(ground) - image).T)
+    worst = float(distance.max())
+    rms = float(np.sqrt((distance**2).mean()))
+    return (worst, rms) if np.isfinite(worst) else (float("inf"), float("inf"))

@@ -1,1 +1,0 @@
-"""The strategy auto: a model chosen by what it predicts."""

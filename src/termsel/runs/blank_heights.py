@@ -1,0 +1,40 @@
+"""Features without a height among others that have one: left out of models that use heights."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from termsel.core.errors import counted, first_of
+from termsel.data.features import FeatureSet
+from termsel.data.fit_data import FitData, carriers
+
+
+def to_leave_out(features: FeatureSet) -> tuple[str, ...]:
+    """Return the features without a height, where a model that uses heights is still possible.
+
+    None where all have heights, most have none, or heights tell nothing. Those that are off take no
+    part.
+    """
+    off = {name for name, role in zip(features.points.ids, features.points.roles, strict=True)
+           if role == "off"}
+    missing = [name for name in features.without_height() if name not in off]
+    if not missing:
+        return ()
+    rest = features.take(~np.isin(features.ids, [*missing, *off]))
+    # Independent points must not decide what is fitted.
+    judged = rest.with_(points=rest.points.take(
+        [role != "independent" for role in rest.points.roles]))
+    return tuple(missing) if len(rest) > len(missing) and len(judged) \
+        and not carriers(FitData.of(judged, heights=False)) else ()
+
+
+def note_on_blank(ids: Sequence[str], features: FeatureSet) -> str:
+    """Return the note on features, of those as read, that were left out for want of a height."""
+    named = first_of(ids)
+    one = len(ids) == 1
+    return (f"{counted(len(ids), features.word[:-1])} without a height "
+            f"{'takes' if one else 'take'} no part, as the model uses heights: {named}. Give "
+            f"{'its height' if one else 'their heights'}, or take {'it' if one else 'them'} from a "
+            "raster (--dem FILE). A plane model (--model poly2d) requires none.")

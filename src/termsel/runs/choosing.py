@@ -1,0 +1,350 @@
+"""Runs of the method "auto": the best model of the points, with an estimate of its accuracy."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from termsel.auto.auto import EXACT, Auto, folds_of
+from termsel.auto.compare import compare
+from termsel.auto.exact import exact, exact_view
+from termsel.auto.rule import Choice, method_of
+from termsel.auto.validated import has_pole
+from termsel.core.errors import TermselError, counted
+from termsel.core.interrupts import answered
+from termsel.data.features import FloatArray, Points, no_points, select
+from termsel.data.fit_data import FitData
+from termsel.data.record.figures import Predicted
+from termsel.data.record.search import CandidateRow, Strategy
+from termsel.data.roles import ASSIGNABLE, Observations, leave_out, with_lines
+from termsel.data.twins import merged
+from termsel.fitting.accuracy import predicted_between, predicted_by, predicted_of_all
+from termsel.fitting.extrapolation import warnings_of
+from termsel.fitting.figures import Baseline, Rmses, finite_or_none, in_role
+from termsel.fitting.fit import Fit
+from termsel.models.base import SensorModel
+from termsel.plugins.registry import registry
+from termsel.runs.data_notes import notes_on_data, notes_on_dem
+from termsel.runs.finding import Finding
+from termsel.runs.judgement import best_conventional, judge_choice
+from termsel.runs.provenance import plugins_of
+from termsel.runs.request import Request
+from termsel.runs.verdict import Verdict, judge_features, judge_independent
+from termsel.selection.problems.base import Evaluation, Selection
+from termsel.selection.problems.recipes import Recipe
+from termsel.selection.solvers.base import Generation
+from termsel.selection.solvers.ledger import Progress
+from termsel.selection.solvers.search import Observer
+
+INTERRUPTED = ("The run was interrupted when {0} of {1} candidates were judged. The choice was not "
+               "repeated without some of the points, so it predicts no accuracy.")
+
+NAMES = ("auto", "as-asked")
+
+LEAST = 2
+"""Control points without which there is no answer."""
+
+
+def wanted(strategy: str | None, recipe: Recipe, method: Sequence[str] = (), *,
+           unnamed: bool = False) -> bool:
+    """Return whether a run is to choose its method by itself.
+
+    Without a strategy, "auto" or "as-asked", it does so for problems that methods without a search
+    can answer, but for those whose search comes first, where nothing of a method is asked for:
+    `method` has what is, in words. If nobody named the problem, "auto" comes before its own search.
+    Refuses "auto" next to a method, and for a problem that is not one for it.
+    """
+    if strategy is not None and strategy not in NAMES:
+        raise TermselError(f"there is no strategy {strategy!r}",
+                           hint=f"Choose {' or '.join(NAMES)}.")
+    if strategy != "auto":
+        return (strategy is None and recipe.portfolio and (unnamed or not recipe.search_first)
+                and not method)
+    if not recipe.portfolio:
+        raise TermselError(f"the strategy auto is not for the problem {recipe.name}",
+                           hint="It chooses among models of points and lines: rfm-terms, "
+                                "poly-terms, owdis-lines. To have a vendor's RPC corrected, leave "
+                                "--problem out and add --rpc FILE.")
+    if method:
+        raise TermselError(
+            f"the strategy auto chooses the method itself, and {method[0]} is asked for",
+            hint="Leave one of them out; --strategy as-asked runs a method as it is.")
+    return True
+
+
+class _Watch:
+    """Tells observers how far a choice is, and keeps the fits to all points.
+
+    There are so many methods and folds; each fold tries all methods, as the choice itself does.
+    `fits` are those to all points, `count` is how many were tried, those of folds included.
+    """
+
+    def __init__(self, observers: Iterable[Observer], methods: int, folds: int) -> None:
+        self._observers = tuple(observers)
+        self._folds = folds
+        self.methods = methods
+        self.fits: list[Fit] = []
+        self.count = 0
+
+    def tell(self, what: str, share: float | None = None) -> None:
+        """Tell what is being done, and the share of it that is done."""
+        best = min((fitted.held_out_rmse for fitted in self.fits), default=np.inf)
+        generation = Generation(self.count, np.zeros((0, 0), dtype=bool),
+                                Evaluation(np.zeros((0, 1)), np.zeros(0)))
+        for observe in self._observers:
+            observe(Progress(generation, self.count, share, best, 0.0,
+                             np.zeros(0, dtype=bool), what))
+
+    def method(self, fitted: Fit | None) -> None:
+        """Count a method that was tried, and tell."""
+        fold = self.count // self.methods
+        self.count += 1
+        if fitted and not fold:
+            self.fits.append(fitted)
+        self.tell("candidates" if not fold else f"fold {fold} of {self._folds}",
+                  self.count / self.methods / (1 + self._folds))
+
+
+@dataclass(frozen=True, eq=False)
+class _Chosen:
+    """A choice, and what its repetition in folds tells.
+
+    `errors` are those of held-out features [px]; `exact` says that the features determine the model
+    exactly; `between` what a lattice predicts of places between its lines.
+    """
+
+    choice: Choice
+    errors: FloatArray | None = None
+    exact: bool = False
+    between: Predicted | None = None
+    interrupted: bool = False
+
+
+def choose_for(request: Request, observations: Observations, auto: Auto, seed: int,
+               observers: Iterable[Observer] = ()) -> Finding:
+    """Return what is chosen from methods, and what it is compared with.
+
+    The model and the solver of the request take no part. The seed is that of the search by OWDIS,
+    where there are points and lines. Observers are called with `Progress` after each method.
+    When interrupted with Ctrl-C there is a result if any method was tried. Refuses control and
+    check points that together determine no method.
+    """
+    start = time.perf_counter()
+    watch = _Watch(observers, len(auto.offered(observations.pool)),
+                   folds_of(observations.pool.features))
+    watch.tell("blunders")
+    verdict = judge_features(observations, auto, request.options["data"]["tested"])
+    blunders = verdict.blunders | verdict.high
+    clean = leave_out(observations, blunders) if blunders else observations
+    data = clean.pool
+    chosen = _choose(clean, auto, watch, seed)
+    choice = chosen.choice
+    method = choice.method
+    comparison = compare(clean, auto, choice)
+    errors = chosen.errors
+    if errors is not None and not len(choice.chosen.control.lines):
+        # What lines were predicted to be says nothing.
+        errors = errors[:len(data.features.points)]
+    predicted = chosen.between
+    if errors is not None and clean.lattice is None:
+        predicted = predicted_by(choice.chosen, errors, len(observations.independent),
+                                 observations.independent.ground)
+    played = with_lines(clean, observations.control.lines)
+    fitted = in_role(choice.chosen, played)
+    contradicting, agreeing = judge_independent(clean, choice, auto)
+    final = _final_fit(choice.chosen, played.features.points, data.heights, auto,
+                       contradicting.blunders)
+    predicted_final = None if final is None or predicted is None else predicted_of_all(
+        choice.chosen, predicted, agreeing.independent.ground)
+
+    def baselines(seen: Observations) -> tuple[Baseline, ...]:
+        # The chosen one is the selection, and is not shown twice unless it is plain.
+        return tuple(row for row in comparison.baselines(seen)
+                     if row.name != method.name or method.is_plain)
+
+    def judgement(rmse: Rmses, rivals: tuple[Baseline, ...]) -> str:
+        return judge_choice(method, None if predicted is None else predicted.rmse, rmse, rivals,
+                            request.features.noise)
+
+    rpc_unused, rpc_correction = _on_rpc(request, data, auto, choice.chosen)
+    interrupted = INTERRUPTED.format(min(watch.count, watch.methods), watch.methods) \
+        if chosen.interrupted else ""
+    heights_are_known = auto.fewest(observations.pool) == 1 or (
+        fitted.model.uses_height and not data.heights)
+    lattice = clean.lattice
+    notes = (
+        *notes_on_dem(request.features, fitted),
+        *filter(None, (rpc_unused, rpc_correction)),
+        *notes_on_data(request.features, observations, heights=not heights_are_known,
+                       blank=request.blank),
+        *_notes(request.model, clean, errors, interrupted, plane=not fitted.model.uses_height,
+                determined=chosen.exact, known=method.from_one),
+        *([] if lattice is None else [lattice.sentence(known=method.from_one)]),
+        *_high(verdict), *verdict.notes, *_lines(fitted), *contradicting.notes, *auto.notes)
+    rmse = choice.chosen.held_out_rmse
+    return Finding(
+        fit=fitted, observations=played, compared=clean, comparison=comparison, verdict=verdict,
+        contradicting=contradicting, agreeing=agreeing, in_use=frozenset(clean.together.ids),
+        check_used=True, baselines=baselines, judgement=judgement,
+        reference=best_conventional(method, baselines(clean)), notes=notes,
+        selection=Selection(select(fitted.model.terms, fitted.terms),
+                            select(played.control.ids, fitted.used)),
+        solver="auto", criterion="press", seed=seed,
+        options={"problem": {}, "data": request.options["data"], "model": fitted.model.options,
+                 "solver": {}, "criterion": {}, "search": {}},
+        plugins=plugins_of(request, model=type(fitted.model), method=method),
+        objectives={"press": rmse} if np.isfinite(rmse) else {},
+        feasible=True, interrupted=chosen.interrupted,
+        evaluations=watch.count or len(choice.compared), lookups=0, generations=0,
+        seconds=time.perf_counter() - start, predicted=predicted, predicted_final=predicted_final,
+        final=final, strategy=_strategy(choice, errors, predicted, data, clean, rpc_unused))
+
+
+def _choose(clean: Observations, auto: Auto, watch: _Watch, seed: int) -> _Chosen:
+    """Return the choice from control and check without blunders, and its repetition in folds."""
+    data = clean.pool
+    features = data.features
+    enough = len(features) >= auto.fewest(data)
+    choice: Choice | None = None
+    try:
+        if len(features) < LEAST and not enough:
+            raise TermselError(
+                f"one point is not enough for a model. {_unused_rpc(data, auto)}".strip(),
+                hint="Measure more.")
+        choice = auto.choose_features(data, watch.method) if enough else exact(data)
+        if choice and enough and len(features) > EXACT:
+            view = exact_view(data, choice, auto)
+            enough = view is choice
+            choice = view
+        if choice is None:
+            raise TermselError(
+                f"the {len(features)} control and check {features.word} lie so that no model can "
+                "be held against them", hint="Measure more, spread over the scene.")
+        errors: FloatArray | None = None
+        if len(features.lines):
+            from termsel.runs.owdis import with_selected_lines  # it searches
+
+            watch.tell("OWDIS")
+            choice, errors = with_selected_lines(data, choice, auto, seed)
+        lattice = clean.lattice
+        if lattice is not None:
+            between = None if choice.method.from_one else auto.between_lines(
+                data, lattice, watch.method, choice)
+            if between is not None:
+                return _Chosen(choice, between[0], not enough, predicted_between(*between))
+        elif errors is None and enough and len(features) > 1:
+            errors = auto.repeated(data, watch.method, choice)
+        return _Chosen(choice, errors, not enough)
+    except KeyboardInterrupt:
+        best = choice or auto.best_of(watch.fits)
+        if best is None:
+            raise
+        answered()
+        return _Chosen(best, exact=not enough, interrupted=True)
+
+
+def _strategy(choice: Choice, errors: FloatArray | None, predicted: Predicted | None,
+              data: FitData, clean: Observations, rpc_unused: str) -> Strategy:
+    """Return what the record says of a choice."""
+    held_out = None
+    if errors is not None:
+        held_out = predicted.rmse if clean.lattice is not None and predicted is not None \
+            else float(np.sqrt((errors**2).sum(axis=1).mean()))
+    candidates = tuple(
+        CandidateRow(method_of(fitted).name, fitted.model.name, int(fitted.terms.sum()),
+                     fitted.effective, finite_or_none(fitted.held_out_rmse))
+        for fitted in choice.compared)
+    return Strategy("auto", choice.method.name, choice.reason, held_out, folds_of(data.features),
+                    ("control", "check"), candidates, rpc_unused)
+
+
+def _final_fit(chosen: Fit, points: Points, heights: bool, auto: Auto,
+               blunders: Collection[str]) -> Fit | None:
+    """Return the chosen structure fitted to all points, independent ones included.
+
+    Selected terms stay those that were selected; what is shrunken is averaged again. Blunders among
+    independent points stay out. None where there is no further point, and where the fit has a pole
+    or is not determined.
+    """
+    control = chosen.control
+    further = points.take([role in ASSIGNABLE and name not in blunders
+                           for name, role in zip(points.ids, points.roles, strict=True)])
+    every = merged(control.with_(points=further))
+    # A plane model must not be fitted to points whose heights do tell.
+    with_height = every.take(~np.isin(every.ids, every.without_height()))
+    if len(every) == len(control) or (
+            not heights and len(with_height) and FitData.of(with_height).heights):
+        return None
+    final: Fit | None = auto.ask(method_of(chosen), "refit", chosen, FitData.of(every, heights))
+    return final if final is not None and final.determined and not has_pole(final) else None
+
+
+def _high(verdict: Verdict) -> list[str]:
+    high = [f"{outlier.id} ({outlier.error:.3g} px)" for outlier in verdict.outliers
+            if outlier.id in verdict.high]
+    if not high:
+        return []
+    heights = "its height" if len(high) == 1 else "their heights"
+    return [f"Left out for {heights}: {', '.join(high)}."]
+
+
+def _lines(fitted: Fit) -> list[str]:
+    lines = len(fitted.control.lines.features)
+    if not lines or fitted.used[len(fitted.control.points):].any():
+        return []
+    return [f"None of the {counted(lines, 'line')} is used: the points alone predict better."]
+
+
+def _on_rpc(request: Request, data: FitData, auto: Auto, chosen: Fit) -> tuple[str, str]:
+    """Return what is to be said first of an RPC that is given, and how it is corrected."""
+    if data.features.rpc is None:
+        return "", ""
+    method = method_of(chosen)
+    if method.from_one:
+        return ("" if request.rpc_part is None else request.rpc_part.sentence(),
+                auto.ask(method, "describe", chosen) or "")
+    return _unused_rpc(data, auto, chosen), ""
+
+
+def _unused_rpc(data: FitData, auto: Auto, chosen: Fit | None = None) -> str:
+    """Return why an RPC that is given is not used; "" where a note says which method failed."""
+    if data.features.rpc is None:
+        return ""
+    able = [method for method in auto.methods if method.from_one and len(data) <= method.most]
+    reasons = list(filter(None, (auto.ask(method, "declines", data) for method in able)))
+    if chosen is not None and auto.fewest(data) == 1:
+        reason = (f"{method_of(chosen).title} predicts the {data.features.word} better, beyond "
+                  "chance")
+    elif missing := registry().missing("rpc-gcps"):
+        reason = f"no installed package corrects an RPC. {missing}"
+    elif reasons:
+        reason = reasons[0]
+    else:
+        return ""
+    return f"The RPC is not used: {reason}."
+
+
+def _notes(model: SensorModel, observations: Observations, errors: FloatArray | None,
+           interrupted: str = "", *, plane: bool, determined: bool, known: bool) -> list[str]:
+    both = observations.together
+    notes = [] if known else [*warnings_of(both, np.ones(len(both), dtype=bool), no_points())]
+    if interrupted:
+        notes.append(interrupted)
+    elif observations.lattice is not None:
+        pass  # another note says what its points tell
+    elif determined:
+        notes.append(f"{len(both)} {both.word} determine the model exactly, so nothing tells its "
+                     "accuracy." + " They do not tell either whether the image is mirrored."
+                     * (len(both) == 2))
+    elif errors is None:
+        notes.append("One point cannot be predicted by others, so no accuracy is predicted."
+                     if len(both) == 1 else
+                     f"The {both.word} are too few to repeat the choice without some of them, so "
+                     "it predicts no accuracy.")
+    if not plane and observations.heights and not model.uses_height:
+        notes.append(f"Heights are known and were used. --model {model.name} keeps to a plane "
+                     "model.")
+    return notes

@@ -1,0 +1,173 @@
+"""Notes on the data themselves, whatever method they are used by."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from termsel.core.errors import counted, first_of
+from termsel.data.coordinates.crs import EARTH, body_of
+from termsel.data.coordinates.earth import note_on_turned
+from termsel.data.coordinates.longitudes import jumps
+from termsel.data.coordinates.metres import height_unit, is_in_degrees, plan_of
+from termsel.data.coordinates.mixed import note_on_mixed
+from termsel.data.features import FeatureSet, FloatArray, Points
+from termsel.data.fit_data import MEASURED, FitData, carriers, off_plane
+from termsel.data.roles import Observations
+from termsel.data.twins import groups, twins
+from termsel.data.two_groups import datum_of, two_groups
+from termsel.fitting.fit import Fit
+from termsel.formats.heights import pixels_of
+from termsel.runs.blank_heights import note_on_blank
+
+SOME = 5
+"""Number of points from which on heights may be told from errors."""
+
+NAMED = 5
+"""Groups of points that a note names."""
+
+HIGH = 100.0
+"""Height for which it is said what it may do [m]."""
+
+NARROW = 0.02
+"""Spread across the main direction of all features, by that along it, up to which they lie on a
+line."""
+
+
+def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
+                  blank: Sequence[str] = (), fitted: FeatureSet | None = None) -> Iterator[str]:
+    """Yield what the reader of a result must know of the data, as read and each in its role.
+
+    `heights` is whether heights would be used; `blank` are features that were left out as they have
+    no height; a model is fitted to `fitted`, by default control and check together.
+    """
+    if blank:
+        yield note_on_blank(blank, read)
+    if turned := note_on_turned(read):
+        yield f"{turned[0].upper()}{turned[1:]}"
+    if mixed := note_on_mixed(read):
+        yield mixed
+    if jumps(read):
+        yield ("The longitudes jump by a full turn between points. They were made continuous: on "
+               "one side they go on beyond 180 degrees.")
+    both = observations.together
+    independent = observations.independent
+    yield from _on_two_groups(both)
+    yield from _on_twins(both.points, independent)
+    yield from _on_one_line(both)
+    if heights and len(both) > 1 and not both.without_height():
+        yield from _on_carriers(both, observations.carriers)
+        yield from (_on_flat(observations.joint, independent) if fitted is None else _on_flat(
+            FitData.of(fitted, False), observations.check.rejoin(independent)))
+
+
+def notes_on_dem(features: FeatureSet, fitted: Fit) -> Iterator[str]:
+    """Yield that a DEM contradicts the heights of control, with what a fit makes of that."""
+    difference = features.dem_difference
+    if difference is not None and difference.contradicts:
+        yield difference.sentence(pixels_of(difference, fitted.control, fitted.project))
+
+
+def _on_two_groups(both: FeatureSet) -> Iterator[str]:
+    """Yield that points lie as if in two datums, with the other one's name if PROJ knows it."""
+    groups = two_groups(both)
+    if groups is None:
+        return
+    datum = ""
+    if is_in_degrees(both.crs) and body_of(both.crs) == EARTH:
+        lon, lat = both.points.ground[:, :2].mean(axis=0).tolist()
+        datum = datum_of(groups, both.crs, (lon, lat))
+    likely = f" Coordinates in {datum} are as far off there." if datum else ""
+    yield (f"{groups.sentence()}: {first_of(groups.second)}.{likely} Transform them to the CRS of "
+           "the others.")
+
+
+def _on_one_line(both: FeatureSet) -> Iterator[str]:
+    """Yield where the features lie on one straight line, in the image or on the ground."""
+    where = " and ".join(name for name, places in (
+        ("in the image", both.image_vertices()), ("on the ground", _in_plan(both)))
+        if _is_narrow(places))
+    if where:
+        yield (f"All {both.word} lie close to one straight line {where}. Nothing tells what the "
+               "model does away from it: measure points there.")
+
+
+def _in_plan(both: FeatureSet) -> FloatArray:
+    """Return where features are on the ground, with one unit along all axes."""
+    ground = both.ground_vertices()
+    plan = plan_of(both.crs, ground)
+    return ground[~np.isnan(ground[:, 2])] if plan is None else plan
+
+
+def _is_narrow(places: FloatArray) -> bool:
+    """Return whether three or more places lie on a line, and not all at one place."""
+    if len(places) <= 2:
+        return False
+    along, across, *_ = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+    return bool(along > 0.0 and across <= NARROW * along)
+
+
+def _on_carriers(both: FeatureSet, carrying: tuple[str, ...]) -> Iterator[str]:
+    """Yield which features heights rest on, where they are one or two."""
+    if len(carrying) == 1 and len(both) < SOME:
+        yield (f"With {len(both)} {both.word} nothing tells what a height does from an error, so "
+               "the model is plane.")
+    elif carrying:
+        yield (f"All heights but that of {' and that of '.join(carrying)} lie on a plane. What a "
+               "height does cannot be told from an error there, so the model is plane.")
+
+
+def _on_flat(control: FitData, others: Points) -> Iterator[str]:
+    """Yield that heights tell nothing, and what they may do at other points."""
+    vertices = control.features.ground_vertices()
+    carrying = carriers(control)
+    z = vertices[~np.isin(np.array(control.features.ids)[control.features.vertex_feature],
+                          carrying if len(carrying) < len(control) else ()), 2]
+    if len(carrying) < len(control):
+        pass
+    elif (z == z[0]).all():
+        yield (f"All heights are {z[0]:g}, so they were not used. If they are not known, leave "
+               "them blank or take them from a raster (--dem FILE).")
+    else:
+        yield (f"The heights of the {control.features.word} differ too little from a plane to "
+               "tell what a height does, so they were not used.")
+    unit = height_unit(control.features.crs)
+    above, does = off_plane(control, vertices[:1] + np.array([0.0, 0.0, HIGH / unit]))
+    if does[0] > 0.0:
+        low, high = (f"{round(float(one) * unit, 1) + 0.0:g}" for one in (z.min(), z.max()))
+        covered = f"the height {low} m alone" if low == high else \
+            f"heights from {low} to {high} m on one plane"
+        each = _rounded(HIGH / unit * does[0] / above[0])
+        yield (f"The control covers {covered}. Expect about {each} px error per "
+               f"{HIGH:g} m outside it.")
+    off, effect = off_plane(control, others.ground)
+    far = effect > MEASURED
+    if far.any():
+        yield (f"{counted(int(far.sum()), 'other point')} {'is' if far.sum() == 1 else 'are'} up "
+               f"to {_rounded(off.max() * unit)} m above or below their plane. What this does in "
+               f"the image is not known: some {_rounded(effect.max())} px, as views usually are.")
+
+
+def _rounded(size: float) -> str:
+    return f"{size:.2g}" if size < 99.5 else f"{float(f'{size:.2g}'):,.0f}"
+
+
+def _on_twins(both: Points, independent: Points) -> Iterator[str]:
+    """Yield what is to be said of points that repeat each other."""
+    found = groups(both.ids, twins(both.ground))
+    if found:
+        yield (f"Points too close to each other to tell anything apart share a role and a fold: "
+               f"{_listed(found)}.")
+    every = both.rejoin(independent)
+    apart = set(independent.ids)
+    shared = [group for group in groups(every.ids, twins(every.ground, both.ground))
+              if 0 < len(apart.intersection(group)) < len(group)]
+    if shared:
+        yield ("Independent check points at the places of control or selection points do not test "
+               f"the model: {_listed(shared)}.")
+
+
+def _listed(found: list[tuple[str, ...]]) -> str:
+    named = ", ".join(" and ".join(group) for group in found[:NAMED])
+    return f"{named} and {len(found) - NAMED} more groups" if len(found) > NAMED else named

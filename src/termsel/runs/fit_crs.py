@@ -1,0 +1,181 @@
+"""The coordinates models are fitted in: geodetic, projected, geocentric, or those given."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+
+from termsel.auto.auto import Auto
+from termsel.core.errors import TermselError
+from termsel.core.options import Option
+from termsel.data.coordinates.crs import (
+    EARTH,
+    LOCAL,
+    WGS84,
+    body_of,
+    geodetic_of,
+    is_geocentric,
+    kind_of,
+    normalise,
+    transformation,
+)
+from termsel.data.coordinates.longitudes import continuous
+from termsel.data.coordinates.metres import is_in_degrees
+from termsel.data.coordinates.utm import is_polar, metric_crs, polar_crs
+from termsel.data.features import FeatureSet, FloatArray
+from termsel.data.fit_data import FitData
+from termsel.data.roles import Observations
+from termsel.models.base import SensorModel
+
+log = logging.getLogger(__name__)
+
+AUTO = "auto"
+LONG = 40
+"""Characters from which on the name of a CRS does not fit into a sentence."""
+
+POLAR = "polar"
+SYSTEMS = ("geodetic", "projected", "geocentric", POLAR)
+"""Kinds of coordinates."""
+
+FIT_CRS = Option(
+    "fit_crs", None, "CRS the model is fitted in; by default that of the ground coordinates. "
+    "geodetic is WGS84 longitude, latitude and ellipsoidal height; projected is the UTM zone of "
+    "the control (on another body than the Earth a transverse Mercator projection); geocentric is "
+    "WGS84 X, Y, Z; polar a polar stereographic projection; EPSG:n is any other. auto takes the "
+    "one of these that predicts best by leave-one-out, a polar one where the control lies around a "
+    "pole. Coordinates of files and results stay in "
+    "their own CRS.")
+
+
+def with_fit_crs(choice: str, observations: Observations, model: SensorModel) -> Observations:
+    """Return observations that say in which CRS a model is fitted, by the option `FIT_CRS`.
+
+    Independent points take no part in the choice of a UTM zone or of a CRS. Refuses "local"
+    coordinates, an unknown CRS, and coordinates that pyproj cannot transform or without pyproj; for
+    geocentric ones a plane model, and features whose heights are unknown or all alike.
+    """
+    features = observations.features
+    control = observations.control
+    if normalise(features.crs) == LOCAL:
+        raise TermselError(f"--fit-crs {choice}: plane coordinates without a CRS cannot be turned "
+                           "into others", hint="State the CRS of the ground coordinates, or leave "
+                                               "--fit-crs out.")
+    spatial = model.uses_height and observations.heights
+    if choice == AUTO:
+        fit_crs = _best(observations, spatial)
+    else:
+        fit_crs = fit_crs_of(choice, control)
+        if not spatial and is_geocentric(fit_crs):
+            raise TermselError(
+                f"geocentric coordinates need heights that are known and differ, and model "
+                f"{model.name!r} " + ("finds none" if model.uses_height else "has none"),
+                hint="Give heights and choose a model with heights, such as --model poly3d; or "
+                     "fit in geodetic or projected coordinates.")
+    # What cannot be transformed is said now.
+    for known in (control.ground_vertices(), observations.check.ground,
+                  observations.independent.ground):
+        transformation(features.crs, fit_crs)(known)
+    if fit_crs == normalise(features.crs) or WGS84.issuperset((fit_crs, normalise(features.crs))):
+        fit_crs = ""
+    return observations.fitted_in(fit_crs)
+
+
+def fit_crs_of(choice: str, control: FeatureSet) -> str:
+    """Return the name of a CRS for control that has one (refuses what `with_fit_crs` does).
+
+    The choice is "geodetic", "projected", "geocentric", or a CRS by its own name.
+    """
+    if choice not in SYSTEMS:
+        try:
+            name = normalise(choice)
+        except TermselError as error:
+            raise TermselError(
+                f"option 'fit_crs' does not take {choice!r}: {error.what}",
+                hint=f"It takes: {AUTO} | {' | '.join(SYSTEMS)} | EPSG:n.") from error
+        if name == LOCAL:
+            raise TermselError("option 'fit_crs' does not take 'local'",
+                               hint="Leave it out to fit in the coordinates as they are.")
+        return name
+    if choice == "geodetic":
+        return geodetic_of(control.crs)
+    if choice == "projected":
+        return _around(control)
+    if choice == POLAR:
+        return polar_crs(control.crs, float(np.median(_places(control)[:, 1])))
+    if (body := body_of(control.crs)) != EARTH:
+        raise TermselError(f"geocentric coordinates are known of {EARTH} alone, and the control "
+                           f"is on {body}", hint="Fit in geodetic or projected coordinates.")
+    return "EPSG:4978"
+
+
+def _around(control: FeatureSet) -> str:
+    """Return the CRS in metres around the middle of the control."""
+    lon, lat = _places(control)[:, :2].T
+    return metric_crs(control.crs, *(float(part.min() + part.max()) / 2 for part in (lon, lat)))
+
+
+def _places(control: FeatureSet) -> FloatArray:
+    """Return longitudes without a jump, latitudes and heights of the control."""
+    place = transformation(control.crs, geodetic_of(control.crs))(control.ground_vertices())
+    return np.column_stack([continuous(place[:, 0]), place[:, 1:]])
+
+
+def note_on_pole(features: FeatureSet, control: FeatureSet) -> str:
+    """Return that control lies around a pole, and how it is fitted better; "" elsewhere."""
+    crs = normalise(features.crs)
+    if features.fit_crs or not is_in_degrees(features.crs) or kind_of(crs) != "geographic":
+        return ""
+    places = _places(control)
+    if not is_polar(places):
+        return ""
+    polar = polar_crs(features.crs, float(np.median(places[:, 1])))
+    name = f" ({polar})" if len(polar) < LONG else ""
+    return ("The control lies around a pole, where degrees of longitude are no plane coordinates: "
+            f"--fit-crs polar{name} or --fit-crs auto fits in metres.")
+
+
+def with_polar(observations: Observations) -> Observations:
+    """Return observations to be fitted in a polar projection where control is around a pole.
+
+    Only where no CRS is asked for, and the best of the plain and regularised models predicts better
+    there, by leave-one-out over control and check, than in the coordinates as they are.
+    """
+    both = observations.together
+    if both.fit_crs or both.rpc is not None or not note_on_pole(both, observations.control):
+        return observations
+    polar = fit_crs_of(POLAR, observations.control)
+    as_given = Auto().choose(FitData.of(both, observations.heights))
+    in_polar = Auto().choose(FitData.of(replace(both, fit_crs=polar), observations.heights))
+    if in_polar is None or (as_given is not None
+                            and as_given.chosen.held_out_rmse <= in_polar.chosen.held_out_rmse):
+        return observations
+    return observations.fitted_in(polar)
+
+
+def _best(observations: Observations, spatial: bool) -> str:
+    """Return the CRS in which the best of the plain and regularised models predicts best."""
+    both = observations.together
+    predicted: dict[str, float] = {}
+    for system in SYSTEMS:
+        if system == "geocentric" and not (spatial and body_of(both.crs) == EARTH):
+            continue
+        if system == POLAR and not is_polar(_places(observations.control)):
+            continue
+        try:
+            fit_crs = fit_crs_of(system, observations.control)
+            choice = Auto().choose(FitData.of(replace(both, fit_crs=fit_crs), observations.heights))
+        except TermselError as error:  # such as no zone of UTM: it is no candidate here
+            log.info("%s coordinates are left out: %s.", system, error.what)
+            continue
+        predicted[fit_crs] = np.inf if choice is None else choice.chosen.held_out_rmse
+    if not predicted:
+        return normalise(both.crs)
+    best = min(predicted, key=lambda crs: predicted[crs])
+    if not np.isfinite(predicted[best]):
+        return normalise(both.crs)
+    log.info("Fitted in %s; by leave-one-out %s pixel.", best, ", ".join(
+        f"{crs} {value:.3f}" for crs, value in predicted.items()))
+    return best
+

@@ -1,0 +1,98 @@
+"""What a run is given: parts by their class or as an instance, objectives by their names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from termsel.auto.auto import Auto
+from termsel.auto.memory import Memory
+from termsel.core.errors import TermselError
+from termsel.core.options import Configurable
+from termsel.fitting.method import Method
+from termsel.plugins.registry import registry
+from termsel.selection.criteria import Criterion
+from termsel.selection.problems.constraints import listed
+from termsel.selection.problems.objectives import Objective
+from termsel.selection.problems.recipes import Recipe
+
+
+def auto_of(method: str | Method | None, memory: Memory | None = None) -> Auto:
+    """Return the choice by a method, by its name or itself; by default among all methods."""
+    if method is None or method == "auto":
+        return auto_of_all(memory)
+    if isinstance(method, Auto):
+        return method
+    methods = (registry().get("methods", method) if isinstance(method, str) else method,)
+    return Auto(methods=methods, memory=memory or Memory())
+
+
+def auto_of_all(memory: Memory | None = None) -> Auto:
+    """Return the choice among all methods; of two with one name termsel's own, or the first."""
+    methods = tuple(entry.object for entry in registry().entries("methods")
+                    if entry.name == entry.object.name)
+    return Auto(methods=methods, memory=memory or Memory())
+
+
+def class_of(part: type[Configurable] | Configurable) -> type[Configurable]:
+    """Return a class, or that of an instance."""
+    return part if isinstance(part, type) else type(part)
+
+
+def with_options(word: str, part: type[Configurable] | Configurable,
+                 options: Mapping[str, Any]) -> Any:
+    """Return an instance of a class, or the instance that is given, which takes no options.
+
+    `word` is what it is, such as "model".
+    """
+    if isinstance(part, type):
+        try:
+            return part(**options)
+        except TermselError as error:
+            error.name = error.name or str(part.name)
+            raise
+    if options:
+        raise TermselError(f"option {next(iter(options))!r} is for the {word} {part.name!r}, which "
+                           "has its options already",
+                           hint=f"Give them with the name or the class of the {word}.",
+                           name=next(iter(options)))
+    return part
+
+
+def second_solver(recipe: Recipe, given: Mapping[str, Any]) -> Any:
+    """Return the solver of the second of two steps as asked for, or the problem's; or None.
+
+    Given are the options of all parts. Refuses a solver, or options of one, where there is no
+    second step, or no solver of its own.
+    """
+    options = {option.name: option.default for option in recipe.options}
+    own = [key for key in given if key.startswith("then.")]
+    asked = next((given[key] for key in ("then", "problem.then") if key in given), None)
+    if "then" not in options:
+        if asked is not None or own:
+            raise TermselError(
+                f"problem {recipe.name!r} has no steps, so no second step has a solver (--then)",
+                hint="Leave it out, or choose a problem of terms and features, such as "
+                     "owdis-lines-terms.")
+        return None
+    steps = next((given[key] for key in ("steps", "problem.steps") if key in given),
+                 options.get("steps"))
+    if steps == "joint" and (asked is not None or own):
+        raise TermselError(
+            f"{own[0] if asked is None else '--then'} is for the solver of the second of two "
+            "steps, and steps=joint has one",
+            hint="Add --set steps=features-first or steps=terms-first.")
+    solver = None if steps == "joint" else options["then"] if asked is None else asked
+    if own and solver is None:
+        raise TermselError(f"{own[0]} is for the solver of the second step, and --then names none",
+                           hint="Add --then NAME, such as --then pso.")
+    return solver
+
+
+def objectives_of(asked: str | None, criterion: Criterion) -> tuple[Objective, ...]:
+    """Return the objectives that an option names, each once, without the criterion.
+
+    The names are separated by commas; one that no objective has is refused.
+    """
+    names = [name for name in dict.fromkeys(listed(asked)) if name != criterion.name]
+    return tuple(registry().get("objectives", name) for name in names)

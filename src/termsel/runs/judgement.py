@@ -1,0 +1,236 @@
+"""Plain words on what a selection is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from termsel.auto.methods import BY_NAME
+from termsel.core.errors import counted
+from termsel.data.record.figures import MANY_INDEPENDENT
+from termsel.data.roles import Observations
+from termsel.fitting.diagnosis import PARALLEL, orientation_spread
+from termsel.fitting.extrapolation import warnings_of
+from termsel.fitting.figures import Baseline, Rmses
+from termsel.fitting.fit import Fit
+from termsel.fitting.least_squares import fit
+from termsel.fitting.method import Method
+from termsel.plugins.registry import registry
+from termsel.selection.criteria import Criterion
+from termsel.selection.problems.genome import Genome
+from termsel.selection.solvers.search import SearchResult
+
+_ROUNDING = 1e-9  # px: smaller errors are those of arithmetic
+ALIKE = 1.05
+"""Two RMSE whose ratio is below this are called alike: with a few dozen independent points
+an RMSE is itself uncertain by more."""
+POOR = 3.0
+"""A selection with so many times the RMSE of a conventional model is not compared with all
+terms."""
+
+
+def judge(conventional: str, criterion: str, rmse: Rmses,
+          baselines: tuple[Baseline, ...], reference: str, feasible: bool,
+          noise: float | None, *, converged: bool = True, method: Method | None = None,
+          blunders: int = 0) -> str:
+    """Return one or two sentences that compare the selection with what needs no search.
+
+    `conventional` is what the conventional fit uses, such as "all lines"; that fit is the first
+    baseline. `reference` names the one that the rule of auto chooses for control and check, if any;
+    `method` is what it is, by default that of its name, and `blunders` how many features it
+    leaves out as such. The criterion is what the search minimised, the RMSE are those of the
+    selection by role, like the baselines' without independent points that contradict all others,
+    and the noise is the standard deviation of the measurements [px], where it is known. A selection
+    that is not `feasible` may be so because its fit has not `converged`.
+    """
+    if not converged:
+        return ("The fit of this selection did not converge: its coefficients are those of the "
+                "last step. Do not use it: measure more control points or choose a simpler model.")
+    if not feasible:
+        return ("This selection does not satisfy all conditions, and no better one was found. It "
+                "has undetermined or too many terms, an axis without terms, or a pole in the "
+                "scene. Do not use it: measure more control points or choose a smaller model.")
+    mine = rmse["independent"]
+    if mine is None:
+        return ("There are no independent check points, so the accuracy of this selection is not "
+                f"known. The search minimised {criterion}.")
+    best = next((b for b in baselines if b.name == reference), None)
+    # Better than what fails is nothing to be proud of.
+    poor = best is not None and _ratio(mine.total, _independent(best)) > POOR
+    if poor or not baselines[0].converged:
+        first = f"The RMSE of the selection is {_px(mine.total)}"
+        if not baselines[0].converged:
+            first += f" (the fit of {conventional} did not converge)"
+    else:
+        first = _compare("The selection is", mine.total, _independent(baselines[0]), conventional,
+                         determined=baselines[0].determined)
+    sentences = [f"{first} at {counted(mine.n, 'independent check point')}."]
+    method = method or BY_NAME.get(reference)
+    if best is not None and method is not None:
+        removed = ", outliers removed" if blunders else ""
+        title = f"{method.title} fitted to control and selection points{removed}"
+        ratio = _ratio(mine.total, _independent(best))
+        size = _px(_independent(best))
+        if ratio > ALIKE and (blunders or not method.is_plain):
+            sentences.append(f"The automatic choice, {title}, is {_times(ratio)} better ({size}): "
+                             "omit --problem and --solver.")
+        elif ratio > ALIKE:
+            sentences.append(f"A simpler model, {title}, is {_times(ratio)} better ({size}).")
+        elif ratio > 1 / ALIKE:
+            sentences.append(f"It is no better than the automatic choice, {title} ({size}).")
+        else:
+            sentences.append(f"It is {_times(1 / ratio)} better than the automatic choice, {title} "
+                             f"({size}).")
+    else:
+        sentences.append("Control and selection points together determine no polynomial.")
+    if noise is not None:
+        sentences.append(f"Measurement noise alone gives {_px(noise * np.sqrt(2))}.")
+    return " ".join(sentences)
+
+
+def judge_choice(chosen: Method, predicted: float | None, rmse: Rmses,
+                 baselines: tuple[Baseline, ...], noise: float | None) -> str:
+    """Return some sentences on what the choice of a strategy is worth.
+
+    `predicted` is the RMSE of the choice repeated in folds [px], `rmse` that by role, and `noise`
+    the standard deviation of the measurements [px], where it is known. The choice is compared with
+    the conventional model that held-out features would have chosen, by the figure that is surer:
+    the RMSE of the independent points where there are `MANY_INDEPENDENT`, else the predicted one. A
+    conventional model that is better at so many independent points is named, too.
+    """
+    measured = rmse["independent"]
+    expected = "" if predicted is None else f", with a predicted RMSE of {_px(predicted)}"
+    sentences = [f"The automatic choice is {chosen.title}{expected}."]
+    if measured is None:
+        sentences.append("It is not verified: there are no independent check points.")
+    else:
+        sentences.append(f"The RMSE at {counted(measured.n, 'independent check point')}, which "
+                         f"took no part, is {_px(measured.total)}.")
+    rivals = [(b.predicted, b, candidate.title) for b in baselines if b.predicted is not None
+              and (candidate := registry().known("methods", b.name))
+              and candidate.is_plain and candidate is not chosen]
+    if rivals:
+        by_points = measured is not None and (predicted is None
+                                              or measured.n >= MANY_INDEPENDENT)
+        held_out, best, title = min(rivals, key=lambda rival: rival[0])
+        title = f"{title}, the best conventional model in cross-validation"
+        if by_points and measured is not None:
+            sentences.append(_compare("That is", measured.total, _independent(best), title,
+                                      determined=best.determined) + ".")
+            sentences += _in_hindsight(measured.total, best, [
+                (b, name) for _, b, name in rivals])
+        elif predicted is not None:
+            start = "That is" if measured is None else "The prediction is"
+            sentences.append(_compare(start, predicted, held_out, title,
+                                      determined=best.determined) + ".")
+    if noise is not None and measured is not None:
+        sentences.append(f"Measurement noise alone gives {_px(noise * np.sqrt(2))}.")
+    return " ".join(sentences)
+
+
+def best_conventional(chosen: Method, baselines: tuple[Baseline, ...]) -> str:
+    """Return the name of the conventional model that cross-validation prefers; "" for none."""
+    rivals = {row.name: row.predicted for row in baselines if row.predicted is not None
+              and (candidate := registry().known("methods", row.name))
+              and candidate.is_plain and candidate is not chosen}
+    return min(rivals, key=lambda name: rivals[name], default="")
+
+
+def _in_hindsight(mine: float, named: Baseline,
+                  plain: list[tuple[Baseline, str]]) -> Iterator[str]:
+    """Yield which conventional model is better at the independent points, if one but `named` is."""
+    best, title = min(plain, key=lambda rival: _independent(rival[0]))
+    ratio = _ratio(mine, _independent(best))
+    if ratio > ALIKE and best is not named:
+        yield (f"At these points {title} is {_times(ratio)} better ({_px(_independent(best))}), "
+               "which only these points show.")
+
+
+def name_conventional(genome: Genome, observations: Observations) -> str:
+    """Return in words what a fit uses that leaves out nothing of what could be selected."""
+    lines = len(observations.control.lines)
+    points = len(observations.control.points)
+    features = ("all points and lines" if lines and points else
+                "all lines" if lines else "all control points")
+    segments = [segment.name for segment in genome.segments]
+    terms = any(name.startswith("terms") for name in segments)
+    if "features" not in segments:
+        return "all terms"
+    return f"{features} with all terms" if terms else features
+
+
+def _independent(baseline: Baseline) -> float:
+    value = baseline.rmse["independent"]
+    return float("inf") if value is None else value.total
+
+
+def _ratio(one: float, other: float) -> float:
+    """Return how many times one error is the other; below `_ROUNDING` all are alike."""
+    return max(one, _ROUNDING) / max(other, _ROUNDING)
+
+
+def _px(value: float) -> str:
+    return f"{value:.2f} px" if value >= 0.1 else f"{value:.2g} px"
+
+
+def _times(ratio: float) -> str:
+    return f"{ratio:.1f} times" if ratio < 10 else f"{ratio:,.0f} times"
+
+
+def _compare(start: str, mine: float, theirs: float, title: str, *, determined: bool) -> str:
+    figures = f"({_px(mine)} against {_px(theirs)}"
+    figures += ")" if determined else ", which is rank-deficient)"
+    ratio = _ratio(theirs, mine)
+    if ratio > ALIKE:
+        return f"{start} {_times(ratio)} better than {title} {figures}"
+    if ratio > 1 / ALIKE:
+        return f"{start} no better than {title} {figures}"
+    return f"{start} {_times(1 / ratio)} worse than {title} {figures}"
+
+
+def notes_on(observations: Observations, criterion: Criterion, found: SearchResult,
+             chosen: Fit) -> Iterator[str]:
+    """Yield what else the reader of a result must know."""
+    yield from found.notes
+    if len(observations.control.lines) and not len(observations.control.points):
+        idle = len(observations.off)
+        if idle:
+            yield (f"{counted(idle, 'control point')} of the file {'is' if idle == 1 else 'are'} "
+                   "unused: lines are the control; --set mixed=true uses both.")
+    lines = chosen.control.take(chosen.used).lines
+    if len(lines) and not len(observations.control.points):
+        spread = orientation_spread(lines)
+        if spread < PARALLEL:
+            yield (f"The lines in use run nearly alike (orientation spread {spread:.2g} of 1): "
+                   "the model is hardly determined along them.")
+    prior = chosen.model.equations(chosen.scaled_control).prior
+    if prior is not None and prior[chosen.terms].any() and chosen.estimator.least_squares:
+        yield (f"Pseudo-observations of weight {prior.max()**2:.3g} hold coefficients of "
+               "denominators near zero (--set ridge=...); they do not count as redundancy.")
+    if chosen.model.start(chosen.scaled_control.take(chosen.used)) is not None:
+        yield ("The model is not linear in its terms. The search judged each selection by one "
+               "linear solution about the fit of all terms; the selection itself took "
+               f"{counted(chosen.adjustment.steps or 0, 'step')}.")
+    if found.interrupted:
+        yield "The search was interrupted; this is the best selection so far."
+    check = chosen.rmse(observations.check)
+    independent = chosen.rmse(observations.independent)
+    if (criterion.needs_check and check and independent
+            and independent.total > 1.5 * check.total):
+        yield (f"The independent RMSE is {independent.total / check.total:.1f} times the check "
+               "RMSE: the selection is fitted to the selection points.")
+    yield from warnings_of(observations.control, chosen.used, observations.check)
+    seen = found.objectives[0]
+    if (criterion.name == "check-rmse" and check and chosen.estimator.least_squares
+            and found.violation == 0 and abs(check.total - seen) > 0.005 * check.total):
+        first = fit(chosen.model, chosen.control, chosen.scaling, chosen.terms, chosen.used,
+                    iterated=False).rmse(observations.check)
+        if first and abs(first.total - seen) <= 0.005 * seen:
+            yield (f"The search saw a check RMSE of {seen:.4g} px, with equations to first order; "
+                   "the fit was then iterated.")
+        else:
+            yield (f"The search minimised an RMSE of {seen:.4g} px over the points that the "
+                   "problem judges by, which are not the selection points alone.")
+    if chosen.adjustment.redundancy == 0:
+        yield "The adjustment has no redundancy: its residuals are no measure of accuracy."

@@ -1,0 +1,103 @@
+"""Lines that OWDIS selects, as a choice of the method "auto".
+
+`owdis-lines` selects lines by what they predict for the points. All methods are then fitted to the
+points and these lines. As the points judged the selection, their errors are too small: only where
+these are clearly smaller than those of the choice from all lines is the search worth repeating,
+without some of the points each time, for errors that are not.
+
+References
+----------
+Yavari, Valadan Zoej and Salehi 2018, ISPRS J. Photogramm. Remote Sens., for OWDIS. How it is held
+against other candidates is termsel's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from termsel.auto.auto import FOLDS_WITH_LINES, Auto
+from termsel.auto.rule import CLEARLY, Choice
+from termsel.auto.validated import gain_of
+from termsel.core.errors import TermselError
+from termsel.data.coordinates.places import spatial_order
+from termsel.data.features import FloatArray, Points
+from termsel.data.fit_data import FitData
+from termsel.runs.recommend import recommended
+from termsel.runs.steps import search_in_steps
+from termsel.runs.task import prepare
+
+
+def with_selected_lines(control: FitData, choice: Choice, auto: Auto,
+                        seed: int) -> tuple[Choice, FloatArray | None]:
+    """Return the choice from points and the lines that OWDIS selects, if it is clearly better.
+
+    The control has points and lines, the choice is that of `choose_features`; how OWDIS compares
+    with it is added to its reason. With OWDIS come the errors of the points under selections made
+    without them [px], (n_points, 2). The seed is that of the search.
+    """
+    lines = control.features.lines
+    count = len(control.features.points)
+    if count < FOLDS_WITH_LINES or not len(lines):
+        return choice, None
+    others = choice.chosen.held_out().squares[:count]
+    selected = _selected(control, seed)
+    found = None if selected is None else auto.choose(selected)
+    if selected is None or found is None:
+        return choice, None
+    gain = gain_of(found.chosen.held_out().squares[:count], others)
+    said = (f"OWDIS selects {len(selected.features.lines)} of {len(lines)} lines. With these the "
+            f"points are predicted {'better' if gain > 0 else 'worse'} by {abs(gain):.2g} standard "
+            "errors")
+    if gain <= CLEARLY:
+        return replace(choice, reason=f"{choice.reason} {said}; it must be better by more than "
+                                      f"{CLEARLY:g}."), None
+    errors = _held_out(control, auto, seed)
+    if errors is None:
+        return choice, None
+    squares = (errors**2).sum(axis=1)
+    honest = gain_of(squares, others)
+    said += (f", and {'better' if honest > 0 else 'worse'} by {abs(honest):.2g} where it selects "
+             "without them")
+    if honest <= CLEARLY or squares.sum() >= others.sum():
+        return replace(choice, reason=f"{choice.reason} {said}; both must be more than "
+                                      f"{CLEARLY:g}, and the RMSE smaller."), None
+    return replace(found, reason=f"{found.reason} {said}, so these lines are used."), errors
+
+
+def _selected(control: FitData, seed: int) -> FitData | None:
+    """Return the points and the lines that OWDIS selects by them; None where it cannot."""
+    features, points = control.features, control.features.points
+    judging = Points(points.ids, points.image, points.ground, points.sigma,
+                     ("check",) * len(points))
+    try:
+        task = prepare("owdis-lines", features=features.with_(points=judging),
+                       model="poly3d" if control.heights else "poly2d", source="control and check")
+    except TermselError:  # too few lines, or all parallel
+        return None
+    # The outlier test has been made.
+    search = recommended(task, search_in_steps(
+        task, seed=seed, generations=task.recipe.generations, patience=task.recipe.patience))
+    if search.interrupted:
+        raise KeyboardInterrupt
+    if search.violation:
+        return None
+    lines = set(task.problem.decode(search.genes).features)
+    return control.take(np.array([True] * len(points)
+                                 + [name in lines for name in features.lines.features]))
+
+
+def _held_out(control: FitData, auto: Auto, seed: int) -> FloatArray | None:
+    """Return the errors of points under selections made without them; None if a fold has none."""
+    points = control.features.points
+    errors = np.empty((len(points), 2))
+    order = spatial_order(points.ground[:, :2])
+    for fold in range(FOLDS_WITH_LINES):
+        out = np.isin(np.arange(len(control)), order[fold::FOLDS_WITH_LINES])
+        selected = _selected(control.take(~out), seed)
+        choice = None if selected is None else auto.choose(selected, whole=False)
+        if choice is None:
+            return None
+        errors[out[:len(points)]] = choice.chosen.errors(points.take(out[:len(points)]))
+    return errors

@@ -1,0 +1,64 @@
+"""Which member of a front is the selection."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from termsel.runs.task import Task
+from termsel.selection.criteria import Ebic
+from termsel.selection.problems.selection import SelectionProblem
+from termsel.selection.solvers.proofs.exact import gap_of
+from termsel.selection.solvers.search import SearchResult
+
+
+def recommended(task: Task, found: SearchResult) -> SearchResult:
+    """Return the search with the recommended member of its front as its selection.
+
+    The rule is the problem's option "recommend". With a single objective the number of genes is the
+    second one. A search without a front is returned as it is.
+    """
+    rule = task.options["problem"].get("recommend", "best")
+    alone = len(task.problem.objectives) < 2
+    if alone and rule == "best":
+        return found
+    if not found.front:
+        return replace(found, notes=(*found.notes, "This search has no front from which to "
+                                     f"recommend by the rule {rule}.")) if alone else found
+    genes = np.array(found.front)
+    evaluation = task.problem.evaluate(genes)
+    first = evaluation.objectives[:, 0]
+    second = (task.problem.genome.chosen(genes).sum(axis=1).astype(float) if alone
+              else evaluation.objectives[:, 1])
+    index = int(np.argmin(first))
+    if rule == "one-standard-error":
+        # That of an RMSE of normal errors, RMSE / sqrt(2 f), f = 2 n for n points or lines.
+        judged = (task.observations.check if task.criterion.needs_check
+                  else task.observations.control)
+        bound = first[index] * (1 + 1 / np.sqrt(4 * len(judged)))
+        within = np.flatnonzero(first <= bound)
+        index = int(within[np.lexsort((first[within], second[within]))[0]])
+    elif rule == "knee" and np.ptp(first) > 0 and np.ptp(second) > 0:
+        # Farthest below the straight line between the front's ends, both objectives scaled to
+        # [0, 1]; the criterion in logarithms, as it spans orders of magnitude.
+        height = np.log(first) if first.min() > 0 else first
+        below = (height - height.min()) / np.ptp(height) + (second - second.min()) / np.ptp(second)
+        index = int(np.argmin(below))
+    elif rule == "ebic" and isinstance(task.problem, SelectionProblem):
+        # Where no member has one, the best criterion.
+        by_ebic = task.problem.judged_by(Ebic()).evaluate(genes)
+        index = int(np.lexsort((first, by_ebic.objectives[:, 0], by_ebic.violation))[0])
+    return replace(found, genes=found.front[index], objectives=evaluation.objectives[index],
+                   violation=float(evaluation.violation[index]),
+                   certificate=_of_member(found.certificate, first[index], first.min()))
+
+
+def _of_member(certificate: Mapping[str, Any] | None, value: float,
+               optimum: float) -> Mapping[str, Any] | None:
+    """Return what a proof of the front's best member says of another one."""
+    if certificate is None or not certificate["optimal"] or value == optimum:
+        return certificate
+    return {**certificate, "optimal": False, **gap_of(value, optimum)}

@@ -1,0 +1,254 @@
+"""What is asked of a run: one value, from the command line, Python and studies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from msgspec import json
+
+from termsel.core.errors import TermselError, printable
+from termsel.core.isolation.arrays import of_type
+from termsel.core.isolation.faults import blamed, wrong
+from termsel.core.options import SEED, Option, by_part, resolve
+from termsel.data.datasets import DatasetSpec
+from termsel.data.features import FeatureSet
+from termsel.data.roles import asked_roles, with_roles
+from termsel.data.splits import Split
+from termsel.models.base import SensorModel
+from termsel.models.image_part import ImagePart
+from termsel.models.interpolating import Interpolating
+from termsel.plugins.registry import registry
+from termsel.runs.blank_heights import to_leave_out
+from termsel.runs.fit_crs import FIT_CRS
+from termsel.runs.given import class_of, second_solver, with_options
+from termsel.selection.criteria import Criterion
+from termsel.selection.problems.constraints import MAX_SHARE
+from termsel.selection.problems.recipes import Recipe
+from termsel.selection.solvers.base import Solver
+from termsel.selection.solvers.budget import SEARCH_OPTIONS
+
+FILE = "file"
+"""The roles of the file, in place of a split."""
+
+ALIKE = "1:1:1"
+"""Shares of control, check and independent points for a search."""
+
+DATA_OPTIONS = (
+    Option("roles", FILE, "Roles of points: those of the file, with blank ones assigned by "
+           "place; or all assigned by a split: stratified (by place), random, or one of a plugin "
+           "(termsel list splits)."),
+    Option("off", None, "Ids of features that take no part, with commas between them (--off)."),
+    Option("role", None, "Roles of single points, whatever the file says, as ID=ROLE with commas "
+           "between them (--role)."),
+    Option("fractions", None, "Shares of control, check and independent check points among those "
+           "that are assigned a role, such as 2:1:1. By default 1:1:1; the strategy auto makes all "
+           "control below 60 points, and takes 3:3:2 from there."),
+    Option("split", 0, "Seed by which roles are assigned.", int, 0, SEED),
+    Option("check_as", None, "What selection points are: judges of each selection, or further "
+           "control. "
+           "By default judges; where points are the control and the criterion needs no check "
+           "points, control.", choices=("judge", "control")),
+    Option("tested", None, "Whether blunders among control and selection points were looked for "
+           "before, as in a block of images: then they are not here.", bool),
+    FIT_CRS,
+)
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """What is asked of a run: every name resolved, every option checked, the features read.
+
+    Parameters
+    ----------
+    recipe : Recipe
+        Of the problem.
+    model, criterion, solver : SensorModel, Criterion, Solver
+    read : FeatureSet
+        The features as read.
+    features : FeatureSet
+        With the roles asked for, all together; without lines that are left out.
+    source : str
+        Where the features come from, for the record.
+    options : mapping
+        By part: problem, data and search.
+    then : Solver, optional
+        Of the second of two steps, if it is another one.
+    set_options : tuple of str
+        Names of the options of the model that are given.
+    blank : tuple of str
+        Ids of features that are left out as they have no height.
+    rpc_part : ImagePart, optional
+        What the image is of that of the RPC, as control tells.
+    """
+
+    recipe: Recipe
+    model: SensorModel
+    criterion: Criterion
+    solver: Solver
+    read: FeatureSet
+    features: FeatureSet
+    source: str
+    options: Mapping[str, Mapping[str, Any]]
+    then: Solver | None = None
+    set_options: tuple[str, ...] = ()
+    blank: tuple[str, ...] = ()
+    rpc_part: ImagePart | None = None
+
+
+def method_words(model: Any = None, solver: Any = None, criterion: Any = None,
+                 options: Mapping[str, Any] | None = None) -> list[str]:
+    """Return the words for what is asked for of a method, which "auto" would choose itself."""
+    of_data = {option.name for option in DATA_OPTIONS}
+    named = [word for word, part in (
+        ("model", model), ("solver", solver), ("criterion", criterion)) if part]
+    return [*named, *(f"the option {key}" for key in options or () if key not in of_data)]
+
+
+def request_of(
+    problem: str | Recipe | None,
+    *,
+    features: FeatureSet | None = None,
+    dataset: str | DatasetSpec | None = None,
+    source: str | None = None,
+    model: str | type[SensorModel] | SensorModel | None = None,
+    solver: str | type[Solver] | Solver | None = None,
+    criterion: str | type[Criterion] | Criterion | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> Request:
+    """Return what is asked for, by names or by the things themselves, or refuse it.
+
+    None is where nothing is said. All is as for `termsel.prepare`.
+    """
+    names = registry()
+    given = options or {}
+    recipe: Recipe = names.taken("problems", problem)
+    parts = _named_parts(recipe, model, solver, criterion, given)
+    by_parts = by_part(given, {
+        "problem": recipe.options, "data": DATA_OPTIONS, "search": SEARCH_OPTIONS,
+        **{word: part.declared_options for word, part in parts.items()}})
+    model_part = parts["model"]
+    set_options = tuple(by_parts["model"]) if isinstance(model_part, type) else tuple(
+        option.name for option in model_part.declared_options
+        if model_part.options[option.name] != option.default)
+    usual = _usual_options(recipe, parts, model, solver, features)
+    made = {word: with_options(word, part, {**usual.get(word, {}), **by_parts[word]})
+            for word, part in parts.items()}
+    of_problem = _of_problem(recipe, by_parts["problem"], made["criterion"], made["solver"])
+    polished = recipe.refined and solver is None and not made["solver"].ends_by_itself
+    of_search = resolve(SEARCH_OPTIONS, {"polish": polished, **by_parts["search"]})
+    of_data = resolve(DATA_OPTIONS, by_parts["data"])
+    roles = asked_roles(of_data["off"], of_data["role"])
+    if split_of(of_data) is not None and of_data["role"]:
+        raise TermselError(f"the options role and roles={of_data['roles']} exclude each other",
+                           hint="Leave one of them out; off goes with both.")
+    if features is None:
+        spec = names.taken("datasets", recipe.dataset if dataset is None else dataset)
+        features = loaded(spec)
+        source = f"{spec.name} (simulated)" if spec.simulated else spec.name
+    in_roles = with_roles(features, roles)
+    blank = to_leave_out(in_roles) if made["model"].uses_height else ()
+    return Request(
+        recipe, made["model"], made["criterion"], made["solver"], features,
+        with_roles(in_roles, dict.fromkeys(blank, "off")), printable(source or "given in Python"),
+        {"problem": of_problem, "data": of_data, "search": of_search},
+        made.get("then"), set_options, blank)
+
+
+def _named_parts(recipe: Recipe, model: Any, solver: Any, criterion: Any,
+                 given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return model, criterion and solvers, asked for or the problem's own, by class or instance."""
+    names = registry()
+    model_part = names.taken("models", recipe.model if model is None else model)
+    # Where terms have no influence there is nothing to search.
+    usual_solver = "all-terms" if issubclass(class_of(model_part), Interpolating) \
+        else recipe.solver
+    parts = {
+        "model": model_part,
+        "criterion": names.taken("criteria", recipe.criterion if criterion is None else criterion),
+        "solver": names.taken("solvers", usual_solver if solver is None else solver)}
+    then = second_solver(recipe, given)
+    if then is not None:
+        parts["then"] = names.get("solvers", then)
+    return parts
+
+
+def _usual_options(recipe: Recipe, parts: Mapping[str, Any], model: Any, solver: Any,
+                   features: FeatureSet | None) -> dict[str, dict[str, Any]]:
+    """Return options of the parts that hold unless others are given, by part.
+
+    Those of the model are the recipe's, with the RPC of the features; those of solvers as the
+    recipe has them, or else, where a solver is named, as its paper does.
+    """
+    usual: dict[str, dict[str, Any]] = {}
+    model_part = parts["model"]
+    rpc = _rpc_option(model_part, features)
+    if model in (None, recipe.model):
+        # The RPC of a recipe is that of its data set, and of no other points.
+        of_recipe = {name: option for name, option in recipe.model_options.items()
+                     if features is None or name != "rpc"}
+        usual["model"] = {**of_recipe, **rpc}
+    elif isinstance(model_part, type):
+        usual["model"] = rpc
+    for word, is_named in (("solver", solver is not None), ("then", True)):
+        part = parts.get(word)
+        if isinstance(part, type) and issubclass(part, Solver):
+            usual[word] = dict(recipe.solver_options.get(
+                part.name, part.published if is_named else {}))
+    return usual
+
+
+def _rpc_option(model: type[SensorModel] | SensorModel,
+                features: FeatureSet | None) -> dict[str, str]:
+    """Return the option of a model that refines an RPC, where the features have one."""
+    rpc = None if features is None else features.rpc
+    takes = any(option.name == "rpc" for option in model.declared_options)
+    return {"rpc": json.encode(rpc.numbers()).decode()} if rpc is not None and takes else {}
+
+
+def split_of(of_data: Mapping[str, Any]) -> Split | None:
+    """Return the split that the options of the data name; None for the roles of the file."""
+    asked: str = of_data["roles"]
+    found: Split | None = None if asked == FILE else registry().get("splits", asked)
+    return found
+
+
+def loaded(spec: DatasetSpec) -> FeatureSet:
+    """Return the features of a data set; an error names the plugin it is of."""
+    with blamed(spec.load, "load"):
+        features = spec.load()
+    require_type(spec.load, "load", features, FeatureSet)
+    return features
+
+
+def require_type(function: Callable[..., Any], name: str, value: Any, wanted: type) -> None:
+    """Refuse what a function of a plugin must not return."""
+    what = of_type(value, wanted)
+    if what is not None:
+        raise wrong(function, name, what)
+
+
+def _of_problem(recipe: Recipe, given: Mapping[str, Any], criterion: Criterion,
+                solver: Solver) -> dict[str, Any]:
+    """Return the options of a problem, those decided that depend on criterion and solver."""
+    options = resolve(recipe.options, given)
+    if solver.max_objectives > 1 and "objectives" in options:
+        options["objectives"] = options["objectives"] or recipe.second
+    if "max_share" in options and options["max_share"] is None:
+        options["max_share"] = 1.0 if solver.uses_all else MAX_SHARE
+    if options.get("steps") == "joint" and "then" in options:
+        options["then"] = None
+    if "recommend" in options:
+        options["recommend"] = _rule(options["recommend"], criterion, solver)
+    return options
+
+
+def _rule(asked: str | None, criterion: Criterion, solver: Solver) -> str:
+    """Return the rule by which a member of a front is recommended."""
+    if asked == "one-standard-error" and not criterion.is_rmse:
+        raise TermselError(f"criterion {criterion.name!r} is no RMSE, so it has no standard error "
+                           "to recommend a selection by",
+                           hint="Choose --set recommend=knee or best, or --criterion check-rmse, "
+                                "press or kfold, these with loss=squares.")
+    return asked or ("one-standard-error" if solver.max_objectives > 1 and criterion.is_rmse
+                     else "best")

@@ -1,0 +1,308 @@
+"""Runs that search: what was found, its front, and what it is compared with."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from msgspec import convert
+from msgspec.structs import asdict
+
+from termsel.auto.auto import Auto
+from termsel.auto.compare import compare_robustly
+from termsel.auto.memory import Memory
+from termsel.auto.ridge import RidgeByOrder
+from termsel.core.errors import TermselError, unknown_name
+from termsel.core.files.names import CERTIFICATE
+from termsel.core.isolation.faults import HINT, wrong
+from termsel.data.features import BoolArray
+from termsel.data.fit_data import FitData
+from termsel.data.record.base import plain
+from termsel.data.record.search import Certificate, Member, SearchLimits, SizeRow
+from termsel.data.roles import Observations
+from termsel.fitting.figures import Baseline, Rmses, baseline, rmse_record
+from termsel.fitting.fit import Fit
+from termsel.fitting.least_squares import fit
+from termsel.fitting.method import Method
+from termsel.models.base import SensorModel
+from termsel.results.checksums import of_certificate
+from termsel.results.result import Result
+from termsel.results.same_fit import has_pole, least_squares_of
+from termsel.runs.data_notes import notes_on_data, notes_on_dem
+from termsel.runs.finding import Finding, result_of
+from termsel.runs.fit_crs import note_on_pole
+from termsel.runs.judgement import judge, name_conventional, notes_on
+from termsel.runs.provenance import data_of, notes_on_sessions, plugins_of
+from termsel.runs.request import Request
+from termsel.runs.task import Task, prepare
+from termsel.runs.verdict import Verdict, judge_features, judge_independent
+from termsel.runs.without_blunders import search_without_blunders
+from termsel.selection.problems.base import Selection
+from termsel.selection.problems.recipes import Recipe
+from termsel.selection.problems.segments import Genes
+from termsel.selection.solvers.base import GIVEN
+from termsel.selection.solvers.proofs.exact import gap
+from termsel.selection.solvers.proofs.proof import SizeProof
+from termsel.selection.solvers.search import SearchResult
+
+
+class Search(Method):
+    """The method that searches a problem: a recipe, with a solver and a criterion.
+
+    Parameters
+    ----------
+    problem : str or Recipe
+    settings : mapping, optional
+        Model, solver, criterion and options, as for `termsel.prepare`.
+    limits : mapping, optional
+        Budgets, seed and observers, as for `termsel.search`.
+    """
+
+    problem: str | Recipe
+    settings: Mapping[str, Any]
+    limits: Mapping[str, Any]
+
+    def __init__(self, problem: str | Recipe = "rfm-terms",
+                 settings: Mapping[str, Any] | None = None,
+                 limits: Mapping[str, Any] | None = None) -> None:
+        super().__init__("search", "a search")
+        self.__dict__.update(problem=problem, settings=settings or {}, limits=limits or {})
+
+    def fit(self, data: FitData) -> Fit:
+        """Search with the features in their roles, and fit what is selected."""
+        task = prepare(self.problem, features=data.features, **self.settings)
+        searched, search = search_without_blunders(task, Auto(), **self.limits)
+        return estimated(searched, searched.problem.decode(search.genes), search)
+
+    def find(self, task: Task, memory: Memory) -> tuple[Request, Finding]:
+        """Search a prepared task, and return what was found."""
+        auto = Auto(memory=memory)
+        verdict = judge_features(task.observations, auto, task.options["data"]["tested"])
+        searched, search = search_without_blunders(task, auto, verdict, **self.limits)
+        budget = convert({
+            name: float(limit) if name == "seconds" else int(limit)
+            for name, limit in self.limits.items()
+            if name in BUDGETS and limit is not None and math.isfinite(limit)}, SearchLimits)
+        return searched.request, replace(
+            finding_of(searched, search, auto, verdict), budget=budget)
+
+
+class GivenGenes(Method):
+    """The method that takes the genes that an optimiser of one's own has found.
+
+    Independent points are looked at in `termsel.assess` alone: assess what the optimiser ends with,
+    and nothing that it decides by.
+
+    Parameters
+    ----------
+    genes : ndarray, shape (size,)
+        Valid genes of ``task.problem.genome``; its `repair` makes such of any numbers.
+    """
+
+    genes: Genes
+
+    def __init__(self, genes: Genes) -> None:
+        super().__init__(GIVEN, "the genes that are given")
+        self.__dict__.update(genes=genes)
+
+    def fit(self, data: FitData) -> Fit:
+        """Refuse: genes are of one task, with its features."""
+        raise TermselError("genes are of a prepared task, and cannot be fitted to other features",
+                           hint="Call termsel.assess(termsel.GivenGenes(genes), task).")
+
+    def find(self, task: Task, memory: Memory) -> tuple[Request, Finding]:
+        """Decode the genes for a prepared task."""
+        population = np.asarray(self.genes)[None]
+        if fault := task.problem.genome.fault(population):
+            raise TermselError(
+                f"termsel.assess got {fault}",
+                hint="Give one chromosome, as task.problem.genome.repair returns them.")
+        evaluation = task.problem.evaluate(population)
+        search = SearchResult(
+            population[0], evaluation.objectives[0], float(evaluation.violation[0]), seed=0,
+            evaluations=1, generations=0, lookups=0, seconds=0.0, interrupted=False,
+            notes=("The genes were given to termsel.assess; how they were found is not recorded.",))
+        finding = finding_of(task, search, Auto(memory=memory))
+        plugins = {part: plugin for part, plugin in finding.plugins.items() if part != "solver"}
+        return task.request, replace(
+            finding, solver=GIVEN, options={**finding.options, "solver": {}}, plugins=plugins)
+
+
+BUDGETS = ("generations", "evaluations", "seconds", "patience")
+"""Limits of a search that its record names."""
+
+
+def assessed(task: Task, search: SearchResult) -> Result:
+    """Return the result of what a search found."""
+    return result_of(task.request, finding_of(task, search, Auto()))
+
+
+def finding_of(task: Task, search: SearchResult, auto: Auto,
+               verdict: Verdict | None = None) -> Finding:
+    """Return what a search found, and what it is compared with.
+
+    `auto` chooses the method that the selection is compared with. `verdict` is that of
+    `judge_features` before the search.
+    """
+    observations = task.observations
+    selection = task.problem.decode(search.genes)
+    fitted = estimated(task, selection, search)
+    feasible = is_feasible(task, search, fitted)
+    verdict = verdict or judge_features(observations, auto, task.options["data"]["tested"])
+    all_terms = fit(task.model, observations.control, task.scaling)
+    comparison = compare_robustly(observations, auto, verdict.blunders | verdict.high)
+    contradicting, agreeing = judge_independent(observations, comparison.choice, auto)
+    conventional = name_conventional(task.problem.genome, observations)
+    plugins = plugins_of(task.request)
+    sizes = _sizes(task, search)
+    members = {genes.tobytes(): _member(task, genes)
+               for genes in (*search.front, *(size.genes for size in sizes))}
+
+    def baselines(seen: Observations) -> tuple[Baseline, ...]:
+        return (baseline("all-terms", all_terms, None, seen, ("control",)),
+                *comparison.baselines(seen))
+
+    def judgement(rmse: Rmses, rivals: tuple[Baseline, ...]) -> str:
+        return judge(conventional, task.criterion.name, rmse, rivals, comparison.reference,
+                     feasible, task.features.noise, converged=fitted.adjustment.converged,
+                     method=comparison.method, blunders=comparison.blunders)
+
+    notes = (*notes_on_dem(task.features, fitted),
+             *notes_on_data(task.features, observations, task.model.uses_height,
+                            task.request.blank, observations.control),
+             *filter(None, [note_on_pole(observations.features, observations.control)]),
+             *verdict.notes, *contradicting.notes,
+             *notes_on(agreeing, task.criterion, search, fitted),
+             *_on_replaced(task.model, selection), *notes_on_sessions(plugins))
+    then = task.request.then
+    # The objectives of least squares are not those of other coefficients.
+    objectives = search.objectives.tolist() if fitted.estimator.least_squares else []
+    return Finding(
+        fit=fitted, observations=observations, compared=observations, comparison=comparison,
+        verdict=verdict, contradicting=contradicting, agreeing=agreeing,
+        in_use=frozenset({*selection.features, *observations.check.ids}), check_used=False,
+        baselines=baselines, judgement=judgement, reference=comparison.reference,
+        notes=notes, selection=selection,
+        solver=task.solver.name, criterion=task.criterion.name, seed=search.seed,
+        options={**task.options, "model": task.model.options, "solver": task.solver.options,
+                 "criterion": task.criterion.options,
+                 **({"then": then.options} if then else {})},
+        plugins=plugins,
+        objectives=dict(zip(task.problem.objectives, objectives, strict=False)),
+        feasible=feasible, interrupted=search.interrupted, evaluations=search.evaluations,
+        lookups=search.lookups, generations=search.generations, seconds=search.seconds,
+        polish=search.polish, history=search.history,
+        front=tuple(members[genes.tobytes()] for genes in search.front),
+        by_size=tuple(SizeRow(**asdict(members[size.genes.tobytes()]), better=size.better,
+                              optimal=size.optimal, bound=size.bound, gap=size.gap)
+                      for size in sizes),
+        certificate=_certificate(task, search, fitted),
+        files=_files(task, search, observations))
+
+
+def _files(task: Task, search: SearchResult, observations: Observations) -> dict[str, str]:
+    """Return further files of the result: the certificate of a proof, with the data it is of."""
+    if search.certificate_content is None:
+        return {}
+    data = data_of(task.request, observations).sha256
+    content = {**search.certificate_content, "data": data}
+    content["sha256"] = of_certificate(content)
+    return {CERTIFICATE: json.dumps(content) + "\n"}
+
+
+def _on_replaced(model: SensorModel, selection: Selection) -> Iterable[str]:
+    """Yield which options of the model have other values than those they were given."""
+    for option in model.declared_options:
+        asked = model.options[option.name]
+        name = option.name
+        if asked not in (option.default, selection.parameters.get(name, asked)):
+            yield (f"Option {name} of the model was {asked}; the problem chose "
+                   f"{selection.parameters[name]} in its place.")
+
+
+def is_feasible(task: Task, search: SearchResult, fitted: Fit) -> bool:
+    """Return whether the fit of a selection, as `estimated` returns it, satisfies all conditions.
+
+    The coefficients may be others than those the search saw, so poles are looked for again.
+    """
+    return (search.violation == 0 if fitted.estimator.least_squares else fitted.determined) \
+        and fitted.adjustment.converged and not has_pole(fitted, task.observations.check)
+
+
+def estimated(task: Task, selection: Selection, search: SearchResult) -> Fit:
+    """Return the fit of a selection, by the estimator that the task or the solver asks for."""
+    fitted = fit_of(task, selection)
+    if task.options["problem"].get("shrink"):
+        return RidgeByOrder().fit(fitted.model, fitted.control, task.scaling, fitted.terms,
+                                  fitted.used)
+    return fitted if search.coefficients is None else fitted.with_coefficients(search.coefficients)
+
+
+def _certificate(task: Task, search: SearchResult, fitted: Fit) -> Certificate | None:
+    """Return what the solver proved, or how far its find is from the proven optimum."""
+    content = _proven(task, search, fitted)
+    return None if content is None else convert(plain(content), Certificate)
+
+
+def _proven(task: Task, search: SearchResult, fitted: Fit) -> Mapping[str, Any] | None:
+    claim = plugins_of(task.request).get("solver")
+    if search.certificate is not None and claim:
+        return {**_required(search.certificate, claim["name"]), "claimed_by": claim["name"]}
+    if (search.certificate is not None or search.violation or search.interrupted
+            or not fitted.estimator.least_squares or len(search.objectives) > 1):
+        return search.certificate
+    return gap(task.problem, float(search.objectives[0]))
+
+
+def _required(certificate: Mapping[str, Any], solver: str) -> dict[str, Any]:
+    """Return what a plugin's certificate must say; refuse one that does not."""
+    kinds = {"optimal": bool, "subsets": int, "of": int, "space": str}
+    if not isinstance(certificate, Mapping) or any(
+            not isinstance(certificate.get(key), kind) for key, kind in kinds.items()):
+        raise TermselError(f"the certificate of solver {solver!r} lacks something or has it of "
+                           f"another type: it needs {', '.join(kinds)}",
+                           hint="This is a bug in the solver: tell its author.")
+    return {key: certificate[key] for key in kinds}
+
+
+def _sizes(task: Task, search: SearchResult) -> list[SizeProof]:
+    """Return what the solver proved of the selections of each size; nothing of a plugin's."""
+    return [] if search.proof is None or "solver" in plugins_of(task.request) \
+        else search.proof.by_size(task.problem)
+
+
+def _member(task: Task, genes: Genes) -> Member:
+    """Return the member of a front, with its RMSE on all roles."""
+    observations = task.observations
+    selection = task.problem.decode(genes)
+    member = fit_of(task, selection)
+    values = task.problem.evaluate(genes[None]).objectives[0].tolist()
+    size = len(selection.features if task.recipe.second == "n_features" else selection.terms)
+    return Member(
+        {task.recipe.second: size, **dict(zip(task.problem.objectives, values, strict=True))},
+        selection.record(),
+        rmse_record({"control": member.control_rmse(), "check": member.rmse(observations.check),
+                     "independent": member.rmse(observations.independent)}),
+        bool(member.estimator.options["iterated"]))
+
+
+def fit_of(task: Task, selection: Selection) -> Fit:
+    """Return the model fitted with the terms and features that a problem's genes stand for."""
+    control = task.observations.control
+    model = task.model.with_parameters(selection.parameters)
+    terms = _mask(task, model.terms, selection.terms, "term")
+    used = _mask(task, control.ids, selection.features, "control feature")
+    return least_squares_of(model, control, task.scaling, terms, used, task.observations.check)
+
+
+def _mask(task: Task, names: tuple[str, ...], fitted: Iterable[str], what: str) -> BoolArray:
+    """Return which names a problem's `decode` gives; refuse one that there is not."""
+    wanted = set(fitted)
+    if not wanted <= set(names):
+        known = unknown_name(what, min(wanted - set(names)), names)
+        raise wrong(task.problem, "decode", f"names an {known.what}", f"{known.hint} {HINT}")
+    return np.array([name in wanted for name in names], dtype=bool)

@@ -1,0 +1,100 @@
+"""Terms and features selected one after the other."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from termsel.core.errors import TermselError
+from termsel.core.isolation.faults import PluginFault
+from termsel.data.features import BoolArray
+from termsel.runs.task import Task
+from termsel.selection.problems.base import Problem
+from termsel.selection.problems.selection import SelectionProblem
+from termsel.selection.solvers.base import Solver
+from termsel.selection.solvers.budget import EVALUATIONS, require_limits
+from termsel.selection.solvers.refinement import POLISH_SHARE
+from termsel.selection.solvers.search import SearchResult, begin, search
+
+
+def search_in_steps(task: Task, **how: Any) -> SearchResult:
+    """Search a task's problem as its option "steps" says, with arguments of `termsel.search`.
+
+    "joint" searches terms and features together. "terms-first" selects terms with all features in
+    use, then features under these terms; "features-first" selects features under all terms, then
+    terms. The pages of Yavari et al. 2018 that could be consulted combine both and give no
+    sequence. The second step may have a solver of its own. The first step has half of the budget,
+    the second what is left, so that two steps cost no more than one search. The search is that of
+    the last step; evaluations, generations and seconds are those of both. Refuses two steps with
+    several objectives or a solver that cannot take the second, and if the first finds nothing
+    feasible.
+    """
+    problem = task.problem
+    options = task.options["search"]
+    order = task.options["problem"].get("steps", "joint")
+    if order == "joint" or not isinstance(problem, SelectionProblem):
+        return search(problem, task.solver, **options, **how)
+    if len(problem.objectives) > 1:
+        raise TermselError(f"steps={order} is for one objective, and there are "
+                           f"{len(problem.objectives)}: {', '.join(problem.objectives)}",
+                           hint="Choose --set steps=joint, or a solver for one objective.")
+    is_feature = np.zeros(len(problem.genome.labels), dtype=bool)
+    is_feature[problem.genome.label_slices()["features"]] = True
+    later = is_feature if order == "terms-first" else ~is_feature
+    everything: BoolArray = problem.genome.on | ~problem.genome.off
+    beginning = problem.frozen(everything, later)
+    if task.request.then is not None:
+        _require_beginning(problem.frozen(everything, ~later), task.request.then)
+    require_limits(**{name: how.get(name) for name in _LIMITS})
+    budget = _budget(task, how)
+    first = search(beginning, task.solver, **options, **{**how, **{
+        name: value / 2 if name == "seconds" else max(value // 2, 1)
+        for name, value in budget.items()}})
+    word = order.split("-")[0]
+    if first.violation:
+        raise TermselError(
+            f"no selection of {word} with everything else in use satisfies all conditions",
+            hint="Choose --set steps=joint or the other order, or lower the order or degree of "
+                 "the model.")
+    if first.interrupted:
+        return first
+    solver = task.request.then or task.solver
+    chosen = beginning.genome.chosen(first.genes[None])[0]
+    second = search(problem.frozen(chosen, ~later), solver, **options, **{**how, **{
+        name: max(value - getattr(first, name), _LEAST if name == "seconds" else 1)
+        for name, value in budget.items()}})
+    by = [f" by {each.name}" if task.request.then else "" for each in (task.solver, solver)]
+    note = (f"In two steps: {word} first{by[0]}, {problem.objectives[0]} "
+            f"{first.objectives[0]:.4g} with {int(chosen[~later].sum())} of "
+            f"{int((~later).sum())} and everything else in use; then the rest{by[1]}, "
+            f"{second.objectives[0]:.4g}.")
+    return second.after(first, note)
+
+
+_LIMITS = ("generations", "evaluations", "seconds")
+"""Of a budget that two steps share."""
+
+_LEAST = 1e-3
+"""Seconds of a second step for which the first left no time: enough for one population."""
+
+
+def _budget(task: Task, how: dict[str, Any]) -> dict[str, float]:
+    """Return the budget of both steps together: that given, or else that of every search."""
+    given = {name: how[name] for name in _LIMITS if how.get(name) is not None}
+    if given or how.get("patience") is not None or task.solver.ends_by_itself:
+        return given
+    return {"evaluations": EVALUATIONS * (
+        1 + POLISH_SHARE if task.options["search"]["polish"] else 1)}
+
+
+def _require_beginning(problem: Problem, solver: Solver) -> None:
+    """Refuse a solver that refuses the second step, before the first has run."""
+    try:
+        begin(problem, solver)
+    except PluginFault:
+        raise
+    except TermselError as error:
+        raise TermselError(
+            f"solver {solver.name!r} cannot do the second step: {error.what}",
+            hint=error.hint and error.hint.replace("--solver", "--then")) from None

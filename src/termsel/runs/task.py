@@ -1,0 +1,274 @@
+"""What a run is prepared from: the features in their roles, and the problem built of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from termsel.core.display import Glance
+from termsel.core.errors import TermselError
+from termsel.core.isolation.faults import blamed
+from termsel.data.datasets import DatasetSpec
+from termsel.data.features import FeatureSet
+from termsel.data.fit_data import FitData, carriers
+from termsel.data.lattices import lattice_of
+from termsel.data.roles import Observations, check_as_control, parsed_shares
+from termsel.data.roles import observe as assign_roles
+from termsel.data.scaling import Scaling, scaling_of
+from termsel.models.base import SensorModel, require_heights
+from termsel.plugins.registry import registry
+from termsel.runs.enough import require_enough
+from termsel.runs.fit_crs import with_fit_crs
+from termsel.runs.given import objectives_of
+from termsel.runs.request import ALIKE, FILE, Request, request_of, require_type, split_of
+from termsel.selection.criteria import Criterion
+from termsel.selection.problems.base import Inputs, Problem
+from termsel.selection.problems.constraints import without_heights
+from termsel.selection.problems.parameters import ParameterProblem
+from termsel.selection.problems.recipes import Recipe
+from termsel.selection.solvers.base import Solver
+from termsel.selection.solvers.search import require_able
+
+MIN_CONTROL = 3
+
+FEW = 12
+"""Number of points without any role below which all are control for a search that needs no check
+points: leave-one-out then tells the accuracy."""
+
+MANY = 60
+"""Number of points from which on the strategy auto sets independent points aside. Below, held-out
+features tell the accuracy better than the few points that could be spared, and the choice would
+miss these: without a quarter of 60 points the RMSE is 4 % higher, without a quarter of 12, 30 and
+40 13, 6 and 9 % (docs/explanation/roles.md)."""
+
+ALL_CONTROL, SPARED = "1:0:0", "3:3:2"
+"""Shares of control, check and independent points below `MANY` points, and from there on."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Task(Glance):
+    """What a run is prepared from: what is asked, and the features in their roles.
+
+    Parameters
+    ----------
+    request : Request
+    observations : Observations
+        The features, each in its role.
+    narrowed : Problem, optional
+        The problem, where it is another than the request's recipe builds: with genes held.
+    """
+
+    request: Request
+    observations: Observations
+    narrowed: Problem | None = None
+
+    @property
+    def recipe(self) -> Recipe:
+        """The recipe of the problem."""
+        return self.request.recipe
+
+    @property
+    def solver(self) -> Solver:
+        """The solver that is asked for."""
+        return self.request.solver
+
+    @property
+    def criterion(self) -> Criterion:
+        """The criterion that is asked for."""
+        return self.request.criterion
+
+    @property
+    def features(self) -> FeatureSet:
+        """The features with the roles asked for."""
+        return self.request.features
+
+    @cached_property
+    def scaling(self) -> Scaling:
+        """The scaling of the control."""
+        return scaling_of(self.observations.control)
+
+    @cached_property
+    def model(self) -> SensorModel:
+        """The model, prepared for the features."""
+        return self.request.model.prepared(self.scaling, self.features.crs)
+
+    @cached_property
+    def inputs(self) -> Inputs:
+        """What the problem is made of, in scaled coordinates."""
+        control = self.observations.control
+        options = dict(self.request.options["problem"])
+        # Check points with relief do not help control without.
+        if self.model.uses_height and (not self.observations.heights or carriers(
+                FitData(control, self.scaling, False))):
+            options |= without_heights(self.model.terms, options)
+        return Inputs(
+            self.model, self.scaling.features(control),
+            self.scaling.points(self.observations.check), self.scaling.image_scale,
+            self.criterion, options, objectives_of(options.get("objectives"), self.criterion))
+
+    @cached_property
+    def problem(self) -> Problem:
+        """The recipe's problem.
+
+        Raises
+        ------
+        TermselError
+            If the recipe fails, or the solver cannot handle its problem.
+        """
+        return self.narrowed or _built(self.request, self.inputs)
+
+    @cached_property
+    def options(self) -> Mapping[str, Mapping[str, Any]]:
+        """Options of problem, data and search, those decided that depend on the features."""
+        data = {**self.request.options["data"],
+                "check_as": _check_as(self.request, self.observations)}
+        return {**self.request.options, "problem": self.inputs.options, "data": data}
+
+    def _glance(self) -> tuple[str, Mapping[str, str]]:
+        method = ", ".join(part.name for part in (self.model, self.solver, self.criterion))
+        return f"Task: {self.recipe.name}", {"method": method, "data": self.request.source}
+
+
+def prepare(
+    problem: str | Recipe,
+    *,
+    features: FeatureSet | None = None,
+    dataset: str | DatasetSpec | None = None,
+    source: str | None = None,
+    model: str | type[SensorModel] | SensorModel | None = None,
+    solver: str | type[Solver] | Solver | None = None,
+    criterion: str | type[Criterion] | Criterion | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> Task:
+    """Make a problem ready from names, or from the things themselves.
+
+    Parameters
+    ----------
+    problem : str or Recipe
+        A recipe or its name, such as "owdis-lines".
+    features : FeatureSet, optional
+        Measured features; without them those of `dataset`, or of the recipe's data set.
+    dataset : str or DatasetSpec, optional
+        A data set or its name.
+    source : str, optional
+        Where `features` come from, for the record.
+    model, solver, criterion : str, class or instance, optional
+        The recipe's own by default. Instances have their options already.
+    options : mapping, optional
+        Options of problem, data, model, criterion and solver together, as with ``--set``.
+
+    Returns
+    -------
+    Task
+
+    Raises
+    ------
+    TermselError
+        For unknown names or options, and for data the problem cannot be run on.
+    """
+    return prepared(request_of(
+        problem, features=features, dataset=dataset, source=source, model=model,
+        solver=solver, criterion=criterion, options=options))
+
+
+def prepared(request: Request) -> Task:
+    """Return the task of what is asked; refuse what its problem cannot be built from."""
+    request = with_shares(request)
+    return checked(Task(request, observe(request)))
+
+
+def checked(task: Task) -> Task:
+    """Return a task whose problem has been built; raise what building it raises."""
+    _ = task.problem
+    return task
+
+
+def observe(request: Request, least: int = MIN_CONTROL) -> Observations:
+    """Return the features, each in its role, in the CRS of the fit; at least so many are control.
+    """
+    request = with_shares(request)
+    recipe = request.recipe
+    criterion = request.criterion
+    of_data = request.options["data"]
+    observations = assign_roles(
+        request.features,
+        control="both" if request.options["problem"].get("mixed") else recipe.control,
+        split=split_of(of_data),
+        fractions=parsed_shares(of_data["fractions"], criterion.needs_check),
+        rng=np.random.default_rng(of_data["split"]))
+    if _check_as(request, observations) == "control":
+        observations = check_as_control(observations)
+    together = observations.together
+    require_heights(request.model, together.with_(
+        points=together.points.rejoin(observations.independent)))
+    require_enough(observations, recipe, criterion, request.model, least)
+    if of_data["fit_crs"] is not None:
+        observations = with_fit_crs(of_data["fit_crs"], observations, request.model)
+    return observations
+
+
+def with_shares(request: Request, *, auto: bool = False) -> Request:
+    """Return a request with the shares of the roles, where the option does not give them.
+
+    A search keeps check and independent points, which judge it. The strategy `auto` holds control
+    out instead, and sets independent points aside only where there are `MANY`.
+    """
+    of_data = request.options["data"]
+    if of_data["fractions"] is not None:
+        return request
+    shares = _usual_shares(request, auto=auto)
+    return replace(request, options={**request.options, "data": {**of_data, "fractions": shares}})
+
+
+def _usual_shares(request: Request, *, auto: bool) -> str:
+    roles = [role for role in request.features.points.roles if role != "off"]
+    is_mixed = request.options["problem"].get("mixed")
+    points_are_control = request.recipe.control == "points" or is_mixed
+    if request.criterion.needs_check or not points_are_control \
+            or request.options["data"]["roles"] != FILE:
+        return ALIKE
+    if auto and lattice_of(request.features.points) is not None:
+        return ALL_CONTROL  # its lines and columns are held out
+    if auto:
+        return SPARED if len(roles) >= MANY and "independent" not in roles else ALL_CONTROL
+    return ALL_CONTROL if len(roles) < FEW and not {"control", "check"} & set(roles) \
+        and request.recipe.control == "points" else ALIKE
+
+
+def _built(request: Request, inputs: Inputs) -> Problem:
+    """Return the recipe's problem, for solvers that can handle it."""
+    # Shrunk are coefficients towards zero; of such a model 0 is no camera, and gave 65 px.
+    if inputs.options.get("shrink") and inputs.model.start(inputs.control) is not None:
+        raise TermselError(f"the model {inputs.model.name!r} is not linear in its terms, so its "
+                           "coefficients cannot be shrunk",
+                           hint="Leave out shrink=true, or choose another model.")
+    build = request.recipe.build
+    with blamed(build, "build"):
+        problem = build(inputs)
+    require_type(build, "build", problem, Problem)
+    if isinstance(problem, ParameterProblem):
+        _refuse_searched(request, problem)
+    for solver in filter(None, (request.solver, request.then)):
+        require_able(problem, solver, lambda: [
+            entry.object for entry in registry().entries("solvers")])
+    return problem
+
+
+def _refuse_searched(request: Request, problem: ParameterProblem) -> None:
+    """Refuse values for options of the model that the problem searches."""
+    for name in problem.parameters:
+        if name in request.set_options:
+            raise TermselError(
+                f"problem {request.recipe.name!r} searches the option {name!r} of model "
+                f"{request.model.name!r}, so it cannot be given",
+                hint="Remove the option, or choose another problem.")
+
+
+def _check_as(request: Request, observations: Observations) -> str:
+    """Return what check points are, where the option does not say: judges or control."""
+    judging = request.criterion.needs_check or not len(observations.control.points)
+    return request.options["data"]["check_as"] or ("judge" if judging else "control")

@@ -1,0 +1,92 @@
+"""A search without the features that the outlier test names.
+
+A wrong control feature spoils the fits, and a wrong check point what every selection is judged by.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from termsel.auto.auto import Auto
+from termsel.core.errors import TermselError
+from termsel.data.features import select
+from termsel.data.roles import leave_out
+from termsel.runs.enough import require_enough
+from termsel.runs.recommend import recommended
+from termsel.runs.steps import search_in_steps
+from termsel.runs.task import MIN_CONTROL, Task, checked
+from termsel.runs.verdict import Verdict, judge_features
+from termsel.selection.problems.segments import Bits, Subset
+from termsel.selection.problems.selection import SelectionProblem
+from termsel.selection.solvers.search import SearchResult
+
+FEATURES = "features"
+
+
+def search_without_blunders(task: Task, auto: Auto, verdict: Verdict | None = None,
+                            **how: Any) -> tuple[Task, SearchResult]:
+    """Search a task's problem, without blunders where its option "blunders" says so.
+
+    They can neither be selected, unless the user forces them on, nor judge. Where no selection
+    without them satisfies all conditions, the search is made with them. `verdict` is that of
+    `judge_features`; `how` are arguments of `termsel.search`.
+
+    The task that was searched is returned, and the search with its recommended member selected.
+    """
+    less: Task | None = task
+    if task.options["problem"].get("blunders") == "leave-out":
+        verdict = verdict or judge_features(
+            task.observations, auto, task.options["data"]["tested"])
+        less = _without(task, verdict.blunders)
+    if less is not None:
+        found = recommended(less, search_in_steps(less, **how))
+        if less is task:
+            return task, found
+        # A second search would have no time.
+        if not found.violation or found.interrupted or how.get("seconds") is not None:
+            return less, replace(found, notes=(*found.notes, (
+                "Outliers were removed before the search; --set blunders=keep keeps them.")))
+    found = recommended(task, search_in_steps(task, **how))
+    return task, replace(found, notes=(*found.notes, (
+        "Blunders are in use: without them no selection satisfies all conditions.")))
+
+
+def _without(task: Task, blunders: frozenset[str]) -> Task | None:
+    """Return the task without blunders; None if too few features are left.
+
+    Points lose their role. Lines, which have none, can no longer be selected.
+    """
+    problem = task.problem
+    observations = task.observations
+    if not isinstance(problem, SelectionProblem):
+        return task
+    # A problem may select among some of the control.
+    names = problem.inputs.control.ids
+    where = problem.genome.label_slices()[FEATURES]
+    forced = select(names, problem.genome.on[where] | problem.genome.off[where])
+    out = blunders.difference(forced)
+    points = out.intersection(observations.together.points.ids)
+    if points:
+        fewer = leave_out(observations, points)
+        try:
+            require_enough(fewer, task.recipe, task.criterion, task.model, MIN_CONTROL)
+            task = checked(Task(task.request, fewer))
+        except TermselError:
+            return None
+        problem = task.problem
+        assert isinstance(problem, SelectionProblem)
+        names = problem.inputs.control.ids
+        where = problem.genome.label_slices()[FEATURES]
+    gone = np.isin(names, list(out - points))
+    if not gone.any():
+        return task
+    segment = problem.genome.segments[-1]
+    assert isinstance(segment, Bits | Subset)  # the features
+    if (~gone & ~problem.genome.off[where]).sum() < segment.minimum:
+        return None
+    which = np.zeros(len(problem.genome.labels), dtype=bool)
+    which[where] = gone
+    return replace(task, narrowed=problem.frozen(np.zeros_like(which), which))

@@ -1,0 +1,191 @@
+"""What every method must do."""
+
+from __future__ import annotations
+
+import numbers
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from termsel.auto.validated import validated
+from termsel.data.features import FeatureSet, Points
+from termsel.data.fit_data import FitData
+from termsel.fitting.fit import Fit, HeldOut, Undetermined
+from termsel.fitting.method import Method
+from termsel.testing.cases import Case, Suite, check_declaration, pickled, require
+from termsel.testing.scenes import seeded
+
+NOISE = 0.3
+"""Standard deviation of the image coordinates of the points that are made up [px]."""
+
+AGREE = 1.5
+"""Ratio by which the RMSE of leave-one-out may differ from that of fits without each point: scaling
+and folds may differ a little."""
+
+HELD_OUT = 12
+"""Points that are held out one by one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A method with the features to fit it to."""
+
+    method: Method
+    features: tuple[FeatureSet, ...]
+
+    def controls(self) -> list[FitData]:
+        """Return the features that it does not decline."""
+        controls = [FitData.of(features) for features in self.features]
+        return [control for control in controls if self.method.declines(control) is None]
+
+    def fits(self) -> list[tuple[FitData, Fit]]:
+        """Return the fits to all features that determine it."""
+        fitted = []
+        # A candidate may accept features and find later that they do not determine it.
+        for control in self.controls():
+            try:
+                fitted.append((control, self.method.fit(control)))
+            except Undetermined:
+                continue
+        require(fitted, "it declines all features it is checked with, or is determined by none; "
+                      "give some that it is for: checks(candidate, features=[...])")
+        return fitted
+
+
+def declaration(subject: Subject) -> None:
+    """It has a name, a title in words, and names what it contains."""
+    candidate = subject.method
+    check_declaration("methods", candidate)
+    require(candidate.title.split(" ", 1)[0] in ("a", "an", "the"),
+            f"its title is {candidate.title!r}; begin it with an article, as in "
+            "\"a cubic polynomial\"")
+    require(isinstance(candidate.most, numbers.Real) and candidate.most > 0,
+            f"most is {candidate.most!r}; expected a number of features above 0")
+    require(candidate.name not in (*candidate.contains, *candidate.needs),
+            "it contains or needs itself")
+
+
+def declines(subject: Subject) -> None:
+    """What it is not for is said in words, and quickly."""
+    for features in subject.features:
+        reason = subject.method.declines(FitData.of(features))
+        require(reason is None or (isinstance(reason, str) and reason.strip()),
+                f"declines() returned {reason!r}; expected None, or a sentence")
+
+
+def nearly(subject: Subject) -> None:
+    """It says whether parts of features may call for it."""
+    for control in subject.controls():
+        answer = subject.method.nearly(control)
+        require(isinstance(answer, bool | np.bool_),
+                f"nearly() returned {answer!r}; expected a bool")
+
+
+def fits(subject: Subject) -> None:
+    """It is fitted to the very features it is given, and predicts finite places there."""
+    for control, fitted in subject.fits():
+        require(isinstance(fitted, Fit), f"fit() returned {type(fitted).__name__}, no Fit")
+        require(isinstance(getattr(fitted.estimator, "name", None), str),
+                "its estimator has no name, by which a stored result is read again")
+        require(fitted.control.ids == control.features.ids,
+                "the fit has other control features than fit() was given")
+        image = fitted.project(control.features.ground_vertices())
+        require(np.isfinite(image).all(), "the fit predicts places that are not finite")
+
+
+def holds_out(subject: Subject) -> None:
+    """It gives the squared error of each feature under the same procedure without it."""
+    for control, _ in subject.fits():
+        fitted = validated(subject.method, control)
+        if fitted is None:
+            continue
+        held_out = fitted.held_out()
+        require(isinstance(held_out, HeldOut),
+                f"held_out() returned {type(held_out).__name__}; expected HeldOut")
+        squares = held_out.squares
+        require(squares.shape == (len(control),) and (squares >= 0).all(),
+                f"held_out() gives squares of shape {squares.shape}; expected "
+                f"({len(control)},), none below 0")
+        # Refits take long with many features, and lines have no error as points have.
+        if len(control.features.lines) or len(control) > 2 * HELD_OUT:
+            continue
+        errors = _held_out(subject.method, control)
+        if errors is None:
+            continue
+        stated = float(np.sqrt(np.mean(squares[:len(errors)])))
+        repeated = float(np.sqrt(np.mean(errors)))
+        # Only too good a figure is refused: a careful one costs nothing but a choice.
+        require(stated > repeated / AGREE,
+                f"held_out() says an RMSE of {stated:.3g} px, and fits without each point give "
+                f"{repeated:.3g} px: what is chosen by it would be too good to be true")
+
+
+def repeats(subject: Subject) -> None:
+    """The same features give the same fit again, in another process too."""
+    for control, fitted in subject.fits():
+        for copy in (subject.method, pickled(subject.method)):
+            refit = copy.fit(control)
+            require(np.array_equal(refit.adjustment.coefficients, fitted.adjustment.coefficients),
+                    "fit() of the same features differs from one call or process to the "
+                    "next")
+
+
+def describes(subject: Subject) -> None:
+    """It says in one sentence why it is called for, or nothing."""
+    for _, fitted in subject.fits():
+        text = subject.method.describe(fitted)
+        require(isinstance(text, str) and "\n" not in text and (not text or text.endswith(".")),
+                f"describe() returned {text!r}; expected one sentence with a full stop, or \"\"")
+
+
+def refits(subject: Subject) -> None:
+    """The final fit takes all features it is given."""
+    for control, fitted in subject.fits():
+        final = subject.method.refit(fitted, control)
+        require(final.control.ids == control.features.ids,
+                "the final fit has other control features than refit() was given")
+
+
+def cases(method: Method, features: Iterable[FeatureSet] | None = None) -> list[Case]:
+    """Return a method with features: those given, or points of several kinds."""
+    feature_sets = tuple(_features() if features is None else features)
+    return [Case(method.name, lambda: Subject(method, feature_sets))]
+
+
+SUITE = Suite((declaration, declines, nearly, fits, holds_out, repeats, describes, refits), cases)
+
+
+def _held_out(method: Method, control: FitData) -> np.ndarray | None:
+    """Return squared errors of the first points under fits without them; None without a fit."""
+    points = control.features.points
+    squares = []
+    for left_out in range(min(HELD_OUT, len(points))):
+        is_used = np.arange(len(points)) != left_out
+        remaining = replace(control, features=control.features.take(is_used))
+        try:
+            fitted = method.fit(remaining)
+        except Undetermined:
+            return None
+        squares.append(float((fitted.errors(points.take(~is_used)) ** 2).sum()))
+    return np.array(squares)
+
+
+def _features() -> list[FeatureSet]:
+    """Return points with and without heights: few, some, many, and many with local deformation."""
+    rng = seeded()
+    sets = []
+    for n, heights, bend in ((2, False, 0.0), (6, False, 0.0), (6, True, 0.0), (20, False, 0.0),
+                             (20, True, 0.0), (80, True, 0.0), (80, False, 0.0), (80, False, 1.0),
+                             (80, True, 1.0)):
+        x, y, z = ground = rng.uniform(-1.0, 1.0, (3, n))
+        # Local deformation [px], which no polynomial of low degree follows.
+        wave = bend * 20.0 * np.array([np.sin(6 * x) * np.cos(5 * y), np.cos(7 * x + 3 * y)])
+        # A slightly curved view with relief, seen from above: lines count downwards.
+        image = np.array([-2000 * y + 30 * x * y + 90 * heights * z,
+                          2000 * x + 20 * x * x - 60 * heights * z]) + wave
+        # Metres, with relief of 300 m, or no heights at all.
+        positions = ground * [[10_000.0], [10_000.0], [300.0 if heights else np.nan]]
+        sets.append(FeatureSet(Points(tuple(f"P{i + 1}" for i in range(n)),
+                                      image.T + rng.normal(0.0, NOISE, (n, 2)), positions.T)))
+    return sets
