@@ -1,0 +1,65 @@
+"""One road: any method is fitted, held against its features and assessed alike."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import termsel
+from termsel.core.errors import TermselError
+from termsel.data.features import FeatureSet
+from termsel.data.fit_data import FitData
+
+
+@pytest.fixture(scope="module")
+def scene() -> FeatureSet:
+    scene = termsel.simulate_scene("ikonos-hamedan", n_points=24, n_lines=0)
+    return FeatureSet(replace(scene.points, roles=()), crs=scene.crs)
+
+
+def test_a_method_by_its_name_takes_the_place_of_auto(scene: FeatureSet) -> None:
+    result = termsel.run(features=scene, method="affine")
+    assert result.strategy is not None
+    assert result.strategy.chosen == "affine"
+    assert [row.name for row in result.strategy.candidates] == ["affine"]
+    assert result.predicted is not None
+    assert result.fit.coefficients == pytest.approx(
+        termsel.run(features=scene, method=termsel.Structure(
+            "affine", "an affine polynomial", termsel.Affine(), None)).fit.coefficients)
+
+
+def test_a_method_next_to_a_solver_is_refused(scene: FeatureSet) -> None:
+    with pytest.raises(TermselError, match="a method is asked for, and solver"):
+        termsel.run("rfm-terms", features=scene, method="affine", solver="ga")
+
+
+def test_a_search_is_a_method_with_the_result_of_a_run() -> None:
+    task = termsel.prepare("poly-terms", solver="exact", options={"degree": 2})
+    limits = {"generations": task.recipe.generations, "patience": task.recipe.patience, "seed": 1}
+    result = termsel.assess(termsel.Search(limits=limits), task)
+    run = termsel.run("poly-terms", solver="exact", options={"degree": 2})
+    assert result.selection == run.selection
+    assert result.fit.coefficients == run.fit.coefficients
+
+
+def test_auto_is_a_method_whose_errors_are_of_the_repeated_choice(scene: FeatureSet) -> None:
+    data = FitData.of(scene.with_(points=scene.points.take(np.arange(24) < 12)))
+    auto = termsel.Auto()
+    fitted = auto.fit(data)
+    errors = auto.repeated(data)
+    assert errors is not None
+    np.testing.assert_allclose(auto.held_out(fitted).squares, (errors**2).sum(axis=1))
+
+
+@pytest.mark.parametrize("name", ["affine", "quadratic", "shrunken-quadratic"])
+def test_errors_held_out_are_those_of_fits_without_each_point(
+        scene: FeatureSet, name: str) -> None:
+    fitted = termsel.fit(scene.with_(points=scene.points.take(np.arange(24) < 20)), name)
+    squares = fitted.held_out().squares
+    for out in (0, 7):
+        kept = fitted.control.take(np.arange(len(fitted.control)) != out)
+        point = fitted.control.points.take(np.arange(len(fitted.control)) == out)
+        error = termsel.fit(kept, name).errors(point)[0]
+        assert np.sqrt(squares[out]) == pytest.approx(np.hypot(*error), rel=0.05)
