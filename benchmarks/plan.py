@@ -16,6 +16,7 @@ from statistics import mean, median
 
 import numpy as np
 
+import termsel
 from benchmarks.sets import put
 from termsel.auto.methods import named
 from termsel.core.threads import one_blas_thread
@@ -35,7 +36,7 @@ def fitted(points: Points) -> Fit:
     """Return the shrunken cubic of points."""
     candidate = named("shrunken-cubic")
     assert candidate is not None
-    return candidate.fit(FeatureSet(replace(points, roles=())))
+    return termsel.fit(FeatureSet(replace(points, roles=())), candidate)
 
 
 def gaps(mine: FloatArray, places: FloatArray) -> list[int]:

@@ -106,8 +106,9 @@ def test_the_reason_states_the_figures_that_decided(
     asked = {"dlt": 1 if chosen == "dlt" else 2}.get(rival, 3)
     assert (gain > asked) == (chosen == "dlt")
     words = "better" if gain > 0 else "worse"
-    assert (f"is {words} than {against.replace('-', ' ')} by {abs(gain):.2g} standard errors; it "
-            f"must be better by more than {asked}") in found.reason
+    label = against.replace("shrunken-", "regularised ")
+    assert (f"is {words} than {label} by {abs(gain):.2g} standard errors; it must be better by "
+            f"more than {asked}") in found.reason
     least = min(judged, key=lambda name: judged[name].held_out_rmse)
     assert ("is a limit of the regularised polynomials" in found.reason) == (
         least in ("affine", "quadratic", "cubic"))

@@ -26,7 +26,7 @@ from termsel.fitting.population import Fits
 from termsel.models.projective import DLT3D
 from termsel.results.checksums import of_features
 from termsel.runs.recommend import recommended
-from termsel.runs.request import Request
+from termsel.runs.request import request_of
 from termsel.runs.task import observe, prepare
 from termsel.selection.criteria import Ebic, KFold
 from termsel.selection.problems.base import Evaluation, Problem, Selection
@@ -164,7 +164,7 @@ def test_a_baseline_without_redundancy_has_no_figures(n: int, determined: bool) 
     ground = places(n)
     image = 1000 * ground[:, :2] + 100 * ground[:, [2, 2]] + rng.normal(0, 1, (n, 2))
     observations = by_roles(set_of(ground, image, ("control",) * n))
-    baselines = compare(observations).baselines(observations)
+    baselines = compare(observations, Auto()).baselines(observations)
     baseline = next(one for one in baselines if one.name == "rfm-2")
     assert baseline.n_terms == 38
     assert baseline.determined == determined
@@ -288,7 +288,9 @@ class Listed(Problem):
 
 def recommended_size(rule: str, first: list[float], second: list[float], n_check: int = 25) -> int:
     task = prepare("rfm-terms", criterion="check-rmse")
-    ruled = replace(task, problem=Listed(first, second), options={"problem": {"recommend": rule}},
+    options = {**task.request.options, "problem": {"recommend": rule}}
+    ruled = replace(task, narrowed=Listed(first, second),
+                    request=replace(task.request, options=options),
                     observations=replace(task.observations,
                                          check=photograph(0.0, n_check).points))
     return int(recommended(ruled, ruled.problem.found()).genes.sum())  # type: ignore[attr-defined]
@@ -320,8 +322,8 @@ def test_how_many_points_a_search_needs(n_control: int, n_check: int, message: s
     away = photograph(0.2, 14).points.take(np.arange(13, -1, -1))  # no corners, which are in line
     features = set_of(away.ground, away.image,
                       (*roles, *("independent",) * (14 - len(roles))))
-    request = Request(problem="owdis-points", features=features, model="affine",
-                      criterion="check-rmse").setup()
+    request = request_of("owdis-points", features=features, model="affine",
+                         criterion="check-rmse")
     if message is None:
         assert len(observe(request).check) == n_check
         return

@@ -32,8 +32,9 @@ NO_FRONT = "This search has no front from which to recommend by the rule {}."
 
 @pytest.mark.parametrize("rule", ["one-standard-error", "knee", "ebic", "best"])
 def test_a_rule_without_a_front_is_a_note(task: termsel.Task, rule: str) -> None:
-    ruled = replace(task, options={**task.options, "problem": {
-        **task.options["problem"], "recommend": rule}})
+    options = {**task.request.options, "problem": {
+        **task.request.options["problem"], "recommend": rule}}
+    ruled = replace(task, request=replace(task.request, options=options))
     search = found(genes=task.problem.genome.on, notes=("One.",))
     expected = ("One.",) if rule == "best" else ("One.", NO_FRONT.format(rule))
     assert recommended(ruled, search).notes == expected

@@ -74,7 +74,7 @@ def test_the_prediction_holds_where_heights_differ_from_those_of_control(
     assert result.predicted.low < true.total < result.predicted.high
     sigma = result.fit.sigma(others.ground, measured=True)
     assert (np.abs(errors) < 1.645 * sigma).mean() > 0.75
-    assert any(re.search(f"covers {covers}.*px for each 100 m", note) for note in result.notes)
+    assert any(re.search(f"covers {covers}.*px error per 100 m", note) for note in result.notes)
     said = result.summary(verbose=True)
     assert "The independent check points have other heights than the control points" in said
     assert not re.search(r"\d{7}", said.replace(",", ""))

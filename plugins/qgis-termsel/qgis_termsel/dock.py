@@ -101,7 +101,7 @@ class ResultDock(QDockWidget):
         chosen_name = strategy.get("chosen")
         self.candidates.addItem(f"chosen by auto: {chosen_name}" if chosen_name
                                 else "the choice of auto", "")
-        for candidate in strategy.get("methods", []):
+        for candidate in strategy.get("candidates", []):
             predicted = candidate.get("predicted")
             text = "" if predicted is None else f", predicted {predicted:.3g} px"
             model = model_named(candidate["name"], candidate["model"])
@@ -181,7 +181,7 @@ def accuracy_text(record):
     sentences = []
     if independent:
         sentences.append(f"Accuracy: RMSE {independent['total']:.3g} px on {independent['n']} "
-                         "independent points.")
+                         "independent check points.")
     if predicted:
         sentences.append(f"Predicted: {predicted['rmse']:.3g} px, {predicted['low']:.3g} to "
                          f"{predicted['high']:.3g} px with a probability of "

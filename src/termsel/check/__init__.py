@@ -139,8 +139,8 @@ def _theorem(content: dict[str, Any], axes: Sequence[Axis]) -> list[str]:
     for axis, axis_content in zip(axes, content["axes"], strict=True):
         system = checksum({key: axis_content[key] for key in ("control", "errors", "denominators")})
         lines += [
-            f"axis {axis.name}: {len(axis.a)} equations of the control and {axis.checks} check "
-            f"points, whose numbers have the SHA-256 {system}",
+            f"axis {axis.name}: {len(axis.a)} equations of the control and {axis.checks} "
+            f"selection points, whose numbers have the SHA-256 {system}",
             f"  terms, {axis.k}: {', '.join(axis.terms)}",
             f"  columns forced into every selection, {len(axis.forced)}: "
             f"{', '.join(axis.terms[j] for j in sorted(axis.forced)) or 'none'}",

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import click
+
+from termsel.cli.messages import echo
 
 TOPICS: Mapping[str, Mapping[str, str]] = {
     "Input": {
@@ -68,7 +71,7 @@ _EVERY = "termsel.help-all"
 def _show_all(context: click.Context, _: click.Parameter, asked: bool) -> None:
     if asked and not context.resilient_parsing:
         context.meta[_EVERY] = True
-        click.echo(context.get_help(), color=context.color)
+        echo(context.get_help())
         context.exit()
 
 
@@ -85,3 +88,13 @@ class Whole(click.IntRange):
 
     def _describe_range(self) -> str:
         return ""
+
+    def convert(self, value: Any, param: click.Parameter | None,
+                ctx: click.Context | None) -> int:
+        """Return the number; refuse one beyond the range, and say what that is."""
+        number = int(click.INT.convert(value, param, ctx))
+        too_small = self.min is not None and number < self.min
+        too_large = self.max is not None and number > self.max
+        if too_small or too_large:
+            self.fail(f"{number} is not in the range {super()._describe_range()}.", param, ctx)
+        return number

@@ -178,7 +178,7 @@ def finding_of(task: Task, search: SearchResult, auto: Auto,
              *verdict.notes, *contradicting.notes,
              *notes_on(agreeing, task.criterion, search, fitted),
              *_on_replaced(task.model, selection), *notes_on_sessions(plugins))
-    then = task.request.then
+    then = task.then
     # The objectives of least squares are not those of other coefficients.
     objectives = search.objectives.tolist() if fitted.estimator.least_squares else []
     return Finding(

@@ -44,8 +44,8 @@ def search_in_steps(task: Task, **how: Any) -> SearchResult:
     later = is_feature if order == "terms-first" else ~is_feature
     everything: BoolArray = problem.genome.on | ~problem.genome.off
     beginning = problem.frozen(everything, later)
-    if task.request.then is not None:
-        _require_beginning(problem.frozen(everything, ~later), task.request.then)
+    if task.then is not None:
+        _require_beginning(problem.frozen(everything, ~later), task.then)
     require_limits(**{name: how.get(name) for name in _LIMITS})
     budget = _budget(task, how)
     first = search(beginning, task.solver, **options, **{**how, **{
@@ -59,12 +59,12 @@ def search_in_steps(task: Task, **how: Any) -> SearchResult:
                  "the model.")
     if first.interrupted:
         return first
-    solver = task.request.then or task.solver
+    solver = task.then or task.solver
     chosen = beginning.genome.chosen(first.genes[None])[0]
     second = search(problem.frozen(chosen, ~later), solver, **options, **{**how, **{
         name: max(value - getattr(first, name), _LEAST if name == "seconds" else 1)
         for name, value in budget.items()}})
-    by = [f" by {each.name}" if task.request.then else "" for each in (task.solver, solver)]
+    by = [f" by {each.name}" if task.then else "" for each in (task.solver, solver)]
     note = (f"In two steps: {word} first{by[0]}, {problem.objectives[0]} "
             f"{first.objectives[0]:.4g} with {int(chosen[~later].sum())} of "
             f"{int((~later).sum())} and everything else in use; then the rest{by[1]}, "

@@ -82,6 +82,16 @@ class Task(Glance):
         return self.request.criterion
 
     @property
+    def then(self) -> Solver | None:
+        """The solver of the second of two steps, if it is another one."""
+        return self.request.then
+
+    @property
+    def source(self) -> str:
+        """Where the features come from."""
+        return self.request.source
+
+    @property
     def features(self) -> FeatureSet:
         """The features with the roles asked for."""
         return self.request.features

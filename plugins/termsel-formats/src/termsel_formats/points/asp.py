@@ -131,7 +131,7 @@ class AspGcpWriter(PointsWriter):
     declared_options: ClassVar[tuple[Option, ...]] = (
         IMAGE,
         Option("ground_sigma", 1.0, "Standard deviation of the ground coordinates [m]; they are "
-                                    "not in the control of termsel.", float))
+                                    "not in the control of termsel.", float, 0.0, 1e6))
 
     def write(self, result: Result, path: Path) -> None:
         """Write a row for each point."""

@@ -158,7 +158,7 @@ class MicmacXmlWriter(PointsWriter):
     declared_options: ClassVar[tuple[Option, ...]] = (
         IMAGE,
         Option("ground_sigma", 1.0, "Standard deviation of the ground coordinates, in their unit.",
-               float))
+               float, 0.0, 1e6))
 
     def files(self, path: Path) -> tuple[Path, ...]:
         """Return the files of the measures and of the places on the ground."""
