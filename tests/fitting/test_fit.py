@@ -286,7 +286,7 @@ def without_heights() -> FeatureSet:
      "4 control points without any one of them do not determine an affine"),
     (points_of(4), "selected", {}, "4 control points are too few to select terms"),
     (lines_of(), "selected", {}, "takes control points alone, and there are control lines"),
-    (points_of(), "rfm-2", {"order": 2}, "candidate 'rfm-2' takes no option 'order'"),
+    (points_of(), "rfm-2", {"order": 2}, "method 'rfm-2' takes no option 'order'"),
     (points_of(), RationalFunctions(), {"order": 2}, "has its options already, takes no option"),
     (points_of(), "rfn", {}, "unknown model 'rfn'. Did you mean 'rfm'"),
     (points_of(), "rfm", {"ordr": 2}, "unknown option 'ordr'"),
