@@ -18,7 +18,7 @@ from termsel.toolkit import open_layer
 from tests.fuzz.seeds import Seed, result_files, seeds
 
 Use = Callable[[Path, Random], int]
-_WITHOUT_CRS = ("erdas-gcps", "pci-gcp", "pix4d-marks")
+_WITHOUT_CRS = ("asp-gcp", "erdas-gcps", "micmac-xml", "pci-gcp", "pix4d-marks")
 """Formats that state none."""
 
 _VECTORS = {"roads.kml": "KML", "roads.gml": "GML", "roads.fgb": "FlatGeobuf",
