@@ -25,6 +25,10 @@ def test_a_method_by_its_name_takes_the_place_of_auto(scene: FeatureSet) -> None
     assert result.strategy.chosen == "affine"
     assert [row.name for row in result.strategy.candidates] == ["affine"]
     assert result.predicted is not None
+    assert result.strategy.reason == "It is the method that was asked for."
+    assert result.judgement.startswith("The method that was asked for is an affine polynomial")
+    assert "quadratic" in [row.name for row in result.baselines]  # it is held against others
+    assert "automatic choice" not in result.summary(verbose=True)
     assert result.fit.coefficients == pytest.approx(
         termsel.run(features=scene, method=termsel.Structure(
             "affine", "an affine polynomial", termsel.Affine(), None)).fit.coefficients)
@@ -33,6 +37,15 @@ def test_a_method_by_its_name_takes_the_place_of_auto(scene: FeatureSet) -> None
 def test_a_method_next_to_a_solver_is_refused(scene: FeatureSet) -> None:
     with pytest.raises(TermselError, match="a method is asked for, and solver"):
         termsel.run("rfm-terms", features=scene, method="affine", solver="ga")
+
+
+@pytest.mark.parametrize(("asked", "words"), [
+    ({"method": "nonsense"}, "unknown method"), ({"method": 3}, "3 is no method"),
+    ({"method": "affine", "strategy": "auto"}, "and a strategy")])
+def test_what_is_no_method_is_refused(scene: FeatureSet, asked: dict[str, object],
+                                      words: str) -> None:
+    with pytest.raises(TermselError, match=words):
+        termsel.run(features=scene, **asked)  # type: ignore[arg-type]
 
 
 def test_a_search_is_a_method_with_the_result_of_a_run() -> None:

@@ -243,7 +243,15 @@ class Auto(Method):
         compared = [fits[method.name] for method in offered if method.name in fits]
         if not any(method_of(fitted).has_prior for fitted in compared):
             compared = [*self.few(data), *compared]
-        return self.best_of(compared)
+        choice = self.best_of(compared)
+        if choice is not None and self.is_one_method:
+            return replace(choice, reason="It is the method that was asked for.")
+        return choice
+
+    @property
+    def is_one_method(self) -> bool:
+        """Whether there is nothing to choose: one method is asked for."""
+        return len(self.methods) == 1
 
     def _settled(self, offered: Iterable[Method], data: FitData) -> Choice | None:
         """Return the choice of the method that the features call for alone, if one says so."""

@@ -143,7 +143,9 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
     chosen = _choose(clean, auto, watch, seed)
     choice = chosen.choice
     method = choice.method
-    comparison = compare(clean, auto, choice)
+    # A method that is asked for is held against those that are built in.
+    comparison = compare(clean, Auto(memory=auto.memory)) if auto.is_one_method \
+        else compare(clean, auto, choice)
     errors = chosen.errors
     if errors is not None and not len(choice.chosen.control.lines):
         # What lines were predicted to be says nothing.
@@ -167,7 +169,7 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
 
     def judgement(rmse: Rmses, rivals: tuple[Baseline, ...]) -> str:
         return judge_choice(method, None if predicted is None else predicted.rmse, rmse, rivals,
-                            request.features.noise)
+                            request.features.noise, is_asked_for=auto.is_one_method)
 
     rpc_unused, rpc_correction = _on_rpc(request, data, auto, choice.chosen)
     interrupted = INTERRUPTED.format(min(watch.count, watch.methods), watch.methods) \

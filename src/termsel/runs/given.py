@@ -23,6 +23,9 @@ def auto_of(method: str | Method | None, memory: Memory | None = None) -> Auto:
         return auto_of_all(memory)
     if isinstance(method, Auto):
         return method
+    if not isinstance(method, str | Method):
+        raise TermselError(f"{method!r:.60} is no method",
+                           hint="Give the name of one (termsel list methods), or a termsel.Method.")
     methods = (registry().get("methods", method) if isinstance(method, str) else method,)
     return Auto(methods=methods, memory=memory or Memory())
 

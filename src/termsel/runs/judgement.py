@@ -90,8 +90,9 @@ def judge(conventional: str, criterion: str, rmse: Rmses,
 
 
 def judge_choice(chosen: Method, predicted: float | None, rmse: Rmses,
-                 baselines: tuple[Baseline, ...], noise: float | None) -> str:
-    """Return some sentences on what the choice of a strategy is worth.
+                 baselines: tuple[Baseline, ...], noise: float | None, *,
+                 is_asked_for: bool = False) -> str:
+    """Return some sentences on what the choice of a strategy, or a method asked for, is worth.
 
     `predicted` is the RMSE of the choice repeated in folds [px], `rmse` that by role, and `noise`
     the standard deviation of the measurements [px], where it is known. The choice is compared with
@@ -101,7 +102,8 @@ def judge_choice(chosen: Method, predicted: float | None, rmse: Rmses,
     """
     measured = rmse["independent"]
     expected = "" if predicted is None else f", with a predicted RMSE of {_px(predicted)}"
-    sentences = [f"The automatic choice is {chosen.title}{expected}."]
+    subject = "The method that was asked for" if is_asked_for else "The automatic choice"
+    sentences = [f"{subject} is {chosen.title}{expected}."]
     if measured is None:
         sentences.append("It is not verified: there are no independent check points.")
     else:

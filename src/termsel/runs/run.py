@@ -157,6 +157,8 @@ def run(
     else:
         named = problem_for(features, dataset) if problem is None else problem
         words = [*method_words(model, solver, criterion, options), *["a budget"] * is_limited]
+        if method is not None and strategy is not None:
+            words.append("a strategy")
         recipe = registry().taken("problems", named)
         if method is not None or wanted(strategy, recipe, words, unnamed=problem is None):
             return _chosen(method, named, features, asked, words, seed, observers, out, overwrite,
