@@ -12,6 +12,8 @@ from termsel.core.errors import TermselError
 from termsel.data.features import FeatureSet
 from termsel.data.fit_data import FitData
 
+AFFINE = termsel.Structure("affine", "an affine polynomial", termsel.Affine(), None)
+
 
 @pytest.fixture(scope="module")
 def scene() -> FeatureSet:
@@ -55,6 +57,29 @@ def test_a_search_is_a_method_with_the_result_of_a_run() -> None:
     run = termsel.run("poly-terms", solver="exact", options={"degree": 2})
     assert result.selection == run.selection
     assert result.fit.coefficients == run.fit.coefficients
+
+
+def test_a_search_of_another_problem_keeps_the_features_and_roles_of_the_task() -> None:
+    task = termsel.prepare("rfm-terms")
+    result = termsel.assess(
+        termsel.Search("poly-terms", {"solver": "exact", "options": {"degree": 1}}), task)
+    assert (result.problem, result.model, result.solver) == ("poly-terms", "poly2d", "exact")
+    assert result.data.roles == termsel.assess(AFFINE, task).data.roles
+
+
+def test_a_search_is_fitted_and_held_out_as_any_method(scene: FeatureSet) -> None:
+    points = scene.points.take(np.arange(24) < 14)
+    data = FitData.of(FeatureSet(points, crs=scene.crs))
+    search = termsel.Search("poly-terms", {"solver": "exact", "criterion": "press",
+                                           "options": {"degree": 1, "polish": False}})
+    fitted = search.fit(data)
+    assert len(fitted.control) == 14  # none is set aside as independent
+    held_out = search.held_out(fitted)
+    assert held_out.squares.shape == (14,)
+    assert held_out.squares.sum() > (fitted.errors(points)**2).sum()
+    compared = termsel.Auto(methods=(search, AFFINE)).choose(data)
+    assert compared is not None
+    assert {fit.method.name for fit in compared.compared} == {"search", "affine"}
 
 
 def test_auto_is_a_method_whose_errors_are_of_the_repeated_choice(scene: FeatureSet) -> None:

@@ -10,8 +10,8 @@ from termsel.fitting.method import Method
 from termsel.results.result import Result
 from termsel.runs.choosing import choose_for
 from termsel.runs.finding import result_of
-from termsel.runs.searching import GivenGenes, Search
 from termsel.runs.task import Task
+from termsel.runs.task_method import TaskMethod
 from termsel.selection.solvers.search import Observer
 
 
@@ -26,8 +26,9 @@ def assess(method: Method, task: Task, *, seed: int = 1, observers: Iterable[Obs
     Parameters
     ----------
     method : Method
-        `Auto` chooses among methods; `Search` searches the task's problem; `GivenGenes` takes what
-        an optimiser of one's own has found; any other is fitted alone.
+        `Auto` chooses among methods; `Search` searches the task's problem, or one of its own with
+        the task's features; `GivenGenes` takes what an optimiser of one's own has found; any other
+        is fitted alone.
     task : Task
         As `termsel.prepare` returns it.
     seed : int
@@ -59,7 +60,7 @@ def assess(method: Method, task: Task, *, seed: int = 1, observers: Iterable[Obs
     'given'
     """
     memory = memory or Memory()
-    if isinstance(method, Search | GivenGenes):
+    if isinstance(method, TaskMethod):
         return result_of(*method.find(task, memory))
     auto = method if isinstance(method, Auto) else \
         Auto(methods=(method,), memory=memory)

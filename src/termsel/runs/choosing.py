@@ -30,6 +30,7 @@ from termsel.plugins.registry import registry
 from termsel.runs.data_notes import notes_on_data, notes_on_dem
 from termsel.runs.finding import Finding
 from termsel.runs.judgement import best_conventional, judge_choice
+from termsel.runs.method_task import LEAST
 from termsel.runs.provenance import plugins_of
 from termsel.runs.request import Request
 from termsel.runs.verdict import Verdict, judge_features, judge_independent
@@ -43,10 +44,6 @@ INTERRUPTED = ("The run was interrupted when {0} of {1} candidates were judged. 
                "repeated without some of the points, so it predicts no accuracy.")
 
 NAMES = ("auto", "as-asked")
-
-LEAST = 2
-"""Control points without which there is no answer."""
-
 
 def wanted(strategy: str | None, recipe: Recipe, method: Sequence[str] = (), *,
            unnamed: bool = False) -> bool:

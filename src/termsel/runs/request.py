@@ -155,6 +155,19 @@ def request_of(
         made.get("then"), set_options, blank)
 
 
+def problem_for(features: FeatureSet | None, dataset: str | DatasetSpec | None = None) -> str:
+    """Return the problem that features, or else a data set, are for where none is named."""
+    if features is None and dataset is not None:
+        features = loaded(registry().taken("datasets", dataset))
+    if features is None:
+        raise TermselError("there is nothing to run",
+                           hint="Give points or lines, or name a problem.")
+    if len(features.lines):
+        return "owdis-lines"
+    plane = features.without_height() and not to_leave_out(features)
+    return "poly-terms" if plane else "rfm-terms"
+
+
 def _named_parts(recipe: Recipe, model: Any, solver: Any, criterion: Any,
                  given: Mapping[str, Any]) -> dict[str, Any]:
     """Return model, criterion and solvers, asked for or the problem's own, by class or instance."""

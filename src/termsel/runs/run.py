@@ -5,11 +5,8 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from termsel.adjustment import kernels
 from termsel.adjustment.bayesian import held_out
@@ -19,8 +16,6 @@ from termsel.core.errors import TermselError
 from termsel.core.files.names import CERTIFICATE
 from termsel.core.threads import one_blas_thread
 from termsel.data.datasets import DatasetSpec
-from termsel.data.features import FeatureSet
-from termsel.data.fit_data import FitData
 from termsel.fitting.method import Method
 from termsel.formats.rpc_files import with_rpc
 from termsel.io.read import features_of
@@ -30,19 +25,15 @@ from termsel.models.base import SensorModel
 from termsel.models.rpc import Rpc
 from termsel.plugins.registry import registry
 from termsel.results.result import Result
-from termsel.runs.blank_heights import to_leave_out
-from termsel.runs.choosing import LEAST, choose_for, wanted
-from termsel.runs.finding import result_of
-from termsel.runs.fit_crs import with_polar
+from termsel.runs.choosing import wanted
 from termsel.runs.given import auto_of
+from termsel.runs.method_task import request_of_method, require_alone, task_of_method
 from termsel.runs.notebook import notebook_observer
-from termsel.runs.request import loaded, method_words, request_of
-from termsel.runs.rpc_given import part_of_rpc, with_part
-from termsel.runs.task import Task, observe, prepared, with_shares
+from termsel.runs.request import method_words, problem_for, request_of
+from termsel.runs.task import Task, prepared
 from termsel.selection.criteria import Criterion
 from termsel.selection.problems.recipes import Recipe
 from termsel.selection.solvers.base import Solver
-from termsel.selection.solvers.heuristics.yardsticks import AllTerms
 from termsel.selection.solvers.search import Observer
 
 log = logging.getLogger(__name__)
@@ -148,9 +139,10 @@ def run(
     limits = {"generations": generations, "evaluations": evaluations, "seconds": seconds,
               "patience": patience}
     is_limited = any(limit is not None for limit in limits.values())
-    shown = notebook_observer(
+    notebook = notebook_observer(
         problem.recipe.name if isinstance(problem, Task) else str(problem or "auto"))
-    observers = (*observers, *([] if shown is None else [shown]), *registry().observers())
+    observers = (*observers, *filter(None, [notebook]), *registry().observers())
+    auto: Auto | None = None
     if isinstance(problem, Task):
         _refuse_named({"features": features, **asked})
         task = problem
@@ -161,31 +153,51 @@ def run(
             words.append("a strategy")
         recipe = registry().taken("problems", named)
         if method is not None or wanted(strategy, recipe, words, unnamed=problem is None):
-            return _chosen(method, named, features, asked, words, seed, observers, out, overwrite,
-                           memory)
-        task = prepared(request_of(named, features=features, **asked))
-        if strategy is None and task.recipe.portfolio and problem is None:
-            log.warning("Note: %s asks for a search by %s, which takes the place of the automatic "
-                        "choice. Leave %s out to have the model chosen automatically.",
-                        " and ".join(words), task.solver.name,
-                        "it" if len(words) == 1 else "them")
-        if task.features.rpc is not None and "rpc" not in task.model.options:
-            log.warning("Warning: the model %s makes no use of the RPC. Leave model, solver and "
-                        "criterion out to have it corrected.", task.model.name)
+            require_alone(method, words)
+            auto = auto_of(method, memory)
+            request = request_of_method(named, features=features, dataset=dataset, source=source,
+                                        model=model, options=options)
+            task = task_of_method(request, auto)
+        else:
+            task = prepared(request_of(named, features=features, **asked))
+            _warn_of_search(task, words, is_in_place_of_auto=strategy is None and problem is None)
     if not is_limited:
         limits |= {"generations": task.recipe.generations, "patience": task.recipe.patience}
     if task.solver.options.get("certificate") and out is None:
         raise TermselError("a certificate is a file of the folder of a result, and there is none",
                            hint="Add --out DIR, in Python out=.", name="certificate")
 
-    def search() -> Result:
-        from termsel.runs.assess import assess  # not for auto
-        from termsel.runs.searching import Search
+    def result_of_run() -> Result:
+        from termsel.runs.assess import assess
 
-        searching = Search(limits={**limits, "seed": seed, "observers": observers})
-        return assess(searching, task, memory=memory)
+        if auto is not None:
+            return assess(auto, task, seed=seed, observers=observers, memory=memory)
+        from termsel.runs.searching import Search  # not for auto
 
-    return _written(search, out, overwrite, SEARCH_COMPILES if kernels.needs_compilation() else 0)
+        return assess(Search(limits={**limits, "seed": seed, "observers": observers}), task,
+                      memory=memory)
+
+    return _written(result_of_run, out, overwrite, _seconds_of_compilation(task, auto))
+
+
+def _warn_of_search(task: Task, words: Sequence[str], *, is_in_place_of_auto: bool) -> None:
+    """Say where a search takes the place of the automatic choice, and where an RPC is not used."""
+    if is_in_place_of_auto and task.recipe.portfolio:
+        log.warning("Note: %s asks for a search by %s, which takes the place of the automatic "
+                    "choice. Leave %s out to have the model chosen automatically.",
+                    " and ".join(words), task.solver.name, "it" if len(words) == 1 else "them")
+    if task.features.rpc is not None and "rpc" not in task.model.options:
+        log.warning("Warning: the model %s makes no use of the RPC. Leave model, solver and "
+                    "criterion out to have it corrected.", task.model.name)
+
+
+def _seconds_of_compilation(task: Task, auto: Auto | None) -> int:
+    """Return how many seconds longer a run takes as it compiles, if it does."""
+    if auto is None:
+        return SEARCH_COMPILES if kernels.needs_compilation() else 0
+    # Whether a search of lines follows, which compiles more, is not known yet.
+    points = len(task.observations.together.points)
+    return AUTO_COMPILES if held_out.needs_compilation(points) else 0
 
 
 def _refuse_named(asked: Mapping[str, Any]) -> None:
@@ -194,62 +206,6 @@ def _refuse_named(asked: Mapping[str, Any]) -> None:
     if named:
         raise TermselError(f"a prepared task takes no {', '.join(named)}",
                            hint="Give them to termsel.prepare.")
-
-
-def problem_for(features: FeatureSet | None, dataset: str | DatasetSpec | None = None) -> str:
-    """Return the problem that features, or else a data set, are for where none is named."""
-    if features is None and dataset is not None:
-        features = loaded(registry().taken("datasets", dataset))
-    if features is None:
-        raise TermselError("there is nothing to run",
-                           hint="Give points or lines, or name a problem.")
-    if len(features.lines):
-        return "owdis-lines"
-    plane = features.without_height() and not to_leave_out(features)
-    return "poly-terms" if plane else "rfm-terms"
-
-
-def _chosen(method: str | Method | None, problem: str | Recipe, features: FeatureSet | None,
-            asked: Mapping[str, Any], words: Sequence[str], seed: int,
-            observers: Iterable[Observer], out: Path | str | None, overwrite: bool,
-            memory: Memory | None) -> Result:
-    """Return the result of a method that needs no problem: by default of "auto"."""
-    if method is not None and words:
-        raise TermselError(f"a method is asked for, and {words[0]}", hint="Leave one of them out.")
-    auto = auto_of(method, memory)
-    # It fits to check points as to control, and yet shows their figures; points go with lines.
-    options = {"check_as": "judge", **(asked["options"] or {})}
-    if registry().taken("problems", problem).control == "lines":
-        options["mixed"] = True
-    request = request_of(problem, features=features, **{
-        **asked, "criterion": "press", "solver": AllTerms, "options": options})
-    if request.recipe.search_first and request.features.without_height():
-        # The model of the search is not asked for, so that it asks for no heights.
-        request = replace(request, model=registry().get("models", "poly2d")())
-    request = with_shares(request, auto=True)
-    least = _fewest(request.features, auto)
-    observations = observe(request, least)
-    part = part_of_rpc(observations.together)
-    if part is not None:
-        request = with_part(request, part)
-        observations = observe(request, least)
-    observations = with_polar(observations)
-    # Whether a search of lines follows, which compiles more, is not known yet.
-    compiles = held_out.needs_compilation(len(observations.together.points))
-    return _written(lambda: result_of(request, choose_for(
-        request, observations, auto, seed, observers)), out, overwrite,
-        AUTO_COMPILES if compiles else 0)
-
-
-def _fewest(features: FeatureSet, auto: Auto) -> int:
-    """Return the fewest features to choose by: one where something is known of the image."""
-    if features.rpc is not None:
-        return 1
-    in_use = np.array([role not in ("independent", "off") for role in features.points.roles]
-                      + [True] * len(features.lines.features), dtype=bool)
-    if not 0 < in_use.sum() < LEAST:
-        return LEAST
-    return min(LEAST, auto.fewest(FitData.of(features.take(in_use))))
 
 
 def _written(work: Callable[[], Result], out: Path | str | None, overwrite: bool, longer: int

@@ -12,22 +12,22 @@ import numpy as np
 from msgspec import convert
 from msgspec.structs import asdict
 
-from termsel.auto.auto import Auto
+from termsel.auto.auto import Auto, folds_of
 from termsel.auto.compare import compare_robustly
 from termsel.auto.memory import Memory
 from termsel.auto.ridge import RidgeByOrder
 from termsel.core.errors import TermselError, unknown_name
 from termsel.core.files.names import CERTIFICATE
 from termsel.core.isolation.faults import HINT, wrong
-from termsel.data.features import BoolArray
+from termsel.data.coordinates.places import ground_centres, spatial_order
+from termsel.data.features import BoolArray, select
 from termsel.data.fit_data import FitData
 from termsel.data.record.base import plain
 from termsel.data.record.search import Certificate, Member, SearchLimits, SizeRow
 from termsel.data.roles import Observations
 from termsel.fitting.figures import Baseline, Rmses, baseline, rmse_record
-from termsel.fitting.fit import Fit
+from termsel.fitting.fit import Fit, HeldOut
 from termsel.fitting.least_squares import fit
-from termsel.fitting.method import Method
 from termsel.models.base import SensorModel
 from termsel.results.checksums import of_certificate
 from termsel.results.result import Result
@@ -37,8 +37,9 @@ from termsel.runs.finding import Finding, result_of
 from termsel.runs.fit_crs import note_on_pole
 from termsel.runs.judgement import judge, name_conventional, notes_on
 from termsel.runs.provenance import data_of, notes_on_sessions, plugins_of
-from termsel.runs.request import Request
+from termsel.runs.request import Request, problem_for
 from termsel.runs.task import Task, prepare
+from termsel.runs.task_method import TaskMethod
 from termsel.runs.verdict import Verdict, judge_features, judge_independent
 from termsel.runs.without_blunders import search_without_blunders
 from termsel.selection.problems.base import Selection
@@ -49,37 +50,82 @@ from termsel.selection.solvers.proofs.exact import gap
 from termsel.selection.solvers.proofs.proof import SizeProof
 from termsel.selection.solvers.search import SearchResult
 
+ALL_TAKE_PART = "1:1:0"
+"""Shares of control, selection and independent points where a search is fitted as a method."""
 
-class Search(Method):
+
+class Search(TaskMethod):
     """The method that searches a problem: a recipe, with a solver and a criterion.
 
     Parameters
     ----------
-    problem : str or Recipe
+    problem : str or Recipe, optional
+        By default that of the task; where there is none, the one that the features are for.
     settings : mapping, optional
-        Model, solver, criterion and options, as for `termsel.prepare`.
+        Model, solver, criterion and options of the problem, as for `termsel.prepare`.
     limits : mapping, optional
         Budgets, seed and observers, as for `termsel.search`.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> task = termsel.prepare("poly-terms", solver="exact", options={"degree": 2})
+    >>> termsel.assess(termsel.Search(), task).certificate.optimal
+    True
     """
 
-    problem: str | Recipe
+    problem: str | Recipe | None
     settings: Mapping[str, Any]
     limits: Mapping[str, Any]
 
-    def __init__(self, problem: str | Recipe = "rfm-terms",
+    def __init__(self, problem: str | Recipe | None = None,
                  settings: Mapping[str, Any] | None = None,
                  limits: Mapping[str, Any] | None = None) -> None:
         super().__init__("search", "a search")
         self.__dict__.update(problem=problem, settings=settings or {}, limits=limits or {})
 
     def fit(self, data: FitData) -> Fit:
-        """Search with the features in their roles, and fit what is selected."""
-        task = prepare(self.problem, features=data.features, **self.settings)
+        """Search, and fit what is selected.
+
+        Where no point is a selection point some become such, by their places, as the search judges
+        by them; none is independent.
+        """
+        features = data.features
+        if "check" not in features.points.roles:
+            features = features.with_(points=replace(features.points, roles=()))
+        settings = {**self.settings, "options": {
+            "fractions": ALL_TAKE_PART, **self.settings.get("options", {})}}
+        task = prepare(self.problem or problem_for(features), features=features, **settings)
         searched, search = search_without_blunders(task, Auto(), **self.limits)
-        return estimated(searched, searched.problem.decode(search.genes), search)
+        fitted = estimated(searched, searched.problem.decode(search.genes), search)
+        in_use = select(fitted.control.ids, fitted.used)
+        return replace(fitted, control=replace(features, fit_crs=fitted.control.fit_crs),
+                       used=np.isin(features.ids, in_use))
+
+    def held_out(self, fitted: Fit) -> HeldOut:
+        """Return the errors of features where the whole search is made again without them.
+
+        It is repeated in as many folds as the choice of "auto" is, so it takes so many times as
+        long as `fit`. The errors are those of all features, selected or not.
+        """
+        features = fitted.control
+        data = FitData.of(features, fitted.model.uses_height)
+        order = spatial_order(ground_centres(features))
+        owner = features.vertex_feature
+        errors = np.empty((len(owner), 2))
+        folds = folds_of(features)
+        for fold in range(folds):
+            out = np.zeros(len(features), dtype=bool)
+            out[order[fold::folds]] = True
+            others = self.fit(data.take(~out))
+            held = features.take(out)
+            errors[out[owner]] = np.concatenate([
+                others.errors(held.points), others.line_errors(held.lines).reshape(-1, 2)])
+        return HeldOut.of(errors, features)
 
     def find(self, task: Task, memory: Memory) -> tuple[Request, Finding]:
-        """Search a prepared task, and return what was found."""
+        """Search a prepared task, or the problem of one's own with its features."""
+        task = self.own_task(task)
         auto = Auto(memory=memory)
         verdict = judge_features(task.observations, auto, task.options["data"]["tested"])
         searched, search = search_without_blunders(task, auto, verdict, **self.limits)
@@ -90,8 +136,20 @@ class Search(Method):
         return searched.request, replace(
             finding_of(searched, search, auto, verdict), budget=budget)
 
+    def own_task(self, task: Task) -> Task:
+        """Return a task, or that of one's own problem and settings where they are given.
 
-class GivenGenes(Method):
+        Its features keep the roles that they play in the task, so that independent points stay
+        independent.
+        """
+        if self.problem is None and not self.settings:
+            return task
+        features = task.features.with_(points=task.observations.features.points)
+        return prepare(self.problem or task.recipe, features=features, source=task.source,
+                       **self.settings)
+
+
+class GivenGenes(TaskMethod):
     """The method that takes the genes that an optimiser of one's own has found.
 
     Independent points are looked at in `termsel.assess` alone: assess what the optimiser ends with,

@@ -16,9 +16,9 @@ from termsel.plugins.hookspecs import PROJECT
 from termsel.plugins.loading import canonical
 from termsel.plugins.registry import SESSION, registry
 from termsel.results.extras import Measure
-from termsel.runs.choosing import LEAST, wanted
-from termsel.runs.request import DATA_OPTIONS, Request, request_of
-from termsel.runs.run import problem_for
+from termsel.runs.choosing import wanted
+from termsel.runs.method_task import LEAST
+from termsel.runs.request import DATA_OPTIONS, Request, problem_for, request_of
 from termsel.runs.task import Task, checked, observe, with_shares
 from termsel.selection.solvers.base import Solver
 from termsel.selection.solvers.budget import SEARCH_OPTIONS
