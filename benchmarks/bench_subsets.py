@@ -18,8 +18,8 @@ from time import process_time
 import numpy as np
 
 from benchmarks.bench_kernels import LSTSQ, Row
-from termsel.adjustment.monomials import RPC00B, monomials
 from termsel.data.features import BoolArray, FloatArray, IntArray
+from termsel.data.monomials import RPC00B, monomials
 from termsel.selection.best_subsets.columns.system import SubsetSystem
 from termsel.selection.best_subsets.subsets import SubsetResult, search
 

@@ -30,13 +30,13 @@ from benchmarks.sets import (
     split,
 )
 from termsel.adjustment.bayesian import blunder_odds
-from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.auto import blunders, contradictions
 from termsel.auto.auto import Auto
 from termsel.auto.blunders import find_blunders
 from termsel.auto.contradictions import Suspects
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.data.fit_data import FitData
+from termsel.data.monomials import graded_exponents, monomials
 from termsel.data.scaling import scaling_of
 
 COUNTS = (24, 40, 74)

@@ -25,8 +25,8 @@ from termsel.auto.methods import METHODS
 from termsel.data.features import FeatureSet, Points, select
 from termsel.data.fit_data import FitData
 from termsel.data.roles import Observations, observe
+from termsel.data.rpc import Rpc
 from termsel.fitting.fit import Undetermined
-from termsel.models.rpc import Rpc
 from termsel.simulate.catalogue import SCENES, Scene
 from termsel.simulate.scenes import scene_truth, simulate_scene
 

@@ -151,14 +151,14 @@ def moved(points: termsel.Points, factor: float, shift: float) -> termsel.Points
     return replace(points, ground=factor * points.ground + shift)
 
 
-def moved_by(inputs: termsel.Inputs, factor: float, shift: float) -> termsel.Inputs:
+def moved_by(inputs: termsel.ProblemData, factor: float, shift: float) -> termsel.ProblemData:
     """Return inputs in other coordinates."""
     points = moved(inputs.control.points, factor, shift)
     return replace(inputs, control=replace(inputs.control, points=points),
                    check=moved(inputs.check, factor, shift))
 
 
-def missed(task: termsel.Task, inputs: termsel.Inputs, coefficients: FloatArray, factor: float,
+def missed(task: termsel.Task, inputs: termsel.ProblemData, coefficients: FloatArray, factor: float,
            shift: float) -> float:
     """Return the RMSE of the independent points [px]."""
     scaled = moved(task.scaling.points(task.observations.independent), factor, shift)

@@ -20,6 +20,7 @@ from .data.features import Lines as Lines
 from .data.features import Points as Points
 from .data.fit_data import FitData as FitData
 from .data.rasters import open_raster as open_raster
+from .data.rpc import Rpc as Rpc
 from .data.scaling import Scaling as Scaling
 from .data.splits import Split as Split
 from .fitting.accuracy import ce90 as ce90
@@ -59,7 +60,6 @@ from .models import RationalModel as RationalModel
 from .models import SensorModel as SensorModel
 from .models import Term as Term
 from .models import ThinPlate as ThinPlate
-from .models.rpc import Rpc as Rpc
 from .plugins.hookspecs import hookimpl as hookimpl
 from .plugins.session import get as get
 from .plugins.session import register as register
@@ -80,8 +80,8 @@ from .selection.best_subsets.columns.system import SubsetSystem as SubsetSystem
 from .selection.criteria import Criterion as Criterion
 from .selection.problems.base import EnumerablePart as EnumerablePart
 from .selection.problems.base import Evaluation as Evaluation
-from .selection.problems.base import Inputs as Inputs
 from .selection.problems.base import Problem as Problem
+from .selection.problems.base import ProblemData as ProblemData
 from .selection.problems.base import Selection as Selection
 from .selection.problems.coverage import uncovered_share as uncovered_share
 from .selection.problems.custom_segment import CustomSegment as CustomSegment

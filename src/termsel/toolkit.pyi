@@ -1,9 +1,5 @@
 # Names for packages, and the modules that they are imported from when first used.
 from .adjustment.bayesian.cameras import turned as turned
-from .adjustment.monomials import Exponents as Exponents
-from .adjustment.monomials import graded_exponents as graded_exponents
-from .adjustment.monomials import monomial_name as monomial_name
-from .adjustment.monomials import monomials as monomials
 from .adjustment.solve import solve as solve
 from .auto.auto import Auto as Auto
 from .auto.blunders import find_blunders as find_blunders
@@ -13,7 +9,7 @@ from .cli.messages import echo as echo
 from .cli.messages import refuse_stdout as refuse_stdout
 from .cli.messages import say_written as say_written
 from .cli.messages import show_messages as show_messages
-from .cli.options.run_options import Asked as Asked
+from .cli.options.run_options import RunOptions as RunOptions
 from .cli.options.run_options import parse_settings as parse_settings
 from .cli.options.run_options import run_options as run_options
 from .cli.options.shared import final_option as final_option
@@ -86,6 +82,10 @@ from .data.features import BoolArray as BoolArray
 from .data.features import FloatArray as FloatArray
 from .data.features import no_lines as no_lines
 from .data.features import select as select
+from .data.monomials import Exponents as Exponents
+from .data.monomials import graded_exponents as graded_exponents
+from .data.monomials import monomial_name as monomial_name
+from .data.monomials import monomials as monomials
 from .data.rasters import refuse_empty_giant as refuse_empty_giant
 from .data.rasters import require_rasterio as require_rasterio
 from .data.record.base import plain as plain
@@ -186,8 +186,8 @@ from .runs.provenance import versions as versions
 from .runs.recommend import recommended as recommended
 from .runs.request import DATA_OPTIONS as DATA_OPTIONS
 from .runs.request import Request as Request
+from .runs.request import problem_for as problem_for
 from .runs.request import request_of as request_of
-from .runs.run import problem_for as problem_for
 from .runs.task import prepared as prepared
 from .selection.best_subsets.features.walk import RowSystem as RowSystem
 from .selection.problems.base import WORST as WORST

@@ -14,7 +14,6 @@ import termsel
 from termsel import FeatureSet, Points
 from termsel.adjustment.bayesian.held_out import chance_of
 from termsel.adjustment.bayesian.posterior import posterior, scales_of
-from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.auto import contradictions
 from termsel.auto.auto import Auto
 from termsel.auto.blunders import find_blunders, judge_others
@@ -23,6 +22,7 @@ from termsel.auto.memory import Memory
 from termsel.auto.shrunken import average
 from termsel.data.features import no_lines, no_points
 from termsel.data.fit_data import FitData
+from termsel.data.monomials import graded_exponents, monomials
 from termsel.data.record.base import plain
 from termsel.data.scaling import scaling_of
 

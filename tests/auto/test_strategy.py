@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.auto.auto import Auto
 from termsel.auto.methods import METHODS
 from termsel.auto.selected import select_forward
 from termsel.auto.shrunken import average
 from termsel.data.features import FeatureSet, Points
 from termsel.data.fit_data import FitData
+from termsel.data.monomials import graded_exponents, monomials
 from termsel.io.result_folder import read_result
 from termsel.simulate import simulate_scene
 

@@ -231,7 +231,7 @@ def share_of_maps(selected: termsel.PopulationSelection) -> np.ndarray:
                        ).sum(axis=1) / count)
 
 
-def precise(inputs: termsel.Inputs) -> SelectionProblem:
+def precise(inputs: termsel.ProblemData) -> SelectionProblem:
     """Select among the points whose accuracy is good enough."""
     known = inputs.control.numbers("accuracy") <= inputs.options["worst"]
     return SelectionProblem(replace(inputs, control=inputs.control.take(known)), terms=False,

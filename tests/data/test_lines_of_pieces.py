@@ -10,7 +10,7 @@ from termsel.adjustment.equations import line_normals
 from termsel.data.features import FeatureSet, Lines, Points
 from termsel.models.polynomial import Affine, Polynomial3D
 from termsel.selection.criteria import CheckRmse, KFold, Press
-from termsel.selection.problems.base import Inputs
+from termsel.selection.problems.base import ProblemData
 from termsel.selection.problems.selection import SelectionProblem
 from termsel.testing.scenes import imaged, random_coefficients, seeded
 
@@ -75,7 +75,7 @@ def squares(feature: FeatureSet, coefficients: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("points", [0, 12])
 def test_a_gene_switches_all_pieces(points: int) -> None:
     features, check = scene(points)
-    problem = SelectionProblem(Inputs(MODEL, features, check, 1000.0, CheckRmse()),
+    problem = SelectionProblem(ProblemData(MODEL, features, check, 1000.0, CheckRmse()),
                                terms=False, features=True)
     assert problem.genome.size == points + 28
     off = np.array([name == "l3" for name in features.ids])
@@ -94,7 +94,7 @@ def test_a_feature_is_predicted_with_all_pieces_left_out(criterion: termsel.Crit
                                                          points: int) -> None:
     """With more folds than features each is left out alone, as by press."""
     features, check = scene(points)
-    problem = SelectionProblem(Inputs(MODEL, features, check, 1000.0, criterion),
+    problem = SelectionProblem(ProblemData(MODEL, features, check, 1000.0, criterion),
                                terms=False, features=True)
     off = np.array([name in ("l5", "l9") for name in features.ids])
     found = problem.evaluate(~off[None]).objectives[0, 0]
@@ -125,5 +125,5 @@ def test_result_of_a_run_with_pieces() -> None:
 def test_most_rows_the_features_can_give() -> None:
     features, check = scene()
     with pytest.raises(termsel.TermselError, match="gives 14 equations with at most 5 features"):
-        SelectionProblem(Inputs(MODEL, features, check, 1.0, CheckRmse(), {"max_features": 5}),
+        SelectionProblem(ProblemData(MODEL, features, check, 1.0, CheckRmse(), {"max_features": 5}),
                          terms=False, features=True)

@@ -11,10 +11,10 @@ from scipy.special import logsumexp
 from termsel import FeatureSet, Lines, Points
 from termsel.adjustment.bayesian.blunder_odds import FORM, SIZES, blunder_odds
 from termsel.adjustment.bayesian.posterior import Posterior, posterior
-from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.auto.blunders import find_blunders
 from termsel.data.features import FloatArray, no_lines
 from termsel.data.fit_data import FitData
+from termsel.data.monomials import graded_exponents, monomials
 
 PLANE = graded_exponents(2, 2)
 N = 12

@@ -11,9 +11,9 @@ from termsel import FeatureSet, TermselError
 from termsel.adjustment.bayesian import physics
 from termsel.adjustment.bayesian.cameras import seen_by_frames, seen_by_radars
 from termsel.adjustment.bayesian.physics import FREE, Equations, Prior, Solutions
-from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.auto.physical import averaged, averaged_of
 from termsel.data.fit_data import FitData
+from termsel.data.monomials import graded_exponents, monomials
 from termsel.simulate import simulate_scene
 from termsel_bench.scenes.cameras import CHOSEN, image_of
 

@@ -10,14 +10,15 @@ from scipy import stats
 
 import termsel
 from termsel.adjustment.equations import Equations
-from termsel.adjustment.monomials import RPC00B, monomial_name
 from termsel.adjustment.solve import solve
 from termsel.core.errors import TermselError, unknown_name
 from termsel.core.options import Option
 from termsel.data.coordinates.places import beyond
 from termsel.data.coordinates.plausible import check_ground
 from termsel.data.features import FeatureSet, FloatArray, Lines, Points
+from termsel.data.monomials import RPC00B, monomial_name
 from termsel.data.roles import by_roles, observe
+from termsel.data.rpc import Rpc
 from termsel.data.scaling import scaling_of
 from termsel.data.splits import SPLITS
 from termsel.fitting.diagnosis import significance
@@ -27,7 +28,6 @@ from termsel.fitting.least_squares import LEAST_SQUARES
 from termsel.models.poles import pole_violation
 from termsel.models.polynomial import Affine
 from termsel.models.rational import RationalFunctions
-from termsel.models.rpc import Rpc
 
 
 def points(n: int, prefix: str = "P", *, noise: float = 0.0, seed: int = 0,

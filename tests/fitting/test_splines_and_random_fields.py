@@ -14,11 +14,11 @@ from termsel.adjustment.bayesian import field, posterior
 from termsel.adjustment.bayesian.field import collocate
 from termsel.adjustment.bayesian.foresight import foresee
 from termsel.adjustment.bayesian.thin_plate import thin_plates
-from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.adjustment.orthogonal import orthogonal
 from termsel.auto.auto import Auto
 from termsel.data.features import FeatureSet, FloatArray, Points
 from termsel.data.fit_data import FitData
+from termsel.data.monomials import graded_exponents, monomials
 from termsel_photos import simulate_map
 
 UNITS = (1.0, 0.7)

@@ -10,10 +10,10 @@ import pytest
 
 import termsel
 from termsel import TermselError
+from termsel.data.rpc import Rpc
 from termsel.formats.base import parse_json
 from termsel.formats.heights import open_dem
 from termsel.formats.readers.qgis_points import QgisPoints
-from termsel.models.rpc import Rpc
 from termsel.simulate import read_geometry, scene_truth
 from termsel.simulate.geometry_files import geometry_text
 

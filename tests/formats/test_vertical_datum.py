@@ -16,9 +16,9 @@ import termsel
 from termsel.core.errors import TermselError
 from termsel.data.coordinates import crs as crs_module
 from termsel.data.features import FeatureSet, FloatArray, Points
+from termsel.data.rpc import Rpc
 from termsel.formats.heights import open_dem, with_heights
 from termsel.io.project import project_table
-from termsel.models.rpc import Rpc
 from tests.geoid_grid import EGM96, write_geoid
 
 rasterio = pytest.importorskip("rasterio")

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.adjustment.monomials import RPC00B
 from termsel.core.errors import TermselError
 from termsel.core.files.atomic import write_bytes
 from termsel.data.features import FeatureSet, Points
+from termsel.data.monomials import RPC00B
 from termsel.data.rasters import empty_tiff
 from termsel.fitting.rpc_fit import rpc_of
 from termsel.formats.readers.csv_tables import LinesCsv, PointsCsv

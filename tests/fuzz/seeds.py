@@ -12,8 +12,8 @@ import numpy as np
 
 import termsel
 from termsel.data.rasters import tiff_bytes
+from termsel.data.rpc import Rpc
 from termsel.formats.rpc_files import rpb_text, rpc_items, rpc_txt_text
-from termsel.models.rpc import Rpc
 from termsel.simulate import geometry_text, scene_truth
 
 _N = 14

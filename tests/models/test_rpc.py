@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 
 from termsel.core.errors import TermselError
 from termsel.data.features import FloatArray
+from termsel.data.rpc import Rpc
 from termsel.formats.pictures import Picture
 from termsel.formats.rpc_files import read_rpc, rpb_text, rpc_items, rpc_txt_text
 from termsel.formats.vrt import vrt_text
-from termsel.models.rpc import Rpc
 
 pytestmark = pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
 

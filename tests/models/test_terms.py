@@ -123,7 +123,7 @@ class Own(termsel.SensorModel):
 def test_names_of_a_plugin_have_a_hierarchy_and_shared_genes() -> None:
     scene = termsel.prepare("poly-terms")
     task = scene.problem.inputs
-    inputs = termsel.Inputs(Own(), task.control, task.check, task.pixels, task.criterion,
+    inputs = termsel.ProblemData(Own(), task.control, task.check, task.pixels, task.criterion,
                             {"hierarchy": True, "force_on": "XY"})
     each = termsel.SelectionProblem(inputs, terms=True, features=False)
     assert each.decode(each.genome.on[None]).terms == ("line.row:XY", "sample.row:XY")

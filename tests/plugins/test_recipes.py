@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 
 import termsel
-from termsel import Inputs, Problem, Recipe, SelectionProblem, feature_options
+from termsel import Problem, ProblemData, Recipe, SelectionProblem, feature_options
 from termsel.data.features import no_lines
 from termsel.testing import check
 
 
-def _features(inputs: Inputs) -> Problem:
+def _features(inputs: ProblemData) -> Problem:
     return SelectionProblem(inputs, terms=False, features=True)
 
 

@@ -23,7 +23,7 @@ from termsel.models.base import SensorModel
 from termsel.models.polynomial import Polynomial3D
 from termsel.models.quotient import RationalModel
 from termsel.selection.criteria import CheckRmse, Ebic, KFold, Press
-from termsel.selection.problems.base import WORST, Inputs
+from termsel.selection.problems.base import WORST, ProblemData
 from termsel.selection.problems.selection import SelectionProblem
 from termsel.selection.solvers.proofs.exact import gap
 from termsel.selection.solvers.proofs.proof import count, prove
@@ -59,7 +59,7 @@ def test_models_that_are_no_plain_quotients(model: SensorModel) -> None:
     scaling = scaling_of(control)
     features = scaling.features(control)
     for criterion in (Press(), KFold(folds=4)):
-        problem = SelectionProblem(Inputs(model, features, no_points(), scaling.image_scale,
+        problem = SelectionProblem(ProblemData(model, features, no_points(), scaling.image_scale,
                                           criterion), terms=True, features=False)
         genes = selections(problem, 4)
         folds = ([np.array([i]) for i in range(len(control))] if isinstance(criterion, Press)
@@ -144,8 +144,9 @@ def test_an_indispensable_feature_makes_a_selection_infeasible() -> None:
     ground[1:, 2] = 0.25  # one point alone has another height
     points = Points(tuple(f"p{i}" for i in range(12)), ground[:, :2] + 0.1 * ground[:, 2:], ground)
     for criterion in (Press(), KFold()):
-        problem = SelectionProblem(Inputs(Polynomial3D(degree=1), FeatureSet(points), no_points(),
-                                          1000.0, criterion), terms=True, features=False)
+        problem = SelectionProblem(
+            ProblemData(Polynomial3D(degree=1), FeatureSet(points), no_points(), 1000.0, criterion),
+            terms=True, features=False)
         names = np.array([name.split(":")[1] for name in problem.inputs.model.terms])
         evaluation = problem.evaluate(np.array([names != "", names != "Z"]))
         assert evaluation.violation.tolist() == [1.0, 0.0]
@@ -253,7 +254,7 @@ def test_ebic_of_a_perfect_fit_prefers_fewer_terms() -> None:
     ground = rng.uniform(-1, 1, (40, 3))
     points = Points(tuple(f"p{i}" for i in range(40)),
                     ground[:, :2] * 0.5 + 0.1 * ground[:, 2:], ground)
-    problem = SelectionProblem(Inputs(Polynomial3D(degree=2), FeatureSet(points), no_points(),
+    problem = SelectionProblem(ProblemData(Polynomial3D(degree=2), FeatureSet(points), no_points(),
                                       1000.0, Ebic()), terms=True, features=False)
     names = [name.split(":")[1] for name in problem.inputs.model.terms]
     affine = np.array([name in ("1", "X", "Y", "Z") for name in names])
@@ -317,8 +318,9 @@ def test_weighted_rows_are_not_enumerated(criterion: str) -> None:
 def test_a_spreading_model_is_not_enumerated() -> None:
     features = simulate_scene("ikonos-hamedan").with_(lines=no_lines())
     scaling = scaling_of(features)
-    problem = SelectionProblem(Inputs(Spreading(degree=1), scaling.features(features), no_points(),
-                                      scaling.image_scale, Press()), terms=True, features=False)
+    problem = SelectionProblem(
+        ProblemData(Spreading(degree=1), scaling.features(features), no_points(),
+                    scaling.image_scale, Press()), terms=True, features=False)
     with pytest.raises(termsel.TermselError, match="corrects its predictions by the control"):
         problem.parts()
 

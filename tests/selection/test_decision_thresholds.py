@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.auto.auto import Auto
 from termsel.auto.compare import compare
 from termsel.auto.methods import Structure, named
@@ -19,6 +18,7 @@ from termsel.auto.validated import validated
 from termsel.data.coordinates.places import spatial_order
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points, no_points
 from termsel.data.fit_data import FitData
+from termsel.data.monomials import graded_exponents, monomials
 from termsel.data.roles import by_roles
 from termsel.fitting.fit import HeldOut
 from termsel.fitting.method import Method

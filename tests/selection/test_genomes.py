@@ -283,7 +283,7 @@ def test_a_solver_for_bits_alone_is_refused_and_others_named(solver: str) -> Non
         genome = mixed()
         objectives = ("distance",)
 
-        def __init__(self, inputs: termsel.Inputs) -> None:
+        def __init__(self, inputs: termsel.ProblemData) -> None:
             pass
 
         def evaluate(self, genes: Genes) -> Evaluation:

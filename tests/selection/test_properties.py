@@ -19,7 +19,7 @@ from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
 from termsel.models.quotient import Blocks, RationalModel
 from termsel.models.rational import RationalFunctions
 from termsel.selection.criteria import CheckRmse
-from termsel.selection.problems.base import Evaluation, Inputs, Problem
+from termsel.selection.problems.base import Evaluation, Problem, ProblemData
 from termsel.selection.problems.genome import Genome
 from termsel.selection.problems.segments import Bits
 from termsel.selection.problems.selection import SelectionProblem
@@ -313,7 +313,7 @@ def selection_problem(rng: np.random.Generator, order: int, kind: str, n: int, m
         control = control.with_(points=Points(points.ids, points.image, line))
     check = imaged(model, truth, rng, points=6).points
     check = Points(check.ids, check.image + rng.normal(0, 0.01, (6, 2)), check.ground)
-    inputs = Inputs(model, control, check, 5000.0, CheckRmse())
+    inputs = ProblemData(model, control, check, 5000.0, CheckRmse())
     return SelectionProblem(inputs, terms="terms" in selects, features="features" in selects,
                             mask=mask)
 

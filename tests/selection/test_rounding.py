@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.adjustment.rounding import by_size, largest
 from termsel.auto.selected import select_forward
 from termsel.data.features import FeatureSet, Points
+from termsel.data.monomials import graded_exponents, monomials
 
 PARTS = {
     "affine": ({"1": 1.0, "X": 0.9, "Y": -0.1, "Z": 0.05},

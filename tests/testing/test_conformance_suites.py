@@ -22,7 +22,7 @@ from termsel.models.projective import DLT2D, DLT3D, Projective2D
 from termsel.models.quotient import Blocks, RationalModel
 from termsel.models.rational import RationalFunctions
 from termsel.selection.criteria import CheckRmse, Ebic, Huber, KFold, Median, Press
-from termsel.selection.problems.base import Inputs
+from termsel.selection.problems.base import ProblemData
 from termsel.selection.problems.selection import SelectionProblem
 from termsel.selection.solvers.bridges.pareto import Nsga2
 from termsel.selection.solvers.genetic.ga import GeneticAlgorithm
@@ -50,7 +50,7 @@ def six_of_twelve() -> SelectionProblem:
     control, check = (Points(tuple(f"p{i}" for i in range(12)), *one)
                       for one in zip(image, ground, strict=True))
     return SelectionProblem(
-        Inputs(Affine(), FeatureSet(control), check, 100.0, CheckRmse(),
+        ProblemData(Affine(), FeatureSet(control), check, 100.0, CheckRmse(),
                {"min_features": 6, "max_features": 6}), terms=False, features=True)
 
 

@@ -13,11 +13,11 @@ from scipy import stats
 
 import termsel
 from termsel.adjustment.bayesian.posterior import SIZES, posterior
-from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.auto.auto import Auto
 from termsel.data.coordinates.metres import in_metres
 from termsel.data.features import FeatureSet, Points
 from termsel.data.fit_data import FitData
+from termsel.data.monomials import graded_exponents, monomials
 from termsel.data.record.figures import InImage, OnGround, rmse_interval
 from termsel.data.scaling import scaling_of
 from termsel.fitting.accuracy import (

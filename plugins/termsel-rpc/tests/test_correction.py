@@ -156,7 +156,7 @@ def test_a_field_is_not_laid_over_an_rpc_that_needs_none() -> None:
 
 def off(result: Result, features: FeatureSet, width: int) -> float:
     """Return by how much places all over the image are missed, root mean square [px]."""
-    others = scene(200, seed=1, rpc=features.rpc)  # type: ignore[arg-type]
+    others = scene(200, seed=1, rpc=features.rpc)
     true = wrong(features.rpc, others.points.ground, width)  # type: ignore[arg-type]
     away = result.fit.project(others.points.ground) - true
     return float(np.sqrt((away**2).sum(axis=1).mean()))
@@ -232,7 +232,7 @@ def test_an_exported_rpc_has_the_correction_through_gdal(
                        dtype="uint8"):
         pass
     termsel.export(result, "rpb", tmp_path / "scene.RPB")
-    others = scene(100, seed=2, rpc=features.rpc).points.ground  # type: ignore[arg-type]
+    others = scene(100, seed=2, rpc=features.rpc).points.ground
     with rasterio.open(tmp_path / "scene.tif") as raster, \
             RPCTransformer(raster.rpcs) as transformer:
         rows, columns = transformer.rowcol(*others.T, op=np.asarray)

@@ -17,12 +17,12 @@ from termsel.adjustment.bayesian.of_lines import coupled
 from termsel.adjustment.bayesian.posterior import Posterior, posterior, scales_of
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.lines import row_weights
-from termsel.adjustment.monomials import monomials
 from termsel.auto.local import LIKELY
 from termsel.auto.rule import BETTER
 from termsel.auto.validated import gain_of
 from termsel.data.features import BoolArray, FloatArray, IntArray
 from termsel.data.fit_data import FitData
+from termsel.data.monomials import monomials
 from termsel.fitting.fit import Undetermined
 from termsel.fitting.method import Method, Suspects
 from termsel.models.polynomial import Polynomial, Polynomial2D, Polynomial3D

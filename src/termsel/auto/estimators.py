@@ -12,12 +12,12 @@ from termsel.auto.robust import Reweighted
 from termsel.auto.selected import ForwardSelection
 from termsel.auto.shrunken import Averaging
 from termsel.core.errors import TermselError, unknown_name
-from termsel.fitting.fit import Estimator, Given
+from termsel.fitting.fit import Estimator, FixedCoefficients
 from termsel.fitting.least_squares import LeastSquares
 
 ESTIMATORS: dict[str, type[Estimator]] = {one.name: one for one in (
     LeastSquares, RidgeByOrder, ForwardSelection, Averaging, Physical, Interpolated, Reweighted,
-    PinholeCamera, Given)}
+    PinholeCamera, FixedCoefficients)}
 
 
 def estimator(name: str, /, **options: Any) -> Estimator:

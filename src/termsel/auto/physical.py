@@ -24,11 +24,11 @@ from termsel.adjustment.bayesian.physics import (
 )
 from termsel.adjustment.bayesian.posterior import Posterior, polynomial_posterior
 from termsel.adjustment.equations import weights_of
-from termsel.adjustment.monomials import Exponents, graded_exponents, monomials
 from termsel.auto.local import LIKELY, asked_of, points_alone
 from termsel.auto.shrunken import Average, average, fit_of
 from termsel.auto.validated import gain_of
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
+from termsel.data.monomials import Exponents, graded_exponents, monomials
 from termsel.data.scaling import Scaling
 from termsel.fitting.fit import Estimator, Fit, Undetermined
 from termsel.fitting.uncertainty import Spread

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.adjustment.monomials import monomials
 from termsel.adjustment.solve import Adjustment
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.data.fit_data import is_off_plane
+from termsel.data.monomials import monomials
 from termsel.data.scaling import Scaling
 from termsel.data.view import CLEARER, View, view_of
 from termsel.fitting.fit import Estimator, Fit, HeldOut, Undetermined

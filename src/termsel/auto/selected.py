@@ -14,11 +14,11 @@ from math import comb
 import numpy as np
 
 from termsel.adjustment.equations import weights_of
-from termsel.adjustment.monomials import monomials
 from termsel.adjustment.rounding import ROUNDING, largest
 from termsel.adjustment.solve import TOLERANCE
 from termsel.auto.local import points_alone
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray
+from termsel.data.monomials import monomials
 from termsel.data.scaling import Scaling
 from termsel.fitting.fit import Estimator, Fit, HeldOut, Undetermined
 from termsel.fitting.least_squares import LEAST_SQUARES

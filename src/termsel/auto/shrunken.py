@@ -36,10 +36,10 @@ from termsel.adjustment.bayesian.of_lines import averaged
 from termsel.adjustment.bayesian.posterior import polynomial_posterior
 from termsel.adjustment.equations import line_normals, weights_of
 from termsel.adjustment.lines import row_weights
-from termsel.adjustment.monomials import Exponents, monomials
 from termsel.adjustment.solve import Adjustment
 from termsel.core.errors import counted
 from termsel.data.features import BoolArray, FeatureSet, FloatArray
+from termsel.data.monomials import Exponents, monomials
 from termsel.data.scaling import Scaling
 from termsel.fitting.fit import Estimator, Fit, HeldOut, Undetermined
 from termsel.models.base import SensorModel

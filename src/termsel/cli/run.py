@@ -11,7 +11,7 @@ import click
 
 from termsel.cli.bars import search_bar
 from termsel.cli.messages import echo, say_written, show_messages
-from termsel.cli.options.run_options import Asked, run_options, with_files
+from termsel.cli.options.run_options import RunOptions, run_options, with_files
 from termsel.cli.topics import ByTopic
 from termsel.core.interrupts import INTERRUPTED
 
@@ -36,31 +36,32 @@ def run(verbose: bool, files: tuple[Path, ...], **given: Any) -> None:
       termsel run --points gcp.csv --rpc vendor.RPB --out result
       termsel run --problem owdis-lines --points points.csv --lines roads.csv
     """
-    asked = Asked(**with_files(files, given))
+    settings = RunOptions(**with_files(files, given))
     show_messages()
 
     from termsel.io.replacing import require_replaceable
     from termsel.io.result_folder import RECORD, files_of_result, names_of
     from termsel.runs import run as running
 
-    out = asked.out
+    out = settings.out
     if out is not None:
-        require_replaceable(files_of_result(out), reads=asked.reads, overwrite=True,
+        require_replaceable(files_of_result(out), reads=settings.reads, overwrite=True,
                             makes_folder=True)
     # A name that is not known is said before a long search.
-    exported = asked.exported()
-    page = asked.page()
-    features, options = asked.read()
-    with search_bar(asked.problem or asked.solver or "auto", asked.quiet) as observe:
+    exported = settings.exported()
+    page = settings.page()
+    features, options = settings.read()
+    with search_bar(settings.problem or settings.solver or "auto", settings.quiet) as observe:
         result = running.run(
-            asked.problem, strategy=asked.strategy, features=features, dataset=asked.dataset,
-            source=asked.source, model=asked.model, solver=asked.solver,
-            criterion=asked.criterion, options=options, **asked.budget,
-            observers=[observe] if observe else [], out=out, overwrite=asked.overwrite)
-    echo(result.to_json() if asked.as_json else result.summary(verbose=verbose), nl=False)
+            settings.problem, strategy=settings.strategy, features=features,
+            dataset=settings.dataset, source=settings.source, model=settings.model,
+            solver=settings.solver, criterion=settings.criterion, options=options,
+            **settings.budget,
+            observers=[observe] if observe else [], out=out, overwrite=settings.overwrite)
+    echo(result.to_json() if settings.as_json else result.summary(verbose=verbose), nl=False)
     if out is not None:
-        asked.write(result, exported, page)
-    if not asked.as_json:
+        settings.write(result, exported, page)
+    if not settings.as_json:
         saved = f"Saved     {out}{os.sep}    " if out is not None else ""
         echo(f"{saved}{result.next_step(out or '')}")
     elif out is not None:

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from termsel.data.coordinates.crs import transformation
-from termsel.data.features import FeatureSet, FloatArray, KnownGeometry
+from termsel.data.features import FeatureSet, FloatArray
+from termsel.data.rpc import Rpc
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +47,7 @@ def image_extent(features: FeatureSet, options: Container[str], known: KnownImag
     return (top, left), (bottom, right)
 
 
-def _of_rpc(rpc: KnownGeometry) -> FloatArray:
+def _of_rpc(rpc: Rpc) -> FloatArray:
     """Return first and last line and sample of an RPC, shape (2, 2): no image begins below 0.
 
     RPCs are in the middle of their images, and scaled by no less than half of these; so the margin

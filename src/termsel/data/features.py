@@ -6,15 +6,16 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from termsel.core.display import Glance
 from termsel.core.errors import TermselError, counted
+from termsel.data.arrays import BoolArray as BoolArray
+from termsel.data.arrays import FloatArray as FloatArray
+from termsel.data.arrays import IntArray as IntArray
 from termsel.data.dem_difference import DemDifference
-from termsel.data.record.record import RpcNumbers
+from termsel.data.rpc import Rpc
 from termsel.data.tables.attributes import (
     Attributes,
     TextArray,
@@ -24,10 +25,6 @@ from termsel.data.tables.attributes import (
 )
 from termsel.data.tables.tabular import Tabular
 from termsel.data.values import check_places, check_segments
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.intp]
 
 ROLES = ("control", "check", "independent", "off")
 
@@ -182,36 +179,6 @@ class Lines(Tabular):
         return np.asarray(total / count.reshape(-1, *[1] * (values.ndim - 1)))
 
 
-class KnownGeometry(Protocol):
-    """What is known of an image next to its features: `termsel.Rpc`, which stands above them."""
-
-    @property
-    def source(self) -> str:
-        """Name of its file, or ""."""
-
-    @property
-    def image_offset(self) -> tuple[float, float]:
-        """Middle of its image, line and sample [px]."""
-
-    @property
-    def image_scale(self) -> tuple[float, float]:
-        """Half the size of its image [px]."""
-
-    @property
-    def ground_offset(self) -> tuple[float, float, float]:
-        """Middle of its area in WGS84."""
-
-    @property
-    def ground_scale(self) -> tuple[float, float, float]:
-        """Half the size of its area."""
-
-    def project(self, ground: FloatArray) -> FloatArray:
-        """Return where places in WGS84 are seen [px], shape (n, 2)."""
-
-    def numbers(self) -> RpcNumbers:
-        """Return the numbers that the record of a run holds."""
-
-
 _POINTS = Points((), np.empty((0, 2)), np.empty((0, 3)))
 _LINES = Lines((), np.empty((0, 2, 2)), np.empty((0, 2, 3)))
 
@@ -269,7 +236,7 @@ class FeatureSet(Glance):
     noise: float | None = None
     heights: str = ""
     fit_crs: str = ""
-    rpc: KnownGeometry | None = None
+    rpc: Rpc | None = None
     dem_difference: DemDifference | None = None
     z_unit: str = ""
     image_origin: str = ""

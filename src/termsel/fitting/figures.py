@@ -11,7 +11,7 @@ from msgspec import UNSET
 from termsel.data.record.base import Role
 from termsel.data.record.figures import BaselineRow, Outlier, RmseByRole, RoleRmse
 from termsel.data.roles import Observations
-from termsel.fitting.fit import GIVEN, Fit
+from termsel.fitting.fit import FIXED_COEFFICIENTS, Fit
 from termsel.fitting.residuals import Residuals, Rmse, control_residuals, point_residuals
 
 ROLES = ("control", "check", "independent")
@@ -104,7 +104,7 @@ def in_role(fitted: Fit, observations: Observations) -> Fit:
     used = np.array([True] * len(control.points)
                     + [name in lines for name in control.lines.features], dtype=bool)
     return replace(fitted, control=control, used=used,
-                   estimator=GIVEN, stored_held_out=None, made=fitted)
+                   estimator=FIXED_COEFFICIENTS, stored_held_out=None, made=fitted)
 
 
 def figures(fitted: Fit, observations: Observations) -> dict[str, Rmse | None]:

@@ -20,6 +20,7 @@ from termsel.core.errors import TermselError
 from termsel.core.threads import one_blas_thread
 from termsel.data.extent import image_extent, reach
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Lines, Points
+from termsel.data.locate import Surface, locate
 from termsel.data.record.base import Settings
 from termsel.data.scaling import Scaling, scaling_of
 from termsel.data.view import View, view_of
@@ -28,7 +29,6 @@ from termsel.fitting.misfit import Misfit, misfit_of
 from termsel.fitting.residuals import Residuals, Rmse, control_residuals, rmse_of
 from termsel.fitting.uncertainty import Spread, spread_of
 from termsel.models.base import SensorModel
-from termsel.models.locate import Surface, locate
 
 AT_ONCE = 2000
 """Places whose covariances are held in memory."""
@@ -116,7 +116,7 @@ class Estimator(ABC):
             yield self.fit(fitted.model, fitted.control, fitted.scaling, fitted.terms, used)
 
 
-class Given(Estimator):
+class FixedCoefficients(Estimator):
     """Coefficients from elsewhere: a solver's own, those of a record or of more features."""
 
     name = "given"
@@ -129,7 +129,7 @@ class Given(Estimator):
                            hint="Fit the model with termsel.fit to leave features out.")
 
 
-GIVEN = Given()
+FIXED_COEFFICIENTS = FixedCoefficients()
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,7 +258,7 @@ class Fit(Glance):
     def _by_term(self, values: FloatArray) -> dict[str, float]:
         return {str(self.model.terms[i]): float(values[i]) for i in np.flatnonzero(self.terms)}
 
-    def with_coefficients(self, coefficients: FloatArray, estimator: Estimator = GIVEN,
+    def with_coefficients(self, coefficients: FloatArray, estimator: Estimator = FIXED_COEFFICIENTS,
                           trace: float = np.nan) -> Fit:
         """Return the fit with coefficients that are not those of least squares."""
         unknown = np.full(len(coefficients), np.nan)
@@ -443,7 +443,7 @@ class Fit(Glance):
         return image
 
     def locate(self, image: ArrayLike, heights: ArrayLike | Surface) -> FloatArray:
-        """Return the ground points seen at image points (see `termsel.models.locate.locate`)."""
+        """Return the ground points seen at image points (see `termsel.data.locate.locate`)."""
         centre, scale = self.ground_box()
         scale = np.maximum(scale, reach(
             self.control, self.model.options, self.model.known_image()))

@@ -8,18 +8,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.adjustment.monomials import RPC00B
 from termsel.core.errors import TermselError
 from termsel.data.coordinates.crs import WGS84, normalise, to_wgs84
 from termsel.data.coordinates.longitudes import nearest
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points, select
+from termsel.data.monomials import RPC00B
+from termsel.data.rpc import N_COEFFICIENTS, Rpc
 from termsel.data.scaling import scaling_of
 from termsel.fitting.fit import Fit
 from termsel.fitting.least_squares import fit
 from termsel.fitting.sky import part_said, refuse_sky
 from termsel.models.base import SensorModel
 from termsel.models.rational import RationalFunctions
-from termsel.models.rpc import N_COEFFICIENTS, Rpc
 from termsel.models.terms import AXES, Term
 
 log = logging.getLogger(__name__)

@@ -10,8 +10,8 @@ import numpy as np
 
 from termsel.core.errors import TermselError
 from termsel.data.features import BoolArray, FloatArray
+from termsel.data.locate import Surface
 from termsel.fitting.fit import Fit
-from termsel.models.locate import Surface
 
 SKY = "above the horizon"
 FAR = f"{SKY} or much farther away than any control"

@@ -23,9 +23,9 @@ from termsel.adjustment.bayesian.field import Collocation
 from termsel.adjustment.bayesian.foresight import foresee
 from termsel.adjustment.bayesian.posterior import Posterior, polynomial_posterior
 from termsel.adjustment.equations import weights_of
-from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.adjustment.solve import Adjustment
 from termsel.data.features import BoolArray, FeatureSet, FloatArray
+from termsel.data.monomials import graded_exponents, monomials
 from termsel.models.base import SensorModel
 
 DEGREE = 3

@@ -13,9 +13,9 @@ from termsel.core.errors import TermselError
 from termsel.core.files.atomic import write_text
 from termsel.data.features import FeatureSet
 from termsel.data.rasters import open_raster
+from termsel.data.rpc import N_COEFFICIENTS, Rpc
 from termsel.formats.base import is_utf16, located, read_data, read_head, read_text
 from termsel.models.image_part import ImagePart
-from termsel.models.rpc import N_COEFFICIENTS, Rpc
 
 RPB_NAMES = {
     "LINE_OFF": "lineOffset", "SAMP_OFF": "sampOffset", "LAT_OFF": "latOffset",

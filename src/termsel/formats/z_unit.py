@@ -21,8 +21,8 @@ from termsel.data.coordinates.height_units import (
     with_height_unit,
 )
 from termsel.data.features import FeatureSet, FloatArray
+from termsel.data.rpc import Rpc
 from termsel.formats.heights import open_dem
-from termsel.models.rpc import Rpc
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -61,7 +61,7 @@ def with_z_unit(features: FeatureSet, asked: str | None, dem: Path | None = None
     units = (in_feet, METRE)
     if dem is not None and (unit := _by_dem(features, units, dem)):
         return _in(features, unit, "as the DEM tells")
-    if isinstance(features.rpc, Rpc) and (unit := _by_rpc(features, units, features.rpc)):
+    if features.rpc is not None and (unit := _by_rpc(features, units, features.rpc)):
         return _in(features, unit, "as the RPC tells")
     raise TermselError(
         f"z may be in {WORDS[in_feet]}, as x and y in {short(features.crs)} are, or in metres",

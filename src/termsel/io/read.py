@@ -21,6 +21,7 @@ from termsel.data.coordinates.earth import say_turned, unknown_crs
 from termsel.data.coordinates.mixed import note_on_mixed
 from termsel.data.coordinates.plausible import check_ground
 from termsel.data.features import FeatureSet, no_lines, no_points
+from termsel.data.rpc import Rpc
 from termsel.data.tables.columns import LINES, OPTIONAL, POINTS, columns_text
 from termsel.formats.base import Reader, is_utf16, located, read_head, read_once, utf16_error
 from termsel.formats.crs_files import crs_next_to, stated_crs
@@ -36,7 +37,6 @@ from termsel.formats.repeated import REPEATED, averaging
 from termsel.formats.rpc_files import has_rpc, size_with_rpc, with_rpc
 from termsel.formats.z_unit import Z_UNIT, with_z_unit
 from termsel.models.image_part import RPC_OFFSET, RPC_SCALE, ImagePart, part_of
-from termsel.models.rpc import Rpc
 from termsel.plugins.registry import built_in, registry
 
 log = logging.getLogger(__name__)

@@ -26,10 +26,10 @@ from termsel.data.coordinates.crs import normalise
 from termsel.data.features import FeatureSet, no_lines, no_points
 from termsel.data.record.record import Record
 from termsel.data.roles import by_roles
+from termsel.data.rpc import Rpc
 from termsel.formats.base import located, parse_json, read_text
 from termsel.formats.readers.csv_tables import LinesCsv, PointsCsv, lines_text, points_text
 from termsel.io.result_of_record import AGAIN, record_from, result_from
-from termsel.models.rpc import Rpc
 from termsel.results.checksums import of_attributes, of_features, of_record
 from termsel.results.result import Result
 

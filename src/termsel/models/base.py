@@ -21,7 +21,7 @@ from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray
 from termsel.data.scaling import Scaling
 
 if TYPE_CHECKING:
-    from termsel.models.rpc import Rpc
+    from termsel.data.rpc import Rpc
 
 LINE, SAMPLE, BOTH = 0, 1, 2
 """Image axis a term acts on."""
@@ -74,7 +74,7 @@ def _axis_fault(model: SensorModel, value: Any) -> str | None:
 
 
 def _rpc_fault(_model: SensorModel, value: Any, *_args: Any) -> str | None:
-    from termsel.models.rpc import Rpc
+    from termsel.data.rpc import Rpc
 
     return of_type(value, Rpc)
 

@@ -19,7 +19,7 @@ import numpy as np
 from termsel.core.errors import TermselError
 from termsel.core.options import Option
 from termsel.data.features import FloatArray
-from termsel.models.rpc import Rpc
+from termsel.data.rpc import Rpc
 
 RPC_OFFSET = Option(
     "rpc_offset", None, "Line and sample at which this image begins in the larger one that the RPC "

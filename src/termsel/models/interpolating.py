@@ -10,10 +10,10 @@ import numpy as np
 from termsel.adjustment.bayesian.field import collocate
 from termsel.adjustment.bayesian.thin_plate import thin_plates
 from termsel.adjustment.interpolation import Interpolation
-from termsel.adjustment.monomials import Exponents, graded_exponents
 from termsel.core.errors import TermselError, amount
 from termsel.core.options import Option
 from termsel.data.features import FeatureSet, FloatArray
+from termsel.data.monomials import Exponents, graded_exponents
 from termsel.models.helmert import plane_units
 from termsel.models.polynomial import Polynomial
 

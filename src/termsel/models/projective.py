@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import cached_property
 from typing import ClassVar
 
-from termsel.adjustment.monomials import Exponents, graded_exponents
 from termsel.core.options import Option
+from termsel.data.monomials import Exponents, graded_exponents
 from termsel.models.quotient import MonomialModel
 
 WEIGHTED = Option(

@@ -14,12 +14,12 @@ import numpy as np
 from termsel.adjustment.equations import Equations, line_normals, weights_of
 from termsel.adjustment.iterated import Quotients, least_distances
 from termsel.adjustment.lines import approximate_image, image_equations
-from termsel.adjustment.monomials import Exponents, monomial_name, monomials
 from termsel.adjustment.parts import IndependentPart, solve_parts
 from termsel.core.errors import TermselError
 from termsel.core.isolation.arrays import of_shape, of_type
 from termsel.core.isolation.calls import Check
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray, Points
+from termsel.data.monomials import Exponents, monomial_name, monomials
 from termsel.models.base import BOTH, LINE, SAMPLE, SensorModel
 from termsel.models.terms import AXES, Term
 

@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 
 from termsel.adjustment.equations import Equations
-from termsel.adjustment.monomials import RPC00B, Exponents
 from termsel.core.options import Option
 from termsel.data.features import FeatureSet, FloatArray
+from termsel.data.monomials import RPC00B, Exponents
 from termsel.models.quotient import MonomialModel
 from termsel.models.terms import Term
 

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-from termsel.adjustment.monomials import Exponent, monomial_name
+from termsel.data.monomials import Exponent, monomial_name
 
 AXES = ("line", "sample", "both")
 """Image axes a term may act on, in the order of the codes LINE, SAMPLE and BOTH."""

@@ -18,6 +18,7 @@ from termsel.core.errors import TermselError, counted
 from termsel.core.files.atomic import write_text
 from termsel.core.files.names import is_there
 from termsel.data.features import FeatureSet, FloatArray
+from termsel.data.locate import Surface
 from termsel.data.record.base import plain
 from termsel.data.record.figures import Accuracy, BlunderTest, Correlation, Outlier, Predicted
 from termsel.data.record.record import (
@@ -45,7 +46,6 @@ from termsel.fitting.diagnosis import Diagnosis
 from termsel.fitting.figures import Baseline, Rmses, in_role, residuals_of, rmse_record
 from termsel.fitting.fit import Fit
 from termsel.fitting.residuals import Residuals
-from termsel.models.locate import Surface
 from termsel.report.accuracy import accuracy_of
 from termsel.report.answers import document
 from termsel.report.first_screen import next_step, title_of
@@ -59,7 +59,7 @@ from termsel.results.shown import Shown
 from termsel.selection.problems.base import Selection
 
 if TYPE_CHECKING:
-    from termsel.models.rpc import Rpc
+    from termsel.data.rpc import Rpc
 
 CARRIED = (
     "problem", "model", "solver", "criterion", "seed", "data", "feasible", "judgement", "notes",

@@ -10,8 +10,8 @@ from termsel.core.errors import TermselError
 from termsel.data.coordinates.crs import LOCAL, normalise, to_wgs84
 from termsel.data.coordinates.height_units import FOOT, UNITS
 from termsel.data.features import FeatureSet, FloatArray
+from termsel.data.rpc import Rpc
 from termsel.models.image_part import ImagePart, recognised
-from termsel.models.rpc import Rpc
 from termsel.runs.request import Request
 
 _OUTSIDE = 2.0
@@ -27,7 +27,7 @@ def part_of_rpc(control: FeatureSet) -> ImagePart | None:
     PROJ cannot convert them.
     """
     rpc = control.rpc
-    if not isinstance(rpc, Rpc) or normalise(control.crs) == LOCAL:
+    if rpc is None or normalise(control.crs) == LOCAL:
         return None
     points = control.points.take(np.isfinite(control.points.ground).all(axis=1))
     try:
@@ -67,5 +67,5 @@ def _refuse_feet(rpc: Rpc, places: FloatArray, image: FloatArray) -> None:
 def with_part(request: Request, part: ImagePart) -> Request:
     """Return a request whose RPC is that of the part."""
     rpc = request.features.rpc
-    assert isinstance(rpc, Rpc)
+    assert rpc is not None
     return replace(request, features=replace(request.features, rpc=part.rpc(rpc)), rpc_part=part)

@@ -16,13 +16,13 @@ from termsel.core.errors import TermselError
 from termsel.core.files.names import CERTIFICATE
 from termsel.core.threads import one_blas_thread
 from termsel.data.datasets import DatasetSpec
+from termsel.data.rpc import Rpc
 from termsel.fitting.method import Method
 from termsel.formats.rpc_files import with_rpc
 from termsel.io.read import features_of
 from termsel.io.result_folder import claimed, write_result
 from termsel.io.spent import with_spent
 from termsel.models.base import SensorModel
-from termsel.models.rpc import Rpc
 from termsel.plugins.registry import registry
 from termsel.results.result import Result
 from termsel.runs.choosing import wanted

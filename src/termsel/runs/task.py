@@ -26,7 +26,7 @@ from termsel.runs.fit_crs import with_fit_crs
 from termsel.runs.given import objectives_of
 from termsel.runs.request import ALIKE, FILE, Request, request_of, require_type, split_of
 from termsel.selection.criteria import Criterion
-from termsel.selection.problems.base import Inputs, Problem
+from termsel.selection.problems.base import Problem, ProblemData
 from termsel.selection.problems.constraints import without_heights
 from termsel.selection.problems.parameters import ParameterProblem
 from termsel.selection.problems.recipes import Recipe
@@ -107,7 +107,7 @@ class Task(Glance):
         return self.request.model.prepared(self.scaling, self.features.crs)
 
     @cached_property
-    def inputs(self) -> Inputs:
+    def inputs(self) -> ProblemData:
         """What the problem is made of, in scaled coordinates."""
         control = self.observations.control
         options = dict(self.request.options["problem"])
@@ -115,7 +115,7 @@ class Task(Glance):
         if self.model.uses_height and (not self.observations.heights or carriers(
                 FitData(control, self.scaling, False))):
             options |= without_heights(self.model.terms, options)
-        return Inputs(
+        return ProblemData(
             self.model, self.scaling.features(control),
             self.scaling.points(self.observations.check), self.scaling.image_scale,
             self.criterion, options, objectives_of(options.get("objectives"), self.criterion))
@@ -249,7 +249,7 @@ def _usual_shares(request: Request, *, auto: bool) -> str:
         and request.recipe.control == "points" else ALIKE
 
 
-def _built(request: Request, inputs: Inputs) -> Problem:
+def _built(request: Request, inputs: ProblemData) -> Problem:
     """Return the recipe's problem, for solvers that can handle it."""
     # Shrunk are coefficients towards zero; of such a model 0 is no camera, and gave 65 px.
     if inputs.options.get("shrink") and inputs.model.start(inputs.control) is not None:

@@ -10,10 +10,10 @@ from functools import cache
 import numpy as np
 
 from termsel.data.features import FeatureSet, FloatArray, Points
+from termsel.data.rpc import Rpc
 from termsel.fitting.of_features import fit_all_terms
 from termsel.fitting.rpc_fit import rpc_of
 from termsel.models.polynomial import Polynomial3D
-from termsel.models.rpc import Rpc
 from termsel.simulate.orbit import pushbroom_at
 from termsel.simulate.render import checkerboard, render
 from termsel.simulate.terrain import Terrain, hilly

@@ -11,7 +11,7 @@ from termsel.fitting.population import Fits
 from termsel.models.polynomial import Polynomial3D
 from termsel.models.terms import Term
 from termsel.selection.criteria import Criterion
-from termsel.selection.problems.base import Inputs
+from termsel.selection.problems.base import ProblemData
 from termsel.selection.problems.selection import SelectionProblem
 from termsel.selection.solvers.proofs.proof import prove
 from termsel.testing.cases import (
@@ -155,12 +155,12 @@ def _fits(masks: BoolArray) -> Fits:
     noisy = [Points(f.points.ids, f.points.image + rng.normal(0.0, NOISE / PIXELS, (40, 2)),
                     f.points.ground) for f in (control, check)]
     recorder = _Recorder()
-    inputs = Inputs(model, control.with_(points=noisy[0]), noisy[1], PIXELS, recorder)
+    inputs = ProblemData(model, control.with_(points=noisy[0]), noisy[1], PIXELS, recorder)
     SelectionProblem(inputs, terms=True, features=False).evaluate(masks)
     return recorder.seen[-1]
 
 
-def _random_inputs(criterion: Criterion, seed: int) -> Inputs:
+def _random_inputs(criterion: Criterion, seed: int) -> ProblemData:
     """Return few points whose image positions an affine model explains in part."""
     model = Polynomial3D(degree=1)
     rng = np.random.default_rng(seed)
@@ -168,4 +168,4 @@ def _random_inputs(criterion: Criterion, seed: int) -> Inputs:
                       for n in (12, 8))
     noisy = [Points(f.points.ids, f.points.image + rng.normal(0.0, 0.2, f.points.image.shape),
                     f.points.ground) for f in (control, check)]
-    return Inputs(model, control.with_(points=noisy[0]), noisy[1], PIXELS, criterion)
+    return ProblemData(model, control.with_(points=noisy[0]), noisy[1], PIXELS, criterion)

@@ -14,7 +14,7 @@ from termsel.data.features import FeatureSet, FloatArray
 from termsel.data.scaling import Scaling
 from termsel.models.base import SensorModel
 from termsel.selection.criteria import CheckRmse
-from termsel.selection.problems.base import Inputs
+from termsel.selection.problems.base import ProblemData
 from termsel.selection.problems.selection import SelectionProblem
 from termsel.testing.cases import Case, Suite, declares, label, pickled, require, require_unchanged
 from termsel.testing.model_equations import (
@@ -257,7 +257,7 @@ def _choices(model: type[SensorModel]) -> list[dict[str, Any]]:
 def _problems(model: SensorModel, features: FeatureSet) -> list[tuple[str, SelectionProblem]]:
     truth = random_coefficients(model, seeded())
     check = imaged(model, truth, np.random.default_rng(2), points=10).points
-    inputs = Inputs(model, features, check, 1000.0, CheckRmse())
+    inputs = ProblemData(model, features, check, 1000.0, CheckRmse())
     return [("terms", SelectionProblem(inputs, terms=True, features=False)),
             ("terms, line and sample together",
              SelectionProblem(inputs, terms=True, features=False, mask="shared")),

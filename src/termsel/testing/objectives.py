@@ -11,7 +11,7 @@ from termsel.core.isolation.arrays import of_shape
 from termsel.data.features import FloatArray, Points
 from termsel.models.polynomial import Affine
 from termsel.selection.criteria import CheckRmse
-from termsel.selection.problems.base import Inputs
+from termsel.selection.problems.base import ProblemData
 from termsel.selection.problems.objectives import Objective, PopulationSelection
 from termsel.selection.problems.selection import SelectionProblem
 from termsel.testing.cases import Case, Suite, declares, pickled, require, require_unchanged
@@ -92,7 +92,7 @@ def _selections(points: int = 14, lines: int = 0) -> list[PopulationSelection]:
         return np.zeros(len(selected.terms))
 
     recorder = Objective("recorder", "Records.", record)
-    inputs = Inputs(model, control, check, 1000.0, CheckRmse(), {}, objectives=(recorder,))
+    inputs = ProblemData(model, control, check, 1000.0, CheckRmse(), {}, objectives=(recorder,))
     for terms in (True, False):
         problem = SelectionProblem(inputs, terms=terms, features=not terms)
         size = problem.genome.size

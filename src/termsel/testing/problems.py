@@ -12,9 +12,9 @@ from termsel.selection.criteria import CheckRmse
 from termsel.selection.problems.base import (
     WORST,
     Evaluation,
-    Inputs,
     Problem,
     ProblemAround,
+    ProblemData,
     Selection,
 )
 from termsel.selection.problems.genome import Genome
@@ -126,7 +126,7 @@ def twelve_terms() -> SelectionProblem:
     truth = rng.choice([-0.3, 0.3], SIZE) * (np.arange(SIZE) % 2 == 0)
     control, check = (imaged(model, truth, rng, points=12).points for _ in range(2))
     noisy = Points(control.ids, control.image + rng.normal(0.0, 0.05, (12, 2)), control.ground)
-    return SelectionProblem(Inputs(model, FeatureSet(noisy), check, 100.0, CheckRmse()),
+    return SelectionProblem(ProblemData(model, FeatureSet(noisy), check, 100.0, CheckRmse()),
                             terms=True, features=False)
 
 

@@ -21,7 +21,7 @@ from termsel_hybrids.multiquadric import Hybrid3, Multiquadric
 from termsel_hybrids.pointwise import Pointwise
 
 if TYPE_CHECKING:
-    from termsel import Inputs, SensorModel
+    from termsel import ProblemData, SensorModel
 
 __all__ = ["Hybrid1", "Hybrid3", "LineAffine", "LineConformal", "Multiquadric", "Pointwise",
            "RationalLegendre"]
@@ -42,5 +42,5 @@ def termsel_problems() -> Iterable[Recipe]:
                    source="Valadan Zoej et al. 2002, section 3.2"), RECIPE]
 
 
-def _terms_of_each_axis(inputs: Inputs) -> SelectionProblem:
+def _terms_of_each_axis(inputs: ProblemData) -> SelectionProblem:
     return SelectionProblem(inputs, terms=True, features=False)

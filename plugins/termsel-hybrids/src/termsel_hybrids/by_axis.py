@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from termsel import Blocks, Inputs, Option, ParameterProblem, Problem, RationalModel, Recipe
+from termsel import Blocks, Option, ParameterProblem, Problem, ProblemData, RationalModel, Recipe
 from termsel.toolkit import (
     CAP,
     OBJECTIVES,
@@ -82,7 +82,7 @@ class Polynomial3DByAxis(PolynomialByAxis):
     declared_options = _powers("xyz", 4)
 
 
-def degrees(inputs: Inputs) -> Problem:
+def degrees(inputs: ProblemData) -> Problem:
     """Return the search for the degrees."""
     # Models without a degree by axis have none to search: the problem then says which it needs.
     names = [option.name for option in inputs.model.declared_options

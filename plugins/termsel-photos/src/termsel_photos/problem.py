@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from termsel import Inputs, ParameterProblem, Problem, Recipe, term_options
+from termsel import ParameterProblem, Problem, ProblemData, Recipe, term_options
 
 CENTRE_OPTIONS = ("centre_line", "centre_sample")
 
 
-def centre_and_terms(inputs: Inputs) -> Problem:
+def centre_and_terms(inputs: ProblemData) -> Problem:
     """Return the selection of terms together with the centre of distortion."""
     return ParameterProblem(inputs, CENTRE_OPTIONS, terms=True, mask=inputs.options["mask"])
 

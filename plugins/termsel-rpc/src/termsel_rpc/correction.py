@@ -178,7 +178,7 @@ class CorrectedRpc(Method):
     def declines(self, control: FitData) -> str | None:
         """Return why the RPC is not one of this image, or the features cannot correct it."""
         rpc = control.features.rpc
-        if not isinstance(rpc, Rpc):
+        if rpc is None:
             return "no RPC is given"
         missing = control.features.without_height()
         if missing:
@@ -203,7 +203,7 @@ class CorrectedRpc(Method):
     def fit(self, control: FitData) -> Fit:
         """Fit the correction, whatever the features determine."""
         rpc = control.features.rpc
-        if not isinstance(rpc, Rpc):
+        if rpc is None:
             raise Undetermined("no RPC is given", hint="Give it with --rpc FILE.")
         model = _model(rpc)
         return self.estimator.fit(
@@ -247,7 +247,7 @@ _WORDS = ("no correction", "a shift", "a drift along the lines", "an affine corr
 
 def _model_of(control: FitData) -> RpcAffine:
     rpc = control.features.rpc
-    assert isinstance(rpc, Rpc)
+    assert rpc is not None
     return _model(rpc).prepared(control.scaling, control.features.crs)
 
 

@@ -90,7 +90,7 @@ class JitteredRpc(CorrectedRpc):
     def fit(self, control: FitData) -> Fit:
         """Fit the splines; the least number of intervals within a standard error of the best."""
         rpc = control.features.rpc
-        if not isinstance(rpc, Rpc):
+        if rpc is None:
             raise Undetermined("no RPC is given", hint="Give it with --rpc FILE.")
         errors_of: list[tuple[Any, FloatArray]] = []
         for intervals in TRIED:

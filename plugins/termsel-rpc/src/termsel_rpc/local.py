@@ -154,7 +154,7 @@ class LocalRpc(CorrectedRpc):
     def fit(self, control: FitData) -> Fit:
         """Fit the field, unless corrections alone predict left-out points as well."""
         rpc = control.features.rpc
-        if not isinstance(rpc, Rpc):
+        if rpc is None:
             raise Undetermined("no RPC is given", hint="Give it with --rpc FILE.")
         all_features = np.ones(len(control), dtype=bool)
         model = RpcField(rpc=json.dumps(asdict(rpc)))

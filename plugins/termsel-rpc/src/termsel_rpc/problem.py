@@ -9,10 +9,10 @@ import numpy as np
 from termsel import (
     Criterion,
     Fits,
-    Inputs,
     Option,
     Points,
     Problem,
+    ProblemData,
     Recipe,
     SelectionProblem,
     ce90,
@@ -44,7 +44,7 @@ class Ce90(Criterion):
             return ce90(fits.check_errors)
 
 
-def select_gcps(inputs: Inputs) -> Problem:
+def select_gcps(inputs: ProblemData) -> Problem:
     """Return the selection of control points, judged by those of the option `judged_by`."""
     if inputs.options["judged_by"] == "all":
         # All points judge, those that a chromosome selects as well.

@@ -13,7 +13,7 @@ import click
 from termsel import TermselError
 from termsel.toolkit import (
     INTERRUPTED,
-    Asked,
+    RunOptions,
     echo,
     json_text,
     print_json,
@@ -52,7 +52,7 @@ def stability(repeats: int, threshold: float, **arguments: Any) -> None:
       termsel stability --points gcp.csv --crs EPSG:4979
       termsel stability --problem rfm-terms --points gcp.csv --crs EPSG:4979 --set order=2
     """
-    run_settings = Asked(**arguments)
+    run_settings = RunOptions(**arguments)
     show_messages()
 
     from termsel import require_replaceable
@@ -119,7 +119,7 @@ def _show(repeated: Stability) -> None:
              f"{independent.n} independent check points.")
 
 
-def _for_stable(problem: str, run_settings: Asked, options: Mapping[str, str],
+def _for_stable(problem: str, run_settings: RunOptions, options: Mapping[str, str],
                 off: Sequence[str]) -> dict[str, str]:
     """Return the options of a fit without some terms: not those of the searches alone."""
     from termsel.toolkit import DATA_OPTIONS, registry
@@ -141,7 +141,8 @@ def _for_stable(problem: str, run_settings: Asked, options: Mapping[str, str],
 
 
 def _write(repeated: Stability, outputs: tuple[Mapping[str, Path], Path | None], problem: str,
-           run_settings: Asked, features: FeatureSet | None, options: Mapping[str, str]) -> None:
+           run_settings: RunOptions, features: FeatureSet | None,
+           options: Mapping[str, str]) -> None:
     """Write the fit of the stable terms: its record with the frequencies, exports, its page."""
     from termsel import run
     from termsel.toolkit import RECORD, STABILITY, TermFrequencies, write_result

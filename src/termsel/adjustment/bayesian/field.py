@@ -51,8 +51,8 @@ from termsel.adjustment.bayesian.posterior import (
     shares,
 )
 from termsel.adjustment.equations import weights_of
-from termsel.adjustment.monomials import Exponents, graded_exponents, monomials
 from termsel.data.features import FloatArray, IntArray, Points
+from termsel.data.monomials import Exponents, graded_exponents, monomials
 
 LENGTHS = ((0.15, 0.15), (0.3, 0.3), (0.6, 0.6), (1.2, 1.2), (0.15, 1.2), (1.2, 0.15))
 """Lengths of line and sample, by the half-range of the image: from about the distance of

@@ -24,9 +24,9 @@ from termsel.adjustment.bayesian.posterior import (
 )
 from termsel.adjustment.bayesian.shrinkage import TINY
 from termsel.adjustment.equations import Equations
-from termsel.adjustment.monomials import Exponents
 from termsel.adjustment.solve import TOLERANCE
 from termsel.data.features import FloatArray, IntArray
+from termsel.data.monomials import Exponents
 
 SIZES = posterior.SIZES[1:]
 """Those of an image that is not affine: with lines none is."""

@@ -35,9 +35,9 @@ from termsel.adjustment.bayesian.cameras import (
     seen_by_scanners,
 )
 from termsel.adjustment.bayesian.posterior import SIZES, Posterior, believed_sizes, shares
-from termsel.adjustment.monomials import Exponents, monomials
 from termsel.data.features import FloatArray
 from termsel.data.fit_data import PARALLAX
+from termsel.data.monomials import Exponents, monomials
 
 Views: TypeAlias = Callable[[FloatArray, float, float], tuple[FloatArray, ...]]
 

@@ -27,8 +27,8 @@ from termsel.adjustment.bayesian.shrinkage import (
     design_of,
     shrinkage_of,
 )
-from termsel.adjustment.monomials import Exponents, monomials
 from termsel.data.features import FloatArray, IntArray
+from termsel.data.monomials import Exponents, monomials
 
 SIZES = np.append(0.0, 10.0 ** np.arange(-0.5, 5.5, 0.5))
 """Standard deviations of quadratic coefficients by that of the noise: 0, which is the affine model,

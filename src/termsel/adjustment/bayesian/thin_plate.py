@@ -27,9 +27,9 @@ import numpy as np
 
 from termsel.adjustment.bayesian.kernels import JITTER, Spans, parts
 from termsel.adjustment.equations import weights_of
-from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.adjustment.solve import TOLERANCE
 from termsel.data.features import FloatArray, Points
+from termsel.data.monomials import graded_exponents, monomials
 
 PLANE = graded_exponents(1, 2)
 

@@ -109,7 +109,7 @@ _OPTIONS = (
 
 
 def run_options(command: Command) -> Command:
-    """Add the options of `Asked` to a command, but for ``--out``."""
+    """Add the options of `RunOptions` to a command, but for ``--out``."""
     command = remote_option(command)
     for option in reversed(_OPTIONS):
         command = option(command)
@@ -117,7 +117,7 @@ def run_options(command: Command) -> Command:
 
 
 @dataclass(frozen=True)
-class Asked:
+class RunOptions:
     """What is asked for by the options of `run_options` and ``--out``; as click gives them.
 
     Raises TermselError for a setting without an equals sign, options that exclude each other, and

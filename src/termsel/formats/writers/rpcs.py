@@ -16,11 +16,11 @@ from termsel.core.files.reasons import reason_of
 from termsel.core.options import Option
 from termsel.data.coordinates.crs import LOCAL, normalise, to_wgs84
 from termsel.data.rasters import empty_tiff, open_raster, require_rasterio
+from termsel.data.rpc import Rpc
 from termsel.formats.base import Writer
 from termsel.formats.deviation import places_of, say_deviation
 from termsel.formats.rpc_files import read_rpc, rpb_text, rpc_items, rpc_txt_text
 from termsel.formats.vrt import IMAGE, picture_for, vrt_text
-from termsel.models.rpc import Rpc
 from termsel.results.result import Result
 
 log = logging.getLogger(__name__)

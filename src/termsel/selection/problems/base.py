@@ -284,7 +284,7 @@ class ProblemAround(Problem):
 
 
 @dataclass(frozen=True, eq=False)
-class Inputs:
+class ProblemData:
     """What a problem is built from.
 
     Parameters

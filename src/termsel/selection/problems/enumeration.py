@@ -27,10 +27,10 @@ from termsel.selection.problems.base import EnumerablePart
 from termsel.selection.problems.genome import Genome
 
 if TYPE_CHECKING:
-    from termsel.selection.problems.base import Inputs
+    from termsel.selection.problems.base import ProblemData
 
 
-def enumerable_parts(inputs: Inputs, equations: Equations, genome: Genome,
+def enumerable_parts(inputs: ProblemData, equations: Equations, genome: Genome,
                      gene_of_term: IntArray, guard: FloatArray, margin: float,
                      pairs: tuple[IntArray, IntArray] | None,
                      ) -> tuple[EnumerablePart, ...]:
@@ -99,7 +99,7 @@ def _cost_by_size(scores: FloatArray, cost: Callable[[FloatArray], FloatArray], 
     return cost(by_size(scores, rounding, share * np.arange(len(scores), dtype=np.float64)))
 
 
-def _refuse_other_errors(inputs: Inputs) -> None:
+def _refuse_other_errors(inputs: ProblemData) -> None:
     """Refuse scores of control rows where a row's error is not that of its point [px]."""
     name = inputs.criterion.name
     points = inputs.control.points
@@ -117,7 +117,7 @@ def _not_enumerable(why: str) -> TermselError:
                         hint="Choose another solver, such as --solver ga or --solver swap.")
 
 
-def _side(model: RationalModel, inputs: Inputs, equations: Equations, image_axis: int,
+def _side(model: RationalModel, inputs: ProblemData, equations: Equations, image_axis: int,
           guard: FloatArray, margin: float, parents: BoolArray | None) -> SubsetSystem:
     """Return the system of one axis with the errors at the check points."""
     points = inputs.control.points
@@ -137,7 +137,7 @@ def _side(model: RationalModel, inputs: Inputs, equations: Equations, image_axis
     return system
 
 
-def _with_check(system: SubsetSystem, model: RationalModel, inputs: Inputs,
+def _with_check(system: SubsetSystem, model: RationalModel, inputs: ProblemData,
                 image_axis: int) -> SubsetSystem:
     """Return the system with the rows of the check points."""
     check = inputs.check

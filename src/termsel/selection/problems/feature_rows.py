@@ -13,10 +13,10 @@ from termsel.selection.criteria.base import CheckRmse
 from termsel.selection.problems.constraints import most_terms
 
 if TYPE_CHECKING:
-    from termsel.selection.problems.base import Inputs
+    from termsel.selection.problems.base import ProblemData
 
 
-def row_systems(inputs: Inputs, independent: tuple[IndependentPart, ...], terms: BoolArray,
+def row_systems(inputs: ProblemData, independent: tuple[IndependentPart, ...], terms: BoolArray,
                 share: float, freedom: int) -> tuple[RowSystem, ...]:
     """Return the systems of a selection of features, in px; none where no selection can be scored.
 
@@ -58,7 +58,7 @@ def _fewest_rows(terms: int, rows: int, share: float, freedom: int) -> int:
     return int(np.searchsorted(supported, terms))
 
 
-def _linear(inputs: Inputs) -> tuple[FloatArray, FloatArray] | None:
+def _linear(inputs: ProblemData) -> tuple[FloatArray, FloatArray] | None:
     """Return the check points' image positions for terms of 0, and their change by each term.
 
     They are raveled, of shape (2 c,) and (2 c, k). None where they are not linear.

@@ -11,7 +11,7 @@ import numpy as np
 from termsel.core.errors import TermselError, unknown_name
 from termsel.core.options import Option
 from termsel.data.features import select
-from termsel.selection.problems.base import Evaluation, Inputs, Problem, Selection
+from termsel.selection.problems.base import Evaluation, Problem, ProblemData, Selection
 from termsel.selection.problems.genome import Genome
 from termsel.selection.problems.segments import AnySegment, Categories, Genes, Integers, Reals
 from termsel.selection.problems.selection import SelectionProblem
@@ -27,7 +27,7 @@ class ParameterProblem(Problem):
 
     Parameters
     ----------
-    inputs : Inputs
+    inputs : ProblemData
     parameters : iterable of str
         Names of options of the model.
     terms : bool
@@ -42,7 +42,7 @@ class ParameterProblem(Problem):
         If the model has no such option, or one without bounds.
     """
 
-    def __init__(self, inputs: Inputs, parameters: Iterable[str], *, terms: bool = False,
+    def __init__(self, inputs: ProblemData, parameters: Iterable[str], *, terms: bool = False,
                  mask: str = "per-axis") -> None:
         self.inputs = inputs
         self._selects_terms = terms

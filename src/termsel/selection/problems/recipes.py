@@ -9,7 +9,7 @@ from typing import Any
 
 from termsel.core.errors import TermselError, unknown_name
 from termsel.core.options import COUNT, Option
-from termsel.selection.problems.base import Inputs, Problem
+from termsel.selection.problems.base import Problem, ProblemData
 from termsel.selection.problems.constraints import FORCE_OPTIONS, TERM_OPTIONS
 from termsel.selection.problems.selection import SelectionProblem
 
@@ -22,7 +22,7 @@ class Recipe:
     ----------
     name, summary : str
     build : callable
-        Takes `Inputs`, returns a `Problem`.
+        Takes `ProblemData`, returns a `Problem`.
     model, dataset, criterion, solver : str
         Names of the defaults, so that the problem's name alone runs.
     model_options : mapping
@@ -51,7 +51,7 @@ class Recipe:
 
     name: str
     summary: str
-    build: Callable[[Inputs], Problem]
+    build: Callable[[ProblemData], Problem]
     model: str
     dataset: str
     criterion: str = "check-rmse"
@@ -170,17 +170,17 @@ def with_defaults(declared: tuple[Option, ...], **defaults: Any) -> tuple[Option
 _USUAL = re.compile(r"; by default [^.]*| By default [^.]*\.")
 
 
-def select_terms(inputs: Inputs) -> Problem:
+def select_terms(inputs: ProblemData) -> Problem:
     """Return the selection of terms."""
     return SelectionProblem(inputs, terms=True, features=False, mask=inputs.options["mask"])
 
 
-def select_features(inputs: Inputs) -> Problem:
+def select_features(inputs: ProblemData) -> Problem:
     """Return the selection of features."""
     return SelectionProblem(inputs, terms=False, features=True)
 
 
-def select_both(inputs: Inputs) -> Problem:
+def select_both(inputs: ProblemData) -> Problem:
     """Return the selection of terms and features."""
     return SelectionProblem(inputs, terms=True, features=True, mask=inputs.options["mask"])
 

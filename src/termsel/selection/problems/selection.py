@@ -24,8 +24,8 @@ from termsel.selection.problems.base import (
     WORST,
     EnumerablePart,
     Evaluation,
-    Inputs,
     Problem,
+    ProblemData,
     Selection,
 )
 from termsel.selection.problems.constraints import capped, excess, forced, listed, orphans, parents
@@ -43,7 +43,7 @@ class SelectionProblem(Problem):
 
     Parameters
     ----------
-    inputs : Inputs
+    inputs : ProblemData
     terms, features : bool
         What the chromosome selects. All of what it does not select is in use.
     mask : {"per-axis", "shared"}
@@ -58,7 +58,7 @@ class SelectionProblem(Problem):
         If the model does not allow this selection, or there is too little control.
     """
 
-    def __init__(self, inputs: Inputs, *, terms: bool, features: bool,
+    def __init__(self, inputs: ProblemData, *, terms: bool, features: bool,
                  mask: str = "per-axis", subset: bool = False) -> None:
         model = inputs.model
         control = inputs.control
@@ -335,14 +335,14 @@ class SelectionProblem(Problem):
         return np.asarray(2.0 - line.any(axis=1) - sample.any(axis=1))
 
 
-def _weighted(inputs: Inputs) -> RationalModel | None:
+def _weighted(inputs: ProblemData) -> RationalModel | None:
     """Return a model that is iterated for each selection of points, else None."""
     model = inputs.model
     lines = inputs.control.lines
     return model if isinstance(model, RationalModel) and model.weighted and not len(lines) else None
 
 
-def _terms_in_use(inputs: Inputs) -> BoolArray:
+def _terms_in_use(inputs: ProblemData) -> BoolArray:
     """Return which terms are in use where they are not selected, shape (k,)."""
     names = inputs.model.terms
     selected = listed(inputs.options.get("terms"))
@@ -352,7 +352,7 @@ def _terms_in_use(inputs: Inputs) -> BoolArray:
     return np.array([not selected or name in selected for name in names])
 
 
-def _feature_counts(inputs: Inputs) -> tuple[int, int | None]:
+def _feature_counts(inputs: ProblemData) -> tuple[int, int | None]:
     """Return the fewest and the most features, from the options of these names."""
     n = len(inputs.control)
     counts = {name: inputs.options.get(name) for name in ("min_features", "max_features")}

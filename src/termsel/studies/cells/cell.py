@@ -25,7 +25,7 @@ from termsel.selection.solvers.budget import SEARCH_OPTIONS
 from termsel.studies.cells.identity import made_of
 from termsel.studies.cells.table import LABELS, columns_of
 from termsel.studies.plan.data import Data, of_dataset
-from termsel.studies.plan.spec import STRATEGIES, Asked, Spec
+from termsel.studies.plan.spec import STRATEGIES, PartSpec, Spec
 
 MOST_KINDS, MOST_CELLS = 1000, 500_000
 """Combinations and cells of a study. Each is checked before the first runs, in some 5 ms and 20 us.
@@ -102,7 +102,7 @@ def _require_few(spec: Spec, data: int) -> None:
                                hint="Divide it into several studies.")
 
 
-def _own_data(spec: Spec, problem: Asked | None) -> Data:
+def _own_data(spec: Spec, problem: PartSpec | None) -> Data:
     if problem is None:
         raise spec.places.error(("data",), "the study names neither data nor a problem",
                                 "Write [[data]] and points = \"*.csv\", or problems = [\"...\"].")
@@ -113,9 +113,9 @@ def _own_data(spec: Spec, problem: Asked | None) -> Data:
     return of_dataset(recipe.dataset)
 
 
-def _of_data(spec: Spec, kinds: _Kinds, problem: Asked | None, name: str | None, data: Data,
+def _of_data(spec: Spec, kinds: _Kinds, problem: PartSpec | None, name: str | None, data: Data,
              alternatives: list[Data], split: int) -> Iterator[Cell]:
-    problem_spec: Asked | None = problem or (Asked(name, name) if name else None)
+    problem_spec: PartSpec | None = problem or (PartSpec(name, name) if name else None)
     for strategy in spec.strategies:
         # Auto chooses the method itself; else each model with each criterion and each solver.
         methods = [(None, None, None)] if strategy == "auto" else product(
@@ -169,7 +169,7 @@ class _Kinds:
         self._known: dict[Any, _Kind] = {}
         self._used: set[str] = set()
 
-    def kind(self, strategy: str, specs: Mapping[str, Asked | None], data: Data,
+    def kind(self, strategy: str, specs: Mapping[str, PartSpec | None], data: Data,
              alternatives: list[Data]) -> _Kind:
         """Return a kind, checked on these data or, where they do not serve, on others."""
         key = (strategy, *(spec and spec.label for spec in specs.values()))
@@ -187,7 +187,7 @@ class _Kinds:
                     ("options", key), f"no cell of the study has the option {key!r}",
                     "`termsel describe NAME` lists the options of a problem, model or solver.")
 
-    def _checked(self, strategy: str, specs: Mapping[str, Asked | None],
+    def _checked(self, strategy: str, specs: Mapping[str, PartSpec | None],
                  data: list[Data]) -> _Kind:
         spec = self._spec
         first = None
@@ -226,7 +226,7 @@ class _Kinds:
         return _Kind({}, {}, chance=False, reason=str(first), unfit=spec.places.error(
             named.path if named else (), first.what, first.hint))
 
-    def _asked(self, strategy: str, specs: Mapping[str, Asked | None], data: Data,
+    def _asked(self, strategy: str, specs: Mapping[str, PartSpec | None], data: Data,
                options: Mapping[str, Any]) -> Request:
         problem = specs["problem"]
         assert problem is not None
@@ -245,7 +245,7 @@ class _Kinds:
         except TermselError as error:
             raise self._at_fault(specs, error) from error
 
-    def _at_fault(self, specs: Mapping[str, Asked | None], error: TermselError) -> TermselError:
+    def _at_fault(self, specs: Mapping[str, PartSpec | None], error: TermselError) -> TermselError:
         """Return the error with the place of the part, or the option, that it is about."""
         for role, spec in specs.items():
             key = error.name.removeprefix(f"{role}.")
@@ -257,7 +257,7 @@ class _Kinds:
         problem = specs["problem"]
         return self._spec.places.error(problem.path if problem else (), error.what, error.hint)
 
-    def _options(self, strategy: str, specs: Mapping[str, Asked | None],
+    def _options(self, strategy: str, specs: Mapping[str, PartSpec | None],
                  request: Request) -> dict[str, Any]:
         """Return the options of each part, and those for every cell that some part has."""
         declared: dict[str, tuple[Option, ...]] = {"data": DATA_OPTIONS}
@@ -307,7 +307,7 @@ def _without_certificate(request: Request) -> Request:
     return request
 
 
-def _cell(spec: Spec, strategy: str, specs: Mapping[str, Asked | None], kind: _Kind, data: Data,
+def _cell(spec: Spec, strategy: str, specs: Mapping[str, PartSpec | None], kind: _Kind, data: Data,
           split: int, seed: int) -> Cell:
     problem = specs["problem"]
     # What tables call the cell; of auto the method is not known before it has run.

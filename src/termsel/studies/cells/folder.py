@@ -18,7 +18,7 @@ from termsel.studies.cells.cell import Cell
 from termsel.studies.cells.journal import read_journal
 from termsel.studies.cells.table import LABELS
 from termsel.studies.execution.progress import StudyProgress, Tally
-from termsel.studies.plan.spec import FILES, PARTS, READING, Asked, Source, Spec, spec_of
+from termsel.studies.plan.spec import FILES, PARTS, READING, PartSpec, Source, Spec, spec_of
 from termsel.studies.study import Study
 
 PLAN = "plan.json"
@@ -106,7 +106,7 @@ def table_of(spec: Spec) -> dict[str, Any]:
     return {key: value for key, value in table.items() if value}
 
 
-def _named(component: Asked) -> dict[str, Any]:
+def _named(component: PartSpec) -> dict[str, Any]:
     return {"name": component.name, "label": component.label, **component.options}
 
 

@@ -31,7 +31,7 @@ _LONGEST = 200  # characters of a label: charts have no room for more
 
 
 @dataclass(frozen=True)
-class Asked:
+class PartSpec:
     """A problem, model, solver or criterion of a study."""
 
     name: str
@@ -58,11 +58,11 @@ class Spec:
     """What a study asks for."""
 
     title: str = ""
-    problems: tuple[Asked, ...] = ()
+    problems: tuple[PartSpec, ...] = ()
     # Where no model, solver or criterion is named, each problem has its own.
-    models: tuple[Asked, ...] = ()
-    solvers: tuple[Asked, ...] = ()
-    criteria: tuple[Asked, ...] = ()
+    models: tuple[PartSpec, ...] = ()
+    solvers: tuple[PartSpec, ...] = ()
+    criteria: tuple[PartSpec, ...] = ()
     strategies: tuple[str, ...] = ()
     data: tuple[Source, ...] = ()  # none: the data set of each problem
     seeds: tuple[int, ...] = (1,)
@@ -132,10 +132,10 @@ def _as_in_a_file(value: Any) -> Any:
     return value
 
 
-def _parts(at: Places, kind: str, listed: Any) -> tuple[Asked, ...]:
+def _parts(at: Places, kind: str, listed: Any) -> tuple[PartSpec, ...]:
     if not isinstance(listed, Sequence) or isinstance(listed, str):
         raise at.error((kind,), f"{kind} is not a list", f'Write {kind} = ["name", ...].')
-    components: list[Asked] = []
+    components: list[PartSpec] = []
     for i, item in enumerate(listed):
         path: Keys = (kind, i)
         component = _part(at, path, item)
@@ -149,29 +149,29 @@ def _parts(at: Places, kind: str, listed: Any) -> tuple[Asked, ...]:
     return tuple(components)
 
 
-def _part(at: Places, path: Keys, declared: Any) -> Asked:
+def _part(at: Places, path: Keys, declared: Any) -> PartSpec:
     if isinstance(declared, str):
-        return Asked(declared, declared, path=path)
+        return PartSpec(declared, declared, path=path)
     if isinstance(declared, Configurable):
         # The label says which options differ from their defaults.
         settings = [f"{option.name}={_plain(declared.options[option.name])}"
                     for option in declared.declared_options
                     if declared.options[option.name] != option.default]
         label = ", ".join([declared.name, *settings])
-        return Asked(declared.name, label, path=path, thing=declared)
+        return PartSpec(declared.name, label, path=path, thing=declared)
     if not isinstance(declared, Mapping):
         name = getattr(declared, "name", None)
         if not isinstance(name, str):
             raise at.error(path, f"{declared!r} is neither a name nor a table",
                            'Write "name", or {name = "name", option = value}.')
-        return Asked(name, name, path=path, thing=declared)
+        return PartSpec(name, name, path=path, thing=declared)
     name = declared.get("name")
     if not isinstance(name, str):
         raise at.error(path, "a table has no name", 'Write {name = "...", option = value}.')
     options = _options(at, path, {key: value for key, value in declared.items()
                                   if key not in ("name", "label")})
     description = ", ".join([name, *(f"{key}={_plain(value)}" for key, value in options.items())])
-    return Asked(name, str(declared.get("label", description)), options, path=path)
+    return PartSpec(name, str(declared.get("label", description)), options, path=path)
 
 
 def _plain(value: Any) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel import FeatureSet, Rpc, TermselError
+from termsel import FeatureSet, TermselError
 from termsel.toolkit import FloatArray, requires
 
 Projection = Callable[[FloatArray], FloatArray]
@@ -57,7 +57,7 @@ def _gdal(features: FeatureSet, *, spline: bool) -> Projection:
 def orthority(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG001
     """Return a vendor's RPC with Orthority's refinement by shift and drift, or shift."""
     rpc = features.rpc
-    if not isinstance(rpc, Rpc):
+    if rpc is None:
         raise TermselError("Orthority refines an RPC, and the set has none")
     with requires("Orthority requires", "orthority", "orthority"):
         from orthority.camera import RpcCamera

@@ -58,7 +58,7 @@ class BenchSet:
                 rows.append((name, *_numbers(image.ravel(), PIXELS), *vertices))
             named[f"{self.name}-lines.csv"] = _text(
                 self.features.crs, "id,line1,sample1,line2,sample2,x1,y1,z1,x2,y2,z2", rows)
-        if isinstance(self.features.rpc, Rpc):
+        if self.features.rpc is not None:
             named[f"{self.name}_RPC.TXT"] = rpc_txt_text(self.features.rpc)
         return named
 
@@ -102,7 +102,7 @@ def rounded(bench_set: BenchSet) -> BenchSet:
     lines = bench_set.features.lines
     features = replace(bench_set.features, points=points(bench_set.features.points), lines=Lines(
         lines.ids, lines.image.round(PIXELS), place(lines.ground)))
-    if isinstance(bench_set.features.rpc, Rpc):
+    if bench_set.features.rpc is not None:
         features = replace(features, rpc=_rounded_rpc(bench_set.features.rpc))
     return replace(bench_set, features=features, independent=points(bench_set.independent))
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from termsel import (
     Evaluation,
     Genome,
-    Inputs,
     Option,
     Problem,
+    ProblemData,
     Recipe,
     Selection,
     Subset,
@@ -53,7 +53,7 @@ class MatchedLines(Problem):
 
     Parameters
     ----------
-    inputs : Inputs
+    inputs : ProblemData
         Its control is lines alone, the candidates, with the attributes `piece` and `vector`.
 
     Raises
@@ -62,7 +62,7 @@ class MatchedLines(Problem):
         If there are points among the control, or too few lines.
     """
 
-    def __init__(self, inputs: Inputs) -> None:
+    def __init__(self, inputs: ProblemData) -> None:
         lines = inputs.control.lines
         picked = int(inputs.options["picked"])
         if len(inputs.control.points):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from termsel.data.features import FloatArray
+from termsel.data.arrays import FloatArray
 
 Exponent = tuple[int, int, int]
 """Powers of X, Y and Z in a monomial."""

@@ -9,11 +9,11 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import ArrayLike
 
-from termsel.adjustment.monomials import RPC00B, monomials
 from termsel.core.errors import TermselError
-from termsel.data.features import FloatArray
+from termsel.data.arrays import FloatArray
+from termsel.data.locate import Surface, locate
+from termsel.data.monomials import RPC00B, monomials
 from termsel.data.record.record import RpcNumbers
-from termsel.models.locate import Surface, locate
 
 Coefficients = tuple[float, ...]
 

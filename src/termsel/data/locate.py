@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from termsel.core.errors import TermselError
-from termsel.data.features import FloatArray, IntArray
+from termsel.data.arrays import FloatArray, IntArray
 
 Projection = Callable[[FloatArray], FloatArray]
 """Line and sample, shape (n, 2), of ground points, shape (n, 3)."""
