@@ -128,3 +128,32 @@ def test_a_fit_through_all_points_is_called_exact() -> None:
     row = next(line for line in result.summary(verbose=True).splitlines()
                if line.strip().startswith("all terms"))
     assert row.split()[3] == "exact"
+
+
+class Tied(termsel.Problem):
+    """The distance of the number of genes from five: many selections are equally good.
+
+    Each is computed with its own error, of some 1e-14, as another processor would compute it.
+    """
+
+    objectives = ("distance",)
+
+    def __init__(self, processor: int) -> None:
+        self.genome = termsel.Genome([termsel.Segment("g", tuple("abcdefghijkl"))])
+        self.processor = processor
+
+    def evaluate(self, genes: np.ndarray) -> termsel.Evaluation:
+        weights = np.random.default_rng(self.processor).uniform(-1e-14, 1e-14, genes.shape[1])
+        distance = 1.3 + np.abs(genes.sum(axis=1) - 5.0) + genes @ weights
+        return termsel.Evaluation(distance[:, None], np.zeros(len(genes)))
+
+    def decode(self, genes: np.ndarray) -> termsel.Selection:
+        return termsel.Selection((), ())
+
+
+@pytest.mark.parametrize("solver", ["ga", "ica", "pso", "swap", "random"])
+def test_a_search_ends_at_the_same_selection_however_a_processor_rounds(solver: str) -> None:
+    ends = {tuple(termsel.search(Tied(processor), termsel.get("solvers", solver)(), seed=2,
+                                 evaluations=600).genes.tolist())
+            for processor in range(4)}
+    assert len(ends) == 1

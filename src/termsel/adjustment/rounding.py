@@ -34,3 +34,24 @@ def largest(values: FloatArray) -> IntArray:
     """
     maxima = values.max(axis=-1, keepdims=True)
     return np.asarray((values >= maxima - ROUNDING * np.abs(maxima)).argmax(axis=-1))
+
+
+_SIGNIFICANT_BITS = 30
+"""Binary digits of a figure that searches compare: 30 are a relative difference of 1e-9."""
+
+
+def significant(figures: FloatArray | float) -> FloatArray:
+    """Return figures to nine significant digits, so that processors agree which are equal.
+
+    A figure is m 2^e with 0.5 <= m < 1; m is rounded to 30 binary digits. Selections whose figures
+    differ by the rounding of their computation alone then compare as equal, and a search takes the
+    first of them on every processor.
+
+    Examples
+    --------
+    >>> 0.1 + 0.2 == 0.3, significant(0.1 + 0.2) == significant(0.3)
+    (False, True)
+    """
+    mantissa, exponent = np.frexp(figures)
+    scale = 2.0 ** _SIGNIFICANT_BITS
+    return np.asarray(np.ldexp(np.rint(mantissa * scale) / scale, exponent))

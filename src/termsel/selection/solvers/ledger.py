@@ -8,9 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from termsel.adjustment.rounding import significant
 from termsel.core.errors import TermselError
 from termsel.core.isolation.faults import wrong
 from termsel.core.isolation.inside import own_code
+from termsel.data.features import FloatArray
 from termsel.data.record.chances import median
 from termsel.data.record.search import HistoryRow
 from termsel.selection.problems.base import Evaluation, Problem, ProblemAround, evaluation_fault
@@ -58,6 +60,7 @@ class Ledger(ProblemAround):
         self.count = 0
         self.lookups = 0
         self.best: tuple[float, float] = (np.inf, np.inf)
+        self._best_compared = self.best
         self.best_genes: Genes | None = None
         self.best_objectives = np.full(len(problem.objectives), np.inf)
         self.least = np.full(len(problem.objectives), np.inf)
@@ -149,27 +152,42 @@ class Ledger(ProblemAround):
             if end > len(self._values):
                 space = np.empty((max(len(self._values), len(unknown_keys)), self._values.shape[1]))
                 self._values = np.concatenate([self._values, space])
-            self._values[start:end, :-1] = evaluation.objectives
-            self._values[start:end, -1] = evaluation.violation
+            compared = Evaluation(self._compared(evaluation.objectives), evaluation.violation)
+            self._values[start:end, :-1] = compared.objectives
+            self._values[start:end, -1] = compared.violation
             self._row_of.update(zip(unknown_keys, range(start, end), strict=True))
-            self._remember(unknown_genes, evaluation)
+            self._remember(unknown_genes, compared, evaluation.objectives)
         self.count += len(genes)  # looked up or not, so that budgets mean the same for all solvers
         self.lookups += len(genes) - len(unknown_keys)
         rows = np.fromiter(map(self._row_of.__getitem__, keys), np.intp, len(keys))
         return Evaluation(self._values[rows, :-1], self._values[rows, -1])
 
-    def _remember(self, genes: Genes, evaluation: Evaluation) -> None:
-        """Keep the best individual, and the least feasible value of each objective."""
+    def _compared(self, objectives: FloatArray) -> FloatArray:
+        """Return objectives as the solver gets them.
+
+        A search that draws lots compares individuals; those whose objectives differ by rounding
+        must be equal to it, or each processor would go another way. A proof needs all digits.
+        """
+        draws_lots = self.solver is None or self.solver.uses_chance
+        return significant(objectives) if draws_lots else objectives
+
+    def _remember(self, genes: Genes, compared: Evaluation, objectives: FloatArray) -> None:
+        """Keep the best individual, and the least feasible value of each objective.
+
+        Individuals are compared as the solver compares them; what is kept of the best are its
+        objectives (k, m) as they were computed.
+        """
         # Of each objective the least that is feasible, of whichever individual: for `Patience`.
-        feasible = evaluation.objectives[evaluation.violation == 0]
+        feasible = compared.objectives[compared.violation == 0]
         self.least = np.minimum(self.least, feasible.min(axis=0, initial=np.inf))
-        first = int(evaluation.order()[0])
+        first = int(compared.order()[0])
         # The violation comes first: any feasible individual is better than an infeasible one.
-        rank = (float(evaluation.violation[first]), float(evaluation.objectives[first, 0]))
-        if rank < self.best:
-            self.best = rank
+        rank = (float(compared.violation[first]), float(compared.objectives[first, 0]))
+        if rank < self._best_compared:
+            self._best_compared = rank
+            self.best = (rank[0], float(objectives[first, 0]))
             self.best_genes = genes[first].copy()
-            self.best_objectives = evaluation.objectives[first].copy()
+            self.best_objectives = objectives[first].copy()
 
 
 def _keys(genes: Genes) -> list[bytes]:
