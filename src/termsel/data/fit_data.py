@@ -92,7 +92,8 @@ def heights_differ(control: FitData) -> bool:
     if control.features.without_height():
         return False
     plane, z, _ = _vertices(control)
-    return _tells(control, _about_plane(plane, z)[0], np.ones(len(z), dtype=bool))
+    off_plane_heights = _about_plane(plane, z)[0]
+    return _differ(off_plane_heights) and _tell(off_plane_heights, *_effects_and_noise(control))
 
 
 def carriers(control: FitData, limit: int = 2) -> tuple[str, ...]:
@@ -107,7 +108,10 @@ def carriers(control: FitData, limit: int = 2) -> tuple[str, ...]:
     # One feature after another is removed, that which the plane of heights gains most from.
     carrying = list[int]()
     off_plane_heights, free = _about_plane(plane, z)
-    if not _tells(control, off_plane_heights, keep):
+    if not _differ(off_plane_heights):
+        return control.features.ids
+    effects, noise = _effects_and_noise(control)
+    if not _tell(off_plane_heights, effects, noise):
         return control.features.ids
     while len(carrying) < limit:
         # What the sum of squares falls by without a vertex: its residual squared by 1 - leverage.
@@ -115,7 +119,7 @@ def carriers(control: FitData, limit: int = 2) -> tuple[str, ...]:
         carrying.append(int(np.argmax(gain)))
         keep &= owner != carrying[-1]
         off_plane_heights, free = _about_plane(plane[keep], z[keep])
-        if not _tells(control, off_plane_heights, keep):
+        if not (_differ(off_plane_heights) and _tell(off_plane_heights, effects[keep], noise)):
             return tuple(control.features.ids[i] for i in carrying)
     return ()
 
@@ -167,13 +171,23 @@ def is_off_plane(points: Points) -> bool:
     return bool(np.abs(rest).max(initial=0.0) > FLAT)
 
 
-def _tells(control: FitData, off_plane_heights: FloatArray, keep: BoolArray) -> bool:
-    """Return whether scaled heights off a plane, of the vertices `keep`, tell what a height does.
+def _differ(off_plane_heights: FloatArray) -> bool:
+    """Return whether scaled heights are off a plane, but for rounding."""
+    return bool(np.abs(off_plane_heights).max(initial=0.0) > FLAT)
+
+
+def _tell(off_plane_heights: FloatArray, effects: FloatArray, noise: float) -> bool:
+    """Return whether scaled heights off a plane, (n,), do more than the noise of a measurement.
+
+    The effects are those of a scaled height of 1 at each of them [px].
     """
-    if not np.abs(off_plane_heights).max(initial=0.0) > FLAT:
-        return False
-    scaled = control.scaling.ground(control.features.ground_vertices())[keep]
-    return bool(np.linalg.norm(off_plane_heights * _effects(control, scaled)) > _noise(control))
+    return bool(np.linalg.norm(off_plane_heights * effects) > noise)
+
+
+def _effects_and_noise(control: FitData) -> tuple[FloatArray, float]:
+    """Return what a scaled height does at each point and vertex [px], (n,), and the noise [px]."""
+    scaled = control.scaling.ground(control.features.ground_vertices())
+    return _effects(control, scaled), _noise(control)
 
 
 def _noise(control: FitData) -> float:

@@ -123,10 +123,11 @@ def view_of(points: Points) -> View | None:
         # A plane projective transformation has 8 parameters, the DLT 11: the view with the smaller
         # sigma is taken, if it is clearly better than an affine one.
         columns = _columns(points.ground, size)
-        view = _fitted(columns, points)
         affine_sigma = _affine(columns, points.image)
-        if view is not None and affine_sigma is not None and view.sigma < CLEARER * affine_sigma:
-            views.append(view)
+        if affine_sigma is not None:
+            view = _fitted(columns, points, CLEARER * affine_sigma)
+            if view is not None:
+                views.append(view)
     return min(views, key=lambda view: view.sigma, default=None)
 
 
@@ -144,13 +145,19 @@ def _affine(columns: FloatArray, image: FloatArray) -> float | None:
     return float(np.sqrt((residuals**2).sum() / freedom))
 
 
-def _fitted(columns: FloatArray, points: Points) -> View | None:
-    """Return the projection of least distances; None if not determined, or with points behind."""
+def _fitted(columns: FloatArray, points: Points, largest_sigma: float) -> View | None:
+    """Return the projection of least distances, if it leaves less than some standard deviation.
+
+    None if not determined, or with points behind, too.
+    """
     matrix = _least_distances(columns, points.image)
     if matrix is None:
         return None
     distances = np.linalg.norm(points.image - _seen(matrix, columns), axis=1)
     unknown = 3 * matrix.shape[1] - 1
+    sigma = float(np.sqrt((distances**2).sum() / (2 * len(distances) - unknown)))
+    if not sigma < largest_sigma:
+        return None
     noise = np.inf
     # The noise of the points that fit best, which blunders do not reach; never more than that of
     # all.
@@ -159,7 +166,6 @@ def _fitted(columns: FloatArray, points: Points) -> View | None:
     if best_matrix is not None:
         closest = points.image[best] - _seen(best_matrix, columns[best])
         noise = float(np.sqrt((closest**2).sum() / (closest.size - unknown)))
-    sigma = float(np.sqrt((distances**2).sum() / (2 * len(distances) - unknown)))
     return View(matrix, points.ground, sigma, min(noise, sigma))
 
 
