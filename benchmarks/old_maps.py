@@ -183,7 +183,7 @@ def sensitivity(splits: int) -> str:
             for count in (20, 74) for seed in range(splits)]
 
     def ratio() -> float:
-        field._collocated.cache_clear()
+        field._cached_gaussian_process.cache_clear()
         found = []
         for name, count, seed in jobs:
             mine, independent = drawn(name, count, seed)

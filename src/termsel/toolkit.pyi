@@ -1,5 +1,5 @@
 # Names for packages, and the modules that they are imported from when first used.
-from .adjustment.bayesian.cameras import turned as turned
+from .adjustment.bayesian.cameras import rotate as rotate
 from .adjustment.solve import solve as solve
 from .auto.auto import Auto as Auto
 from .auto.blunders import find_blunders as find_blunders

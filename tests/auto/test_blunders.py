@@ -233,7 +233,7 @@ def test_the_chance_of_a_statistic_is_that_of_the_f_distribution() -> None:
 def test_a_prediction_is_the_mean_over_all_solutions(
         few: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The means, compiled and not, against those by logarithms, with points not in use."""
-    monkeypatch.setattr("termsel.adjustment.bayesian.held_out.FEW", few)
+    monkeypatch.setattr("termsel.adjustment.bayesian.held_out.KERNEL_MIN_POINTS", few)
     features = scene(60)
     used = np.arange(60) < 45
     scaled = scaling_of(features).points(features.points)
@@ -243,22 +243,24 @@ def test_a_prediction_is_the_mean_over_all_solutions(
                       np.where(used, 1.0, 1e-3)[:, None] * np.ones((60, 2)),
                       scales_of(np.array(exponents)[order > 1]), int(used.sum()))
     assert found is not None
-    left, errors = (np.array([getattr(side, name)[side.cell].T for side in found.at(slice(45))])
-                    for name in ("left", "errors"))                               # (2, n, c)
+    left, errors = (np.array(
+        [getattr(side, name)[side.solution_of_cell].T for side in found.errors_of(slice(45))])
+                    for name in ("redundancies", "errors"))  # (2, n, c)
     half = found.freedom // 2 - 1
     parts = (errors**2 / left).sum(axis=0)
     rest = found.square - parts
-    logs = np.log(found.cells.share) + found.cells.log + (half + 1) * np.log(found.square) \
-        - half * np.log(rest) - np.log(left).sum(axis=0) / 2
+    logs = (np.log(found.cells.share) + found.cells.log_evidence
+            + (half + 1) * np.log(found.square) - half * np.log(rest)
+            - np.log(left).sum(axis=0) / 2)
     total = np.logaddexp.reduce(logs, axis=1)
     share = np.exp(logs - total[:, None])
     statistic = half * parts / rest
-    direct = {"errors": np.einsum("nc,anc->na", share, errors / left), "log": total,
-              "chance": (share * fdtrc(2, 2 * half, statistic)).sum(axis=1),
+    direct = {"errors": np.einsum("nc,anc->na", share, errors / left), "log_evidence": total,
+              "probability": (share * fdtrc(2, 2 * half, statistic)).sum(axis=1),
               "statistic": (share * statistic).sum(axis=1),
               "spread": np.einsum("nc,anc->na", share, 1 / left)}
     for name, expected in direct.items():
-        np.testing.assert_allclose(getattr(found.left_out, name), expected, rtol=1e-7, atol=1e-12)
+        np.testing.assert_allclose(getattr(found.held_out, name), expected, rtol=1e-7, atol=1e-12)
 
 
 def test_many_points_are_left_out_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -270,10 +272,10 @@ def test_many_points_are_left_out_in_pieces(monkeypatch: pytest.MonkeyPatch) -> 
         found = posterior(monomials(points.ground, exponents), points.image, order, None,
                           scales_of(np.array(exponents)[order > 1]), len(points))
         assert found is not None
-        return vars(found.left_out)
+        return vars(found.held_out)
 
     whole = predicted()
-    monkeypatch.setattr("termsel.adjustment.bayesian.posterior.AT_ONCE", 20)
+    monkeypatch.setattr("termsel.adjustment.bayesian.posterior.POINTS_AT_ONCE", 20)
     for name, values in predicted().items():
         np.testing.assert_allclose(values, whole[name], rtol=1e-9, atol=1e-12)
 
@@ -294,14 +296,14 @@ def test_a_prediction_without_a_point_is_that_of_the_others() -> None:
     others = posterior(columns, image, order, weights, scales, 19)
     assert whole is not None
     assert others is not None
-    closed, direct = whole.left_out, others.beyond(1e-3)
+    closed, direct = whole.held_out, others.predict_unused(1e-3)
     keep = np.arange(20) != 19
     alone = average(ground[keep], image[keep], exponents)
     assert alone is not None
     there = image[19] - columns[19] @ alone.coefficients
     np.testing.assert_allclose(closed.errors[19], there, rtol=1e-6)
     np.testing.assert_allclose(direct.errors[0], there, rtol=1e-4)
-    for name in ("chance", "statistic", "spread"):
+    for name in ("probability", "statistic", "spread"):
         np.testing.assert_allclose(getattr(closed, name)[19], getattr(direct, name)[0], rtol=1e-4)
 
 

@@ -9,7 +9,11 @@ import pytest
 from scipy.special import logsumexp
 
 from termsel import FeatureSet, Lines, Points
-from termsel.adjustment.bayesian.blunder_odds import FORM, SIZES, blunder_odds
+from termsel.adjustment.bayesian.blunder_odds import (
+    BLUNDER_SIZES,
+    FIELD_VARIANCE_FACTOR,
+    blunder_odds,
+)
 from termsel.adjustment.bayesian.posterior import Posterior, posterior
 from termsel.auto.blunders import find_blunders
 from termsel.data.features import FloatArray, no_lines
@@ -45,10 +49,11 @@ def test_the_odds_are_those_of_the_evidence_with_larger_errors_of_the_point() ->
         weights[point] = 1 / size
         lead = np.linalg.qr(columns[:, :3] * weights[:, :1])[1]
         # The evidence is up to the volume of the free terms and the unit of the measurements.
-        return float(solved(columns, image, weights).cells.log - 2 * np.log(size)
+        return float(solved(columns, image, weights).cells.log_evidence - 2 * np.log(size)
                      - 2 * np.log(np.abs(np.diag(lead))).sum())
 
-    expected = [logsumexp([evidence(point, size) for size in SIZES]) - np.log(len(SIZES))
+    expected = [logsumexp([evidence(point, size) for size in BLUNDER_SIZES])
+                - np.log(len(BLUNDER_SIZES))
                 - evidence(point, 1.0) for point in range(N)]
     found = blunder_odds([(1.0, solved(columns, image, np.ones((N, 2))), False)], np.arange(N))
     assert found == pytest.approx(expected, abs=1e-5)  # unlikely solutions are left out
@@ -64,7 +69,7 @@ def test_parts_count_by_their_probabilities_and_fields_predict_less_certainly() 
     both = blunder_odds([(0.25, one, False), (0.75, one, True)], every)
     assert (both > np.minimum(plain, local) - 1e-9).all()
     assert (both < np.maximum(plain, local) + 1e-9).all()
-    assert FORM > 1
+    assert FIELD_VARIANCE_FACTOR > 1
 
 
 def far_point(shift: float) -> FeatureSet:

@@ -9,8 +9,13 @@ from scipy.stats import multivariate_normal
 import termsel
 from termsel import FeatureSet, TermselError
 from termsel.adjustment.bayesian import physics
-from termsel.adjustment.bayesian.cameras import seen_by_frames, seen_by_radars
-from termsel.adjustment.bayesian.physics import FREE, Equations, Prior, Solutions
+from termsel.adjustment.bayesian.cameras import frame_views, radar_views
+from termsel.adjustment.bayesian.physics import (
+    N_FREE,
+    CameraEquations,
+    CameraPrior,
+    CameraSolutions,
+)
 from termsel.auto.physical import averaged, averaged_of
 from termsel.data.fit_data import FitData
 from termsel.data.monomials import graded_exponents, monomials
@@ -22,21 +27,22 @@ def solutions(rows=slice(None), seed=3, scale=1.0):
     rng = np.random.default_rng(seed)
     columns = monomials(rng.uniform(-1, 1, (7, 3)), graded_exponents(2, 3))
     image, weights = rng.normal(size=(7, 2)), rng.uniform(0.5, 1.5, (7, 2))
-    rest = 2 * (columns.shape[1] - FREE)
-    prior = Prior(0.1 * rng.normal(size=rest), scale * rng.normal(size=(rest, rest)), 0.25, "any")
-    return columns, image, weights, prior, Solutions(
-        Equations(columns[rows], image[rows], weights[rows]), prior, 1.0)
+    rest = 2 * (columns.shape[1] - N_FREE)
+    prior = CameraPrior(0.1 * rng.normal(size=rest), scale * rng.normal(size=(rest, rest)), 0.25,
+                        "any")
+    return columns, image, weights, prior, CameraSolutions(
+        CameraEquations(columns[rows], image[rows], weights[rows]), prior, 1.0)
 
 
 def dense(columns, image, weights, prior, noise, free):
     """Mean and covariance of all measurements where free columns have a finite, wide prior."""
     both = np.kron(np.eye(2), columns)
     k = columns.shape[1]
-    rest = np.r_[FREE:k, k + FREE:2 * k]
+    rest = np.r_[N_FREE:k, k + N_FREE:2 * k]
     covariance = np.zeros((2 * k, 2 * k))
     covariance[np.ix_(rest, rest)] = prior.root @ prior.root.T
     for axis in (0, 1):
-        covariance[axis * k + np.arange(FREE), axis * k + np.arange(FREE)] = free**2
+        covariance[axis * k + np.arange(N_FREE), axis * k + np.arange(N_FREE)] = free**2
     mean = np.zeros(2 * k)
     mean[rest] = prior.mean
     w = weights.T.ravel()
@@ -47,15 +53,17 @@ def dense(columns, image, weights, prior, noise, free):
 def test_marginal_likelihood_and_average_are_those_of_dense_normal_densities():
     columns, image, weights, prior, found = solutions()
     free, logs = 1e3, []
-    for noise in physics.NOISES:
+    for noise in physics.NOISE_GRID:
         mean, covariance, target = dense(columns, image, weights, prior, noise, free)
         logs.append(multivariate_normal.logpdf(target, mean, covariance, allow_singular=True))
-    before = np.exp(-0.5 * (np.log(physics.NOISES / physics.NOISE) / physics.SPREAD) ** 2)
+    before = np.exp(
+        -0.5 *
+        (np.log(physics.NOISE_GRID / physics.NOISE_MEDIAN) / physics.NOISE_LOG_DEVIATION) ** 2)
     before /= before.sum()
     # A flat prior of density 1 for each free coefficient instead of a wide normal one.
-    flat = np.array(logs) + 2 * FREE * np.log(free * np.sqrt(2 * np.pi))
+    flat = np.array(logs) + 2 * N_FREE * np.log(free * np.sqrt(2 * np.pi))
     total = np.logaddexp.reduce(flat + np.log(before)) + np.log(prior.share)
-    assert found.log == pytest.approx(total, abs=1e-3)
+    assert found.log_evidence == pytest.approx(total, abs=1e-3)
     share = np.exp(flat + np.log(before) + np.log(prior.share) - total)
     np.testing.assert_allclose(found.share, share, atol=1e-4)
 
@@ -67,7 +75,7 @@ def test_errors_of_points_left_out_are_those_of_solutions_without_them():
         without = solutions(rest)[-1]
         np.testing.assert_allclose(found.errors[out],
                                    image[out] - columns[out] @ without.coefficients, atol=1e-8)
-        assert found.log_each[out] == pytest.approx(without.log, abs=1e-8)
+        assert found.log_evidence_without[out] == pytest.approx(without.log_evidence, abs=1e-8)
 
 
 def test_spread_at_a_place_is_the_variance_of_a_measurement_there():
@@ -125,7 +133,7 @@ def test_few_points_of_a_radar_or_a_photo_are_worth_more_too(kind, count, withou
 def test_a_place_above_is_seen_outward_by_its_share_of_the_height_of_the_camera():
     places = np.array([[1e3, 0.0, 0.0], [1e3, 0.0, 10.0], [0.0, 0.0, 0.0], [0.0, 1e3, 0.0],
                        [0.0, -1e3, 0.0]])
-    seen, = seen_by_frames(places, 0.0)
+    seen, = frame_views(places, 0.0)
     assert len(seen) > 190
     ahead, right = (seen[:, i] - seen[:, 2] for i in (3, 0))
     assert (np.sign(ahead[:, 0]) == 1).all()
@@ -143,7 +151,7 @@ def test_a_place_above_is_seen_outward_by_its_share_of_the_height_of_the_camera(
 def test_radars_see_heights_nearer_by_the_cotangent_and_in_the_same_line(right, on_ground):
     """North is ahead: a place 1 km up is nearer as one is on the ground, 1 km / tan away."""
     places = np.array([[0.0, 0.0, 0.0], [1e3, 0.0, 0.0], [0.0, 1e3, 0.0], [0.0, 0.0, 1e3]])
-    seen = seen_by_radars(places, 0.0, 45.0, right=right)[on_ground]
+    seen = radar_views(places, 0.0, 45.0, right=right)[on_ground]
     assert len(seen) > 90
     _, east, north, up = (seen - seen[:, :1]).transpose(1, 0, 2)
     across = np.hypot(east[:, 1], north[:, 1])  # by 1 km along the range
@@ -157,7 +165,7 @@ def test_radars_see_heights_nearer_by_the_cotangent_and_in_the_same_line(right, 
 
 def test_no_radar_sees_both_sides_of_its_track():
     wide = np.column_stack([np.linspace(-200e3, 200e3, 9), np.zeros((9, 2))])
-    across = seen_by_radars(wide, 0.0, 45.0, right=True)[1][..., 1]
+    across = radar_views(wide, 0.0, 45.0, right=True)[1][..., 1]
     assert 10 < len(across) < 90
     assert (np.diff(across) > 0.0).all()
 
@@ -247,11 +255,11 @@ def test_it_declines_on_other_bodies_and_with_lines():
 def test_a_prior_has_the_covariance_of_its_cameras_even_of_absurd_heights(height):
     rng = np.random.default_rng(0)
     scaled = rng.uniform(-1.2, 1.2, (60, 3))
-    priors = physics.of_cameras(
+    priors = physics.camera_priors(
         [physics.SCANNERS], scaled * [6e3, 6e3, height], scaled, graded_exponents(3, 3), 35.0,
         np.array([[0.0, -1.0], [1.0, 0.0]]) / 6e3, 4e-4)
     narrow, wide = (one.root @ one.root.T for one in priors[::len(priors) - 1])
-    ratio = physics.WIDTHS[-1] / physics.WIDTHS[0]
+    ratio = physics.PRIOR_WIDTHS[-1] / physics.PRIOR_WIDTHS[0]
     off = ~np.eye(len(narrow), dtype=bool)  # what comes to the variances of cameras is diagonal
     np.testing.assert_allclose(wide[off], ratio**2 * narrow[off], rtol=1e-6,
                                atol=1e-9 * abs(wide).max())

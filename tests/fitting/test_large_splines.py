@@ -28,13 +28,13 @@ def bent(n: int, *, sigma: bool = False, seed: int = 0) -> tuple[Points, np.ndar
 
 @pytest.fixture(autouse=True)
 def nothing_kept() -> Iterator[None]:
-    thin_plate._splines.cache_clear()
+    thin_plate._cached_splines.cache_clear()
     yield
-    thin_plate._splines.cache_clear()
+    thin_plate._cached_splines.cache_clear()
 
 
 def spline(points: Points, smoothing: float | None = None, criterion: str = "reml") -> ThinPlates:
-    thin_plate._splines.cache_clear()
+    thin_plate._cached_splines.cache_clear()
     found = thin_plates(points, UNITS, smoothing, criterion)
     assert found is not None
     return found
@@ -49,12 +49,12 @@ def test_knots_at_all_points_give_the_spline_of_all_kernels(
     points, _ = bent(70, sigma=sigma)
     at = np.column_stack([np.random.default_rng(1).uniform(-1.2, 1.2, (20, 2)), np.zeros(20)])
     exact = spline(points, smoothing, criterion)
-    monkeypatch.setattr(kernels, "KNOTS", 60)
-    monkeypatch.setattr(thin_plate, "NEAR", len(thin_plate.SMOOTHINGS))
-    monkeypatch.setattr(kernels, "AT_ONCE", 9)
-    monkeypatch.setattr(kernels, "spread_out", lambda places, count: places)
+    monkeypatch.setattr(kernels, "SPLINE_KNOTS", 60)
+    monkeypatch.setattr(thin_plate, "NEARBY_SMOOTHINGS", len(thin_plate.SMOOTHINGS))
+    monkeypatch.setattr(kernels, "GROUND_BATCH", 9)
+    monkeypatch.setattr(kernels, "farthest_points", lambda places, count: places)
     found = spline(points, smoothing, criterion)
-    assert found.spans.root is not None
+    assert found.field_columns.root is not None
     assert found.smoothing == exact.smoothing
     for mine, theirs in ((found.errors, exact.errors), (found.predict(at), exact.predict(at)),
                          (found.effective, exact.effective),
@@ -66,9 +66,9 @@ def test_few_knots_leave_out_points_as_splines_without_them_do(
         monkeypatch: pytest.MonkeyPatch) -> None:
     """The knots stay: what spans the field is no part of what is left out."""
     points, _ = bent(80)
-    monkeypatch.setattr(kernels, "KNOTS", 40)
-    found, knots = spline(points, 0.01), kernels.spread_out(points.ground[:, :2] * UNITS, 40)
-    monkeypatch.setattr(kernels, "spread_out", lambda places, count: knots)
+    monkeypatch.setattr(kernels, "SPLINE_KNOTS", 40)
+    found, knots = spline(points, 0.01), kernels.farthest_points(points.ground[:, :2] * UNITS, 40)
+    monkeypatch.setattr(kernels, "farthest_points", lambda places, count: knots)
     for i in (0, 31):
         others = spline(points.take(np.arange(80) != i), 0.01)
         np.testing.assert_allclose(
@@ -79,7 +79,7 @@ def test_many_points_are_predicted_nearly_as_by_all_kernels(
         monkeypatch: pytest.MonkeyPatch) -> None:
     (points, _), (others, true) = bent(900), bent(500, seed=1)
     whole = np.abs(spline(points).predict(others.ground) - true)
-    monkeypatch.setattr(kernels, "KNOTS", 300)
+    monkeypatch.setattr(kernels, "SPLINE_KNOTS", 300)
     found = spline(points)
     error = found.predict(others.ground) - true
     assert np.sqrt((error**2).mean()) < 1.05 * np.sqrt((whole**2).mean())

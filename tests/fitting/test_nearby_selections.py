@@ -42,7 +42,7 @@ def test_neighbours_are_solved_as_alone(rows: int, prior: bool,
     asked = []
     monkeypatch.setattr(nearby, "solve_many", lambda *args: asked.append(len(args[2]))
                         or solve_many(*args))
-    monkeypatch.setattr(nearby, "FEW", 12)
+    monkeypatch.setattr(nearby, "MAX_FEATURE_ROWS", 12)
     for start in (np.arange(n) % 2 == 0, np.arange(n) != 7, np.arange(n) >= 8,
                   np.arange(n) > 8):
         features = near(start, rng)
@@ -68,7 +68,7 @@ def test_a_start_that_determines_nothing_has_neighbours_all_the_same() -> None:
 @pytest.mark.parametrize("name", ["owdis-lines", "owdis-points", "owdis-points-terms"])
 def test_a_search_sees_the_same_neighbours(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     problem = prepare(name).problem
-    monkeypatch.setattr(nearby, "LEAST_WORK", 0)
+    monkeypatch.setattr(nearby, "MIN_WORK", 0)
     start = problem.genome.random(np.random.default_rng(3), 1)[0]
     ledger, around = Ledger(problem), next(neighbours(start, problem.genome))
     found, expected = ledger.evaluate_near(around, start), problem.evaluate(around)

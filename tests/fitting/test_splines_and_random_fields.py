@@ -11,8 +11,8 @@ from scipy.stats import multivariate_normal
 
 import termsel
 from termsel.adjustment.bayesian import field, posterior
-from termsel.adjustment.bayesian.field import collocate
-from termsel.adjustment.bayesian.foresight import foresee
+from termsel.adjustment.bayesian.field import fit_gaussian_process
+from termsel.adjustment.bayesian.predicted_positions import predict_positions
 from termsel.adjustment.bayesian.thin_plate import thin_plates
 from termsel.adjustment.orthogonal import orthogonal
 from termsel.auto.auto import Auto
@@ -122,23 +122,25 @@ def test_the_smoothing_is_chosen_again_without_each_point(criterion: str) -> Non
 def one_cell(monkeypatch: pytest.MonkeyPatch) -> tuple[float, float, tuple[float, float]]:
     """Leave one solution with a field on the grid, and return its size, ratio and lengths."""
     size, ratio, lengths = 10.0, 0.25, (0.4, 0.8)
-    monkeypatch.setattr(posterior, "SIZES", np.array([size]))
-    monkeypatch.setattr("termsel.adjustment.bayesian.foresight.SIZES", np.array([size]))
-    for name, value in (("RATIOS", (ratio,)), ("FALLS", (0.1,)),
-                        ("LENGTHS", (lengths, lengths[::-1])),
-                        ("FIELD", 1 - 1e-15), ("ALIKE", 0.0)):
+    monkeypatch.setattr(posterior, "PRIOR_SIZES", np.array([size]))
+    monkeypatch.setattr("termsel.adjustment.bayesian.predicted_positions.PRIOR_SIZES",
+                        np.array([size]))
+    for name, value in (("FIELD_RATIOS", (ratio,)), ("FIELD_FALLS", (0.1,)),
+                        ("FIELD_LENGTHS", (lengths, lengths[::-1])),
+                        ("FIELD_PROBABILITY", 1 - 1e-15),
+                        ("EQUAL_LENGTHS_PROBABILITY", 0.0)):
         monkeypatch.setattr(field, name, value)
-    field._collocated.cache_clear()
+    field._cached_gaussian_process.cache_clear()
     posterior._of_polynomial.cache_clear()
     return size, ratio, lengths
 
 
 def test_one_solution_is_universal_kriging(monkeypatch: pytest.MonkeyPatch) -> None:
     size, ratio, lengths = one_cell(monkeypatch)
-    monkeypatch.setattr(field, "LENGTHS", (lengths,))
+    monkeypatch.setattr(field, "FIELD_LENGTHS", (lengths,))
     points, at = scattered(25), scattered(12, seed=6).ground
-    found = collocate(points, 2)
-    field._collocated.cache_clear()
+    found = fit_gaussian_process(points, 2)
+    field._cached_gaussian_process.cache_clear()
     posterior._of_polynomial.cache_clear()
     assert found is not None
     one, other = (monomials(g, found.exponents) for g in (points.ground, at))
@@ -169,10 +171,11 @@ def test_one_solution_is_universal_kriging(monkeypatch: pytest.MonkeyPatch) -> N
 def test_one_solution_for_few_points_is_a_thin_plate_spline(
         monkeypatch: pytest.MonkeyPatch) -> None:
     one_cell(monkeypatch)
-    monkeypatch.setattr(field, "_belief", lambda lengths: float(lengths == field.SPLINE) or 1e-300)
-    points, at = scattered(field.SURE), scattered(12, seed=6).ground
-    found = collocate(points, 2)
-    field._collocated.cache_clear()
+    monkeypatch.setattr(field, "_prior_probability",
+                        lambda lengths: float(lengths == field.SPLINE_LENGTHS) or 1e-300)
+    points, at = scattered(field.SPLINE_SURE_POINTS), scattered(12, seed=6).ground
+    found = fit_gaussian_process(points, 2)
+    field._cached_gaussian_process.cache_clear()
     posterior._of_polynomial.cache_clear()
     assert found is not None
     # In the image, where the kernels have a mean variance of 1, and the size is 10.
@@ -193,18 +196,19 @@ def test_one_solution_for_few_points_is_a_thin_plate_spline(
 @pytest.mark.parametrize(("count", "variables", "wanted"), [(19, 2, 1), (20, 2, 0), (19, 3, 0)])
 def test_a_spline_is_a_course_of_few_points_without_heights(
         count: int, variables: int, wanted: int) -> None:
-    found = collocate(scattered(count), variables)
+    found = fit_gaussian_process(scattered(count), variables)
     assert found is not None
-    assert sum(part.lengths == field.SPLINE for part in found.parts) == wanted
-    np.testing.assert_allclose(found.shares.sum(), 1.0)
+    assert sum(part.lengths == field.SPLINE_LENGTHS for part in found.solutions) == wanted
+    np.testing.assert_allclose(found.probabilities.sum(), 1.0)
 
 
 def test_four_courses_are_as_likely_beforehand_for_few_points_of_a_plane() -> None:
-    found = collocate(scattered(12), 2)
+    found = fit_gaussian_process(scattered(12), 2)
     assert found is not None
-    polynomial, plain, *fields, spline = (np.exp(part.log - part.posterior.cells.log)
-                                          * len(part.posterior.scales) for part in found.parts)
-    assert [part.lengths is None for part in found.parts[:3]] == [True, True, False]
+    polynomial, plain, *fields, spline = (
+        np.exp(part.log_evidence - part.posterior.cells.log_evidence) * len(part.posterior.scales)
+        for part in found.solutions)
+    assert [part.lengths is None for part in found.solutions[:3]] == [True, True, False]
     np.testing.assert_allclose([polynomial, plain, sum(fields)], spline)
 
 
@@ -217,14 +221,14 @@ def test_what_is_foreseen_varies_within_solutions_and_between_them() -> None:
     scales = posterior.scales_of(np.array(exponents)[order > 1])
     found = posterior.posterior(one, points.image, order, None, scales, 12)
     assert found is not None
-    foreseen = foresee(found, other[:, order < 2], other[:, order > 1])
+    foreseen = predict_positions(found, other[:, order < 2], other[:, order > 1])
     share, precision = found.cells.share, np.zeros(len(order))
     for axis in (0, 1):
         means, variances = np.empty((2, len(share), 5))
         for i, (which, noise) in enumerate(zip(
-                found.cells.which[axis], found.square / (found.freedom - 2), strict=True)):
-            group, size = divmod(which, len(posterior.SIZES))
-            precision[order > 1] = (posterior.SIZES[size] * scales[group]) ** -2.0
+                found.cells.solutions[axis], found.square / (found.freedom - 2), strict=True)):
+            group, size = divmod(which, len(posterior.PRIOR_SIZES))
+            precision[order > 1] = (posterior.PRIOR_SIZES[size] * scales[group]) ** -2.0
             inverse = np.linalg.inv(one.T @ one + np.diag(precision))
             means[i] = other @ inverse @ one.T @ points.image[:, axis]
             variances[i] = noise * ((other @ inverse) * other).sum(axis=1)
@@ -251,11 +255,11 @@ def test_one_decomposition_for_all_scales_gives_what_one_for_each_does(
                        for few in (3, None))
     assert found is not None
     assert expected is not None
-    for one, other in zip(found.odds, expected.odds, strict=True):
-        np.testing.assert_allclose(one.evidence, other.evidence, atol=1e-8)
+    for one, other in zip(found.evidence, expected.evidence, strict=True):
+        np.testing.assert_allclose(one.log_factor, other.log_factor, atol=1e-8)
         np.testing.assert_allclose(one.square, other.square, rtol=near)
-    size = np.abs(expected.left_out.errors).max()
-    np.testing.assert_allclose(found.left_out.errors, expected.left_out.errors, atol=near * size)
+    size = np.abs(expected.held_out.errors).max()
+    np.testing.assert_allclose(found.held_out.errors, expected.held_out.errors, atol=near * size)
     for axis in (0, 1):
         np.testing.assert_allclose(*(one.mean(axis)[0] for one in (found, expected)), rtol=near)
         np.testing.assert_allclose(*(one.mean(axis)[1] for one in (found, expected)), rtol=near)
@@ -275,10 +279,10 @@ def test_columns_are_orthogonal_whatever_their_condition(condition: float) -> No
 @pytest.mark.parametrize("sigma", [False, True])
 def test_a_field_without_each_point_is_the_field_of_the_others(sigma: bool) -> None:
     points = scattered(25, sigma=sigma)
-    found = collocate(points, 2)
+    found = fit_gaussian_process(points, 2)
     assert found is not None
     for i in (0, 11):
-        again = collocate(points.take(np.arange(25) != i), 2)
+        again = fit_gaussian_process(points.take(np.arange(25) != i), 2)
         assert again is not None
         # The affine transformation into the image, by which distances are taken, has all points.
         expected = points.image[i] - again.predict(points.ground[i:i + 1])[0]
@@ -288,7 +292,7 @@ def test_a_field_without_each_point_is_the_field_of_the_others(sigma: bool) -> N
 def test_the_order_of_points_has_no_influence() -> None:
     points = scattered(120)
     order = np.random.default_rng(1).permutation(120)
-    one, other = (collocate(p, 2) for p in (points, points.take(order)))
+    one, other = (fit_gaussian_process(p, 2) for p in (points, points.take(order)))
     assert one is not None
     assert other is not None
     at = scattered(9, seed=5).ground
@@ -372,18 +376,18 @@ def test_more_points_leave_less_uncertain_in_units_of_the_noise(
         monkeypatch: pytest.MonkeyPatch) -> None:
     """As long as each is a knot of the field; what it has between knots stays unknown."""
     one_cell(monkeypatch)
-    monkeypatch.setattr(field, "_turn", lambda points, linear: np.eye(3)[:, :2])
+    monkeypatch.setattr(field, "_affine_to_image", lambda points, linear: np.eye(3)[:, :2])
     points = scattered(80)
-    before, after = (collocate(points.take(np.arange(n)), 2) for n in (40, 80))
-    field._collocated.cache_clear()
+    before, after = (fit_gaussian_process(points.take(np.arange(n)), 2) for n in (40, 80))
+    field._cached_gaussian_process.cache_clear()
     posterior._of_polynomial.cache_clear()
     assert before is not None
     assert after is not None
     (less, noise), (more, other) = (found.spread(points.ground) for found in (after, before))
     assert (less / noise <= more / other * (1 + 1e-9)).all()
-    monkeypatch.setattr(field, "KNOTS", 10)
-    few = collocate(points, 2)
-    field._collocated.cache_clear()
+    monkeypatch.setattr(field, "FIELD_KNOTS", 10)
+    few = fit_gaussian_process(points, 2)
+    field._cached_gaussian_process.cache_clear()
     posterior._of_polynomial.cache_clear()
     assert few is not None
     variance, counted = few.spread(points.ground)

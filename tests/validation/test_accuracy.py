@@ -12,7 +12,7 @@ import pytest
 from scipy import stats
 
 import termsel
-from termsel.adjustment.bayesian.posterior import SIZES, posterior
+from termsel.adjustment.bayesian.posterior import PRIOR_SIZES, posterior
 from termsel.auto.auto import Auto
 from termsel.data.coordinates.metres import in_metres
 from termsel.data.features import FeatureSet, Points
@@ -129,10 +129,10 @@ def test_solutions_that_differ_in_their_errors_contest_each_other() -> None:
         return target @ left @ target, float(np.mean(
             1 / np.diag(left) / weights[:, axis] ** 2))
 
-    known = [[figures(axis, size) for size in SIZES[1:]] for axis in (0, 1)]
+    known = [[figures(axis, size) for size in PRIOR_SIZES[1:]] for axis in (0, 1)]
     logs = np.array([np.log((known[0][i - 1][0] + known[1][j - 1][0])
                             * (known[0][i - 1][1] + known[1][j - 1][1]))
-                     for i, j in zip(*found.cells.which, strict=True)])
+                     for i, j in zip(*found.cells.solutions, strict=True)])
     mean = np.average(logs, weights=found.cells.share)
     expected = np.average((logs - mean) ** 2, weights=found.cells.share)
     assert expected > 1e-3

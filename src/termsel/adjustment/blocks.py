@@ -9,8 +9,8 @@ selection of terms as all of its rows.
 A itself is never squared, which for designs with conditions up to 3e7 would lose all digits. The
 condition of G is that of a selection relative to all features, and near 1 for half of them. The
 relative error of the fitted values is about k u cond(G), u = 1.1e-16 (Higham 2002, Accuracy and
-Stability of Numerical Algorithms, section 20.4); individuals with a condition above `SAFE` are
-left to the factorisation of their rows, so that it stays below 1e-10.
+Stability of Numerical Algorithms, section 20.4); individuals with a condition above
+`SAFE_CONDITION` are left to the factorisation of their rows, so that it stays below 1e-10.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ import numpy as np
 from termsel.adjustment.compiled import compiled
 from termsel.data.features import BoolArray, FloatArray, IntArray
 
-SAFE = 1e4
+SAFE_CONDITION = 1e4
 """Condition of the normal equations up to which they are used."""
 
-BLOCK_COST, GAIN, OWN_GAIN = 0.7, 12, 8
+BLOCK_COST, BLOCK_GAIN, SELECTED_BLOCK_GAIN = 0.7, 12, 8
 """Cost of a block by that of a row that is factored; rows less these, by terms, from which blocks
 are faster: all rows, where half are selected, and the selected ones of an individual with terms of
 its own, whose blocks cost as much as rows, as few may be read together. Measured with 38 and 39
@@ -50,7 +50,7 @@ def blocks_of(source: FloatArray, feature: IntArray, triangle: FloatArray) -> Fl
     width = k * (k + 3) // 2  # k (k + 1) / 2 products, and k with the right-hand side
     diagonal = np.abs(np.diag(triangle))[:k]
     lengths = np.linalg.norm(triangle[:, :k], axis=0)
-    if (len(source) - BLOCK_COST * n < GAIN * k or 8 * (n + 1) * width > _BYTES
+    if (len(source) - BLOCK_COST * n < BLOCK_GAIN * k or 8 * (n + 1) * width > _BYTES
             or not len(diagonal) == k > 0 or (diagonal <= _DETERMINED * lengths).any()):
         return None
     # Q = A R^-1, column by column. Not by LAPACK, whose rounding varies from machine to machine.
@@ -173,7 +173,7 @@ def paying(feature: IntArray, terms: BoolArray, features: BoolArray) -> BoolArra
     count = np.count_nonzero(features, axis=1)
     rows = count * len(feature) / max(features.shape[1], 1)  # as the mean feature has
     # Of all terms `blocks_of` has decided.
-    return np.asarray((selected == k) | (rows * selected >= (count + OWN_GAIN * k) * k))
+    return np.asarray((selected == k) | (rows * selected >= (count + SELECTED_BLOCK_GAIN * k) * k))
 
 
 def reduced(blocks: FloatArray, triangle: FloatArray, features: BoolArray, pays: BoolArray,
@@ -200,5 +200,5 @@ def reduced(blocks: FloatArray, triangle: FloatArray, features: BoolArray, pays:
         _sum(blocks, np.ascontiguousarray(features[batch, :n]), total)
         # One system serves all: each is used before the next is made.
         for individual, summed in zip(batch.tolist(), total, strict=True):
-            safe = _reduce(summed, triangle, lower, system) <= SAFE
+            safe = _reduce(summed, triangle, lower, system) <= SAFE_CONDITION
             yield slice(individual, individual + 1), system if safe else None

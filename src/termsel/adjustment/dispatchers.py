@@ -44,13 +44,13 @@ class _Cache(FunctionCache):
     _waits = True  # until another process took too long, or nothing could be locked
 
     def __init__(self, function: Callable[..., Any], flags: dict[str, Any]) -> None:
-        self._part = "no_cpython_wrapper" in flags  # of kernels: Python cannot call it
+        self._inner = "no_cpython_wrapper" in flags  # of kernels: Python cannot call it
         self._allocates = flags.get("_nrt", True)
         super().__init__(function)
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
         # With and without the wrapper for Python are two kinds of code of one function.
-        return *super()._index_key(sig, codegen), self._part
+        return *super()._index_key(sig, codegen), self._inner
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the code kept, None if there is none and no other process compiles it."""
@@ -90,7 +90,7 @@ class _Cache(FunctionCache):
     def has_code(self) -> bool:
         """Return whether code of this very source, compiled by this numba, is kept."""
         try:
-            return any(key[-1] == self._part for key in self._cache_file._load_index())
+            return any(key[-1] == self._inner for key in self._cache_file._load_index())
         except _UNREADABLE:  # it will be compiled again
             return False
 

@@ -44,7 +44,7 @@ class Equations:
                          np.ascontiguousarray(self.feature[rows]),
                          None if self.prior is None else self.prior[columns])
 
-    def held(self) -> tuple[FloatArray, FloatArray]:
+    def with_prior(self) -> tuple[FloatArray, FloatArray]:
         """Return design matrix and right-hand side with the pseudo-observations as last rows."""
         if self.prior is None:
             return self.A, self.b

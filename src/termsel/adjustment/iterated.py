@@ -20,7 +20,7 @@ ITERATIONS = 50
 HALVINGS = tuple(0.5**i for i in range(8))
 """Shares of a Gauss-Newton step that are tried in turn."""
 
-GAIN = 1e-5
+MIN_STEP_GAIN = 1e-5
 """Share of the residuals that a last step may leave: their squares are then known to 1e-10."""
 
 
@@ -28,8 +28,8 @@ GAIN = 1e-5
 class Quotients:
     """Image coordinates that are quotients of linear forms: target = above x / (1 + below x)."""
 
-    above: FloatArray  # (m, k)
-    below: FloatArray  # (m, k)
+    numerator: FloatArray  # (m, k)
+    denominator: FloatArray  # (m, k)
     target: FloatArray  # (m,)
     weights: FloatArray  # (p, m): 0 of rows that are not in use
 
@@ -37,8 +37,8 @@ class Quotients:
                 individuals: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return weighted distances, quotients, and weights over denominators of some, (p, m)."""
         with np.errstate(all="ignore"):  # beyond a pole, where no step ends
-            denominators = 1.0 + x @ self.below.T
-            quotients = (x @ self.above.T) / denominators
+            denominators = 1.0 + x @ self.denominator.T
+            quotients = (x @ self.numerator.T) / denominators
             weights = self.weights[individuals]
             return weights * (self.target - quotients), quotients, weights / denominators
 
@@ -58,9 +58,10 @@ def least_distances(quotients: Quotients, systems: tuple[IndependentPart, ...], 
     solution = coefficients.copy()
     for system in systems:
         columns = system.columns
-        rows = (quotients.above[:, columns].any(axis=1) | quotients.below[:, columns].any(axis=1))
-        distances = Quotients(quotients.above[np.ix_(rows, columns)],
-                              quotients.below[np.ix_(rows, columns)], quotients.target[rows],
+        rows = (quotients.numerator[:, columns].any(axis=1)
+                | quotients.denominator[:, columns].any(axis=1))
+        distances = Quotients(quotients.numerator[np.ix_(rows, columns)],
+                              quotients.denominator[np.ix_(rows, columns)], quotients.target[rows],
                               quotients.weights[:, rows])
         prior = system.equations.prior
         system_terms = terms[:, columns]
@@ -69,7 +70,7 @@ def least_distances(quotients: Quotients, systems: tuple[IndependentPart, ...], 
         for _ in range(ITERATIONS):
             step, gain, before = _steps(distances, prior, system_terms[active], x[active], active)
             # The length of Q'v is what a full step would take from the residuals.
-            worthwhile = gain > GAIN * np.sqrt(before)
+            worthwhile = gain > MIN_STEP_GAIN * np.sqrt(before)
             active = active[worthwhile]
             step = step[worthwhile]
             before = before[worthwhile]
@@ -100,7 +101,7 @@ def _steps(system: Quotients, prior: FloatArray | None, terms: BoolArray, x: Flo
         batch = np.flatnonzero(sizes == size)
         columns: IntArray = np.nonzero(terms[batch])[1].reshape(-1, size)
         # Derivative of w (t - a x / d), d = 1 + b x, but for its sign: w (a - (a x / d) b) / d.
-        rows = (system.above.T[columns] - quotients[batch, None] * system.below.T[columns]
+        rows = (system.numerator.T[columns] - quotients[batch, None] * system.denominator.T[columns]
                 ) * factors[batch, None]
         misfits = v[batch]
         # Pseudo-observations p x = 0: rows p, misfits -p x.

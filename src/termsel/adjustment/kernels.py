@@ -284,7 +284,7 @@ def _prepared(equations: Equations) -> _Prepared:
     """Return the data kept for the equations, computed the first time."""
     prepared = _PREPARED.get(equations)
     if prepared is None:
-        A, b = equations.held()
+        A, b = equations.with_prior()
         source = np.column_stack([A, b, np.zeros(len(b))])
         source = np.ascontiguousarray(source, dtype=np.float64)
         feature = np.full(len(b), ALWAYS, dtype=np.intp)

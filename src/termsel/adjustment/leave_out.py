@@ -26,7 +26,7 @@ from termsel.adjustment.reflections import LANES, apply_one
 from termsel.adjustment.solve import TOLERANCE
 from termsel.data.features import BoolArray, FloatArray, IntArray
 
-FEW = 1000
+KERNEL_MIN_ROWS = 1000
 """Rows of a single system up to which its kernel is not worth its compilation."""
 
 Reflections = tuple[FloatArray, FloatArray, FloatArray]
@@ -191,7 +191,7 @@ def leave_one_out(equations: Equations, terms: BoolArray, features: BoolArray,
     n = features.shape[1]
     first = np.searchsorted(equations.feature[order], np.arange(n + 1)).astype(np.intp)
     tallest = int(np.diff(first).max())
-    A, b = equations.held()
+    A, b = equations.with_prior()
     m, k = A.shape
     # Pseudo-observations belong to one further feature, which is never held out.
     order = np.concatenate([order, np.arange(len(order), m)])
@@ -199,7 +199,7 @@ def leave_one_out(equations: Equations, terms: BoolArray, features: BoolArray,
     if m > len(equations.b):
         first = np.append(first, m)
         features = np.concatenate([features, np.ones((len(features), 1), dtype=bool)], axis=1)
-    if len(terms) == 1 and m <= FEW:
+    if len(terms) == 1 and m <= KERNEL_MIN_ROWS:
         return _leave_out_of_one(source, first, terms[0], features[0], n)
     panels = np.empty((2, k // LANES + 1, m, LANES))
     reflections = np.empty((k, m)), np.empty(k), np.empty(k)

@@ -8,22 +8,22 @@ is orthonormal over the rows of the selection, and its residuals r = b - A x,
 
 where s are the rows that are added, with 1 on the diagonal of D, and dropped, with -1. As in
 `termsel.adjustment.blocks` A is never squared, and neighbours whose correction magnifies
-rounding by more than `SAFE` are left to the kernels.
+rounding by more than `SAFE_CONDITION` are left to the kernels.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from termsel.adjustment.blocks import SAFE
+from termsel.adjustment.blocks import SAFE_CONDITION
 from termsel.adjustment.equations import Equations
 from termsel.adjustment.kernels import solve_many
 from termsel.data.features import BoolArray, FloatArray, IntArray
 
-FEW = 4
+MAX_FEATURE_ROWS = 4
 """Most rows of a feature; the time that a correction takes grows with their square."""
 
-LEAST_WORK = 3_000
+MIN_WORK = 3_000
 """Rows of a selection, times the square of its terms, from which a correction is faster."""
 
 _DETERMINED = 1e-5  # least part of a column that those before it leave; else kernels decide
@@ -36,7 +36,7 @@ def solve_near(equations: Equations, start: BoolArray, features: BoolArray,
     The solutions are those of `solve_many`, but for rounding.
     """
     rows = _rows_of(equations.feature, len(start))
-    reference = _reference_solution(equations, start) if rows.shape[1] <= FEW else None
+    reference = _reference_solution(equations, start) if rows.shape[1] <= MAX_FEATURE_ROWS else None
     if reference is None:
         return solve_many(equations, None, features)
     x, V, row_solutions, residuals = reference
@@ -52,7 +52,8 @@ def solve_near(equations: Equations, start: BoolArray, features: BoolArray,
     gram = V[rows] @ V[rows].transpose(0, 2, 1)
     largest = np.trace(gram, axis1=1, axis2=2)
     safe = ((np.where(added < n, 1, 0) + np.where(dropped < n, 1, 0) == changes)
-            & (largest[added] <= SAFE) & (_remaining_shares(gram, start)[dropped] * SAFE >= 1.0))
+            & (largest[added] <= SAFE_CONDITION) &
+            (_remaining_shares(gram, start)[dropped] * SAFE_CONDITION >= 1.0))
     coefficients = np.empty((p, len(x)))
     violation = np.zeros(p, dtype=np.intp)
     if not safe.all():
@@ -88,12 +89,12 @@ def _reference_solution(equations: Equations, start: BoolArray,
            ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
     """Return x, V, V R^-T and r of a selection, of all rows and a last one of zeros; None where the
     selection does not clearly determine x, or kernels are as fast."""
-    A, b = equations.held()
+    A, b = equations.with_prior()
     used = np.ones(len(b), dtype=bool)
     used[:len(equations.feature)] = start[equations.feature]
     m = int(used.sum())
     k = A.shape[1]
-    if m < k or m * k * k < LEAST_WORK:
+    if m < k or m * k * k < MIN_WORK:
         return None
     q, r = np.linalg.qr(A[used])
     if (np.abs(np.diag(r)) <= _DETERMINED * np.linalg.norm(A, axis=0)).any():

@@ -6,10 +6,10 @@ import numpy as np
 
 from termsel.data.features import FloatArray
 
-TALL, WIDE = 4, 64
+MIN_ROWS_PER_COLUMN, MIN_COLUMNS = 4, 64
 """Rows for each column, and columns, from which products of matrices are faster."""
 
-NEAR = 1e-2
+CORRECTABLE = 1e-2
 """How far the products of orthogonal columns may be from 0 and 1 for one correction to reach
 rounding error: it squares this distance to begin with, and is exact by its own Cholesky factor."""
 
@@ -25,12 +25,12 @@ def orthogonal(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
     """
     n, k = columns.shape
     # The product of both triangles is that of the columns; the second Q is orthogonal to rounding.
-    if n >= TALL * k and k >= WIDE:
+    if n >= MIN_ROWS_PER_COLUMN * k and k >= MIN_COLUMNS:
         first = _step(columns)
         if first is not None:
             q, r, _ = first
             second = _step(q)
-            if second is not None and second[2] <= NEAR:
+            if second is not None and second[2] <= CORRECTABLE:
                 return second[0], second[1] @ r
     q, r = np.linalg.qr(columns)
     return q, r
@@ -41,11 +41,11 @@ def _step(columns: FloatArray) -> tuple[FloatArray, FloatArray, float] | None:
     from scipy.linalg import blas, lapack  # which fewer columns need not import
 
     gram = columns.T @ columns
-    far = float(np.abs(gram - np.eye(len(gram))).max())
+    departure = float(np.abs(gram - np.eye(len(gram))).max())
     try:
         r = np.asarray(np.linalg.cholesky(gram).T, dtype=np.float64)
     except np.linalg.LinAlgError:
         return None
     inverse, fault = lapack.dtrtri(r)
     # In the order of Fortran the columns are the rows of a matrix.
-    return None if fault else (blas.dtrmm(1.0, inverse, columns.T, trans_a=1).T, r, far)
+    return None if fault else (blas.dtrmm(1.0, inverse, columns.T, trans_a=1).T, r, departure)

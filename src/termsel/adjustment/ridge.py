@@ -9,7 +9,7 @@ import numpy as np
 from termsel.adjustment.solve import TOLERANCE
 from termsel.data.features import FloatArray
 
-EQUAL = 1e-6
+EQUAL_FIGURES = 1e-6
 """Figures that differ relatively by less than this are taken as equal."""
 
 
@@ -68,7 +68,7 @@ def choose_penalty(spectrum: Spectrum, choice: str) -> float:
         penalties = spectrum.penalties(TOLERANCE)
         gcv = spectrum.gcv(penalties)
         # GCV is often flat towards no penalty; the first of its least values is reproducible.
-        return float(penalties[np.argmax(gcv <= gcv.min() * (1 + EQUAL))])
+        return float(penalties[np.argmax(gcv <= gcv.min() * (1 + EQUAL_FIGURES))])
     # Below the least singular value the L-curve does not move (Hansen, O'Leary 1993).
     penalties = spectrum.penalties(spectrum.values[-1] / spectrum.values[0])
     curvature = spectrum.curvature(penalties)

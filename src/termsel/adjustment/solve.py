@@ -77,7 +77,7 @@ def solve(
     rows = np.ones(m, dtype=bool) if features is None else np.asarray(features)[equations.feature]
     used = equations.take(rows, columns)
     n_equations, n_terms = used.A.shape
-    A, b = used.held()
+    A, b = used.with_prior()
     # Columns of one length: the solution is the same and the condition is that of the problem,
     # not of the units.
     lengths = np.linalg.norm(A, axis=0)

@@ -30,7 +30,7 @@ from functools import cache
 
 import numpy as np
 
-from termsel.adjustment.bayesian.field import Collocation
+from termsel.adjustment.bayesian.field import GaussianProcess
 from termsel.adjustment.bayesian.held_out import chance_of
 from termsel.auto.auto import Auto
 from termsel.auto.contradictions import STRAIN, UNLIKELY, Division, Test, polynomial_of
@@ -158,7 +158,7 @@ def _explained(control: FitData, auto: Auto, suspected: BoolArray) -> BoolArray:
 def _is_parametric(fitted: Fit) -> bool:
     """Return whether a fit is by another model than the polynomials and fields of the tests."""
     return not (isinstance(fitted.estimator, Averaging)
-                or isinstance(fitted.interpolation, Collocation))
+                or isinstance(fitted.interpolation, GaussianProcess))
 
 
 def _without_probable(control: FitData, used: BoolArray) -> BoolArray:

@@ -11,9 +11,9 @@ from typing import TypeVar
 
 import numpy as np
 
-from termsel.adjustment.bayesian.field import Collocation, collocate
-from termsel.adjustment.bayesian.held_out import Prediction, chance_of
-from termsel.adjustment.bayesian.of_lines import coupled
+from termsel.adjustment.bayesian.field import GaussianProcess, fit_gaussian_process
+from termsel.adjustment.bayesian.held_out import HeldOutPredictions, chance_of
+from termsel.adjustment.bayesian.line_posterior import line_posterior
 from termsel.adjustment.bayesian.posterior import Posterior, posterior, scales_of
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.lines import row_weights
@@ -102,8 +102,8 @@ class Division:
         return FitData.of(replace(features, fit_crs="").take(self.used), self.every.heights)
 
     @property
-    def _collocated(self) -> Collocation | None:
-        return collocate(self.in_use.scaled.points, 3 if self.every.heights else 2)
+    def _collocated(self) -> GaussianProcess | None:
+        return fit_gaussian_process(self.in_use.scaled.points, 3 if self.every.heights else 2)
 
     def test(self) -> Test | None:
         """Return what the features in use predict, by a random field where points call for it.
@@ -127,11 +127,11 @@ class Division:
         noise = unit / weights_of(points) ** 2
         errors = scaled.image - found.predict(scaled.ground)
         statistic = (errors**2 / (variance + noise)).sum(axis=1) / 2
-        freedom = found.parts[0].posterior.freedom
+        freedom = found.solutions[0].posterior.freedom
         rows = np.stack([*np.abs(errors.T), chance_of(statistic, freedom), np.sqrt(statistic),
                          np.sqrt((1 + variance / noise).max(axis=1))], axis=1)
         # A point in use is predicted by the others: its own measurement would hide its error.
-        rows[used] = _rows(found.left_out)
+        rows[used] = _rows(found.held_out)
         rows[used, :2] /= weights_of(self.in_use.features.points)
         pixels = rows[:, :2] * scaling.image_scale
         return Test(np.abs(pixels).max(axis=1), rows[:, 2], rows[:, 3], rows[:, 4],
@@ -192,7 +192,7 @@ class Division:
         if found is None:
             return None
         large = np.abs(found.errors).max(axis=1) * self.in_use.scaling.image_scale > ROUNDING
-        looked_at = np.flatnonzero(large & (found.left_out.statistic > LOOK**2))
+        looked_at = np.flatnonzero(large & (found.held_out.statistic > LOOK**2))
         if not looked_at.size:
             return None
         odds = found.blunder_odds(looked_at)
@@ -230,7 +230,7 @@ class _OfPoints:
     def squares(self) -> FloatArray:
         """Squared errors of the points in use, of many some, each by the others, shape (m,)."""
         some = slice(0, self.found.in_use, -(-self.found.in_use // COMPARED))
-        errors = (self.found.left_out if some.step == 1 else self.found.without(some)).errors
+        errors = (self.found.held_out if some.step == 1 else self.found.held_out_of(some)).errors
         return np.asarray(((errors / self.weights[self.order[some]]
                             * self.image_scale) ** 2).sum(axis=1))
 
@@ -238,7 +238,8 @@ class _OfPoints:
         """Return the test: points that are not in use are looked at here alone."""
         found = self.found
         rows = np.empty((len(self.order), 5))
-        rows[self.order] = np.concatenate([_rows(found.left_out), _rows(found.beyond(UNUSED))])
+        rows[self.order] = np.concatenate(
+            [_rows(found.held_out), _rows(found.predict_unused(UNUSED))])
         pixels = rows[:, :2] / self.weights * self.image_scale
         noise = float(np.sqrt(found.cells.share @ found.square / found.freedom))
         return Test(np.abs(pixels).max(axis=1), rows[:, 2], rows[:, 3], rows[:, 4],
@@ -270,8 +271,9 @@ def _test_of_lines(division: Division, degree: int) -> Test | None:
     model = polynomial_of(control.heights, degree)
     equations = model.equations(scaled)
     weights = np.where(used, 1.0, UNUSED)[equations.feature]
-    found = coupled(replace(equations, A=equations.A * weights[:, None], b=equations.b * weights),
-                    model.exponents, 0, int((weights == 1.0).sum()))
+    found = line_posterior(
+        replace(equations, A=equations.A * weights[:, None], b=equations.b * weights),
+        model.exponents, 0, int((weights == 1.0).sum()))
     if found is None:
         return None
     one = found.predictions(np.where(used, 1.0, UNUSED))
@@ -279,11 +281,11 @@ def _test_of_lines(division: Division, degree: int) -> Test | None:
     largest, squares = np.zeros((2, len(control)))
     np.maximum.at(largest, equations.feature, np.abs(pixels))
     np.add.at(squares, equations.feature, pixels**2)
-    return Test(largest, one.chance, one.strain, one.spread, found.noise * scaling.image_scale,
+    return Test(largest, one.probability, one.strain, one.spread, found.noise * scaling.image_scale,
                 found.freedom, squares[used])
 
 
-def _rows(one: Prediction) -> FloatArray:
+def _rows(one: HeldOutPredictions) -> FloatArray:
     """Return errors of points in line and sample, chance, strain and spread, shape (m, 5)."""
-    return np.stack([*one.errors.T, one.chance, np.sqrt(one.statistic),
+    return np.stack([*one.errors.T, one.probability, np.sqrt(one.statistic),
                      np.sqrt(one.spread.max(axis=1))], axis=1)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from termsel.adjustment.bayesian.field import Collocation
+from termsel.adjustment.bayesian.field import GaussianProcess
 from termsel.adjustment.interpolation import Interpolation
 from termsel.data.features import BoolArray, FeatureSet, Points
 from termsel.data.scaling import Scaling
@@ -22,12 +22,12 @@ EXCLUDED = 0.05
 """Probability up to which parts of many points are not asked for a field either."""
 
 
-def asked_of(found: Collocation) -> float:
+def asked_of(found: GaussianProcess) -> float:
     """Return the probability of a random field beyond which points call for it.
 
     Of few points without heights, up to `field.SURE`, any: they tell too little to choose by.
     """
-    return LIKELY * (1.0 - found.few)
+    return LIKELY * (1.0 - found.spline_weight)
 
 
 def interpolated(model: SensorModel, control: FeatureSet, scaling: Scaling) -> Interpolation | None:
@@ -52,7 +52,7 @@ class Interpolated(Estimator):
         if found is None:
             raise Undetermined(f"{used.sum()} control points are too few to interpolate by",
                                hint="Measure more control, spread over the area.")
-        if isinstance(found, Collocation) and found.probability <= asked_of(found):
+        if isinstance(found, GaussianProcess) and found.probability <= asked_of(found):
             raise Undetermined("the points do not call for a random field: its probability is "
                                f"{found.probability:.2g}", hint="Choose a polynomial.")
         plain = LeastSquares(iterated=False).fit(model, control, scaling, terms, used)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from termsel.adjustment.bayesian.field import Collocation
+from termsel.adjustment.bayesian.field import GaussianProcess
 from termsel.auto.local import EXCLUDED, LIKELY, Interpolated, asked_of, interpolated
 from termsel.auto.physical import CHOSEN, FEWEST, Physical, averaged_of
 from termsel.auto.pinhole import MOST, PinholeCamera, call_for_camera, may_be_oblique
@@ -133,17 +133,17 @@ class _WithField(Structure):
         model = self.model(data.heights)
         assert model is not None
         found = interpolated(model, data.features, data.scaling)
-        return isinstance(found, Collocation) and found.probability > EXCLUDED
+        return isinstance(found, GaussianProcess) and found.probability > EXCLUDED
 
     def describe(self, fitted: Fit) -> str:
         """Return the probability of the field."""
         found = fitted.interpolation
-        assert isinstance(found, Collocation)
-        if found.few > 0.0 and found.probability <= LIKELY:
+        assert isinstance(found, GaussianProcess)
+        if found.spline_weight > 0.0 and found.probability <= LIKELY:
             return (f"{self.label} is an average: so few points do not tell polynomials, fields, a "
                     "spline and an affine image apart. The probability of local deformation is "
                     f"{found.probability:.3g}.")
-        asked = f"; it must exceed {asked_of(found):g}" * (found.few == 0.0)
+        asked = f"; it must exceed {asked_of(found):g}" * (found.spline_weight == 0.0)
         return (f"{self.label} is called for: the probability of local deformation is "
                 f"{found.probability:.3g}{asked}.")
 

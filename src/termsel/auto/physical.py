@@ -7,22 +7,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.adjustment.bayesian.cameras import in_space
-from termsel.adjustment.bayesian.field import Collocation, collocate
-from termsel.adjustment.bayesian.foresight import foresee
+from termsel.adjustment.bayesian.cameras import east_north_up
+from termsel.adjustment.bayesian.field import GaussianProcess, fit_gaussian_process
 from termsel.adjustment.bayesian.physics import (
-    BOX,
     FRAMES,
-    PLACES,
+    N_VIEW_POINTS,
     RADARS,
     SCANNERS,
-    Equations,
+    VIEW_BOX,
+    CameraEquations,
+    CameraSolutions,
     Kind,
-    Solutions,
-    marginal,
-    of_cameras,
+    camera_priors,
+    log_marginal_likelihood,
 )
 from termsel.adjustment.bayesian.posterior import Posterior, polynomial_posterior
+from termsel.adjustment.bayesian.predicted_positions import predict_positions
 from termsel.adjustment.equations import weights_of
 from termsel.auto.local import LIKELY, asked_of, points_alone
 from termsel.auto.shrunken import Average, average, fit_of
@@ -68,7 +68,7 @@ remain alone; beyond few points they must be as much worse not to."""
 class Averaged(Average):
     """Polynomials with different priors, averaged by their marginal likelihoods."""
 
-    physical: tuple[Solutions, ...]
+    physical: tuple[CameraSolutions, ...]
     shrunken: tuple[tuple[Posterior, Exponents], ...]
     shares: FloatArray  # (p,): of the physical ones, then of the others
     worse: float  # standard errors by which the regularised ones predict left-out points better
@@ -86,14 +86,15 @@ class Averaged(Average):
             likely[one.kind] += float(share)
         return max(likely, key=likely.__getitem__)
 
-    def alone(self, local: Collocation | None) -> bool:
+    def alone(self, local: GaussianProcess | None) -> bool:
         """Return whether the prior is not called for: next to a field, if points call for one.
 
         It needs positive evidence at the fewest points, as a field does, and strong evidence at
         more: where it is hardly likelier than what stands without it, that is as good, and has no
         prior that may be wrong.
         """
-        beyond = local.probability if local and local.probability > asked_of(local) else 0.0
+        beyond = local.probability if local and local.probability > asked_of(
+            local) else 0.0
         mine = self.probability * (1.0 - beyond)
         others = 1.0 - self.probability
         asked = LIKELY if len(self.errors) <= FEWEST else STRONG
@@ -107,10 +108,10 @@ def averaged(points: Points, scaling: Scaling, crs: str, exponents: Exponents) -
     The exponents are those of a cubic polynomial of X and Y, or of X, Y and Z.
     """
     variables = 3 if any(power[2] for power in exponents) else 2
-    found = in_space(scaling, crs, points.ground)
+    found = east_north_up(scaling, crs, points.ground)
     rng = np.random.default_rng(0)
-    scaled = rng.uniform(-BOX, BOX, (PLACES, 3)) * [1.0, 1.0, variables == 3]
-    grid = in_space(scaling, crs, scaled)
+    scaled = rng.uniform(-VIEW_BOX, VIEW_BOX, (N_VIEW_POINTS, 3)) * [1.0, 1.0, variables == 3]
+    grid = east_north_up(scaling, crs, scaled)
     if found is None or grid is None or not FEWEST <= len(points) <= MOST:
         return None
     plan = found[0][:, :2]
@@ -130,17 +131,20 @@ def averaged(points: Points, scaling: Scaling, crs: str, exponents: Exponents) -
         kinds += [SCANNERS, *RADARS] if variables == 3 else [SCANNERS]
     if variables == 3 and len(points) <= FRAMED and seen(FROM_THE_AIR):
         kinds.append(FRAMES)
-    priors = of_cameras(kinds, grid[0], scaled, exponents, grid[1], np.asarray(slopes[1:].T), pixel)
+    priors = camera_priors(kinds, grid[0], scaled, exponents, grid[1], np.asarray(slopes[1:].T),
+                           pixel)
     if not priors:
         return None
     weights = weights_of(points)
-    equations = Equations(monomials(points.ground, exponents), points.image, weights)
-    physical = [Solutions(equations, prior, pixel) for prior in priors]
-    least = max(one.log for one in physical) - NEGLIGIBLE
-    physical = [one for one in physical if one.log > least]
-    logs, each, errors, coefficients, effective = (
-        [getattr(one, name) for one in physical]
-        for name in ("log", "log_each", "errors", "coefficients", "effective"))
+    equations = CameraEquations(monomials(points.ground, exponents), points.image, weights)
+    physical = [CameraSolutions(equations, prior, pixel) for prior in priors]
+    least = max(one.log_evidence for one in physical) - NEGLIGIBLE
+    physical = [one for one in physical if one.log_evidence > least]
+    logs = [solution.log_evidence for solution in physical]
+    logs_without = [solution.log_evidence_without for solution in physical]
+    errors = [solution.errors for solution in physical]
+    coefficients = [solution.coefficients for solution in physical]
+    effective = [solution.effective for solution in physical]
     shrunken = []
     own = None if points.sigma is None else weights
     height = scaling.ground_scale[2] * float(np.linalg.norm(slopes[1:], axis=0).mean())
@@ -151,9 +155,10 @@ def averaged(points: Points, scaling: Scaling, crs: str, exponents: Exponents) -
         if one is None or posterior is None:
             return None
         shrunken.append((posterior, powers))
-        log = marginal(posterior, one.coefficients, variables, height, pixel) - np.log(2.0)
+        log = log_marginal_likelihood(posterior, one.coefficients, variables, height,
+                                      pixel) - np.log(2.0)
         logs.append(log)
-        each.append(log + posterior.left_out.log - posterior.cells.log)
+        logs_without.append(log + posterior.held_out.log_evidence - posterior.cells.log_evidence)
         errors.append(one.errors)
         coefficients.append(np.pad(one.coefficients, (
             (0, len(exponents) - len(powers)), (0, 0))))
@@ -161,7 +166,7 @@ def averaged(points: Points, scaling: Scaling, crs: str, exponents: Exponents) -
     shares = np.exp(logs - np.logaddexp.reduce(logs))
 
     def left_out(some: slice) -> FloatArray:
-        logs = np.array(each[some])
+        logs = np.array(logs_without[some])
         return np.asarray(np.einsum("pn,pna->na", np.exp(
             logs - np.logaddexp.reduce(logs, axis=0)), np.array(errors[some])))
 
@@ -191,7 +196,7 @@ class Physical(Estimator):
         assert isinstance(model, Polynomial)
         mine = points_alone(control, used, "a physical prior")
         found = averaged(scaling.points(mine), scaling, control.crs, model.exponents)
-        local = collocate(scaling.points(mine), model.variables)
+        local = fit_gaussian_process(scaling.points(mine), model.variables)
         if found is None or found.alone(local):
             raise Undetermined(
                 "the points do not call for the prior of a scanner, a radar or a frame camera" + (
@@ -210,7 +215,7 @@ class Physical(Estimator):
         for posterior, powers in found.shrunken:
             mine = monomials(ground, powers)
             lead = posterior.designs[0].lead.shape[0]
-            there = foresee(posterior, mine[:, :lead], mine[:, lead:])
+            there = predict_positions(posterior, mine[:, :lead], mine[:, lead:])
             parts.append((there.image, there.variance, there.noise))
         image = fitted.model.project(fitted.adjustment.coefficients, ground)
         variance = sum((share * (own + (mean - image) ** 2) for share, (mean, own, _) in zip(

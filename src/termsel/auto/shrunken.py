@@ -17,7 +17,7 @@ Noise is taken to be the same in line and sample; its variance is integrated out
 Every solution on the grid is linear in the measurements. Leaving a point out changes it, and
 its probability, in closed form, so that the leave-one-out errors are those of the whole
 procedure repeated without each point. Lines couple line and sample:
-`termsel.adjustment.bayesian.of_lines` has the same for them.
+`termsel.adjustment.bayesian.line_posterior` has the same for them.
 
 References
 ----------
@@ -32,7 +32,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.adjustment.bayesian.of_lines import averaged
+from termsel.adjustment.bayesian.line_posterior import mean_line_solution
 from termsel.adjustment.bayesian.posterior import polynomial_posterior
 from termsel.adjustment.equations import line_normals, weights_of
 from termsel.adjustment.lines import row_weights
@@ -120,7 +120,7 @@ def average(ground: FloatArray, image: FloatArray, exponents: Exponents,
         coefficients[order > 1, axis] = shrunk
         coefficients[order < 2, axis] = np.linalg.lstsq(affine, rest)[0]
         effective += own
-    return Average(coefficients, found.left_out.errors / weights, effective)
+    return Average(coefficients, found.held_out.errors / weights, effective)
 
 
 def average_with_lines(features: FeatureSet, model: Polynomial) -> Average | None:
@@ -130,7 +130,7 @@ def average_with_lines(features: FeatureSet, model: Polynomial) -> Average | Non
     features but any one do not determine the affine terms.
     """
     equations = model.equations(features)
-    found = averaged(equations, model.exponents)
+    found = mean_line_solution(equations, model.exponents)
     if found is None:
         return None
     k = len(model.exponents)

@@ -122,7 +122,7 @@ def adjust(model: SensorModel, features: FeatureSet, terms: BoolArray,
 
     def left(equations: Equations, coefficients: FloatArray) -> FloatArray:
         """Return what the rows in use leave, pseudo-observations with them."""
-        A, b = equations.take(used[equations.feature], np.ones_like(terms)).held()
+        A, b = equations.take(used[equations.feature], np.ones_like(terms)).with_prior()
         return np.asarray(b - A @ coefficients)
 
     converged, steps, v = False, 0, left(equations, x)

@@ -19,9 +19,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.adjustment.bayesian.field import Collocation
-from termsel.adjustment.bayesian.foresight import foresee
+from termsel.adjustment.bayesian.field import GaussianProcess
 from termsel.adjustment.bayesian.posterior import Posterior, polynomial_posterior
+from termsel.adjustment.bayesian.predicted_positions import predict_positions
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.solve import Adjustment
 from termsel.data.features import BoolArray, FeatureSet, FloatArray
@@ -101,7 +101,7 @@ def shared_variance(model: SensorModel, control: FeatureSet) -> float | None:
         return None
     points = control.points
     local = model.interpolation(control)
-    left_out = (local if isinstance(local, Collocation) else believed.found).left_out
+    left_out = (local if isinstance(local, GaussianProcess) else believed.found).held_out
     weights = weights_of(points)
     # What places have in common, those of the control points, the posterior sees.
     factors = believed.spread(points.ground, points.image).factors
@@ -144,22 +144,23 @@ class _Belief:
     def spread(self, ground: FloatArray, image: FloatArray) -> Spread:
         """Return the mean square errors of predictions at places."""
         columns = _columns(ground, self.degree, self.variables)
-        there = foresee(self.found, columns[:, :self.variables + 1],
-                        columns[:, self.variables + 1:])
+        there = predict_positions(self.found, columns[:, :self.variables + 1],
+                                  columns[:, self.variables + 1:])
         return Spread(there.variance + (image - there.image) ** 2,
                       np.full(2, there.noise), there.factors)
 
     def contest(self, weights: FloatArray) -> float:
         """Return the variance, over the solutions, of the logarithm of their mean square error."""
         found = self.found
-        each = sum((1.0 / side.left / w**2).sum(axis=1)[side.cell] for some in found.pieces
-                   for side, w in zip(found.at(some), weights[some].T, strict=True))
+        each = sum((1.0 / side.redundancies / w ** 2).sum(axis=1)[side.solution_of_cell]
+                   for some in found.batches
+                   for side, w in zip(found.errors_of(some), weights[some].T, strict=True))
         logarithm = np.log(found.square * each)  # up to what all solutions share
         return float(found.cells.share @ (logarithm - found.cells.share @ logarithm) ** 2)
 
     def squares(self) -> FloatArray:
         """Return the squared errors of the points (n,), each by the others."""
-        return np.asarray((self.found.left_out.errors**2).sum(axis=1))
+        return np.asarray((self.found.held_out.errors**2).sum(axis=1))
 
 
 def _columns(ground: FloatArray, degree: int, variables: int) -> FloatArray:
@@ -181,7 +182,7 @@ def _propagated(model: SensorModel, control: FeatureSet, terms: BoolArray, adjus
         return _unknown(len(ground)), np.full(len(control), np.inf)
     x = adjustment.coefficients
     equations = model.linearised(control, x) or model.equations(control)
-    held, right = equations.take(np.ones(len(equations.b), dtype=bool), terms).held()
+    held, right = equations.take(np.ones(len(equations.b), dtype=bool), terms).with_prior()
     q, r = np.linalg.qr(held)
     errors = (right - held @ x[terms])[:len(equations.b)]
     left = np.maximum(1.0 - (q[:len(errors)] ** 2).sum(axis=1), np.finfo(float).eps)

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from termsel.adjustment.bayesian.field import collocate
+from termsel.adjustment.bayesian.field import fit_gaussian_process
 from termsel.adjustment.bayesian.thin_plate import thin_plates
 from termsel.adjustment.interpolation import Interpolation
 from termsel.core.errors import TermselError, amount
@@ -103,7 +103,7 @@ class Field(Interpolating):
 
     def interpolation(self, control: FeatureSet) -> Interpolation | None:
         """Return the collocation (see `SensorModel.interpolation`)."""
-        return collocate(control.points, self.variables)
+        return fit_gaussian_process(control.points, self.variables)
 
 
 class Field3D(Field):

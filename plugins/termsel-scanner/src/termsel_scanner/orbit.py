@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from termsel.toolkit import turned
+from termsel.toolkit import rotate
 
 FloatArray = NDArray[np.float64]
 
@@ -100,7 +100,7 @@ def seen(cameras: Cameras, target: FloatArray, place: FloatArray, axes: FloatArr
     frame = np.stack([x, np.cross(ray, x), -ray], axis=2)
 
     def view(time: FloatArray) -> FloatArray:
-        there = turned(turned(ground[None], pole, TURNING * time), orbit,
+        there = rotate(rotate(ground[None], pole, TURNING * time), orbit,
                        -motion[:, None] * time) - station[:, None]
         looked = there @ frame
         slopes = looked[..., :2] / looked[..., 2:]

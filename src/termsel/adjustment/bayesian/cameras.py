@@ -19,70 +19,90 @@ from termsel.data.coordinates.wgs84 import EARTH_ROTATION, GRAVITY_CONSTANT, to_
 from termsel.data.features import FloatArray
 from termsel.data.scaling import Scaling
 
-CAMERAS = 200
+N_CAMERAS = 200
+"""Scanners and frame cameras that are drawn; of radars half of it on either side."""
 
-RADIUS = 6371e3
+EARTH_RADIUS = 6371e3
 """Mean radius of the Earth [m]."""
 
-ALTITUDES = (450e3, 850e3)
+ORBIT_ALTITUDES = (450e3, 850e3)
+"""Least and greatest height of a satellite [m]."""
 
-INCIDENCE = np.radians(35.0)
+SCANNER_INCIDENCE = np.radians(35.0)
 """Largest angle between ray and vertical on the ground: products beyond are rare."""
 
-SIDEWAYS = tuple(np.radians([18.0, 52.0]))
+RADAR_INCIDENCE = tuple(np.radians([18.0, 52.0]))
 """Angles between ray and vertical at the middle of the image of a radar: others are rare."""
 
-SIDE = tuple(np.sin(np.radians([15.0, 60.0])))
+RADAR_SINES = tuple(np.sin(np.radians([15.0, 60.0])))
 """Sines of the smallest and the largest of its other places. No image crosses the track."""
 
-CLIMB = 50.0
+RADAR_CLIMB = 50.0
 """Standard deviation of how fast the height changes at which ranges are put on the ground [m/s]:
 processors take that of the terrain along the flight."""
 
-VIEW = (0.1, 1.0)
-TILT = np.radians(3.0)
-ASIDE = 0.25
-"""Half the extent of the places by the height of a frame camera above them, from long lenses and
-parts of a photo to wide angles; standard deviations of its tilt, which vertical photos have, and of
-where it is aside of the middle, by the extent."""
+FRAME_EXTENT = (0.1, 1.0)
+"""Half the extent of the places by the height of a frame camera above them: from long lenses and
+parts of a photo to wide angles."""
 
-YAW = np.radians(3.0)
-RATE = 3e-5
-CHANGE = 5e-7
-"""Standard deviations of the angle between flight and scan, which compensates the rotation of the
-Earth, of rates of attitude [rad/s], of which steady platforms state some 1e-5 to 5e-5, and of how
-these change [rad/s^2], within about a minute."""
+FRAME_TILT = np.radians(3.0)
+"""Standard deviation of its tilt: that of vertical photos."""
 
-LATITUDE = 60.0
+FRAME_OFFSET = 0.25
+"""Standard deviation of its distance from the middle, by the extent."""
+
+CAMERA_YAW = np.radians(3.0)
+"""Standard deviation of the angle between flight and scan, which compensates the rotation of the
+Earth."""
+
+ATTITUDE_RATE = 3e-5
+"""Standard deviation of rates of attitude [rad/s]: steady platforms state some 1e-5 to 5e-5."""
+
+ATTITUDE_RATE_CHANGE = 5e-7
+"""Standard deviation of how these rates change [rad/s^2], within about a minute."""
+
+MAX_LATITUDE = 60.0
 """Largest latitude of places where it is not known."""
 
-ROUNDS, STEP, CLOSE, FAR, SPEED = 8, 1e-3, 1e-6, 500.0, 7e3
-"""Most steps to the time at which a place is seen, the least first one, the last, and the longest
-time [s]; what of the ground a satellite passes in one [m/s]."""
+MAX_SECANT_STEPS = 8
+"""Most steps to the time at which a place is seen."""
+
+FIRST_STEP = 1e-3
+"""Least first step [s]."""
+
+TIME_TOLERANCE = 1e-6
+"""Step at which the time is found [s]."""
+
+MAX_TIME = 500.0
+"""Longest time before or after that of the middle [s]."""
+
+GROUND_SPEED = 7e3
+"""How fast a satellite passes the ground [m/s]."""
 
 
-def in_space(scaling: Scaling, crs: str, scaled: FloatArray) -> tuple[FloatArray, float] | None:
+def east_north_up(scaling: Scaling, crs: str,
+                  scaled: FloatArray) -> tuple[FloatArray, float] | None:
     """Return scaled places to the east, north and up of their middle [m], (m, 3), and its latitude.
 
     NaN where the latitude is not known. None on other bodies than the Earth, and for geocentric
     coordinates.
     """
-    own = scaling.fit_crs or crs
+    ground_crs = scaling.fit_crs or crs
     middle = np.array(scaling.ground_offset)
     ground = scaled * scaling.ground_scale + middle
-    if body_of(own) != EARTH or (own and plan_of(own, ground) is None):
+    if body_of(ground_crs) != EARTH or (ground_crs and plan_of(ground_crs, ground) is None):
         return None
-    if own and is_in_degrees(own):
+    if ground_crs and is_in_degrees(ground_crs):
         lon, lat = np.radians(middle[:2])
         east = np.array([-np.sin(lon), np.cos(lon), 0.0])
         north = np.array(
             [-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)])
-        away = to_ecef(ground) - to_ecef(middle[None])
-        return away @ np.stack([east, north, np.cross(east, north)], axis=1), float(middle[1])
-    away = ground - middle
-    away[:, :2] *= metres_per_unit(own) or 1.0 if own else 1.0
-    away[:, 2] -= (away[:, :2] ** 2).sum(axis=1) / (2 * RADIUS)
-    return away, np.nan
+        offsets = to_ecef(ground) - to_ecef(middle[None])
+        return offsets @ np.stack([east, north, np.cross(east, north)], axis=1), float(middle[1])
+    offsets = ground - middle
+    offsets[:, :2] *= metres_per_unit(ground_crs) or 1.0 if ground_crs else 1.0
+    offsets[:, 2] -= (offsets[:, :2] ** 2).sum(axis=1) / (2 * EARTH_RADIUS)
+    return offsets, np.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,26 +116,27 @@ class _Flights:
     motion: FloatArray   # (c,): how fast [rad/s]
     pole: FloatArray     # (c, 3)
 
-    def sight(self, places: FloatArray, time: FloatArray) -> FloatArray:
+    def sight(self, positions: FloatArray, time: FloatArray) -> FloatArray:
         """Return what leads from the satellites to places (m, 3) at times (c, m), (c, m, 3).
 
         In axes that turn with the orbit the satellite rests; the Earth turns in inertial space.
         """
-        there = turned(places[None] + [0.0, 0.0, RADIUS], self.pole, EARTH_ROTATION * time)
-        return np.asarray(turned(there, self.orbit, -self.motion[:, None] * time)
+        turned = rotate(positions[None] + [0.0, 0.0, EARTH_RADIUS], self.pole,
+                        EARTH_ROTATION * time)
+        return np.asarray(rotate(turned, self.orbit, -self.motion[:, None] * time)
                           - self.station[:, None])
 
 
 def _flights(rng: np.random.Generator, heading: FloatArray, latitude: float, tilt: FloatArray,
              toward: FloatArray, altitude: FloatArray) -> _Flights:
     """Return flights seen from the middle under angles from the vertical, in a direction [rad]."""
-    lat = np.radians(np.where(np.isnan(latitude), rng.uniform(-LATITUDE, LATITUDE, len(tilt)),
-                              latitude))
+    lat = np.radians(
+        np.where(np.isnan(latitude), rng.uniform(-MAX_LATITUDE, MAX_LATITUDE, len(tilt)), latitude))
     ray = np.stack([np.sin(tilt) * np.sin(toward), np.sin(tilt) * np.cos(toward), np.cos(tilt)], 1)
-    radius = RADIUS + altitude
-    along = RADIUS * np.cos(tilt)
-    station = [0.0, 0.0, RADIUS] + ray * (
-        np.sqrt(along**2 - RADIUS**2 + radius**2) - along)[:, None]
+    radius = EARTH_RADIUS + altitude
+    along_ray = EARTH_RADIUS * np.cos(tilt)
+    station = [0.0, 0.0, EARTH_RADIUS] + ray * (
+        np.sqrt(along_ray**2 - EARTH_RADIUS**2 + radius**2) - along_ray)[:, None]
     up = station / radius[:, None]
     ahead = np.stack([np.sin(heading), np.cos(heading), np.zeros(len(tilt))], axis=1)
     ahead = _unit(ahead - up * (ahead * up).sum(axis=1, keepdims=True))
@@ -123,120 +144,127 @@ def _flights(rng: np.random.Generator, heading: FloatArray, latitude: float, til
                     np.stack([np.zeros(len(tilt)), np.cos(lat), np.sin(lat)], axis=1))
 
 
-def seen_by_scanners(places: FloatArray, azimuth: float,
-                     latitude: float) -> tuple[FloatArray, ...]:
+def scanner_views(positions: FloatArray, azimuth: float,
+                  latitude: float) -> tuple[FloatArray, ...]:
     """Return time and slope across of places (m, 3) in images of so many cameras, once (c, m, 2).
 
     The azimuth of the scan is clockwise from north [rad]; the latitude is in degrees, or NaN.
     Cameras that do not see all places are left out.
     """
     rng = np.random.default_rng(0)
-    n = CAMERAS  # a prior is the same for all data
+    n = N_CAMERAS  # a prior is the same for all data
     altitude, tilt, toward = (rng.uniform(0.0, 1.0, n) for _ in range(3))
     yaw, rate, change = (scale * rng.standard_normal((n, 3))
-                         for scale in (YAW, RATE, CHANGE))
-    flights = _flights(rng, azimuth + yaw[:, 0], latitude, tilt * INCIDENCE, toward * 2 * np.pi,
-                       ALTITUDES[0] + altitude * (ALTITUDES[1] - ALTITUDES[0]))
+                         for scale in (CAMERA_YAW, ATTITUDE_RATE, ATTITUDE_RATE_CHANGE))
+    flights = _flights(rng, azimuth + yaw[:, 0], latitude, tilt * SCANNER_INCIDENCE,
+                       toward * 2 * np.pi, ORBIT_ALTITUDES[0] + altitude *
+                       (ORBIT_ALTITUDES[1] - ORBIT_ALTITUDES[0]))
     ray = flights.ray
     x = np.broadcast_to([np.sin(azimuth), np.cos(azimuth), 0.0], (n, 3))
     x = _unit(x + ray * -(x * ray).sum(axis=1, keepdims=True))
     axes = np.stack([x, np.cross(-ray, x), -ray], axis=2)
 
     def view(time: FloatArray) -> FloatArray:
-        looked = flights.sight(places, time) @ axes
-        slopes = looked[..., :2] / looked[..., 2:]
+        rays = flights.sight(positions, time) @ axes
+        slopes = rays[..., :2] / rays[..., 2:]
         roll, pitch, spin = (rate[:, i, None] * time + change[:, i, None] * time**2 / 2
                              for i in range(3))
         return np.asarray(slopes - np.stack([pitch + spin * slopes[..., 1],
                                              roll - spin * slopes[..., 0]], axis=-1))
 
-    return (_seen(view, places, azimuth, n),)
+    return (_views_at_sight(view, positions, azimuth, n),)
 
 
-def seen_by_radars(places: FloatArray, azimuth: float, latitude: float, *,
-                   right: bool) -> tuple[FloatArray, ...]:
-    """Return time and range of places in images of so many radars (see `seen_by_scanners`).
+def radar_views(positions: FloatArray, azimuth: float, latitude: float, *,
+                right: bool) -> tuple[FloatArray, ...]:
+    """Return time and range of places in images of so many radars (see `scanner_views`).
 
     A place is seen when it is nearest. Radars look to the right or to the left of the flight. The
     range is first that along the ray, then that on the ground, of a sphere at the height of the
     middle.
     """
     rng = np.random.default_rng(0)
-    n = CAMERAS // 2
+    n = N_CAMERAS // 2
     altitude, tilt = (rng.uniform(0.0, 1.0, n) for _ in range(2))
-    heading = azimuth + YAW * rng.standard_normal(n)
-    flights = _flights(rng, heading, latitude, SIDEWAYS[0] + tilt * (SIDEWAYS[1] - SIDEWAYS[0]),
-                       heading + (-0.5 if right else 0.5) * np.pi,
-                       ALTITUDES[0] + altitude * (ALTITUDES[1] - ALTITUDES[0]))
-    far = np.linalg.norm(flights.station, axis=1)[:, None]
-    climb = CLIMB * rng.standard_normal((n, 1))
+    heading = azimuth + CAMERA_YAW * rng.standard_normal(n)
+    flights = _flights(rng, heading, latitude, RADAR_INCIDENCE[0] + tilt *
+                       (RADAR_INCIDENCE[1] - RADAR_INCIDENCE[0]), heading +
+                       (-0.5 if right else 0.5) * np.pi, ORBIT_ALTITUDES[0] + altitude *
+                       (ORBIT_ALTITUDES[1] - ORBIT_ALTITUDES[0]))
+    orbit_radius = np.linalg.norm(flights.station, axis=1)[:, None]
+    climb = RADAR_CLIMB * rng.standard_normal((n, 1))
 
     def view(time: FloatArray) -> FloatArray:
-        away, later = (np.linalg.norm(flights.sight(places, at), axis=2)
-                       for at in (time, time + STEP))
-        surface = RADIUS + climb * time
-        cosine = np.clip((far**2 + surface**2 - away**2) / (2 * far * surface), -1.0, 1.0)
-        sine = np.sqrt(1.0 - cosine**2) * far / away  # of ray and vertical
-        there = np.where((sine > SIDE[0]) & (sine < SIDE[1]), away, np.nan)
-        return np.stack([(later - away) / STEP / far, there, np.arccos(cosine)], axis=-1)
+        distance, next_distance = (np.linalg.norm(flights.sight(positions, at), axis=2)
+                                   for at in (time, time + FIRST_STEP))
+        surface = EARTH_RADIUS + climb * time
+        cosine = np.clip((orbit_radius ** 2 + surface ** 2 - distance ** 2) /
+                         (2*orbit_radius*surface), -1.0, 1.0)
+        sine = np.sqrt(1.0 - cosine**2) * orbit_radius / distance  # of ray and vertical
+        visible_distance = np.where((sine > RADAR_SINES[0]) & (sine < RADAR_SINES[1]), distance,
+                                    np.nan)
+        return np.stack([(next_distance-distance) / FIRST_STEP / orbit_radius, visible_distance,
+                         np.arccos(cosine)],
+                        axis=-1)
 
-    seen = _seen(view, places, azimuth, n)
-    return seen[..., [0, 1]], seen[..., [0, 2]]
+    views = _views_at_sight(view, positions, azimuth, n)
+    return views[..., [0, 1]], views[..., [0, 2]]
 
 
-def seen_by_frames(places: FloatArray, azimuth: float) -> tuple[FloatArray, ...]:
-    """Return slopes of places in photos of so many frame cameras (see `seen_by_scanners`)."""
+def frame_views(positions: FloatArray, azimuth: float) -> tuple[FloatArray, ...]:
+    """Return slopes of places in photos of so many frame cameras (see `scanner_views`)."""
     rng = np.random.default_rng(0)
-    n = CAMERAS
-    extent = 2.0 * np.abs(places[:, :2]).max()
-    above = extent / 2 / VIEW[0] * (VIEW[0] / VIEW[1]) ** rng.uniform(0.0, 1.0, n)
-    aside = ASIDE * extent * rng.standard_normal((n, 2))
-    tilt = TILT * rng.standard_normal((n, 2))
+    n = N_CAMERAS
+    extent = 2.0 * np.abs(positions[:, :2]).max()
+    height = extent / 2 / FRAME_EXTENT[0] * (FRAME_EXTENT[0] / FRAME_EXTENT[1]) ** rng.uniform(
+        0.0, 1.0, n)
+    offset = FRAME_OFFSET * extent * rng.standard_normal((n, 2))
+    tilt = FRAME_TILT * rng.standard_normal((n, 2))
     east = np.sin(azimuth)
     north = np.cos(azimuth)
-    x = places @ np.array([east, north, 0.0]) - aside[:, :1]
-    y = places @ np.array([north, -east, 0.0]) - aside[:, 1:]
-    down = above[:, None] - places[:, 2]
-    depth = down + tilt[:, :1] * x + tilt[:, 1:] * y
-    seen = np.stack([x - tilt[:, :1] * down, y - tilt[:, 1:] * down], axis=-1) / depth[..., None]
-    return (np.asarray(seen[(depth > above[:, None] / 10).all(axis=1)]),)
+    x = positions @ np.array([east, north, 0.0]) - offset[:, :1]
+    y = positions @ np.array([north, -east, 0.0]) - offset[:, 1:]
+    drop = height[:, None] - positions[:, 2]
+    depth = drop + tilt[:, :1] * x + tilt[:, 1:] * y
+    slopes = np.stack([x - tilt[:, :1] * drop, y - tilt[:, 1:] * drop], axis=-1) / depth[..., None]
+    return (np.asarray(slopes[(depth > height[:, None] / 10).all(axis=1)]),)
 
 
-def _seen(view: Callable[[FloatArray], FloatArray], places: FloatArray, azimuth: float,
-          cameras: int) -> FloatArray:
+def _views_at_sight(view: Callable[[FloatArray], FloatArray], positions: FloatArray, azimuth: float,
+                    cameras: int) -> FloatArray:
     """Return times (c, m) at which the first of what a view has is 0, and then the others.
 
     Cameras that do not see all places are left out.
     """
-    along = places @ np.array([np.sin(azimuth), np.cos(azimuth), 0.0]) / SPEED
-    step = np.tile(np.where(np.abs(along) < STEP, STEP, along), (cameras, 1))
+    guess = positions @ np.array([np.sin(azimuth), np.cos(azimuth), 0.0]) / GROUND_SPEED
+    step = np.tile(np.where(np.abs(guess) < FIRST_STEP, FIRST_STEP, guess), (cameras, 1))
     time = np.zeros_like(step)
-    seen = view(np.zeros_like(step))
+    views = view(np.zeros_like(step))
     with np.errstate(all="ignore"):
-        for _ in range(ROUNDS):  # the secant method
-            if np.abs(step).max() < CLOSE:
+        for _ in range(MAX_SECANT_STEPS):  # the secant method
+            if np.abs(step).max() < TIME_TOLERANCE:
                 break
-            time = np.clip(time + step, -FAR, FAR)
-            before = seen
-            seen = view(time)
-            change = seen[..., 0] - before[..., 0]
-            step = np.where(np.abs(change) > 1e-13, -seen[..., 0] * step / change, 0.0)
-    seen[..., 0] = time
-    good = np.isfinite(seen).all(axis=(1, 2)) & (np.abs(step).max(axis=1) < CLOSE) & (
-        np.abs(time).max(axis=1) < FAR)
-    return np.asarray(seen[good])
+            time = np.clip(time + step, -MAX_TIME, MAX_TIME)
+            previous = views
+            views = view(time)
+            change = views[..., 0] - previous[..., 0]
+            step = np.where(np.abs(change) > 1e-13, -views[..., 0] * step / change, 0.0)
+    views[..., 0] = time
+    valid = np.isfinite(views).all(axis=(1, 2)) & (np.abs(step).max(axis=1) < TIME_TOLERANCE) & (
+        np.abs(time).max(axis=1) < MAX_TIME)
+    return np.asarray(views[valid])
 
 
 def _unit(vectors: FloatArray) -> FloatArray:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
-def turned(vectors: FloatArray, axis: FloatArray, angle: FloatArray) -> FloatArray:
+def rotate(vectors: FloatArray, axis: FloatArray, angle: FloatArray) -> FloatArray:
     """Return vectors (., m, 3) turned about axes (c, 3) by angles (c, m) (Rodrigues' formula)."""
     # v + sin(angle) a x v + (1 - cos(angle)) a x (a x v); the products are those of matrices.
     x, y, z = axis.T
-    none = np.zeros_like(x)
-    cross = np.array([[none, z, -y], [-z, none, x], [y, -x, none]]).transpose(2, 0, 1)
-    once = vectors @ cross
-    return np.asarray(vectors + np.sin(angle)[..., None] * once
-                      + (1.0 - np.cos(angle))[..., None] * (once @ cross))
+    zero = np.zeros_like(x)
+    cross = np.array([[zero, z, -y], [-z, zero, x], [y, -x, zero]]).transpose(2, 0, 1)
+    cross_product = vectors @ cross
+    return np.asarray(vectors + np.sin(angle)[..., None] * cross_product
+                      + (1.0 - np.cos(angle))[..., None] * (cross_product @ cross))

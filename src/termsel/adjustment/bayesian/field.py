@@ -13,10 +13,10 @@ local deformation the regularised polynomial remains.
 
 In a plane, few points do not tell lengths from noise. There a thin-plate spline, a field without
 lengths and next to affine functions alone, is a third course, and an affine image a fourth, all as
-likely beforehand. From SURE to FEW points this fades: a fold of the points is then judged as they
+likely beforehand. From SPLINE_SURE_POINTS to SPLINE_MAX_POINTS this fades: a fold is judged as they
 are.
 
-With many points the field is spanned by the covariances with KNOTS of them.
+With many points the field is spanned by the covariances with FIELD_KNOTS of them.
 
 References
 ----------
@@ -28,109 +28,116 @@ knots. The prior is termsel's own.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
 
 from termsel.adjustment.bayesian.blunder_odds import blunder_odds
-from termsel.adjustment.bayesian.foresight import foresee
-from termsel.adjustment.bayesian.held_out import Prediction
+from termsel.adjustment.bayesian.held_out import HeldOutPredictions
 from termsel.adjustment.bayesian.kernels import (
+    affine_residuals,
+    farthest_points,
     kernel,
-    left_by_affine,
-    own_variance,
-    spread_out,
+    residual_variance,
     squared_distances,
 )
 from termsel.adjustment.bayesian.posterior import (
-    NEVER,
+    MAX_LOG_RATIO,
     Posterior,
+    normalized,
     polynomial_posterior,
     posterior,
-    shares,
 )
+from termsel.adjustment.bayesian.predicted_positions import predict_positions
 from termsel.adjustment.equations import weights_of
 from termsel.data.features import FloatArray, IntArray, Points
 from termsel.data.monomials import Exponents, graded_exponents, monomials
 
-LENGTHS = ((0.15, 0.15), (0.3, 0.3), (0.6, 0.6), (1.2, 1.2), (0.15, 1.2), (1.2, 0.15))
+FIELD_LENGTHS = ((0.15, 0.15), (0.3, 0.3), (0.6, 0.6), (1.2, 1.2), (0.15, 1.2), (1.2, 0.15))
 """Lengths of line and sample, by the half-range of the image: from about the distance of
 neighbours among a hundred points to where a field cannot be told from a polynomial; and two that
 differ."""
 
-RATIOS = (0.02, 0.2, 2.0)
+FIELD_RATIOS = (0.02, 0.2, 2.0)
 """Standard deviations of the field by those of quadratic coefficients, which `posterior.SIZES`
 takes from the noise to where they are as good as free."""
 
-FALLS = (0.01, 0.1)
-RELIEF = 0.1
+FIELD_FALLS = (0.01, 0.1)
+FIELD_RELIEF = 0.1
 """Cubic coefficients by quadratic ones, and those of one power of Z more, next to a field. With one
 fall alone a field must stand in for the cubic terms that it does not allow."""
 
-DEGREE = 3
+FIELD_DEGREE = 3
 
-FIELD, ALIKE = 0.5, 0.9
+FIELD_PROBABILITY, EQUAL_LENGTHS_PROBABILITY = 0.5, 0.9
 """Probability of a field before the points are looked at, and that its lengths are equal then."""
 
-SPLINE = (np.inf, np.inf)
+SPLINE_LENGTHS = (np.inf, np.inf)
 """Lengths that stand for a spline."""
 
-SURE, FEW = 12, 20
+SPLINE_SURE_POINTS, SPLINE_MAX_POINTS = 12, 20
 """Number of points up to which a spline and an affine image are courses in their own right, and
 from which on they are not needed."""
 
-KNOTS = 100
+FIELD_KNOTS = 100
 
-NEGLIGIBLE = 1e-6
-"""Probability of a part that is left out of a prediction."""
+NEGLIGIBLE_PROBABILITY = 1e-6
+"""Probability of a solution that is left out of a prediction."""
 
-AT_ONCE = 2000
+GROUND_BATCH = 2000
 """Places whose covariances are held in memory."""
 
-JITTER = 1e-10
+COVARIANCE_JITTER = 1e-10
 """Part of the field's variance that is added, so that covariances of close points can be
 decomposed."""
 
 
 @dataclass(frozen=True, eq=False)
-class FieldPart:
+class FieldSolutions:
     """All solutions with one pair of lengths, or without a field."""
 
     posterior: Posterior
-    log: float  # logarithm of the evidence, up to what all parts share
+    log_evidence: float  # up to what is common to all pairs of lengths
     lengths: tuple[float, float] | None  # None without a field
     # (c, k): what makes coefficients of the field uncorrelated; empty without one.
-    inverse: FloatArray
+    whitening: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class Collocation:
-    """What control points predict, averaged over all parts."""
+class GaussianProcess:
+    """What control points predict, averaged over all fields and none."""
 
     points: Points  # scaled
     exponents: Exponents  # affine ones first
-    turn: FloatArray  # (f, 2): affine coefficients that bring ground positions into the image
+    to_image: FloatArray  # (f, 2): affine coefficients that bring ground positions into the image
     knots: FloatArray  # (k, 2): places in the image
-    parts: tuple[FieldPart, ...]  # those without a field first
-    few: float  # how far a spline is a course: from 0, many points or heights, to 1
+    solutions: tuple[FieldSolutions, ...]  # those without a field first
+    spline_weight: float  # how far a spline is a course: from 0, many points or heights, to 1
 
     @cached_property
-    def shares(self) -> FloatArray:
-        """Probability of each part."""
-        return shares(np.array([part.log for part in self.parts]))[0]
+    def probabilities(self) -> FloatArray:
+        """Probability of each of the solutions."""
+        return normalized(np.array([solution.log_evidence for solution in self.solutions]))[0]
 
     @property
     def probability(self) -> float:
         """Probability of a field."""
-        return float(sum(share for share, part in zip(self.shares, self.parts, strict=True)
-                         if part.lengths is not None))
+        total = 0.0
+        for share, solution in zip(self.probabilities, self.solutions, strict=True):
+            if solution.lengths is not None:
+                total += share
+        return float(total)
 
     @property
     def effective(self) -> float:
         """Effective parameters of line and sample together."""
-        return float(sum(share * part.posterior.mean(axis)[1]
-                         for share, part in self._likely for axis in (0, 1)))
+        total = 0.0
+        for share, solution in self._likely:
+            for axis in (0, 1):
+                total += share * solution.posterior.mean(axis)[1]
+        return float(total)
 
     @cached_property
     def errors(self) -> FloatArray:
@@ -138,99 +145,116 @@ class Collocation:
 
         In closed form: without a point the solutions change, and so do their probabilities.
         """
-        return self.left_out.errors / weights_of(self.points)
+        return self.held_out.errors / weights_of(self.points)
 
     @cached_property
-    def _likely(self) -> list[tuple[float, FieldPart]]:
-        """Parts that matter, with their probabilities."""
-        highest = max(part.log for part in self.parts)
-        return [(share, part) for share, part in zip(self.shares, self.parts, strict=True)
-                if part.log > highest - NEVER]
+    def _likely(self) -> list[tuple[float, FieldSolutions]]:
+        """Solutions that matter, with their probabilities."""
+        highest = max(solution.log_evidence for solution in self.solutions)
+        return [(share, solution)
+                for share, solution in zip(self.probabilities, self.solutions, strict=True)
+                if solution.log_evidence > highest - MAX_LOG_RATIO]
 
     @cached_property
-    def left_out(self) -> Prediction:
-        """What all points but one predict for it, for each point, under all parts."""
-        parts = [part for _, part in self._likely]
-        each = [part.posterior.left_out for part in parts]
-        # What is known of a part beforehand is its logarithm without that of its points.
-        logs = np.array([part.log - part.posterior.cells.log + one.log
-                         for part, one in zip(parts, each, strict=True)])
-        likely = shares(logs)[0]                                                      # (p, n)
+    def held_out(self) -> HeldOutPredictions:
+        """What all points but one predict for it, for each point, under all solutions."""
+        solutions = [solution for _, solution in self._likely]
+        predictions = [solution.posterior.held_out for solution in solutions]
+        logs = np.empty((len(solutions), len(self.points)))
+        for i, (solution, prediction) in enumerate(zip(solutions, predictions, strict=True)):
+            # What is believed beforehand is the logarithm less that of the evidence of the points.
+            logs[i] = (solution.log_evidence - solution.posterior.cells.log_evidence
+                       + prediction.log_evidence)
+        shares = normalized(logs)[0]                                                  # (p, n)
 
-        def mean(name: str) -> FloatArray:
-            values = np.array([getattr(one, name) for one in each])
-            return np.asarray(np.einsum("pn,pn...->n...", likely, values))
+        def mean(values: Iterable[FloatArray]) -> FloatArray:
+            return np.asarray(np.einsum("pn,pn...->n...", shares, np.array(list(values))))
 
-        return Prediction(mean("errors"), mean("chance"), mean("statistic"), mean("spread"),
-                          np.logaddexp.reduce(logs))
+        return HeldOutPredictions(
+            errors=mean(prediction.errors for prediction in predictions),
+            probability=mean(prediction.probability for prediction in predictions),
+            statistic=mean(prediction.statistic for prediction in predictions),
+            spread=mean(prediction.spread for prediction in predictions),
+            log_evidence=np.logaddexp.reduce(logs))
 
     def blunder_odds(self, points: IntArray) -> FloatArray:
         """Return how much likelier points are as blunders (see `blunder_odds`)."""
-        return blunder_odds([(share, part.posterior, part.lengths is not None)
-                             for share, part in self._likely], points)
+        return blunder_odds([(share, solution.posterior, solution.lengths is not None)
+                             for share, solution in self._likely], points)
 
     def predict(self, ground: FloatArray) -> FloatArray:
         """Return line and sample of places, shape (m, 2)."""
         polynomial, fields = self._coefficients
         columns = monomials(ground, self.exponents)
         image = columns @ polynomial
-        places = columns[:, :len(self.turn)] @ self.turn
-        for start in range(0, len(ground), AT_ONCE):
-            some = slice(start, start + AT_ONCE)
+        positions = columns[:, :len(self.to_image)] @ self.to_image
+        for start in range(0, len(ground), GROUND_BATCH):
+            batch = slice(start, start + GROUND_BATCH)
             for lengths, weights in fields:
-                image[some] += _covariances(places[some], self.knots, lengths)[0] @ weights
+                image[batch] += _covariances(positions[batch], self.knots, lengths)[0] @ weights
         return np.asarray(image)
 
     def spread(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the variance of the prediction, shape (m, 2), and that of the noise, (2,)."""
-        lead = len(self.turn)
+        n_affine = len(self.to_image)
         columns = monomials(ground, self.exponents)
-        places = columns[:, :lead] @ self.turn
-        likely = [(share, part) for share, part in zip(self.shares, self.parts, strict=True)
-                  if share > NEGLIGIBLE]
-        each = []
-        for _, part in likely:
-            spanned = _with_field(columns, places, self.knots, part.lengths, part.inverse)
-            field = spanned[:, columns.shape[1]:]
-            # Away from the knots the field has a variance that their covariances do not span.
-            missing = None if part.lengths is None else np.square(part.posterior.scales[:, -1:]) \
-                * np.maximum(_covariances(places, self.knots, part.lengths)[1]
-                             - (field**2).sum(axis=1), 0.0)
-            each.append(foresee(part.posterior, columns[:, :lead], spanned[:, lead:], missing))
-        some = [share for share, _ in likely]
-        mean = sum(share * one.image for share, one in zip(some, each, strict=True))
-        variance = sum((share * (one.variance + (one.image - mean) ** 2)
-                        for share, one in zip(some, each, strict=True)),
-                       np.zeros((len(ground), 2)))
-        return variance, np.full(2, float(np.dot(some, [one.noise for one in each])))
+        positions = columns[:, :n_affine] @ self.to_image
+        shares = []
+        predictions = []
+        for share, solution in zip(self.probabilities, self.solutions, strict=True):
+            if share <= NEGLIGIBLE_PROBABILITY:
+                continue
+            spanned = _with_field(columns, positions, self.knots, solution.lengths,
+                                  solution.whitening)
+            unspanned = None
+            if solution.lengths is not None:
+                # Away from the knots the field has a variance that their covariances do not span.
+                field = spanned[:, columns.shape[1]:]
+                prior = _covariances(positions, self.knots, solution.lengths)[1]
+                unspanned = (np.square(solution.posterior.scales[:, -1:])
+                             * np.maximum(prior - (field**2).sum(axis=1), 0.0))
+            shares.append(share)
+            predictions.append(predict_positions(solution.posterior, columns[:, :n_affine],
+                                                 spanned[:, n_affine:], unspanned))
+        # The law of total variance: the mean of the variances, and the variance of the means.
+        mean = sum(share * predicted.image
+                   for share, predicted in zip(shares, predictions, strict=True))
+        variance = np.zeros((len(ground), 2))
+        for share, predicted in zip(shares, predictions, strict=True):
+            variance = variance + share * (predicted.variance + (predicted.image - mean) ** 2)
+        noise = float(np.dot(shares, [predicted.noise for predicted in predictions]))
+        return variance, np.full(2, noise)
 
     @cached_property
     def _coefficients(self) -> tuple[FloatArray, list[tuple[tuple[float, float], FloatArray]]]:
         """Averaged coefficients of the monomials, and those of the knots of each field by lengths.
         """
-        lead = len(self.turn)
+        lead = len(self.to_image)
         terms = len(self.exponents)
         weights = weights_of(self.points)
         total = np.zeros((terms, 2))
-        rest = np.zeros_like(self.points.image)
+        affine_targets = np.zeros_like(self.points.image)
         fields = []
         columns = monomials(self.points.ground, self.exponents)
-        places = columns[:, :lead] @ self.turn
-        for share, part in self._likely:
-            shrunk = np.stack([part.posterior.mean(axis)[0] for axis in (0, 1)], axis=1)
-            spanned = _with_field(columns, places, self.knots, part.lengths, part.inverse)
-            rest += share * (self.points.image - spanned[:, lead:] @ shrunk)
+        positions = columns[:, :lead] @ self.to_image
+        for share, solution in self._likely:
+            shrunk = np.stack([solution.posterior.mean(axis)[0] for axis in (0, 1)], axis=1)
+            spanned = _with_field(columns, positions, self.knots, solution.lengths,
+                                  solution.whitening)
+            affine_targets += share * (self.points.image - spanned[:, lead:] @ shrunk)
             total[lead:] += share * shrunk[:terms - lead]
-            if part.lengths and share > NEGLIGIBLE:
-                fields.append((part.lengths, share * part.inverse.T @ shrunk[terms - lead:]))
-        # Those of each part fit what its other terms leave: their mean fits the mean of that.
+            if solution.lengths and share > NEGLIGIBLE_PROBABILITY:
+                fields.append(
+                    (solution.lengths, share * solution.whitening.T @ shrunk[terms - lead:]))
+        # Affine terms of each solution fit what its other terms leave: their mean fits the mean.
         affine = columns[:, :lead]
         for axis, w in enumerate(weights.T):
-            total[:lead, axis] = np.linalg.lstsq(affine * w[:, None], rest[:, axis] * w)[0]
+            total[:lead, axis] = np.linalg.lstsq(affine * w[:, None],
+                                                 affine_targets[:, axis] * w)[0]
         return total, fields
 
 
-def collocate(points: Points, variables: int) -> Collocation | None:
+def fit_gaussian_process(points: Points, variables: int) -> GaussianProcess | None:
     """Return what control points, scaled, predict by a polynomial with a random field.
 
     The polynomial is in 2 variables, X and Y, or 3, with Z. None if all points but any one do not
@@ -238,57 +262,81 @@ def collocate(points: Points, variables: int) -> Collocation | None:
     """
     if len(points) < variables + 3:
         return None
-    image, ground, sigma = (None if one is None else np.ascontiguousarray(one).tobytes()
-                            for one in (points.image, points.ground, points.sigma))
-    return _collocated(image, ground, sigma, variables)
+    image, ground, sigma = (None if values is None else np.ascontiguousarray(values).tobytes()
+                            for values in (points.image, points.ground, points.sigma))
+    return _cached_gaussian_process(image, ground, sigma, variables)
 
 
 @lru_cache(maxsize=1)  # of many points one takes a great part of the memory
-def _collocated(image: bytes, ground: bytes, sigma: bytes | None,
-                variables: int) -> Collocation | None:
-    """Return the collocation of points; a fit asks for the same one many times."""
-    places = np.frombuffer(image).reshape(-1, 2)
-    points = Points(tuple(map(str, range(len(places)))), places,
+def _cached_gaussian_process(image: bytes, ground: bytes, sigma: bytes | None,
+                             variables: int) -> GaussianProcess | None:
+    """Return the process of points; a fit asks for the same one many times."""
+    measured = np.frombuffer(image).reshape(-1, 2)
+    points = Points(tuple(map(str, range(len(measured)))), measured,
                     np.frombuffer(ground).reshape(-1, 3),
                     None if sigma is None else np.frombuffer(sigma).reshape(-1, 2))
-    exponents = graded_exponents(DEGREE, variables)
+    exponents = graded_exponents(FIELD_DEGREE, variables)
     order = np.array(exponents).sum(axis=1)
     shrunk = np.array(exponents)[order > 1]
     columns = monomials(points.ground, exponents)
-    turn = _turn(points, exponents[:variables + 1])
-    there = columns[:, :variables + 1] @ turn
-    knots = spread_out(there, KNOTS)
-    rules = [fall ** (order[order > 1] - 2.0) * RELIEF ** shrunk[:, 2] for fall in FALLS]
-    # Every fall with every ratio; the columns of the field share one scale.
-    mixed = np.array([[*rule, *np.full(len(knots), ratio)] for rule in rules for ratio in RATIOS])
-    parts = []
+    to_image = _affine_to_image(points, exponents[:variables + 1])
+    positions = columns[:, :variables + 1] @ to_image
+    knots = farthest_points(positions, FIELD_KNOTS)
     weights = None if sigma is None else weights_of(points)
-    few = float(np.clip((FEW - len(points)) / (FEW - SURE), 0.0, 1.0)) if variables == 2 else 0.0
-    for lengths in (None, *LENGTHS, *[SPLINE] * (few > 0.0)):
-        inverse = _inverse(knots, lengths)
-        bare = _with_field(columns, there, knots, lengths, inverse)
-        orders = np.concatenate([order, np.full(len(inverse), DEGREE)])
-        scales = mixed if lengths in LENGTHS else np.repeat(
-            [[0.0, 1.0]], [len(shrunk), len(inverse)], axis=1)
-        solutions = polynomial_posterior(points.ground, points.image, exponents, weights) \
-            if lengths is None else posterior(bare, points.image, orders, weights, scales,
-                                              len(points), len(shrunk))
-        if solutions is None:
+    scales = _scales_with_field(shrunk, len(knots))
+    spline_weight = _spline_weight(len(points)) if variables == 2 else 0.0
+
+    solutions = []
+    for lengths in (None, *FIELD_LENGTHS, SPLINE_LENGTHS):
+        if lengths == SPLINE_LENGTHS and spline_weight == 0.0:
+            continue
+        whitening = _whitening(knots, lengths)
+        if lengths is None:
+            grid = polynomial_posterior(points.ground, points.image, exponents, weights)
+        else:
+            if lengths == SPLINE_LENGTHS:  # next to affine functions alone, all of one scale
+                scales = np.repeat([[0.0, 1.0]], [len(shrunk), len(whitening)], axis=1)
+            grid = posterior(
+                _with_field(columns, positions, knots, lengths, whitening), points.image,
+                np.concatenate([order, np.full(len(whitening), FIELD_DEGREE)]), weights, scales,
+                in_use=len(points), n_own=len(shrunk))
+        if grid is None:
             return None
-        parts.append(FieldPart(
-            solutions, solutions.cells.log + np.log(
-                _belief(lengths) * (few if lengths == SPLINE else 1.0) / len(solutions.scales)),
-            lengths, inverse))
-    if few > 0.0:
-        plain = posterior(columns, points.image, order, weights, np.zeros((1, len(shrunk))),
-                          len(points))
-        assert plain is not None
-        parts.insert(1, FieldPart(plain, plain.cells.log + np.log(_belief(None) * few), None,
-                                  parts[0].inverse))
-    return Collocation(points, exponents, turn, knots, tuple(parts), few)
+        prior = _prior_probability(lengths) * (spline_weight if lengths == SPLINE_LENGTHS else 1.0)
+        solutions.append(FieldSolutions(
+            grid, grid.cells.log_evidence + np.log(prior / len(grid.scales)), lengths,
+            whitening))
+    if spline_weight > 0.0:
+        affine = posterior(columns, points.image, order, weights, np.zeros((1, len(shrunk))),
+                           len(points))
+        assert affine is not None
+        prior = _prior_probability(None) * spline_weight
+        solutions.insert(1, FieldSolutions(affine, affine.cells.log_evidence + np.log(prior), None,
+                                           solutions[0].whitening))
+    return GaussianProcess(points, exponents, to_image, knots, tuple(solutions), spline_weight)
 
 
-def _turn(points: Points, linear: Exponents) -> FloatArray:
+def _spline_weight(points: int) -> float:
+    """Return how far a spline is a course of its own for so many points in a plane, 1 to 0."""
+    share = (SPLINE_MAX_POINTS - points) / (SPLINE_MAX_POINTS - SPLINE_SURE_POINTS)
+    return float(np.clip(share, 0.0, 1.0))
+
+
+def _scales_with_field(shrunk: IntArray, knots: int) -> FloatArray:
+    """Return scales of shrunken coefficients (k, 3) and of a field's knots, shape (g, k + knots).
+
+    Every fall with every ratio; the columns of the field share one scale.
+    """
+    order = shrunk.sum(axis=1)
+    scales = []
+    for fall in FIELD_FALLS:
+        rule = fall ** (order - 2.0) * FIELD_RELIEF ** shrunk[:, 2]
+        for ratio in FIELD_RATIOS:
+            scales.append([*rule, *np.full(knots, ratio)])
+    return np.array(scales)
+
+
+def _affine_to_image(points: Points, linear: Exponents) -> FloatArray:
     """Return the affine transformation that brings places into the image, shape (f, 2).
 
     Distances between places are taken in the image: there sheets shrink and scanners shake, and
@@ -297,48 +345,52 @@ def _turn(points: Points, linear: Exponents) -> FloatArray:
     return np.asarray(np.linalg.lstsq(monomials(points.ground, linear), points.image)[0])
 
 
-def _belief(lengths: tuple[float, float] | None) -> float:
-    """Return the probability of a part before the points are looked at, up to a factor."""
-    if lengths in (None, SPLINE):
-        return 1.0 - FIELD
-    alike = sum(line == sample for line, sample in LENGTHS)
-    return FIELD * (ALIKE / alike if lengths[0] == lengths[1]
-                    else (1.0 - ALIKE) / (len(LENGTHS) - alike))
+def _prior_probability(lengths: tuple[float, float] | None) -> float:
+    """Return the probability of lengths before the points are looked at, up to a factor."""
+    if lengths in (None, SPLINE_LENGTHS):
+        return 1.0 - FIELD_PROBABILITY
+    n_equal = sum(line == sample for line, sample in FIELD_LENGTHS)
+    if lengths[0] == lengths[1]:
+        return FIELD_PROBABILITY * (EQUAL_LENGTHS_PROBABILITY / n_equal)
+    return FIELD_PROBABILITY * ((1.0 - EQUAL_LENGTHS_PROBABILITY)
+                                / (len(FIELD_LENGTHS) - n_equal))
 
 
-def _with_field(columns: FloatArray, places: FloatArray, knots: FloatArray,
-                lengths: tuple[float, float] | None, inverse: FloatArray) -> FloatArray:
-    """Return the monomials, and the columns that span the field of a part."""
+def _with_field(columns: FloatArray, positions: FloatArray, knots: FloatArray,
+                lengths: tuple[float, float] | None, whitening: FloatArray) -> FloatArray:
+    """Return the monomials, and the columns that span a field of some lengths."""
     if lengths is None:
         return columns
-    return np.concatenate([columns, _covariances(places, knots, lengths)[0] @ inverse.T], axis=1)
+    return np.concatenate(
+        [columns, _covariances(positions, knots, lengths)[0] @ whitening.T], axis=1)
 
 
-def _inverse(knots: FloatArray, lengths: tuple[float, float] | None) -> FloatArray:
+def _whitening(knots: FloatArray, lengths: tuple[float, float] | None) -> FloatArray:
     """Return what makes coefficients of a field uncorrelated, of one variance, shape (c, k)."""
     if lengths is None:
         return np.empty((0, 0))
-    among = _covariances(knots, knots, lengths)[0]
-    if lengths != SPLINE:
+    covariances = _covariances(knots, knots, lengths)[0]
+    if lengths != SPLINE_LENGTHS:
         return np.asarray(np.linalg.inv(np.linalg.cholesky(
-            among + JITTER * np.eye(len(knots))).T).T)
-    values, vectors = np.linalg.eigh(among)  # what affine functions fit has no variance
-    some = values > JITTER * values.max()
-    return np.asarray((vectors[:, some] / np.sqrt(values[some])).T)
+            covariances + COVARIANCE_JITTER * np.eye(len(knots))).T).T)
+    values, vectors = np.linalg.eigh(covariances)  # what affine functions fit has no variance
+    spanned = values > COVARIANCE_JITTER * values.max()
+    return np.asarray((vectors[:, spanned] / np.sqrt(values[spanned])).T)
 
 
-def _covariances(places: FloatArray, knots: FloatArray,
+def _covariances(positions: FloatArray, knots: FloatArray,
                  lengths: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
     """Return covariances of places with knots, shape (m, k), and variances of places, (m,).
 
     Those of a spline are of what the affine function that fits the knots leaves; their mean is 1.
     """
-    if lengths != SPLINE:
-        return _matern(places, knots, lengths), np.ones(len(places))
-    here = np.column_stack([np.ones(len(knots)), knots])
-    rest = np.eye(len(knots)) - here @ np.linalg.pinv(here)
-    unit = np.trace(rest @ kernel(knots, knots)) / len(knots)
-    return left_by_affine(places, knots) @ rest / unit, own_variance(places, knots) / unit
+    if lengths != SPLINE_LENGTHS:
+        return _matern(positions, knots, lengths), np.ones(len(positions))
+    affine = np.column_stack([np.ones(len(knots)), knots])
+    residual_maker = np.eye(len(knots)) - affine @ np.linalg.pinv(affine)
+    unit = np.trace(residual_maker @ kernel(knots, knots)) / len(knots)
+    return affine_residuals(positions, knots) @ residual_maker / unit, residual_variance(
+        positions, knots) / unit
 
 
 def _matern(a: FloatArray, b: FloatArray, lengths: tuple[float, float]) -> FloatArray:

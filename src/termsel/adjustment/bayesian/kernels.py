@@ -6,75 +6,86 @@ import numpy as np
 
 from termsel.data.features import FloatArray
 
-AT_ONCE = 2000
+GROUND_BATCH = 2000
 """Places whose kernels are held in memory."""
 
-KNOTS = 1000
+SPLINE_KNOTS = 1000
 """Most points that have a kernel each, and knots of more. As many for some of the points as for
 all, lest what some predict look better than what all do."""
 
-JITTER = 1e-10
+EIGENVALUE_JITTER = 1e-10
 """Part of the field's variance that is none: that of close points, or of affine functions."""
 
 
-class Spans:
+class SplineColumns:
     """The columns that span a field: kernels around all points, or around knots among many."""
 
-    def __init__(self, places: FloatArray, whole: bool) -> None:
-        many = len(places) > KNOTS and not whole
-        self.knots = spread_out(places, KNOTS) if many else places
-        self.root = spline_root(self.knots) if many else None
-        here = np.column_stack([np.ones(len(self.knots)), self.knots])
-        self._affine = None if self.root is None else np.linalg.pinv(here) @ (
-            kernel(self.knots, self.knots) @ self.root)
+    def __init__(self, positions: FloatArray, all_knots: bool) -> None:
+        reduced = len(positions) > SPLINE_KNOTS and not all_knots
+        self.knots = farthest_points(positions, SPLINE_KNOTS) if reduced else positions
+        self.root = spline_root(self.knots) if reduced else None
+        # What an affine function fits of each column, which the columns then lack.
+        self._affine_fit = np.zeros((3, 0))
+        if self.root is not None:
+            self._affine_fit = np.linalg.pinv(_affine_columns(self.knots)) @ (
+                kernel(self.knots, self.knots) @ self.root)
 
-    def __call__(self, places: FloatArray) -> FloatArray:
+    def __call__(self, positions: FloatArray) -> FloatArray:
         """Return the columns at places, shape (m, k)."""
         if self.root is None:
-            return kernel(places, self.knots)
-        there = np.column_stack([np.ones(len(places)), places])
-        return np.asarray(kernel(places, self.knots) @ self.root - there @ self._affine)
+            return kernel(positions, self.knots)
+        affine = _affine_columns(positions)
+        return np.asarray(kernel(positions, self.knots) @ self.root - affine @ self._affine_fit)
 
-    def coefficients(self, places: FloatArray, w: FloatArray) -> FloatArray:
+    def coefficients(self, positions: FloatArray, w: FloatArray) -> FloatArray:
         """Return the coefficients of the columns by the kernels' weights (n, 2) at the points."""
-        return w if self.root is None else np.asarray(sum(
-            self(places[some]).T @ w[some] for some in parts(len(places))))
+        if self.root is None:
+            return w
+        return np.asarray(sum(self(positions[batch]).T @ w[batch]
+                              for batch in batches_of(len(positions))))
 
-    def variance(self, there: FloatArray, columns: FloatArray, lead: FloatArray,
-                 places: FloatArray, smoothing: float, w: FloatArray) -> FloatArray:
+    def variance(self, ground: FloatArray, columns: FloatArray, point_columns: FloatArray,
+                 positions: FloatArray, smoothing: float, w: FloatArray) -> FloatArray:
         """Return the variance at places (m, 2) by that of the field, shape (m,).
 
         The affine columns there are (m, 3), those of the points (n, 3); `w` are their weights.
         """
-        (n, f) = lead.shape
-        apart = self(there)
+        (n, f) = point_columns.shape
+        field = self(ground)
         if self.root is None:
             # Universal kriging: the kernel at distance 0, which is 0, less right' system^-1 right.
             system = np.zeros((n + f, n + f))
-            system[:n, :n] = kernel(places, places) + np.diag(smoothing / w**2)
-            system[:n, n:] = lead
-            system[n:, :n] = lead.T
-            right = np.concatenate([apart, columns], axis=1)
+            system[:n, :n] = kernel(positions, positions) + np.diag(smoothing / w**2)
+            system[:n, n:] = point_columns
+            system[n:, :n] = point_columns.T
+            right = np.concatenate([field, columns], axis=1)
             return np.asarray(-(right * np.linalg.solve(system, right.T).T).sum(axis=1))
-        rows = np.concatenate([columns, apart], axis=1)
-        normal = np.diag(np.r_[np.zeros(f), np.full(apart.shape[1], smoothing)])
-        for some in parts(n):
-            one = np.concatenate([lead[some], self(places[some])], axis=1) * w[some, None]
-            normal += one.T @ one
-        beyond = own_variance(there, self.knots) - (apart**2).sum(axis=1)
+        rows = np.concatenate([columns, field], axis=1)
+        normal = np.diag(np.r_[np.zeros(f), np.full(field.shape[1], smoothing)])
+        for batch in batches_of(n):
+            rows_of_points = np.concatenate(
+                [point_columns[batch], self(positions[batch])], axis=1) * w[batch, None]
+            normal += rows_of_points.T @ rows_of_points
+        # Between the knots the field has a variance that their kernels do not span.
+        unspanned = residual_variance(ground, self.knots) - (field**2).sum(axis=1)
         return np.asarray(smoothing * (rows * np.linalg.solve(normal, rows.T).T).sum(axis=1)
-                          + np.maximum(beyond, 0.0))
+                          + np.maximum(unspanned, 0.0))
 
 
-def parts(n: int) -> list[slice]:
+def batches_of(n: int) -> list[slice]:
     """Return all of n places, so many at once."""
-    return [slice(start, start + AT_ONCE) for start in range(0, n, AT_ONCE)]
+    return [slice(start, start + GROUND_BATCH) for start in range(0, n, GROUND_BATCH)]
+
+
+def _affine_columns(positions: FloatArray) -> FloatArray:
+    """Return the columns of an affine function in the plane, 1, x and y, shape (n, 3)."""
+    return np.column_stack([np.ones(len(positions)), positions])
 
 
 def kernel(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return r^2 log r of the distances r between places, shape (len(a), len(b))."""
-    square = squared_distances(a, b)
-    return np.asarray(square * np.log(np.where(square > 0.0, square, 1.0)) / 2)
+    squares = squared_distances(a, b)
+    return np.asarray(squares * np.log(np.where(squares > 0.0, squares, 1.0)) / 2)
 
 
 def squared_distances(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -86,41 +97,42 @@ def squared_distances(a: FloatArray, b: FloatArray) -> FloatArray:
     return square
 
 
-def left_by_affine(places: FloatArray, knots: FloatArray) -> FloatArray:
+def affine_residuals(positions: FloatArray, knots: FloatArray) -> FloatArray:
     """Return the kernels around knots, less what an affine function fits at these, (m, k)."""
-    there, here = (np.column_stack([np.ones(len(one)), one]) for one in (places, knots))
-    return np.asarray(kernel(places, knots) - there @ (np.linalg.pinv(here) @ kernel(knots, knots)))
+    affine, knot_affine = (_affine_columns(one) for one in (positions, knots))
+    return np.asarray(
+        kernel(positions, knots) - affine @ (np.linalg.pinv(knot_affine) @ kernel(knots, knots)))
 
 
-def own_variance(places: FloatArray, knots: FloatArray) -> FloatArray:
+def residual_variance(positions: FloatArray, knots: FloatArray) -> FloatArray:
     """Return the variance at places of what the affine function that fits the knots leaves."""
-    there, here = (np.column_stack([np.ones(len(one)), one]) for one in (places, knots))
-    fitted = there @ np.linalg.pinv(here)
+    affine, knot_affine = (_affine_columns(one) for one in (positions, knots))
+    fitted = affine @ np.linalg.pinv(knot_affine)
     return np.asarray((fitted * (fitted @ kernel(knots, knots)
-                                 - 2 * kernel(places, knots))).sum(axis=1))
+                                 - 2 * kernel(positions, knots))).sum(axis=1))
 
 
 def spline_root(knots: FloatArray) -> FloatArray:
     """Return what makes coefficients of the kernels uncorrelated, of one variance, shape (k, c)."""
-    here = np.column_stack([np.ones(len(knots)), knots])
-    rest = np.eye(len(knots)) - here @ np.linalg.pinv(here)
-    among = kernel(knots, knots)
-    values, vectors = np.linalg.eigh(rest @ among @ rest)
+    affine = _affine_columns(knots)
+    residual_maker = np.eye(len(knots)) - affine @ np.linalg.pinv(affine)
+    kernels = kernel(knots, knots)
+    values, vectors = np.linalg.eigh(residual_maker @ kernels @ residual_maker)
     # What affine functions fit has no variance but rounding.
-    some = values > JITTER * max(values.max(), np.abs(among).max())
-    return np.asarray(rest @ (vectors[:, some] / np.sqrt(values[some])))
+    spanned = values > EIGENVALUE_JITTER * max(values.max(), np.abs(kernels).max())
+    return np.asarray(residual_maker @ (vectors[:, spanned] / np.sqrt(values[spanned])))
 
 
-def spread_out(places: FloatArray, count: int) -> FloatArray:
+def farthest_points(positions: FloatArray, count: int) -> FloatArray:
     """Return the places, of more than a count that are far apart, whatever their order."""
-    if len(places) <= count:
-        return places
+    if len(positions) <= count:
+        return positions
     # From the place nearest to the middle, always the place farthest from those taken.
-    taken = [int(np.argmin(np.linalg.norm(places - places.mean(axis=0), axis=1)))]
-    columns = np.ascontiguousarray(places.T)
-    apart = np.full(len(places), np.inf)
-    while len(taken) < count:
-        line, sample = columns - columns[:, taken[-1:]]
-        apart = np.minimum(apart, line * line + sample * sample)
-        taken.append(int(apart.argmax()))
-    return places[taken]
+    chosen_indices = [int(np.argmin(np.linalg.norm(positions - positions.mean(axis=0), axis=1)))]
+    columns = np.ascontiguousarray(positions.T)
+    distances = np.full(len(positions), np.inf)
+    while len(chosen_indices) < count:
+        line, sample = columns - columns[:, chosen_indices[-1:]]
+        distances = np.minimum(distances, line * line + sample * sample)
+        chosen_indices.append(int(distances.argmax()))
+    return positions[chosen_indices]

@@ -25,30 +25,30 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from termsel.adjustment.bayesian.kernels import JITTER, Spans, parts
+from termsel.adjustment.bayesian.kernels import EIGENVALUE_JITTER, SplineColumns, batches_of
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.solve import TOLERANCE
 from termsel.data.features import FloatArray, Points
 from termsel.data.monomials import graded_exponents, monomials
 
-PLANE = graded_exponents(1, 2)
+AFFINE_EXPONENTS = graded_exponents(1, 2)
 
 SMOOTHINGS = 10.0 ** np.arange(-8.0, 6.0, 0.1)
 """From where a spline interpolates to where it is an affine function; kernels are of places within
 about [-1, 1]."""
 
-NEAR = 5
+NEARBY_SMOOTHINGS = 5
 """Smoothings to each side of the chosen one that a point may lead to, where there are knots:
 one of so many hardly moves the choice."""
 
 
 @dataclass(frozen=True, eq=False)
-class Axis:
+class AxisSpline:
     """The spline of one axis, and the errors of those without each point."""
 
     best: int  # which smoothing is chosen
-    w: FloatArray  # (n,): the kernels' weights
-    own: FloatArray  # (n,): the diagonal of M
+    weights: FloatArray  # (n,): the kernels' weights
+    diagonal: FloatArray  # (n,): the diagonal of M
     errors: FloatArray  # (n,): weighted, of each point by the others
 
 
@@ -59,29 +59,33 @@ class ThinPlates:
     points: Points  # scaled
     units: tuple[float, float]  # by which X and Y are multiplied before distances are taken
     smoothings: FloatArray  # (s,): to choose from
-    axes: tuple[Axis, Axis]  # of line and of sample
-    spans: Spans
+    splines: tuple[AxisSpline, AxisSpline]  # of line and of sample
+    field_columns: SplineColumns
 
     @property
     def smoothing(self) -> tuple[float, float]:
         """Smoothing of line and of sample."""
-        line, sample = (float(self.smoothings[axis.best]) for axis in self.axes)
+        line, sample = (float(self.smoothings[axis.best]) for axis in self.splines)
         return line, sample
 
     @property
     def errors(self) -> FloatArray:
         """Measured minus predicted of each point by the others, shape (n, 2)."""
-        return np.stack([axis.errors for axis in self.axes], axis=1) / weights_of(self.points)
+        return np.stack([axis.errors for axis in self.splines], axis=1) / weights_of(self.points)
 
     @property
     def effective(self) -> float:
         """Effective parameters of line and sample together."""
-        return float(sum((1.0 - smoothing * axis.own).sum() for smoothing, axis in zip(
-            self.smoothing, self.axes, strict=True)))
+        # The trace of I - smoothing M, which turns measurements into fitted values.
+        total = 0.0
+        for smoothing, spline in zip(self.smoothing, self.splines, strict=True):
+            total += (1.0 - smoothing * spline.diagonal).sum()
+        return float(total)
 
     def predict(self, ground: FloatArray) -> FloatArray:
         """Return line and sample of places, shape (m, 2)."""
-        return np.asarray(monomials(ground, PLANE) @ self._affine + self._local(ground))
+        return np.asarray(
+            monomials(ground, AFFINE_EXPONENTS) @ self._affine_coefficients + self._field(ground))
 
     def spread(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the variance of the prediction, shape (m, 2), and that of the noise, (2,).
@@ -90,47 +94,49 @@ class ThinPlates:
         """
         variance = np.empty((len(ground), 2))
         noise = np.empty(2)
-        lead = monomials(self.points.ground, PLANE)
-        n, f = lead.shape
-        columns = monomials(ground, PLANE)
-        places = ground[:, :2] * self.units
-        for axis, (smoothing, one, w) in enumerate(zip(
-                self.smoothing, self.axes, weights_of(self.points).T, strict=True)):
-            fields = float(one.w @ (self.points.image[:, axis] * w)) / (n - f)
-            known = self.spans.variance(places, columns, lead, self._places, smoothing, w)
-            variance[:, axis] = fields * known
-            noise[axis] = fields * smoothing
+        point_columns = monomials(self.points.ground, AFFINE_EXPONENTS)
+        n, f = point_columns.shape
+        columns = monomials(ground, AFFINE_EXPONENTS)
+        positions = ground[:, :2] * self.units
+        for axis, (smoothing, spline, w) in enumerate(zip(
+                self.smoothing, self.splines, weights_of(self.points).T, strict=True)):
+            field_variance = float(spline.weights @ (self.points.image[:, axis] * w)) / (n - f)
+            relative_variance = self.field_columns.variance(positions, columns, point_columns,
+                                                            self._positions, smoothing, w)
+            variance[:, axis] = field_variance * relative_variance
+            noise[axis] = field_variance * smoothing
         return np.maximum(variance, 0.0), noise
 
     @cached_property
-    def _places(self) -> FloatArray:
+    def _positions(self) -> FloatArray:
         return np.asarray(self.points.ground[:, :2] * self.units)
 
     @cached_property
     def _coefficients(self) -> FloatArray:
         """Coefficients of the columns that span the field, shape (k, 2)."""
-        w = np.stack([axis.w for axis in self.axes], axis=1) * weights_of(self.points)
-        return self.spans.coefficients(self._places, w)
+        w = np.stack([axis.weights for axis in self.splines], axis=1) * weights_of(self.points)
+        return self.field_columns.coefficients(self._positions, w)
 
-    def _local(self, ground: FloatArray) -> FloatArray:
+    def _field(self, ground: FloatArray) -> FloatArray:
         """Return the field at places, shape (m, 2)."""
-        places = ground[:, :2] * self.units
+        positions = ground[:, :2] * self.units
         image = np.empty((len(ground), 2))
-        for some in parts(len(ground)):
-            image[some] = self.spans(places[some]) @ self._coefficients
+        for batch in batches_of(len(ground)):
+            image[batch] = self.field_columns(positions[batch]) @ self._coefficients
         return image
 
     @cached_property
-    def _affine(self) -> FloatArray:
+    def _affine_coefficients(self) -> FloatArray:
         """Coefficients of the affine functions, shape (3, 2)."""
-        columns = monomials(self.points.ground, PLANE)
-        local = self._local(self.points.ground)
-        coefficients = np.empty((len(PLANE), 2))
-        for axis, (one, smoothing, w) in enumerate(zip(
-                self.axes, self.smoothing, weights_of(self.points).T, strict=True)):
+        columns = monomials(self.points.ground, AFFINE_EXPONENTS)
+        local = self._field(self.points.ground)
+        coefficients = np.empty((len(AFFINE_EXPONENTS), 2))
+        for axis, (spline, smoothing, w) in enumerate(zip(
+                self.splines, self.smoothing, weights_of(self.points).T, strict=True)):
             # What kernels and smoothing leave of the measurements is affine.
-            rest = w * (self.points.image[:, axis] - local[:, axis]) - smoothing * one.w
-            coefficients[:, axis] = np.linalg.lstsq(columns * w[:, None], rest)[0]
+            residuals = w * (self.points.image[:, axis] - local[:, axis])
+            residuals = residuals - smoothing * spline.weights
+            coefficients[:, axis] = np.linalg.lstsq(columns * w[:, None], residuals)[0]
         return coefficients
 
 
@@ -142,33 +148,33 @@ def thin_plates(points: Points, units: tuple[float, float], smoothing: float | N
     the spline takes a mean. Without a smoothing it is chosen for each axis by the criterion, "reml"
     or "gcv". None if all points but any one do not determine an affine model with redundancy.
     """
-    image, ground, sigma = (None if one is None else np.ascontiguousarray(one).tobytes()
-                            for one in (points.image, points.ground, points.sigma))
-    return _splines(image, ground, sigma, units, smoothing, criterion)
+    image, ground, sigma = (None if values is None else np.ascontiguousarray(values).tobytes()
+                            for values in (points.image, points.ground, points.sigma))
+    return _cached_splines(image, ground, sigma, units, smoothing, criterion)
 
 
 @lru_cache(maxsize=4)
-def _splines(image: bytes, ground: bytes, sigma: bytes | None, units: tuple[float, float],
-             smoothing: float | None, criterion: str) -> ThinPlates | None:
+def _cached_splines(image: bytes, ground: bytes, sigma: bytes | None, units: tuple[float, float],
+                    smoothing: float | None, criterion: str) -> ThinPlates | None:
     """Return the splines of points; a fit asks for the same ones many times."""
     measured = np.frombuffer(image).reshape(-1, 2)
     points = Points(tuple(map(str, range(len(measured)))), measured,
                     np.frombuffer(ground).reshape(-1, 3),
                     None if sigma is None else np.frombuffer(sigma).reshape(-1, 2))
-    lead = monomials(points.ground, PLANE)
-    places = points.ground[:, :2] * units
-    spans = Spans(places, whole=smoothing == 0)
+    lead = monomials(points.ground, AFFINE_EXPONENTS)
+    positions = points.ground[:, :2] * units
+    field_columns = SplineColumns(positions, all_knots=smoothing == 0)
     smoothings = SMOOTHINGS if smoothing is None else np.array([smoothing])
     weights = weights_of(points)
-    alike = bool((weights[:, 0] == weights[:, 1]).all())
-    axes: list[Axis] = []
-    for columns in (slice(0, 2),) if alike else (slice(0, 1), slice(1, 2)):
+    equal_weights = bool((weights[:, 0] == weights[:, 1]).all())
+    axes: list[AxisSpline] = []
+    for columns in (slice(0, 2),) if equal_weights else (slice(0, 1), slice(1, 2)):
         w = weights[:, columns.start]
-        basis = _basis(lead * w[:, None], places, w, spans)
+        basis = _basis(lead * w[:, None], positions, w, field_columns)
         if basis is None:
             return None
         axes += _axes(basis, measured[:, columns] * w[:, None], smoothings, criterion)
-    return ThinPlates(points, units, smoothings, (axes[0], axes[1]), spans)
+    return ThinPlates(points, units, smoothings, (axes[0], axes[1]), field_columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,83 +184,92 @@ class _Basis:
     values: FloatArray  # (k,)
     q: FloatArray  # (n, f): an orthonormal basis of the affine functions
     rows: Callable[[slice], FloatArray]  # (m, c): what spans the eigenvectors, at some points
-    turn: FloatArray | None  # (c, k): of these to the eigenvectors, None where they are these
+    # (c, k): from these to the eigenvectors; None where they are the eigenvectors.
+    to_eigenvectors: FloatArray | None
 
     @property
-    def rest(self) -> int:
+    def n_null(self) -> int:
         """Dimensions in which the kernels are 0."""
         return int(len(self.q) - self.q.shape[1] - len(self.values))
 
-    def u(self, some: slice) -> FloatArray:
+    def u(self, batch: slice) -> FloatArray:
         """Return the eigenvectors at some points, (m, k)."""
-        return self.rows(some) if self.turn is None else np.asarray(self.rows(some) @ self.turn)
+        if self.to_eigenvectors is None:
+            return self.rows(batch)
+        return np.asarray(self.rows(batch) @ self.to_eigenvectors)
 
     def along(self, free: FloatArray) -> FloatArray:
         """Return what vectors (n, a) that no affine function fits are along the eigenvectors."""
-        sums = sum(self.rows(some).T @ free[some] for some in parts(len(free)))
-        return np.asarray(sums if self.turn is None else self.turn.T @ sums)
+        sums = sum(self.rows(batch).T @ free[batch] for batch in batches_of(len(free)))
+        return np.asarray(sums if self.to_eigenvectors is None else self.to_eigenvectors.T @ sums)
 
 
-def _basis(lead: FloatArray, places: FloatArray, weights: FloatArray,
-           spans: Spans) -> _Basis | None:
+def _basis(lead: FloatArray, positions: FloatArray, weights: FloatArray,
+           field_columns: SplineColumns) -> _Basis | None:
     """Return the eigenvectors, or None if the points do not determine an affine function."""
     n, f = lead.shape
     if n < f + 2:
         return None
-    whole = spans.root is None
-    every = np.linalg.qr(lead, mode="complete" if whole else "reduced")[0]
-    q = every[:, :f]
-    rest = every[:, f:]
+    all_points = field_columns.root is None
+    complete_q = np.linalg.qr(lead, mode="complete" if all_points else "reduced")[0]
+    q = complete_q[:, :f]
+    complement = complete_q[:, f:]
     if np.linalg.matrix_rank(lead, TOLERANCE) < f or \
             (1.0 - (q**2).sum(axis=1)).min() < TOLERANCE:
         return None
-    if whole:
+    if all_points:
         # The kernel is positive on what affine functions leave alone.
-        values, u = np.linalg.eigh(rest.T @ (spans(places) * np.outer(weights, weights)) @ rest)
-        u = rest @ u
+        values, u = np.linalg.eigh(
+            complement.T @ (field_columns(positions) * np.outer(weights, weights)) @ complement)
+        u = complement @ u
         # Rounding makes values of points at one place a little negative.
         return _Basis(np.maximum(values, TOLERANCE**2 * values.max(initial=0.0)), q,
-                      lambda some: np.asarray(u[some]), None)
+                      lambda batch: np.asarray(u[batch]), None)
 
-    def weighted(some: slice) -> FloatArray:
-        return np.asarray(spans(places[some]) * weights[some, None])
+    def weighted(batch: slice) -> FloatArray:
+        return np.asarray(field_columns(positions[batch]) * weights[batch, None])
 
-    affine = np.asarray(sum(q[some].T @ weighted(some) for some in parts(n)))
+    affine = np.asarray(sum(q[batch].T @ weighted(batch) for batch in batches_of(n)))
 
-    def rows(some: slice) -> FloatArray:
-        return np.asarray(weighted(some) - q[some] @ affine)
+    def rows(batch: slice) -> FloatArray:
+        return np.asarray(weighted(batch) - q[batch] @ affine)
 
     products = np.zeros((affine.shape[1],) * 2)
-    for some in parts(n):
-        mine = rows(some)
-        products += mine.T @ mine
+    for batch in batches_of(n):
+        batch_rows = rows(batch)
+        products += batch_rows.T @ batch_rows
     values, vectors = np.linalg.eigh(products)
-    large = values > JITTER * values.max()
+    large = values > EIGENVALUE_JITTER * values.max()
     return _Basis(values[large], q, rows, vectors[:, large] / np.sqrt(values[large]))
 
 
 def _axes(basis: _Basis, targets: FloatArray, smoothings: FloatArray,
-          criterion: str) -> list[Axis]:
+          criterion: str) -> list[AxisSpline]:
     """Return the splines of so many axes with the same weights, whose targets are (n, a)."""
     free = targets - basis.q @ (basis.q.T @ targets)
-    along = basis.along(free)
+    projections = basis.along(free)
     # What neither affine functions nor kernels span; there M is the identity by the smoothing.
-    over = np.maximum((free**2).sum(axis=0) - (along**2).sum(axis=0), 0.0) * bool(basis.rest)
-    choices = [_choice(basis, *one, smoothings, criterion)
-               for one in zip(along.T, over.tolist(), strict=True)]
+    null_squares = np.zeros(targets.shape[1])
+    if basis.n_null:
+        null_squares = np.maximum((free**2).sum(axis=0) - (projections**2).sum(axis=0), 0.0)
+    choices = []
+    for along_axis, null_square in zip(projections.T, null_squares.tolist(), strict=True):
+        choices.append(_choose_smoothing(basis, along_axis, null_square, smoothings, criterion))
     n = len(targets)
-    axes = [Axis(choice.best, np.empty(n), np.empty(n), np.empty(n)) for choice in choices]
-    for some in parts(n):
-        mine = basis.u(some)
-        left = np.maximum(1.0 - (basis.q[some]**2).sum(axis=1) - (mine**2).sum(axis=1), 0.0)
-        beyond = free[some] - mine @ along
-        for axis, one, far in zip(axes, choices, beyond.T, strict=True):
-            w, own, without = one.at(mine.T, left, far, n)
-            least = without.argmin(axis=0)
-            column = np.arange(len(mine))
-            axis.w[some] = w[one.chosen]
-            axis.own[some] = own[one.chosen]
-            axis.errors[some] = w[least, column] / own[least, column]
+    axes = [AxisSpline(choice.best, np.empty(n), np.empty(n), np.empty(n)) for choice in choices]
+    for batch in batches_of(n):
+        eigenvectors = basis.u(batch)
+        null_diagonal = np.maximum(
+            1.0 - (basis.q[batch]**2).sum(axis=1) - (eigenvectors**2).sum(axis=1), 0.0)
+        null_part = free[batch] - eigenvectors @ projections
+        for axis, choice, null_target in zip(axes, choices, null_part.T, strict=True):
+            w, diagonal, criterion_without = choice.at(eigenvectors.T, null_diagonal, null_target,
+                                                       n)
+            best_without = criterion_without.argmin(axis=0)
+            column = np.arange(len(eigenvectors))
+            axis.weights[batch] = w[choice.index]
+            axis.diagonal[batch] = diagonal[choice.index]
+            axis.errors[batch] = w[best_without, column] / diagonal[best_without, column]
     return axes
 
 
@@ -263,50 +278,62 @@ class _Choice:
     """The smoothing of one axis, and those that it may be without a point."""
 
     best: int  # of all smoothings
-    chosen: int  # of these here
-    below: FloatArray  # (s, k): the eigenvalues of M
-    along: FloatArray  # (k,)
-    apart: FloatArray  # (s, 1): the eigenvalue of M that kernels leave; 0 where they leave nothing
+    index: int  # of these here
+    eigenvalues: FloatArray  # (s, k): the eigenvalues of M
+    projections: FloatArray  # (k,): the measurements along the eigenvectors
+    # (s, 1): the eigenvalue of M where kernels and affine functions are 0; 0 without such ones.
+    null_eigenvalue: FloatArray
     square: FloatArray  # (s,): y' M y, or |M y|^2 for generalised cross-validation
     log: FloatArray  # (s,): the logarithm of 1 / |M|
     trace: FloatArray  # (s,)
     freedom: int
     reml: bool
 
-    def at(self, mine: FloatArray, left: FloatArray, far: FloatArray, n: int,
-           ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def at(self, eigenvectors: FloatArray, null_diagonal: FloatArray, null_target: FloatArray,
+           n: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return w, the diagonal of M and the criterion without each of some points, (s, m)."""
-        w = (self.below * self.along) @ mine + self.apart * far
-        own = self.below @ mine**2 + self.apart * left
+        w = ((self.eigenvalues * self.projections) @ eigenvectors
+             + self.null_eigenvalue * null_target)
+        diagonal = self.eigenvalues @ eigenvectors**2 + self.null_eigenvalue * null_diagonal
         if self.reml:
             # Without point i, y'M y is lower by w_i^2 / M_ii, and |M| by the factor M_ii.
-            others = np.maximum(self.square[:, None] - w**2 / own, np.finfo(float).tiny)
-            return w, own, (self.freedom - 1) * np.log(others) + self.log[:, None] + np.log(own)
+            other_squares = np.maximum(self.square[:, None] - w**2 / diagonal,
+                                       np.finfo(float).tiny)
+            criterion = ((self.freedom - 1) * np.log(other_squares) + self.log[:, None]
+                         + np.log(diagonal))
+            return w, diagonal, criterion
         # M without a point is M less the product of its column by itself, over the diagonal.
-        twice = self.below**2 @ mine**2 + self.apart**2 * left
-        again = (self.below**2 * self.along) @ mine + self.apart**2 * far
-        ratio = w / own
-        others = np.maximum(self.square[:, None] - 2 * ratio * again + ratio**2 * twice, 0.0)
-        return w, own, (n - 1) * others / (self.trace[:, None] - twice / own) ** 2
+        squared_diagonal = (self.eigenvalues**2 @ eigenvectors**2
+                            + self.null_eigenvalue**2 * null_diagonal)
+        squared_target = ((self.eigenvalues**2 * self.projections) @ eigenvectors
+                          + self.null_eigenvalue**2 * null_target)
+        ratio = w / diagonal
+        other_squares = np.maximum(
+            self.square[:, None] - 2 * ratio * squared_target + ratio**2 * squared_diagonal, 0.0)
+        other_traces = self.trace[:, None] - squared_diagonal / diagonal
+        return w, diagonal, (n - 1) * other_squares / other_traces**2
 
 
-def _choice(basis: _Basis, along: FloatArray, over: float, smoothings: FloatArray,
-            criterion: str) -> _Choice:
-    """Return the smoothing by the criterion, where |y|^2 is `over` beyond the kernels."""
+def _choose_smoothing(basis: _Basis, projections: FloatArray, null_squares: float,
+                      smoothings: FloatArray, criterion: str) -> _Choice:
+    """Return the smoothing by the criterion, where |y|^2 is `null_squares` beyond the kernels."""
     n, f = basis.q.shape
-    below = 1.0 / (basis.values + smoothings[:, None])                               # (s, k)
-    apart = 1.0 / smoothings[:, None] if basis.rest else np.zeros((len(smoothings), 1))
-    log = -np.log(below).sum(axis=1) + (
-        basis.rest * np.log(smoothings) if basis.rest else 0.0)
-    trace = below.sum(axis=1) + basis.rest * apart[:, 0]
+    eigenvalues = 1.0 / (basis.values + smoothings[:, None])                               # (s, k)
+    null_eigenvalue = 1.0 / smoothings[:, None] if basis.n_null else np.zeros((len(smoothings), 1))
+    log = -np.log(eigenvalues).sum(axis=1) + (
+        basis.n_null * np.log(smoothings) if basis.n_null else 0.0)
+    trace = eigenvalues.sum(axis=1) + basis.n_null * null_eigenvalue[:, 0]
     if criterion == "reml":
-        square = (below * along**2).sum(axis=1) + apart[:, 0] * over
+        square = (eigenvalues * projections**2).sum(axis=1) + null_eigenvalue[:, 0] * null_squares
         value = (n - f) * np.log(np.maximum(square, np.finfo(float).tiny)) + log
     else:  # n |M y|^2 / tr(M)^2
-        square = ((below * along) ** 2).sum(axis=1) + apart[:, 0] ** 2 * over
+        square = ((eigenvalues * projections) ** 2).sum(axis=1)
+        square = square + null_eigenvalue[:, 0] ** 2 * null_squares
         value = n * square / trace**2
     best = int(value.argmin())
-    first = max(best - NEAR, 0) if basis.rest else 0
-    near = slice(first, best + NEAR + 1 if basis.rest else None)
-    return _Choice(best, best - first, below[near], along, apart[near], square[near], log[near],
-                   trace[near], n - f, criterion == "reml")
+    first = max(best - NEARBY_SMOOTHINGS, 0) if basis.n_null else 0
+    nearby = slice(first, best + NEARBY_SMOOTHINGS + 1 if basis.n_null else None)
+    return _Choice(best=best, index=best - first, eigenvalues=eigenvalues[nearby],
+                   projections=projections, null_eigenvalue=null_eigenvalue[nearby],
+                   square=square[nearby], log=log[nearby], trace=trace[nearby], freedom=n - f,
+                   reml=criterion == "reml")

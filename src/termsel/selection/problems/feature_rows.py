@@ -36,7 +36,7 @@ def row_systems(inputs: ProblemData, independent: tuple[IndependentPart, ...], t
     # A part is adjusted by itself, and its rows of the check points add to the squared errors.
     for system in independent:
         columns_in_use = np.flatnonzero(system.columns & terms)
-        A, b = system.equations.held()
+        A, b = system.equations.with_prior()
         # Rows of check points that the part's terms move: of line, of sample, or of both.
         rows = (columns[:, system.columns] != 0).any(axis=1)
         explained |= rows

@@ -16,12 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.adjustment.bayesian.posterior import SIZES, Posterior
+from termsel.adjustment.bayesian.posterior import PRIOR_SIZES, Posterior
 from termsel.data.features import FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class Foresight:
+class PredictedPositions:
     """What is foreseen at m places."""
 
     image: FloatArray  # (m, 2): mean of line and sample
@@ -32,8 +32,8 @@ class Foresight:
     noise: float  # variance of a measurement of unit weight
 
 
-def foresee(posterior: Posterior, free: FloatArray, shrunken: FloatArray,
-            unspanned: FloatArray | None = None) -> Foresight:
+def predict_positions(posterior: Posterior, free: FloatArray, shrunken: FloatArray,
+                      unspanned: FloatArray | None = None) -> PredictedPositions:
     """Return what a posterior foresees at m places.
 
     The columns there are (m, f) of those that are not shrunken, and (m, k) of the others. Of what
@@ -46,48 +46,51 @@ def foresee(posterior: Posterior, free: FloatArray, shrunken: FloatArray,
     image, variance = np.zeros((2, len(free), 2))
     factors = np.zeros((len(free), 2, 2 * count))
     for axis in (0, 1):
-        side = posterior.sides[axis]
+        solutions = posterior.solutions[axis]
         design = posterior.designs[axis]
-        lead = np.linalg.solve(design.lead.T, free.T).T
-        rest = shrunken - lead @ design.cross  # w; `lead` is q
-        weight = _weights(posterior, axis, noises)
-        mean, root = _shrunken(posterior, axis, weight)
-        image[:, axis] = lead @ side.free + rest @ mean
+        free_reduced = np.linalg.solve(design.lead.T, free.T).T
+        # W; `free_reduced` is q.
+        shrunken_reduced = shrunken - free_reduced @ design.free_projections
+        weight = _noise_of_solutions(posterior, axis, noises)
+        mean, root = _coefficient_moments(posterior, axis, weight)
+        image[:, axis] = free_reduced @ solutions.free + shrunken_reduced @ mean
         factors[:, axis, axis * count:(axis + 1) * count] = np.concatenate(
-            [lead * np.sqrt(noise), rest @ root], axis=1)
+            [free_reduced * np.sqrt(noise), shrunken_reduced @ root], axis=1)
         if unspanned is not None:
-            variance[:, axis] = weight @ SIZES**2 @ unspanned
-    return Foresight(image, variance + (factors**2).sum(axis=2), factors, noise)
+            variance[:, axis] = weight @ PRIOR_SIZES**2 @ unspanned
+    return PredictedPositions(image, variance + (factors**2).sum(axis=2), factors, noise)
 
 
-def _weights(posterior: Posterior, axis: int, noises: FloatArray) -> FloatArray:
+def _noise_of_solutions(posterior: Posterior, axis: int, noises: FloatArray) -> FloatArray:
     """Return the noise of each solution of an axis by its probability, shape (g, s)."""
-    which = posterior.cells.which[axis]
-    count = len(posterior.odds[axis].square)
-    return np.asarray(np.bincount(which, posterior.cells.share * noises, count), dtype=np.float64
-                      ).reshape(len(posterior.scales), -1)
+    solution_of_cell = posterior.cells.solutions[axis]
+    count = len(posterior.evidence[axis].square)
+    return np.asarray(np.bincount(solution_of_cell, posterior.cells.share * noises, count),
+                      dtype=np.float64).reshape(len(posterior.scales), -1)
 
 
-def _shrunken(posterior: Posterior, axis: int, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _coefficient_moments(posterior: Posterior, axis: int,
+                         weight: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return mean and root of the covariance of the shrunken coefficients, (k,) and (k, k)."""
-    side = posterior.sides[axis]
+    solutions = posterior.solutions[axis]
     design = posterior.designs[axis]
     k = posterior.scales.shape[1]
-    share = np.bincount(side.cell, posterior.cells.share, len(side.coefficients))
-    mean = share @ side.coefficients
+    share = np.bincount(solutions.solution_of_cell, posterior.cells.share,
+                        len(solutions.coefficients))
+    mean = share @ solutions.coefficients
     # Between solutions their coefficients differ; within one they are uncertain.
-    apart = side.coefficients - mean
-    covariance = (apart * share[:, None]).T @ apart
+    deviations = solutions.coefficients - mean
+    covariance = (deviations * share[:, None]).T @ deviations
     groups = np.flatnonzero(weight.any(axis=1))  # the others are not decomposed for this
     _, values, vt = design.decomposed(groups)
-    keep = SIZES[:, None] ** 2 / (1.0 + (SIZES[:, None] * values[:, None, :]) ** 2)
-    own = np.einsum("gs,gsp->gp", weight[groups], keep)
-    never = weight @ SIZES**2
-    for g, along, one in zip(groups, vt, own, strict=True):
-        scaled = along * posterior.scales[g]
-        covariance += (scaled * one[:, None]).T @ scaled
+    shrink = PRIOR_SIZES[:, None] ** 2 / (1.0 + (PRIOR_SIZES[:, None] * values[:, None, :]) ** 2)
+    explained_weight = np.einsum("gs,gsp->gp", weight[groups], shrink)
+    prior_weight = weight @ PRIOR_SIZES**2
+    for g, directions, direction_weight in zip(groups, vt, explained_weight, strict=True):
+        scaled = directions * posterior.scales[g]
+        covariance += (scaled * direction_weight[:, None]).T @ scaled
         if len(scaled) < k:  # what no point reaches
-            covariance += never[g] * (np.diag(posterior.scales[g] ** 2) - scaled.T @ scaled)
+            covariance += prior_weight[g] * (np.diag(posterior.scales[g] ** 2) - scaled.T @ scaled)
     # Cholesky's method would fail where coefficients are known but for rounding.
     spread, vectors = np.linalg.eigh(covariance)
     return mean, vectors * np.sqrt(np.maximum(spread, 0.0))

@@ -1,0 +1,286 @@
+"""The posterior of a regularised polynomial whose equations couple line and sample, as lines do.
+
+`termsel.auto.shrunken` says what the prior is, `termsel.adjustment.bayesian.posterior` how the
+same is found faster from points alone. Here the grid has one size for both axes and some ratios of
+that of line to that of sample. A feature has some rows: a point two, a line two for each of its
+pieces. It is left out with all of them, in closed form (Cook and Weisberg 1982, ch. 2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from termsel.adjustment.bayesian import posterior
+from termsel.adjustment.bayesian.held_out import chance_of
+from termsel.adjustment.bayesian.posterior import (
+    MAX_LOG_RATIO,
+    NO_NOISE,
+    TYPICAL_SIZE,
+    normalized,
+    scales_of,
+)
+from termsel.adjustment.bayesian.shrinkage import MIN_REDUNDANCY
+from termsel.adjustment.equations import Equations
+from termsel.adjustment.solve import TOLERANCE
+from termsel.data.features import FloatArray, IntArray
+from termsel.data.monomials import Exponents
+
+LINE_SIZES = posterior.PRIOR_SIZES[1:]
+"""Those of an image that is not affine: with lines none is."""
+
+AXIS_RATIOS = 10.0 ** np.array([-1.0, 0.0, 1.0])
+"""Sizes of line by those of sample."""
+
+
+@dataclass(frozen=True, eq=False)
+class FeaturePredictions:
+    """Each of n features as the others predict it, averaged over the solutions."""
+
+    errors: FloatArray  # (m,): measured minus predicted of all rows
+    probability: FloatArray  # (n,): of errors as large
+    strain: FloatArray  # (n,): error in standard deviations, root mean square over the rows
+    spread: FloatArray  # (n,): largest standard deviation of a row's error by that of the noise
+
+
+@dataclass(frozen=True, eq=False)
+class RowGroup:
+    """Features that have the same number of rows."""
+
+    feature: IntArray  # (f,)
+    rows: IntArray  # (f, r)
+    redundancy: FloatArray  # (c, r, r, f): 1 minus the leverage of their rows
+
+
+@dataclass(frozen=True, eq=False)
+class LinePosterior:
+    """All solutions that matter."""
+
+    # Prior and marginal likelihood are square^-freedom/2 exp(log_factor).
+    log_factor: FloatArray  # (c,)
+    square: FloatArray  # (c,)
+    errors: FloatArray  # (c, m): what the fit leaves of each row
+    groups: tuple[RowGroup, ...]
+    coefficients: FloatArray  # (c, j): the shrunken ones
+    effective: FloatArray  # (c,)
+    freedom: int  # equations in use less the terms that are not shrunk
+
+    @cached_property
+    def share(self) -> FloatArray:
+        """Probability of each solution, shape (c,)."""
+        return normalized(self.log_factor - self.freedom / 2 * np.log(self.square))[0]
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of the noise."""
+        return float(np.sqrt(self.share @ self.square / self.freedom))
+
+    def mean(self) -> tuple[FloatArray, float]:
+        """Return the shrunken coefficients, averaged, and all effective parameters."""
+        return self.share @ self.coefficients, float(self.share @ self.effective)
+
+    def held_out_errors(self) -> FloatArray:
+        """Return measured minus predicted of all rows, each by the other features, shape (m,)."""
+        errors = np.empty(self.errors.shape[1])
+        for group in self.groups:
+            held_out, share, _, _ = self._without(group.redundancy, group.rows)
+            errors[group.rows] = np.einsum("cf,crf->fr", share, held_out)
+        return errors
+
+    def _without(self, redundancy: FloatArray, rows: IntArray,
+                 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return errors of features (c, r, f), each held out with its rows (f, r); then, (c, f),
+        the probabilities of the solutions without it, sums of squares, and how much less they are.
+        """
+        fitted = self.errors[:, rows.T]
+        # (I - H)^-1 e: the errors without the feature, all of its rows held out.
+        held_out, determinant = _solved(redundancy, fitted)
+        quadratic = (held_out * fitted).sum(axis=1)
+        other_squares = np.maximum(self.square[:, None] - quadratic,
+                                   MIN_REDUNDANCY * self.square[:, None])
+        share, _ = normalized(self.log_factor[:, None] - 0.5 * np.log(determinant)
+                              - (self.freedom - rows.shape[1]) / 2 * np.log(other_squares))
+        return held_out, share, other_squares, quadratic
+
+    def predictions(self, weights: FloatArray) -> FeaturePredictions:
+        """Return each feature as the others predict it.
+
+        The rows of features are multiplied by the weights (n,). Those with another weight than 1,
+        too small to matter, do not count as others.
+        """
+        n = sum(len(group.feature) for group in self.groups)
+        errors = np.empty(self.errors.shape[1])
+        probability, strain, spread = np.empty((3, n))
+        for group in self.groups:
+            for in_use in (True, False):
+                selected = (weights[group.feature] == 1.0) == in_use
+                if not selected.any():
+                    continue
+                feature = group.feature[selected]
+                rows = group.rows[selected]
+                redundancy = group.redundancy if selected.all() else group.redundancy[..., selected]
+                held_out, share, other_squares, quadratic = self._without(redundancy, rows)
+                if in_use:
+                    freedom = self.freedom - rows.shape[1]
+                    variance = other_squares / freedom
+                    widest = 1.0 / _eigenvalue(redundancy, smallest=True)
+                else:
+                    weight = weights[feature]
+                    identity = np.eye(rows.shape[1])[:, :, None]
+                    # Its rows are multiplied by a tiny weight: back to the unit of the others.
+                    held_out /= weight
+                    covariance = identity + (identity - redundancy) / weight**2
+                    quadratic = (held_out * _solved(covariance, held_out)[0]).sum(axis=1)
+                    share = self.share[:, None]
+                    freedom = self.freedom
+                    variance = self.square[:, None] / freedom
+                    widest = _eigenvalue(covariance)
+                statistic = quadratic / rows.shape[1] / variance
+                errors[rows] = np.einsum("cf,crf->fr", np.broadcast_to(
+                    share, statistic.shape), held_out)
+                probability_each = chance_of(statistic, freedom, rows.shape[1] // 2)
+                probability[feature] = (share * probability_each).sum(axis=0)
+                strain[feature] = np.sqrt((share * statistic).sum(axis=0))
+                spread[feature] = np.sqrt((share * widest).sum(axis=0))
+        return FeaturePredictions(errors, probability, strain, spread)
+
+
+# Nearly all features have two rows, and of these there are hundreds of thousands.
+def _solved(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return a^-1 b (c, r, f) and the determinants (c, f) of symmetric matrices (c, r, r, f)."""
+    if b.shape[1] != 2:
+        matrices = np.moveaxis(a, 3, 1)
+        x = np.asarray(np.linalg.solve(matrices, np.moveaxis(b, 2, 1)[..., None]), dtype=np.float64)
+        return np.moveaxis(x[..., 0], 1, 2), np.asarray(np.linalg.det(matrices), dtype=np.float64)
+    x = np.empty_like(b)
+    across = a[:, 0, 1]
+    determinant = a[:, 0, 0] * a[:, 1, 1] - across**2
+    x[:, 0] = (a[:, 1, 1] * b[:, 0] - across * b[:, 1]) / determinant
+    x[:, 1] = (a[:, 0, 0] * b[:, 1] - across * b[:, 0]) / determinant
+    return x, determinant
+
+
+def _eigenvalue(a: FloatArray, *, smallest: bool = False) -> FloatArray:
+    """Return the largest or the least eigenvalue of symmetric matrices (..., r, r, f)."""
+    if a.shape[-2] != 2:
+        return np.asarray(np.linalg.eigvalsh(np.moveaxis(a, -1, -3))[..., 0 if smallest else -1])
+    first = a[..., 0, 0, :]
+    second = a[..., 1, 1, :]
+    middle = (first + second) / 2
+    half = (first - second) / 2
+    return np.asarray(middle + (-1 if smallest else 1) * np.sqrt(half**2 + a[..., 0, 1, :]**2))
+
+
+def mean_line_solution(equations: Equations, exponents: Exponents,
+                       ) -> tuple[FloatArray, float, FloatArray] | None:
+    """Return `LinePosterior.mean`, then `held_out_errors`, of all solutions for features in use.
+
+    None as for `line_posterior`.
+    """
+    return _cached_mean(equations.A.tobytes(), equations.b.tobytes(), equations.feature.tobytes(),
+                        exponents)
+
+
+@lru_cache(maxsize=4)  # what is asked for again is among the last four
+def _cached_mean(A: bytes, b: bytes, feature: bytes, exponents: Exponents,
+                 ) -> tuple[FloatArray, float, FloatArray] | None:
+    """Return the same; one run asks for that of features without blunders more than once."""
+    equations = Equations(np.frombuffer(A).reshape(-1, 2 * len(exponents)), np.frombuffer(b),
+                          np.frombuffer(feature, dtype=np.intp))
+    solutions = line_posterior(equations, exponents, posterior.N_DRAWS, len(equations.b))
+    if solutions is None:
+        return None
+    coefficients, effective = solutions.mean()
+    return coefficients, effective, solutions.held_out_errors()
+
+
+def line_posterior(equations: Equations, exponents: Exponents, draws: int,
+                   in_use: int) -> LinePosterior | None:
+    """Return all solutions for features; None if all but any one do not determine the affine terms.
+
+    The equations are those of a polynomial, weighted: all terms of line, then all of sample, with
+    the same k exponents; affine ones are not shrunk. Factors of single terms are drawn `draws`
+    times (see `scales_of`). The weight of `in_use` rows matters.
+    """
+    A = equations.A
+    b = equations.b
+    powers = np.array(exponents)
+    order = powers.sum(axis=1)
+    free = np.tile(order < 2, 2)
+    scales = scales_of(powers[order > 1], draws)
+    count = int(free.sum())
+    freedom = in_use - count
+    by_row_count = _by_row_count(equations.feature)
+    if freedom - max(rows.shape[1] for _, rows in by_row_count) < 2 or len(A) <= count:
+        return None
+    q, r = np.linalg.qr(np.concatenate([A[:, free], A[:, ~free]], axis=1))
+    # Without any one feature the affine terms are still to be determined.
+    lead = q[:, :count]
+    if (np.abs(np.diag(r))[:count] <= TOLERANCE * np.linalg.norm(A[:, free], axis=0)).any() or min(
+            _eigenvalue(_redundancy_matrices(lead, rows), smallest=True).min()
+            for _, rows in by_row_count) < TOLERANCE:
+        return None
+    # Of line and of sample: the geometric mean of both sizes is that of the grid.
+    axis_sizes = np.stack([np.sqrt(AXIS_RATIOS), 1 / np.sqrt(AXIS_RATIOS)])
+    grid = np.concatenate([(scales * axis_size[:, None, None]).reshape(-1, scales.shape[1])
+                           for axis_size in axis_sizes], axis=1)                     # (g, 2 j)
+    # Everything is worked out in the basis of what the shrunken columns add to the affine ones.
+    u, values, vt = np.linalg.svd(r[count:, count:] * grid[:, None, :], full_matrices=False)
+    inner = q[:, count:].T @ b
+    projections = inner @ u                                                       # (g, q)
+    outside = b - q @ (q.T @ b)
+    strength = LINE_SIZES[:, None] * values[:, None, :]                          # (g, s, q)
+    shrink = 1.0 / (1.0 + strength**2)
+    prior = np.log1p(
+        (LINE_SIZES * np.repeat(axis_sizes, len(scales), axis=1)[..., None] / TYPICAL_SIZE) ** 2)
+    log_factor = 0.5 * np.log(shrink).sum(axis=2) - 0.5 * prior.sum(axis=0)
+    square = (outside @ outside + (shrink * projections[:, None, :]**2).sum(axis=2)
+              + in_use * (NO_NOISE * float(np.ptp(b)) / 2) ** 2)
+    log_posterior = log_factor - freedom / 2 * np.log(square)
+    group, size = np.nonzero(log_posterior > log_posterior.max() - MAX_LOG_RATIO)
+    shrink = shrink[group, size]
+    strength = strength[group, size]
+    residual_projections = shrink * projections[group]
+    basis = q[:, count:]
+    errors = outside + np.matmul(residual_projections[:, None], u[group].transpose(
+        0, 2, 1))[:, 0] @ basis.T
+    coefficients = grid[group] * LINE_SIZES[size, None] * np.matmul(
+        (strength * residual_projections)[:, None], vt[group])[:, 0]
+    # I - H of each feature's rows: I less the leverage of all columns, and what each solution
+    # leaves along the directions of its group.
+    row_groups = [RowGroup(feature, rows,
+                           np.empty((len(group), rows.shape[1], *rows.T.shape)))
+                  for feature, rows in by_row_count]
+    # All sizes of a group have its singular vectors, and stand next to each other.
+    groups, starts = np.unique(group, return_index=True)
+    for number, start, end in zip(groups, starts, [*starts[1:], len(group)], strict=True):
+        cells = slice(start, end)
+        directions = basis @ u[number]
+        for row_group in row_groups:
+            feature_directions = directions[row_group.rows.T]
+            products = feature_directions[:, None] * feature_directions        # (r, r, f, q)
+            np.matmul(shrink[cells], products.reshape(-1, products.shape[3]).T,
+                      out=row_group.redundancy[cells].reshape(end - start, -1))
+    for row_group in row_groups:
+        row_group.redundancy[...] += _redundancy_matrices(q, row_group.rows)
+    return LinePosterior(
+        log_factor=log_factor[group, size], square=square[group, size], errors=errors,
+        groups=tuple(row_groups), coefficients=coefficients,
+        effective=count + (1.0 - shrink).sum(axis=1), freedom=freedom)
+
+
+def _by_row_count(feature: IntArray) -> list[tuple[IntArray, IntArray]]:
+    """Return the features of each number of rows, (f,), and their rows, (f, r)."""
+    number = np.bincount(feature)
+    order = np.argsort(feature, kind="stable")
+    first = np.cumsum(number) - number
+    by_count = [(np.flatnonzero(number == rows), np.arange(rows)) for rows in np.unique(number)]
+    return [(selected, order[first[selected, None] + rows]) for selected, rows in by_count]
+
+
+def _redundancy_matrices(q: FloatArray, rows: IntArray) -> FloatArray:
+    """Return 1 minus the leverage that orthonormal columns give to rows, shape (r, r, f)."""
+    leverage = q[rows] @ q[rows].transpose(0, 2, 1)
+    return np.ascontiguousarray((np.eye(rows.shape[1]) - leverage).transpose(1, 2, 0))
