@@ -30,7 +30,7 @@ extensions = [
     "sphinx_click",
 ]
 
-myst_enable_extensions = ["colon_fence", "dollarmath", "amsmath", "deflist"]
+myst_enable_extensions = ["colon_fence", "dollarmath", "amsmath", "deflist", "attrs_block"]
 myst_heading_anchors = 3
 html_math_renderer = "mathml"
 templates_path = ["_templates"]

@@ -98,12 +98,12 @@ def made(pages: Path = PAGES, pictures: Path | None = None) -> dict[str, str]:
                 if picture not in drawn:
                     raise Untrue(f"{page.name} shows {picture}, which it does not draw")
                 if pictures is not None:
-                    (pictures / picture).write_text(_small(drawn[picture].read_text("utf-8")),
+                    (pictures / picture).write_text(small(drawn[picture].read_text("utf-8")),
                                                     encoding="utf-8")
     return found
 
 
-def _small(svg: str) -> str:
+def small(svg: str) -> str:
     """Return a picture without what cannot be seen in one with an alternative text."""
     places = _PLACES.sub(lambda found: _DECIMALS.sub(r"\1", found[0]), svg)
     return _UNSEEN.sub("", places)

@@ -11,6 +11,7 @@ import inspect
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ import termsel.toolkit
 from termsel.cli.new_plugin import package
 from termsel.core.options import Option
 from termsel.data.record.schema import json_schema
+from termsel.plugins.commands import COMMANDS, GROUPS, PACKAGES
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.registry import Entry, registry
 from termsel.rooms import ROOMS
@@ -56,6 +58,8 @@ def part(name: str) -> str:
             + ", ".join(f"`{entry.name}`" for entry in entries(kind)) + " |" for kind in KINDS)
     if what == "package":
         return _of_package(*kind.split())
+    if what == "commands":
+        return "\n".join(_commands())
     if what == "toolkit":
         return "\n".join(_toolkit(Path(termsel.toolkit.__file__).with_suffix(".pyi").read_text()))
     if what == "schema":
@@ -68,6 +72,22 @@ def part(name: str) -> str:
                 for entry in entries(kind)]
         return "\n".join(["| name | measurements | package |", "|---|---|---|", *rows])
     return "\n".join(line for entry in entries(kind) for line in section(kind, entry))
+
+
+def _commands() -> Iterator[str]:
+    """Yield a section for each group of commands, with all that are installed."""
+    packages = {name: package.replace("_", "-") for package, names in PACKAGES.items()
+                for name in names if find_spec(package) is not None}
+    for group, names in GROUPS.items():
+        yield from (f"## {group}", "")
+        for name in names:
+            if name not in COMMANDS and name not in packages:
+                continue
+            yield f"(command-{name})="
+            yield f"### termsel {name}"
+            yield from ("", f"Package {packages[name]}.") if name in packages else ()
+            yield from ("", "```{eval-rst}", f".. click:: commands:{name.replace('-', '_')}",
+                        f"   :prog: termsel {name}", "```", "")
 
 
 def _toolkit(stub: str) -> Iterator[str]:

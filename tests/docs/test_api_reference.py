@@ -21,12 +21,13 @@ FOREIGN = ("sklearn", "builtins", "enum")
 
 @pytest.fixture(scope="module")
 def objects(tmp_path_factory: pytest.TempPathFactory) -> set[str]:
-    """Names of all objects that the page of the reference documents, as Sphinx builds it."""
+    """Names of all objects that the pages of the reference document, as Sphinx builds it."""
     application = pytest.importorskip("sphinx.application")
     from sphinx.util.docutils import docutils_namespace, patch_docutils
 
     source, built = tmp_path_factory.mktemp("docs"), tmp_path_factory.mktemp("built")
-    shutil.copy(ROOT / "docs" / "reference" / "api.md", source / "index.md")
+    for page, name in (("api", "index"), ("api-authors", "api-authors")):
+        shutil.copy(ROOT / "docs" / "reference" / f"{page}.md", source / f"{name}.md")
     settings = {
         "extensions": ["myst_parser", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.autosummary"],
         "templates_path": [str(ROOT / "docs" / "_templates")], "autosummary_generate": True,

@@ -45,7 +45,7 @@ def _load(path: Path) -> ModuleType:
 
 generated = _load(ROOT / "docs" / "generated.py")
 PICTURE = "docs/_static/owdis-lines.svg"
-SECTIONS = ["tutorial", "how-to", "reference", "explanation", "evidence"]
+SECTIONS = ["tutorial", "how-to", "how-to/gallery", "reference", "explanation", "evidence"]
 
 
 def _page(name: str) -> str:
@@ -119,7 +119,8 @@ def test_everything_with_a_name_is_named_in_the_docs(kind: str) -> None:
 
 
 def test_every_public_name_is_in_the_reference() -> None:
-    listed = set(re.findall(r"^   (\w+)$", _page("docs/reference/api.md"), re.MULTILINE))
+    pages = "".join(_page(f"docs/reference/{name}.md") for name in ("api", "api-authors"))
+    listed = set(re.findall(r"^   (\w+)$", pages, re.MULTILINE))
     assert {*termsel.__all__, *termsel.testing.__all__} - listed == {"__version__"}
 
 
@@ -193,7 +194,7 @@ def _toctree(page: Path) -> list[Path]:
     return [(page.parent / f"{name}.md").resolve() for tree in found for name in tree.split()]
 
 
-def test_sidebar_has_five_entries() -> None:
+def test_sidebar_has_six_entries() -> None:
     assert _toctree(ROOT / "docs/index.md") == [
         ROOT / "docs" / section / "index.md" for section in SECTIONS]
 
@@ -247,10 +248,10 @@ def test_every_key_of_the_record_is_in_the_reference() -> None:
 
 
 TERMS = """
-    GCP; GCL; control feature; check point; independent point; role; line; sample; CRS; DEM; RPC;
-    RPC00B; RFM; DLT; term; selection; design matrix; adjustment; residual; redundancy;
+    GCP; GCL; control feature; selection point; independent check point; role; line; sample; CRS;
+    DEM; RPC; RPC00B; RFM; DLT; term; selection; design matrix; adjustment; residual; redundancy;
     degrees of freedom; RMSE; leave-one-out; PRESS; CE90; OWDIS; empire; imperialist; colony;
-    assimilation; chromosome; genome; front; knee; pole; pseudo-observation; ridge;
+    assimilation; chromosome; genome; Pareto front; knee; pole; pseudo-observation; ridge;
     effective parameters; blunder; outlier; hold out; fold; local refinement; baseline; candidate;
     certificate; sealed; violation; fitness; predicted RMSE; geoid; ellipsoidal height
 """
