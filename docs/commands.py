@@ -1,4 +1,4 @@
-"""All installed commands of termsel by name, as the reference shows them: `commands.match_points`."""
+"""All installed commands of termsel by name, for the reference: `commands.match_points`."""
 
 from __future__ import annotations
 

@@ -83,11 +83,10 @@ def _commands() -> Iterator[str]:
         for name in names:
             if name not in COMMANDS and name not in packages:
                 continue
-            yield f"(command-{name})="
-            yield f"### termsel {name}"
-            yield from ("", f"Package {packages[name]}.") if name in packages else ()
-            yield from ("", "```{eval-rst}", f".. click:: commands:{name.replace('-', '_')}",
-                        f"   :prog: termsel {name}", "```", "")
+            yield from ("```{eval-rst}", f".. click:: commands:{name.replace('-', '_')}",
+                        f"   :prog: termsel {name}", "")
+            yield from (f"Of the package {packages[name]}.", "") if name in packages else ()
+            yield from ("```", "")
 
 
 def _toolkit(stub: str) -> Iterator[str]:

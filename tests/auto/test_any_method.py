@@ -27,7 +27,7 @@ def test_a_method_by_its_name_takes_the_place_of_auto(scene: FeatureSet) -> None
     assert result.strategy.chosen == "affine"
     assert [row.name for row in result.strategy.candidates] == ["affine"]
     assert result.predicted is not None
-    assert result.strategy.reason == "It is the method that was asked for."
+    assert result.strategy.reason == "You named this method."
     assert result.judgement.startswith("The method that was asked for is an affine polynomial")
     assert "quadratic" in [row.name for row in result.baselines]  # it is held against others
     assert "automatic choice" not in result.summary(verbose=True)

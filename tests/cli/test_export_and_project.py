@@ -236,7 +236,7 @@ def test_project_flags_places_outside_the_control(folder: Path, tmp_path: Path) 
     code, out, err = _termsel("project", folder, "--points", places, "-o", "-")
     assert code == 0
     assert not (tmp_path / "-").exists()
-    assert "far outside the control, where the model does not hold: P1, P3, P4\n" in err
+    assert "far outside the control, and the model is not valid there: P1, P3, P4\n" in err
     table = [line.split(",") for line in out.splitlines()[1:]]
     assert table[0][-1] == "outside"
     apart = [float(row[-1]) for row in table[1:]]

@@ -29,7 +29,7 @@ def bend(share: FloatArray, amplitude: float, rng: np.random.Generator) -> Float
 
 
 def sheet(n: int, amplitude: float, seed: int) -> tuple[FeatureSet, FloatArray, FloatArray]:
-    """Return control points of a sheet, and places of it with where they are in the image."""
+    """Return control points of a sheet, and places of it with their image coordinates."""
     rng = np.random.default_rng([seed, n])
     share = rng.uniform(0.02, 0.98, (n + 300, 2))
     inside = (np.abs(share - 0.5) < 0.42).all(axis=1)

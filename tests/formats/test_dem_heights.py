@@ -132,7 +132,7 @@ def test_points_without_a_height_are_all_named(tmp_path: Path) -> None:
     with pytest.raises(TermselError) as caught:
         with_heights(points(xy), path)
     assert caught.value.ids == ("p1", "p2", "p3")
-    assert "3 of 5 features are outside the raster or where it has no data: p1, p2, p3." \
+    assert "3 of 5 features are outside the raster or in areas without data: p1, p2, p3." \
         in str(caught.value)
     assert str(path) in str(caught.value)
 

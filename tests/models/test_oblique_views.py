@@ -173,7 +173,7 @@ def test_project_names_places_behind_the_camera(tmp_path: Path,
     table.write_text(f"# crs: EPSG:32632\nid,x,y\nin front,{drawn.ground[0, 0]},"
                      f"{drawn.ground[0, 1]}\nback,{back[0]},{back[1]}\n")
     text, warnings = project_table(result, table)
-    assert "1 point lies behind the camera or beyond the horizon, where no image shows it: back" \
+    assert "1 point lies behind the camera or beyond the horizon, and no image shows it: back" \
         in warnings
     assert text.splitlines()[-1].startswith("back,,")
     table.write_text("id,line,sample\nsky,20,2000\nground,2900,2000\n")

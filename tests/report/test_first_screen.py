@@ -135,7 +135,7 @@ def test_notes_that_do_not_fit_are_counted() -> None:
     ({}, "", "Not saved: add --out DIR, then termsel report DIR"),
     ({}, "result", "Next: termsel report result"),
     ({"data": counts(independent=0)}, "r",
-     "Next: termsel plan r   (where to measure check points)"),
+     "Next: termsel plan r   (best positions for check points)"),
     ({"outliers": [outlier("P 2", 9.0, False)]}, "r", "Next: run again with --off 'P 2'"),
     ({"outliers": [outlier("P2", 9.0, False, "possible")]}, "r", "Next: termsel report r")])
 def test_one_command_comes_next(changed: dict[str, Any], folder: str, step: str) -> None:

@@ -265,8 +265,8 @@ def test_the_six_answers_come_in_order(searched: Path, tmp_path: Path) -> None:
     text = (tmp_path / "page.html").read_text()
     assert re.findall(r"<h2[^>]*>(.*?)</h2>", text[:text.index("<script")]) == [
         "How accurate is it?", "Is it better than conventional models?",
-        "Which points or lines are outliers?", "Where is the model uncertain?",
-        "What was selected, and why?", "How can it be repeated?"]
+        "Which points or lines are outliers?", "In which areas is the model uncertain?",
+        "Which terms and features were selected, and why?", "How can it be repeated?"]
     assert f"RMSE {result.rmse['independent'].total:.3g} px" in text
     assert f"{result.accuracy.ground.total:.3g} m on the ground" in text  # type: ignore[union-attr]
     sums = json.loads((searched / "result.json").read_text())["checksums"]

@@ -139,7 +139,7 @@ def test_the_page_of_a_choice() -> None:
     assert text[-1] == "Model poly3d, strategy auto, seed 4; termsel 9.9"
     assert "Cross-validation repeated the whole choice in 20 folds." in text
     assert text[-12:-3] == [
-        "What was selected, and why?",
+        "Which terms and features were selected, and why?",
         "Chosen: regularised cubic, fitted to control and selection points; 1.2 s",
         "It is good. good. good. good. good. good. good. good. good. good. good. good. good.",
         "good. good. good.",

@@ -276,7 +276,7 @@ def at(ground: FloatArray, image: FloatArray | None = None) -> Points:
                   ground[:, :2] if image is None else np.asarray(image, dtype=float), ground)
 
 
-OUTSIDE = "Extrapolation: {} far outside the control in use. The given RMSE does not hold there."
+OUTSIDE = "Extrapolation: {} far outside the control in use. The RMSE does not apply there."
 
 
 @pytest.mark.parametrize(("image", "text"), [

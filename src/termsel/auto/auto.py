@@ -123,7 +123,8 @@ class Auto(Method):
         data = FitData.of(fitted.control, fitted.model.uses_height)
         errors = self.repeated(data)
         if errors is None:
-            raise Undetermined("the features are too few to repeat the choice without some of them",
+            raise Undetermined("the features are too few to repeat the choice without some of "
+                               "them",
                                hint="Measure more.")
         return HeldOut.of(errors, fitted.control)
 
@@ -245,7 +246,7 @@ class Auto(Method):
             compared = [*self.few(data), *compared]
         choice = self.best_of(compared)
         if choice is not None and self.is_one_method:
-            return replace(choice, reason="It is the method that was asked for.")
+            return replace(choice, reason="You named this method.")
         return choice
 
     @property
@@ -305,10 +306,12 @@ class Auto(Method):
         advantage = gain_of(alone.chosen.held_out().squares,
                             choice.chosen.held_out().squares[:count], choice.chosen.rounding)
         comparison = (
-            f"Points alone predict the points {'better' if advantage > 0 else 'worse'} than points "
+            f"Points alone predict the points {'better' if advantage > 0 else 'worse'} than "
+            "points "
             f"with lines do, by {standard_errors(advantage)}")
         if advantage > BETTER:
-            return replace(alone, reason=f"{alone.reason} {comparison}, so the lines are not used.")
+            return replace(alone, reason=f"{alone.reason} {comparison}, so the lines are not "
+                                         "used.")
         return replace(choice, reason=f"{choice.reason} {comparison}; to be used alone they must "
                                       f"be better by more than {BETTER:g}.")
 

@@ -53,7 +53,7 @@ class Interpolated(Estimator):
             raise Undetermined(f"{used.sum()} control points are too few to interpolate by",
                                hint="Measure more control, spread over the area.")
         if isinstance(found, GaussianProcess) and found.probability <= asked_of(found):
-            raise Undetermined("the points do not call for a random field: its probability is "
+            raise Undetermined("the points do not support a random field: its probability is "
                                f"{found.probability:.2g}", hint="Choose a polynomial.")
         plain = LeastSquares(iterated=False).fit(model, control, scaling, terms, used)
         errors = found.errors * scaling.image_scale

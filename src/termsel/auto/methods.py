@@ -98,7 +98,7 @@ class _OfCamera(Structure):
     def fit(self, control: FitData) -> Fit:
         """Fit the camera, where the points call for an oblique view."""
         if not call_for_camera(control.scaled, control.scaling):
-            raise Undetermined("the points do not call for an oblique view by a camera without "
+            raise Undetermined("the points do not show an oblique view by a camera without "
                                "distortion",
                                hint="Choose another model, such as dlt or projective.")
         # With heights wherever they differ: the camera knows what they do.
@@ -140,11 +140,12 @@ class _WithField(Structure):
         found = fitted.interpolation
         assert isinstance(found, GaussianProcess)
         if found.spline_weight > 0.0 and found.probability <= LIKELY:
-            return (f"{self.label} is an average: so few points do not tell polynomials, fields, a "
-                    "spline and an affine image apart. The probability of local deformation is "
+            return (f"{self.label} is an average: so few points cannot decide between "
+                    "polynomials, fields, a spline and an affine image. The probability of local "
+                    "deformation is "
                     f"{found.probability:.3g}.")
         asked = f"; it must exceed {asked_of(found):g}" * (found.spline_weight == 0.0)
-        return (f"{self.label} is called for: the probability of local deformation is "
+        return (f"{self.label} is used: the probability of local deformation is "
                 f"{found.probability:.3g}{asked}.")
 
 

@@ -199,7 +199,8 @@ class Physical(Estimator):
         local = fit_gaussian_process(scaling.points(mine), model.variables)
         if found is None or found.alone(local):
             raise Undetermined(
-                "the points do not call for the prior of a scanner, a radar or a frame camera" + (
+                "the points do not support the sensor-geometry prior of a scanner, a radar or a "
+                "frame camera" + (
                     "" if found is None else f": its probability is {found.probability:.2g}"),
                 hint="Choose a polynomial without it, such as shrunken-cubic.")
         return fit_of(self, model, control, scaling, used, found)

@@ -159,14 +159,15 @@ def _reason(chosen: Fit, base: Fit, reasons: Sequence[str], others: Sequence[Fit
         sentences.append(f"{_compared(nearest, base)}; it must be better by more than "
                          f"{needed:.2g}{smaller}.")
     if any("standard error" in sentence for sentence in sentences):
-        sentences.append("Standard errors are those of logarithms of squared leave-one-out errors.")
+        sentences.append("Standard errors are those of logarithms of squared leave-one-out "
+                         "errors.")
     best = method_of(min(compared, key=beyond_rounding))
     whole = next((method for fitted in compared if (method := method_of(fitted)).has_prior
                   and best.name in method.contains and not best.has_prior), None)
     if whole is not None:
         family = whole.family or f"{whole.title} and its like"
-        sentences.append(f"{best.label} is a limit of {family}, which find it where the points "
-                         "call for it.")
+        sentences.append(f"{best.label} is a limit of {family}, which find it if the points "
+                         "support it.")
     return " ".join(sentences) or LEAST
 
 

@@ -52,10 +52,10 @@ def refusal(fitted: Fit) -> str:
     if not fitted.estimator.least_squares:
         return ""
     if has_pole(fitted):
-        return "a denominator is near zero or negative at the control or next to it (a pole)"
+        return "a denominator is near zero or negative at or near the control (a pole)"
     if not np.isfinite(left_out_squares(fitted)).all():
-        return ("without one of the features it is not determined, or has a denominator near zero "
-                "or negative at its place (a pole)")
+        return ("without one of the features it is not determined, or has a denominator near "
+                "zero or negative there (a pole)")
     return ""
 
 

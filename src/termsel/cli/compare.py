@@ -38,8 +38,8 @@ from termsel.core.options import MOST_RUNS
 @click.option("--criterion", metavar="NAMES", shell_complete=complete("criteria"),
               help="Criteria, likewise.")
 @click.option("--strategy", metavar="NAMES",
-              help="auto, as-asked or both. By default auto where neither models, solvers, "
-                   "criteria nor a budget are given.")
+              help="auto, as-asked or both. By default auto, unless models, solvers, criteria or "
+                   "a budget are given.")
 @click.option("--set", "settings", metavar="KEY=VALUE", multiple=True,
               help="An option for every cell that has it; may be repeated.")
 @click.option("--seeds", type=Whole(1, MOST_RUNS), help="Seeds 1 to N.")
@@ -60,12 +60,12 @@ from termsel.core.options import MOST_RUNS
 @click.option("--measures", metavar="NAMES", shell_complete=complete("measures"),
               help="Figures of plugins, a column each, with commas between several.")
 @click.option("--measure", metavar="NAME",
-              help="What methods are compared by: fitness, check, independent, or one of "
-                   "--measures. By default the fitness where those of a problem differ in the "
-                   "solver alone, else the RMSE on independent points.")
+              help="Figure by which methods are compared: fitness, check, independent, or one of "
+                   "--measures. By default the fitness if the methods differ only in the solver, "
+                   "otherwise the RMSE at independent check points.")
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path),
-              help="Folder of the journal and the tables. The same command goes on where an "
-                   "earlier one stopped.")
+              help="Folder of the journal and the tables. Repeat the command to resume an "
+                   "earlier one.")
 @click.option("--workers", type=Whole(1, 1024), default=1, show_default=True,
               help="Processes at a time on this machine.")
 @click.option("--scheduler", metavar="ADDRESS",
@@ -113,7 +113,8 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
                                     observers=(observe,) if observe else (), **keys)
     if not results.complete:
         done = len(results.records)
-        echo(f"Interrupted: {done} of {counted(len(results.cells), 'cell')} are finished and kept. "
+        echo(f"Interrupted: {done} of {counted(len(results.cells), 'cell')} are finished and "
+             "kept. "
              "The same command goes on.", err=True)
         sys.exit(INTERRUPTED)
     written = write_outputs(results, out)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("name", shell_complete=complete())
 def describe(name: str) -> None:
-    """Describe a problem, model, solver or anything else that has a name.
+    """Describe a problem, model, solver or other named thing.
 
     Options are shown with their defaults and accepted values; set them with
     `termsel run --set KEY=VALUE`.
@@ -133,7 +133,7 @@ def _describe_method(entry: Entry) -> None:
     one = entry.object
     echo(f"\n{entry.summary}")
     _pairs({"chosen": "never: it is shown for comparison" if one.only_shown else
-            "with the smallest leave-one-out RMSE, where points are few" if one.for_few else
+            "by the smallest leave-one-out RMSE, if points are few" if one.for_few else
             "where it is better by one standard error, or instead of what it contains"
             if one.has_prior else
             f"where it is better by {'two' if one.central else 'three'} standard errors and has "

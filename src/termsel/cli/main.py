@@ -268,7 +268,7 @@ def _blaming(command: click.Command) -> click.Command:
 def _broken_command(name: str, why: str) -> click.Command:
     def explain() -> None:
         raise TermselError(f"the command {name!r} is broken: {why}",
-                           hint="Tell its author, or install another version.")
+                           hint="Report it to its author, or install another version.")
 
     return click.Command(
         name, callback=explain, help=f"This command is broken: {why}",

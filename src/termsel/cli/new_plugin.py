@@ -31,7 +31,8 @@ _USE = {
     "method": "Use it: `termsel run --points FILE --crs EPSG:n`; auto judges it with its own.",
     "dataset": "Use it: `termsel run --problem rfm-terms --dataset {name}`",
     "split": "Use it: `termsel run --problem rfm-terms --set roles={name}`",
-    "section": "Use it: `termsel report DIR`, with the folder of a result; the section comes last.",
+    "section": "Use it: `termsel report DIR`, with the folder of a result; the section comes "
+               "last.",
     "measure": "Use it: `termsel compare STUDY.toml --measures {name}`",
     "reader": "Use it: `termsel run --points FILE --crs EPSG:n`; termsel recognises the format.",
     "writer": "Use it: `termsel export DIR --to {name} --output FILE`",
@@ -42,11 +43,11 @@ _USE = {
 @click.command("new-plugin")
 @click.argument("name")
 @click.option("--kind", required=True, metavar="KIND[,KIND]...",
-              help=f"What it provides, with commas between several: {', '.join(KINDS)}.")
+              help=f"Kinds of things that it provides, separated by commas: {', '.join(KINDS)}.")
 @click.option("--into", "parent", metavar="DIR", default=".", show_default=True,
               type=click.Path(path_type=Path), help="The folder in which the package is made.")
 def new_plugin(name: str, kind: str, parent: Path) -> None:
-    """Write a package with a plugin that works, to be changed into yours.
+    """Write a package with a working plugin, as a start for yours.
 
     NAME is that of the package, such as termsel-demo. The package installs without a network
     and any other package, and has tests.

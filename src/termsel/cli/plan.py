@@ -14,17 +14,17 @@ from termsel.cli.tables import print_table
 @click.command()
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
 @click.option("--candidates", metavar="FILE", type=click.Path(path_type=Path),
-              help="Table id,x,y,z of places to choose from, in the CRS of the control; by default "
+              help="Table id,x,y,z of candidate positions, in the CRS of the control; by default "
                    "a grid over the image.")
 @click.option("-n", "--number", "count", type=click.IntRange(min=1), default=5, show_default=True,
-              help="How many places.")
+              help="Number of positions.")
 @click.option("--output", "-o", metavar="FILE", type=click.Path(path_type=Path),
-              help="Also write the places to this CSV file.")
+              help="Also write the positions to this CSV file.")
 @final_option
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 def plan(folder: Path, candidates: Path | None, count: int, output: Path | None,
          final: bool | None, overwrite: bool) -> None:
-    """Rank the places where further control points help most.
+    """Rank positions at which further control points help most.
 
     DIR is the folder that a run wrote with --out. The first place is the one after which the mean
     uncertainty over the image is least, the second the best together with the first, and so on.

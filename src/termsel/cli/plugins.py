@@ -23,7 +23,7 @@ SLOW = 0.3
 @click.option("--time", "timed", is_flag=True,
               help="Show the seconds that each plugin takes: its import, and all its hooks.")
 def plugins(as_json: bool, timed: bool) -> None:
-    """List plugins, and what is wrong with them.
+    """List installed plugins, and errors in them.
 
     A plugin is a package with an entry point in the group `termsel`. A plugin that is broken,
     or uses a name that is taken, never stops termsel or another plugin.

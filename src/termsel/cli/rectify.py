@@ -18,20 +18,21 @@ from termsel.core.errors import TermselError
 @click.option("--output", "-o", metavar="FILE", required=True, type=click.Path(path_type=Path),
               help="The map to write, a cloud-optimised GeoTIFF.")
 @click.option("--dem", metavar="FILE", type=click.Path(path_type=Path),
-              help="Raster of heights; converted where it declares another vertical datum.")
+              help="Raster of heights; converted if it declares another vertical datum.")
 @click.option("--height", type=float, help="Height of the ground, instead of a raster.")
 @click.option("--crs", metavar="CRS", help="CRS of the map; by default that of the control if "
                                            "it is in metres, else UTM.")
 @click.option("--res", "resolution", type=click.FloatRange(min=0, min_open=True),
               help="Pixel size in units of the CRS; by default that of the image.")
 @click.option("--resampling", metavar="METHOD",
-              help="nearest, bilinear, cubic, cubic_spline, lanczos or average. By default nearest "
-                   "where pixels are categories (a colour table, bits, classes), else bilinear.")
+              help="nearest, bilinear, cubic, cubic_spline, lanczos or average. By default "
+                   "nearest if pixels are categories (a colour table, bits, classes), otherwise "
+                   "bilinear.")
 @click.option("--nodata", type=float,
-              help="Value where the map shows nothing; by default that of the image. Without one "
-                   "the image's alpha band, or else a mask inside the file, says where that is; "
-                   "with a colour table an index that the image does not use, and NaN for numbers "
-                   "with a fraction.")
+              help="Value outside the image; by default that of the image. Without one the alpha "
+                   "band of the image, or a mask inside the file, marks the outside; "
+                   "a colour table gets an index that the image does not use, and floating-point "
+                   "images NaN.")
 @click.option("--sigma", metavar="FILE", type=click.Path(path_type=Path),
               help="Raster of the uncertainty to write, too (termsel-standards).")
 @final_option
@@ -78,7 +79,8 @@ def rectify(context: click.Context, folder: Path, image: Path, output: Path, dem
                         reads=[folder, image, dem], overwrite=overwrite)
     result = read_result(folder)
     if dem is None and height is None and result.fit.model.uses_height:
-        raise TermselError("the place of the image on the map depends on the height of the ground",
+        raise TermselError("the position of the image on the map depends on the height of the "
+                           "ground",
                            hint="Give --dem FILE or --height H.")
     with share_bar("rectify", quiet) as progress:
         warp(result, image, output, dem=dem, height=height, crs=crs, resolution=resolution,

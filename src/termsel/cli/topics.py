@@ -21,7 +21,7 @@ TOPICS: Mapping[str, Mapping[str, str]] = {
         "off": "Points and lines to leave out: P07,P12.",
         "role": "control, check, independent or off, of a point."},
     "Model (chosen automatically unless you ask)": {
-        "problem": "What to search for; see `termsel list problems`.",
+        "problem": "Kind of search; see `termsel list problems`.",
         "model": "Sensor model; see `termsel list models`.",
         "solver": "Search method; see `termsel list solvers`.",
         "strategy": "auto chooses a model; as-asked runs a search.",
@@ -32,7 +32,7 @@ TOPICS: Mapping[str, Mapping[str, str]] = {
         "out": "Folder for the result.",
         "exports": "Write this format there, too, such as rpb.",
         "reports": "Write the page report.html there, too.",
-        "overwrite": "Replace what is already there.",
+        "overwrite": "Replace existing files.",
         "verbose": "Print every table, term and proof.",
         "as_json": "Print JSON alone on stdout."},
 }

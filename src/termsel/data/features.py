@@ -246,7 +246,7 @@ class FeatureSet(Glance):
         if shared_ids:
             name = min(shared_ids)
             raise TermselError(f"{name!r} is the id of a point and of a line",
-                               hint="Give every feature an id of its own.", ids=[name])
+                               hint="Give every feature a different id.", ids=[name])
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -346,7 +346,8 @@ class FeatureSet(Glance):
             dict.fromkeys(select(self.lines.ids, lines)))
 
     def ground_vertices(self) -> FloatArray:
-        """Return ground points and line vertices together, shape (n_points + 2 n, 3) of n lines."""
+        """Return ground points and line vertices together, shape (n_points + 2 n, 3) of n "
+          "lines."""
         return np.concatenate([self.points.ground, self.lines.ground.reshape(-1, 3)])
 
     def image_vertices(self) -> FloatArray:

@@ -151,7 +151,7 @@ def open_raster(path: Path | str) -> Iterator[Any]:
         raise _unreadable(path, str(error.__cause__ or error).rstrip(".")) from error
     except UnicodeDecodeError as error:  # names, or what GDAL quotes of the file
         raise TermselError("this raster has text that is not UTF-8", file=path,
-                           hint="Save the file, or what is next to it, with the encoding UTF-8."
+                           hint="Save the file, or the file beside it, with the encoding UTF-8."
                            ) from error
 
 

@@ -83,7 +83,8 @@ def _in_turn(order: Sequence[int] | np.ndarray, shares: FloatArray,
     return roles
 
 
-STRATIFIED = Split("stratified", "Neighbouring points get different roles, so that each role covers"
+STRATIFIED = Split("stratified", "Neighbouring points get different roles, so that each role "
+                                 "covers"
                    " the scene.", stratified, on_globe=True)
-SPLITS = (STRATIFIED, Split("random", "Roles are drawn without regard to place.", at_random))
+SPLITS = (STRATIFIED, Split("random", "Roles are drawn at random, not by position.", at_random))
 """Built-in splits."""

@@ -68,8 +68,8 @@ class TwoGroups:
             directions.append(f"{abs(north):.0f} m {'north' if north > 0 else 'south'}")
         levels = "" if self.heights else ", or on two levels whose heights are not known"
         return (f"{len(self.second)} of {len(self.first) + len(self.second)} points lie "
-                f"{' and '.join(directions)} of where the others call for, as if they were in "
-                f"another datum{levels}")
+                f"{' and '.join(directions)} of the positions that the others predict, as if "
+                f"they were in another datum{levels}")
 
 
 def datum_of(groups: TwoGroups, crs: str, position: tuple[float, float]) -> str:
@@ -151,7 +151,8 @@ def _residuals(design: FloatArray, image: FloatArray) -> tuple[FloatArray, Float
 
 
 def _split(residuals: FloatArray) -> BoolArray:
-    """Return which residuals are beyond the largest gap near the middle of their main direction."""
+    """Return which residuals are beyond the largest gap near the middle of their main "
+      "direction."""
     projected = residuals @ np.linalg.svd(residuals, full_matrices=False)[2][0]
     # Only gaps that leave enough points on either side count.
     order = np.sort(projected)

@@ -99,7 +99,8 @@ def places_in_words(ids: Sequence[str], groups: Sequence[Sequence[int]]) -> str:
         names = " and ".join(repr(ids[row]) for row in rows[:_NAMED])
         surplus = f" and {len(rows) - _NAMED} more" if len(rows) > _NAMED else ""
         named.append(f"{names}{surplus}")
-    unnamed = f", and those of {len(groups) - _NAMED} more places" if len(groups) > _NAMED else ""
+    unnamed = f", and those of {len(groups) - _NAMED} more positions" \
+        if len(groups) > _NAMED else ""
     each_group = " each" if len(groups) > 1 else ""
     return f"points {', '.join(named)}{unnamed}{each_group} have the same ground coordinates"
 
@@ -148,4 +149,4 @@ def check_ids(ids: Sequence[str], kind: str, *, unique: bool) -> None:
     twice = [name for name, count in Counter(ids).items() if count > 1] if unique else []
     if twice:
         raise TermselError(f"{kind} id {twice[0]!r} is used {Counter(ids)[twice[0]]} times",
-                           hint="Give every feature an id of its own.", ids=twice[:1])
+                           hint="Give every feature a different id.", ids=twice[:1])

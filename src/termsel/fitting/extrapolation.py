@@ -67,7 +67,7 @@ def warnings_of(control: FeatureSet, used: BoolArray, check: Points) -> Iterator
             found.append(f"{far.sum()} of 4 corners of the image")
     if found:
         yield (f"Extrapolation: {' and '.join(found)} lie{'s' * (n == 1)} far outside the control "
-               "in use. The given RMSE does not hold there.")
+               "in use. The RMSE does not apply there.")
     heights = control.ground_vertices()[:, 2]
     others = check.ground[:, 2]
     span = float(np.ptp(heights))

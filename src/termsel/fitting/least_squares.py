@@ -66,8 +66,8 @@ class LeastSquares(Estimator):
         squares = left_out_squares(fitted)
         if not np.isfinite(squares).all():
             raise Undetermined(
-                "without one of its control features the fit is not determined, or has a pole at "
-                "its place", hint="Measure more control, or choose a model with fewer terms.")
+                "without one of its control features the fit is not determined, or has a pole "
+                "there", hint="Measure more control, or choose a model with fewer terms.")
         return HeldOut(squares)
 
     def without_each(self, fitted: Fit) -> Iterator[Fit]:

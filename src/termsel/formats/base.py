@@ -285,7 +285,7 @@ def read_once(path: Path) -> Iterator[Path]:
                 content = pipe.read(LARGEST + 1)
             if len(content) > LARGEST:
                 raise TermselError(f"this pipe carries more than {LARGEST >> 20} MiB", file=path,
-                                   hint="Save what it carries to a file, and give that.")
+                                   hint="Save its content to a file, and give that file.")
             copy.write_bytes(content)
         except OSError as error:
             raise _unreadable(path, error) from error

@@ -181,7 +181,8 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
             raise TermselError(f"the CRS of this raster cannot be used: {error}", file=path,
                                hint=_PLACED) from error
         if not (own.is_geographic or own.is_projected):
-            raise TermselError(f"the CRS of this raster, {own.name}, has no horizontal coordinates",
+            raise TermselError(f"the CRS of this raster, {own.name}, has no horizontal "
+                               "coordinates",
                                file=path, hint=_PLACED)
         own = with_declared_datum(raster, own, path)
         unit = metres_of_band(raster, own, path)
@@ -272,7 +273,7 @@ def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
         owner = features.points.ids + tuple(np.repeat(features.lines.ids, 2))
         names = list(dict.fromkeys(str(owner[i]) for i in np.flatnonzero(gone)))
         raise TermselError(f"{len(names)} of {len(features)} features are outside the raster or "
-                           f"where it has no data: {first_of(names)}", file=dem, ids=names,
+                           f"in areas without data: {first_of(names)}", file=dem, ids=names,
                            hint="Give a larger raster, fill its holes, or remove these features.")
     n = len(features.points)
     statement = (f"{unknown.sum()} of {len(ground)} heights from {printable(dem.name)}, bilinear; "

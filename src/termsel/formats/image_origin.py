@@ -30,11 +30,11 @@ _WORDS = {
     f"{BOTTOM}-{CORNER}": "the outer corner of the lower-left pixel, y upwards"}
 
 IMAGE_ORIGIN = Option(
-    "image_origin", None, "Where a table counts lines and samples from: top-left, the centre of "
+    "image_origin", None, "Origin of lines and samples in a table: top-left, the centre of "
     "the upper-left pixel; corner or top-left-corner, its outer corner, as a GIS counts; "
     "y-up or y-up-corner, likewise with y negative downwards; bottom-left or bottom-left-corner, "
-    "with y upwards. By default top-left, or y-up where all lines are at most 0 and the image, "
-    "whose height is known, holds them.", choices=(*_WORDS, CORNER))
+    "with y upwards. By default top-left, or y-up if no line is above 0 and all fit the known "
+    "height of the image.", choices=(*_WORDS, CORNER))
 
 
 def image_size_of(image: Path | str) -> tuple[int, int]:
@@ -71,8 +71,8 @@ def with_image_origin(features: FeatureSet, asked: str | None, states_own: bool,
         origin = str(IMAGE_ORIGIN.parse(asked))
         origin = f"{TOP}-{CORNER}" if origin == CORNER else origin
         if states_own:
-            raise TermselError("the format of this file says where its lines and samples are "
-                               "counted from", hint="Leave image_origin out.")
+            raise TermselError("the format of this file defines the origin of its lines and "
+                               "samples", hint="Leave image_origin out.")
         return replace(_turned(features, origin, size), image_origin=_WORDS[origin])
     if states_own or not len(features):
         return features
@@ -83,13 +83,13 @@ def with_image_origin(features: FeatureSet, asked: str | None, states_own: bool,
         known = "the height of the image is not known" if size is None else \
             f"the image has {size[0]} lines"
         raise TermselError(
-            f"all lines are at most 0, from {lines.min():g} to {lines.max():g}, as where y is "
+            f"all lines are at most 0, from {lines.min():g} to {lines.max():g}, as if y pointed "
             f"upwards, and {known}",
-            hint="Say where they are counted from: --set image_origin=y-up or y-up-corner (QGIS, "
+            hint="State their origin: --set image_origin=y-up or y-up-corner (QGIS, "
                  "ArcGIS), or top-left to keep them as they are. Or give the image with --image "
                  "FILE.")
-    log.warning("Note: all lines are at most 0: they are read as y upwards from the upper-left "
-                "pixel. If they count from its corner, say --set image_origin=y-up-corner.")
+    log.warning("Note: no line is above 0, so lines are read as y upwards from the upper-left "
+                "pixel. If they count from its corner, give --set image_origin=y-up-corner.")
     return replace(_turned(features, UP, size),
                    image_origin=f"{_WORDS[UP]}, as all lines are at most 0")
 
@@ -135,7 +135,8 @@ def require_inside(features: FeatureSet, size: tuple[int, int] | None,
                           image)
     if (first < -0.5 - MARGIN).any():
         raise TermselError(
-            f"features extend to line {first[0]:g} and sample {first[1]:g}, before the first pixel "
+            f"features extend to line {first[0]:g} and sample {first[1]:g}, before the first "
+            "pixel "
             "of the image", file=image,
             hint="Lines are counted downwards from the upper-left pixel: run again with --set "
                  "image_origin=y-up or bottom-left, or take the image in which the features were "

@@ -19,8 +19,9 @@ log = logging.getLogger(__name__)
 REFUSE, AVERAGE = "refuse", "average"
 
 REPEATED = Option(
-    "repeated", REFUSE, "What is done with points at the same ground coordinates, of a table: "
-    "refuse them, or average their image coordinates to one point.", choices=(REFUSE, AVERAGE))
+    "repeated", REFUSE, "Treatment of points of a table with the same ground coordinates: refuse "
+                        "them, or average their image coordinates to one point.",
+    choices=(REFUSE, AVERAGE))
 
 _averaging: ContextVar[bool] = ContextVar("averaging", default=False)
 

@@ -240,7 +240,7 @@ def _from_dimap(root: ElementTree.Element) -> Rpc:
     domain = root.find(".//RFM_Validity")
     if model is None or domain is None:
         raise TermselError("this DIMAP file has no Global_RFM with RFM_Validity",
-                           hint="The RPC of an image is in the file RPC_*.XML next to it.")
+                           hint="The RPC of an image is in the file RPC_*.XML beside it.")
     # The centre of the first pixel is (1, 1) in versions 1 and 2. Version 3 states its first
     # column, and GDAL subtracts it from both offsets.
     values = model.find("GroundtoImage_Values")

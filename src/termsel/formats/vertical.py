@@ -71,7 +71,8 @@ def metres_of_band(raster: Any, crs: CRS, path: Path) -> float:
     in_feet = unit_of_size(float(axes[0].unit_conversion_factor)) if crs.is_projected else METRE
     if of_band is None and in_feet in WORDS and in_feet != METRE:
         raise TermselError(
-            f"nothing says whether the heights of this raster are in metres or, as x and y are, in "
+            f"it is not stated whether the heights of this raster are in metres or, like x and "
+            "y, in "
             f"{WORDS[in_feet]}", file=path,
             hint="State the unit of its band: gdal_edit.py -units m, or -units us-ft.")
     return UNITS[of_band or METRE]

@@ -24,7 +24,8 @@ IMAGE = Option("image", None, "The image; if not given, the VRT has a size but n
 
 
 def picture_for(result: Result, image: Path | str | None) -> Picture:
-    """Return what a VRT must know of the image of a result, by default of a size that holds all."""
+    """Return what a VRT must know of the image of a result, by default of a size that holds "
+      "all."""
     known = result.features.image_size
     if image is None:
         require_inside(result.features, known, None)
@@ -32,7 +33,8 @@ def picture_for(result: Result, image: Path | str | None) -> Picture:
                                    result.features.image_vertices().max(axis=0))
         size = known or (max(1, int(bottom) + 1), max(1, int(right) + 1))
         if known is None:
-            log.warning("Warning: the size of the image is not known; %d lines and %d samples hold "
+            log.warning("Warning: the size of the image is not known; %d lines and %d samples "
+                        "hold "
                         "all features. Give --image FILE.", *size)
         return Picture(size)
     picture = picture_of(Path(image))
@@ -90,7 +92,7 @@ def _name_in_vrt(image: Path, folder: Path) -> str:
     name = relative(image, folder)
     if not is_xml_text(name.encode(errors="ignore").decode()):
         raise TermselError("the name of this image has control characters, which no virtual "
-                           "raster can hold", file=image, hint="Rename it.")
+                           "raster can represent", file=image, hint="Rename it.")
     return name
 
 

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 OF_PLANE = "crs"
 Z_UNIT = Option(
     "z_unit", None, "Unit of z: metre, us-ft (US survey feet), ft, or crs, that of x and y. "
-    "Without it z is as the CRS says; where that says it of x and y alone, and they are in feet, a "
-    "DEM or an RPC may tell.", choices=(*UNITS, OF_PLANE))
+    "By default that of the CRS; if the CRS defines the unit of x and y only, and they are in "
+    "feet, a DEM or an RPC may decide.", choices=(*UNITS, OF_PLANE))
 
 _TELLING = 4  # heights from which on their scatter tells the unit
 _CLEAR = 1 / 3  # of the scatter, or of the distance, in another unit

@@ -31,7 +31,7 @@ def accuracy_tags(result: Result) -> dict[str, str]:
         tags["ACCURACY_STATED"] = "no: the result has no independent check points" + (
             f"; {predicted}" if predicted else "")
         return tags
-    stated = "by independent check points, which took no part in any choice" + (
+    stated = "by independent check points, used in no choice" + (
         f" of this run; an earlier result showed {accuracy.spent_count} of them"
         if accuracy.spent_count else "")
     # As in the summary, the surer of both figures is said first.

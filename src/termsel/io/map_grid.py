@@ -86,7 +86,8 @@ def map_crs(result: Result, crs: str | None) -> str:
     Raises TermselError if that is no CRS of a map.
     """
     if normalise(result.features.crs) == LOCAL:
-        raise TermselError("a map requires a CRS, but the result has plane coordinates without one",
+        raise TermselError("a map requires a CRS, but the result has plane coordinates without "
+                           "one",
                            hint="State the CRS of the ground coordinates when you run termsel.")
     target = _in_metres(result) if crs is None else horizontal(crs)
     if not target:
@@ -122,7 +123,8 @@ def _say_wide(positions: FloatArray) -> None:
     scale = float(((lon * np.cos(np.radians(positions[:, 1]))) ** 2 / 2).max())
     if scale > WIDE:
         log.warning("Warning: the control spans %.0f degrees of longitude. One zone of UTM shows "
-                    "distances at its edges %.2g %% too long: --crs names a projection for such an "
+                    "distances at its edges %.2g %% too long: --crs names a projection for such "
+                    "an "
                     "area, such as that of an atlas.", float(np.ptp(positions[:, 0])), 100 * scale)
 
 
@@ -151,7 +153,7 @@ def grid_of_image(result: Result, crs: str, resolution: float | None = None, *,
     sample_spacing = np.linalg.norm(np.diff(outline, axis=1), axis=-1)
     if np.isnan(line_spacing).all() or np.isnan(sample_spacing).all():
         if dem is None:
-            raise TermselError("the model has a ground position for no part of the image",
+            raise TermselError("the model gives no ground position anywhere in the image",
                                hint="Do not use it: choose another model, or measure more.")
         raise TermselError("the image is outside the raster of heights", file=dem,
                            hint="Give a raster that covers the image.")

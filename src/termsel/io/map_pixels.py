@@ -134,14 +134,14 @@ def map_pixels(picture: Picture, resampling: str | None, nodata: float | None) -
     if nodata is not None:
         _require_held(nodata, made.dtype)
         if alpha:
-            log.warning("Warning: the map has an alpha band, which says what lies outside; the "
-                        "value %g of --nodata is written there, and not declared.", nodata)
+            log.warning("Warning: the map has an alpha band, which marks the outside; the value "
+                        "%g of --nodata is written there, but not declared.", nodata)
         return replace(made, nodata=None if alpha else nodata, fill=nodata)
     if alpha:
         return made
     if not alike:
-        log.warning("Note: the bands of the image have different values for no data, of which a "
-                    "GeoTIFF holds one: a mask says what lies outside.")
+        log.warning("Note: the bands of the image have different nodata values, and a GeoTIFF "
+                    "has only one: a mask marks the outside.")
     elif common is None and made.dtype.kind in "fc":
         common = float("nan")
     elif common is None and made.table:
@@ -190,7 +190,8 @@ def _resampled(picture: Picture, resampling: str | None) -> tuple[Picture, str]:
         raise TermselError(f"the pixels of this image are classes, which {resampling} would mix",
                            file=picture.path, hint="Leave --resampling out, for nearest.")
     if mixed:
-        log.warning("Note: the map has the colours of the image's table instead of its indices, as "
+        log.warning("Note: the map has the colours of the image's table instead of its indices, "
+                    "as "
                     "%s mixes pixels; without --resampling it keeps them.", resampling)
         return expanded(picture), str(resampling)
     if any(0 < alpha < 255 for band in bands for *_, alpha in band.table):
@@ -208,7 +209,7 @@ def _require_held(nodata: float, dtype: np.dtype[Any]) -> None:
     from rasterio.dtypes import in_dtype_range
 
     if not in_dtype_range(nodata, dtype.name) or (dtype.kind in "iu" and nodata != int(nodata)):
-        raise TermselError(f"pixels of the type {dtype} cannot hold the value {nodata:g}",
+        raise TermselError(f"pixels of the type {dtype} cannot have the value {nodata:g}",
                            hint="Give another --nodata.")
 
 
@@ -304,7 +305,8 @@ def _window_of(raster: Any, made: MapPixels, places: FloatArray) -> Any:
 
 
 def _read(raster: Any, made: MapPixels, window: Any) -> tuple[Values, Mask]:
-    """Return pixels (bands, lines, samples) of a window, alpha last, and which of them are data."""
+    """Return pixels (bands, lines, samples) of a window, alpha last, and which of them are "
+      "data."""
     bands = list(range(1, len(made.empty) + made.alpha + 1))
     values = np.ascontiguousarray(raster.read(bands, window=window).astype(made.dtype, copy=False))
     known = np.ones(values.shape, dtype=bool)
@@ -394,7 +396,8 @@ def _describe(tiled: Any, made: MapPixels, tags: Mapping[str, str]) -> None:
             table.setdefault(int(made.nodata), _WHITE)
         tiled.write_colormap(1, table)
     elif tables:
-        log.warning("Warning: a GeoTIFF holds the colour table of one band of 8 or 16 bits alone; "
+        log.warning("Warning: a GeoTIFF can have a colour table for one band of 8 or 16 bits "
+                    "only; "
                     "the map has the values without colours. gdal_translate -expand rgb makes an "
                     "image with colours.")
         colours = [ColorInterp.undefined if colour == ColorInterp.palette else colour

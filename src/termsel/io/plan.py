@@ -51,9 +51,10 @@ def _say_size(fitted: Fit) -> None:
     features = fitted.control
     if features.image_size is None and features.rpc is not None and "rpc" in fitted.model.options:
         (first_line, first_sample), (last_line, last_sample) = fitted.image_box()
-        log.warning("Note: the size of the image is not known. By the scale of its RPC it is taken "
-                    "as lines %.0f to %.0f and samples %.0f to %.0f; places may be outside it. "
-                    "--image FILE, when you run termsel, states it.", first_line, last_line,
+        log.warning("Note: the size of the image is not known. By the scale of its RPC it is "
+                    "taken "
+                    "as lines %.0f to %.0f and samples %.0f to %.0f; positions may be outside "
+                    "it. Give --image FILE to termsel run to state it.", first_line, last_line,
                     first_sample, last_sample)
 
 
@@ -76,8 +77,8 @@ def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
         ids = tuple(named)
     is_seen = np.isfinite(fitted.project(positions)).all(axis=1)
     if not is_seen.any() or not len(scene):
-        raise TermselError("the model sees none of the places", file=candidates,
-                           hint="Give places in the CRS of the control, inside the scene.")
+        raise TermselError("the model sees none of the positions", file=candidates,
+                           hint="Give positions in the CRS of the control, inside the scene.")
     # Places that the image does not show cannot be measured.
     numbers = np.flatnonzero(is_seen)
     # The scene itself where all of it is seen, so that its figures are computed once.

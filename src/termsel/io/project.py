@@ -107,19 +107,19 @@ def project_table(
 def _warnings(missed: Sequence[str], hidden: Sequence[str], far: Sequence[str], *, encloses: bool,
               inverse: bool) -> Iterator[str]:
     if not encloses:
-        yield "the control encloses no area, so nothing tells which places lie outside it"
+        yield "the control encloses no area, so `outside` cannot be computed"
     if hidden:
         verb = "shows" if len(hidden) == 1 else "show"
         lie = "lies" if len(hidden) == 1 else "lie"
         yield f"{counted(len(hidden), 'point')} " + (
             f"{verb} no ground, as above the horizon" if inverse else
-            f"{lie} behind the camera or beyond the horizon, where no image shows "
+            f"{lie} behind the camera or beyond the horizon, and no image shows "
             f"{'it' if len(hidden) == 1 else 'them'}") + f": {first_of(hidden)}"
     if missed:
         yield f"no position was found for {counted(len(missed), 'point')}: {first_of(missed)}"
     if far:
         yield (f"{counted(len(far), 'point')} {'is' if len(far) == 1 else 'are'} far outside the "
-               f"control, where the model does not hold: {first_of(far)}")
+               f"control, and the model is not valid there: {first_of(far)}")
 
 
 def _control(result: Result) -> FloatArray:

@@ -140,7 +140,8 @@ def read(
     if points is not None and not isinstance(points, str | Path):
         if lines is not None or areas is not None or format:
             raise TermselError("a table in Python is read alone",
-                               hint="Read files by themselves and join them with FeatureSet.with_.")
+                               hint="Read files by themselves and join them with "
+                                    "FeatureSet.with_.")
         with averaging(repeated):
             features = _of_image(_read_frame(points, crs, of_readers, origin), image, size)
             return _with_known(features, dem, rpc, z_unit, part)
@@ -172,7 +173,8 @@ def parts_of(path: Path, format: str | None = None, **options: Any) -> dict[str,
 
 def features_of(given: Any, crs: str | None = None,
                 columns: str | Mapping[str, Any] | None = None) -> FeatureSet:
-    """Return features, points or lines or both, from a FeatureSet, a file or a table, as `read`."""
+    """Return features, points or lines or both, from a FeatureSet, a file or a table, as "
+      "`read`."""
     if isinstance(given, FeatureSet):
         if crs is not None or columns is not None:
             raise TermselError(f"the features have the CRS {given.crs} already",
@@ -263,7 +265,7 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
     if found is not None:
         return found
     if any(name in head for name in (b"LINE_NUM_COEFF", b"lineNumCoef", b"Global_RFM")):
-        raise TermselError("this file holds an RPC and no control features", file=path,
+        raise TermselError("this file contains an RPC and no control features", file=path,
                            hint="Give control with --points and the RPC with --rpc; auto then "
                                 "corrects it. " + registry().missing("rpc-gcps"))
     if is_utf16(head) and _recognising(
@@ -420,7 +422,7 @@ def _say_misspelt(path: Path, features: FeatureSet) -> None:
                    if not there.get(meaning, part.sigma is not None) for name in columns[meaning]]
         for name in part.attributes:
             for near in get_close_matches(name.casefold(), missing, n=1, cutoff=_NEAR):
-                log.warning("Warning: column %r of %s takes no part in the fit. Is %s meant?",
+                log.warning("Warning: column %r of %s is not used. Did you mean %s?",
                             name, path, near)
 
 
@@ -437,7 +439,7 @@ def _with_areas(features: FeatureSet, areas: FeatureSet, path: Path) -> FeatureS
     both = set(features.ids) & set(areas.ids)
     if both:
         raise TermselError(f"{min(both)!r} is the id of an area and of a point or line",
-                           file=path, hint="Give every feature an id of its own.", ids=both)
+                           file=path, hint="Give every feature a different id.", ids=both)
     try:
         return features.with_(points=features.points.join(areas.points),
                               lines=features.lines.join(areas.lines))

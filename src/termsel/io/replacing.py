@@ -56,7 +56,7 @@ def require_replaceable(files: Iterable[Path], *, reads: Iterable[object] = (),
             if file.samefile(source):
                 alias = "" if str(source) == str(file) else f", as {source}"
                 raise TermselError(f"this command reads this file{alias}, and would replace it",
-                                   file=file, hint="Choose another name for what is written.")
+                                   file=file, hint="Choose another name for the output.")
     if not overwrite:
         raise TermselError("this file already exists", file=existing[0],
                            hint="Choose another name, or add --overwrite.")

@@ -66,10 +66,11 @@ class ThinPlate(Interpolating):
     variables = 2
     uses_height = False
     declared_options: ClassVar[tuple[Option, ...]] = (
-        Option("smoothing", None, "What is added to the diagonal of the kernels' matrix; 0 meets "
-                                  "control points exactly. By default it is chosen.", float, 0.0,
-               1e9),
-        Option("chosen_by", "reml", "How the smoothing is chosen: by restricted maximum likelihood "
+        Option("smoothing", None, "Value added to the diagonal of the kernels' matrix; 0 "
+                                  "interpolates the control points. By default it is estimated.",
+               float, 0.0, 1e9),
+        Option("chosen_by", "reml", "How the smoothing is chosen: by restricted maximum "
+                                    "likelihood "
                                     "or generalised cross-validation.", choices=("reml", "gcv")))
 
     def interpolation(self, control: FeatureSet) -> Interpolation | None:

@@ -139,7 +139,7 @@ class Slot:
         seconds_taken = time.perf_counter() - start
         self.seconds += seconds_taken
         if reason is not None and seconds_taken > (seconds or LIMIT):
-            self.left_out = "it is not asked, as it took too long before"
+            self.left_out = "it is not called, as it took too long before"
         return value, reason  # type: ignore[return-value]
 
 
@@ -290,7 +290,8 @@ def _points_of(distribution: Distribution) -> tuple[list[EntryPoint], str]:
     first = {point.name: point for point in reversed(points)}
     if len(first) < len(points):
         twice = next(point.name for point in points if first[point.name] is not point)
-        return list(first.values()), (f"its entry_points.txt names {twice!r} twice; only the first "
+        return list(first.values()), (f"its entry_points.txt names {twice!r} twice; only the "
+                                      "first "
                                       "is used")
     return points, ""
 

@@ -125,8 +125,8 @@ class Registry:
         except TypeError as error:
             why = str(error).removeprefix("returned ")  # as is said of what a hook returns
             raise TermselError(f"{value!r} is no {KINDS[kind].word}: {why}",
-                               hint=f"Give a name (termsel list {kind}), or what a plugin would "
-                                    "return.") from error
+                               hint=f"Give a name (termsel list {kind}), or an object as a "
+                                    "plugin returns it.") from error
         return value
 
     def register(self, item: Any) -> Any:

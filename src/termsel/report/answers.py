@@ -72,8 +72,8 @@ def document(record: Record, view: View | None = None, picture: str = "",
             ("How accurate is it?", _accuracy(record)),
             ("Is it better than conventional models?", _compared(record, view)),
             ("Which points or lines are outliers?", _bad(record, view, picture)),
-            ("Where is the model uncertain?", _weak(view)),
-            ("What was selected, and why?", selected(record, view, picture)),
+            ("In which areas is the model uncertain?", _weak(view)),
+            ("Which terms and features were selected, and why?", selected(record, view, picture)),
             ("How can it be repeated?", _repeated(record, view))) if (blocks := tuple(answer))),
          *further))
 
@@ -90,7 +90,8 @@ def _accuracy(record: Record) -> Iterator[Block]:
     accuracy = None if are_computed(record) else record.accuracy
     predicted = record.predicted
     if accuracy:
-        yield from _figures(accuracy, f", which took no part in any choice{_seen_before(accuracy)}")
+        yield from _figures(accuracy, f", which took no part in any "
+                                      f"choice{_seen_before(accuracy)}")
         if record.accuracy_without:
             yield from _figures(record.accuracy_without, f", without {contradicting(record)}")
         if predicted and (_of_all(record) or not predicted_first(record)):
@@ -312,7 +313,7 @@ def _weak(view: View | None) -> Iterator[Block]:
     yield from figure(view, "ground")
     if not why:
         yield sigma_table(view)
-    yield "termsel plan suggests where further points help most."
+    yield "termsel plan suggests positions for further points."
 
 
 def _made_by(record: Record) -> str:

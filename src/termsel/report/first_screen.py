@@ -1,4 +1,5 @@
-"""The first screen of a run: what was read, the model, its accuracy, outliers, and a comparison."""
+"""The first screen of a run: what was read, the model, its accuracy, outliers, and a "
+  "comparison."""
 
 from __future__ import annotations
 
@@ -52,7 +53,8 @@ def first_screen(record: Record) -> list[Fact]:
 
 
 def _facts(record: Record, brief: int) -> list[Fact]:
-    """Return all facts but cautions: briefly (1) without second lines, or (2) counting outliers."""
+    """Return all facts but cautions: briefly (1) without second lines, or (2) counting "
+      "outliers."""
     compared = list(_compared(record))
     search = list(_search(record))
     if brief:
@@ -248,7 +250,7 @@ def _none_detected(record: Record) -> str:
         return f"not detectable: {features} {'is' if test.features == 1 else 'are'} too few"
     if _size_of_errors(record) > _NO_FIT * test.extent:
         return (f"not detectable: no model fits these {record.data.counts.word}; several are "
-                "wrong, or no model holds")
+                "wrong, or no model is suitable")
     if test.limit > _BLUNT * test.extent:
         return (f"none found among {features}; below {rounded(test.limit)} px most cannot be "
                 "detected")
@@ -470,5 +472,5 @@ def next_step(record: Record, folder: str = "") -> str:
         return "Not saved: add --out DIR, then termsel report DIR"
     if not record.data.counts.independent and record.data.counts.word == "points" \
             and lattice_of(record) is None:
-        return f"Next: termsel plan {folder}   (where to measure check points)"
+        return f"Next: termsel plan {folder}   (best positions for check points)"
     return f"Next: termsel report {folder}"

@@ -71,7 +71,7 @@ def _linked(first: Any, second: Any) -> Any:
 KINDS = {kind.name: kind for kind in (
     ChartKind(
         "residuals", "Residuals in the image",
-        "Arrows should point in all directions. Where neighbours agree, the model lacks a term; a "
+        "Arrows should point in all directions. If neighbours agree, the model lacks a term; a "
         "single long arrow is a blunder.", maps.image_map, keeps_ratio=True,
         more=lambda view: view.partly),
     ChartKind(
@@ -84,7 +84,7 @@ KINDS = {kind.name: kind for kind in (
         "from noise.", _worst, more=bars.broken),
     ChartKind(
         "baselines", "Compared with fits without a search",
-        "This result should lie left of the conventional models at independent check points. Where "
+        "This result should lie left of the conventional models at independent check points. If "
         "intervals overlap, the difference may be noise.", bars.baseline_bars,
         lambda view: "" if bars.fit_rows(view) else
         "it has neither selection points nor independent check points"),
@@ -96,8 +96,8 @@ KINDS = {kind.name: kind for kind in (
         "it was not chosen automatically (strategy auto)"),
     ChartKind(
         "front", "Pareto front: accuracy against size",
-        "Where the error at independent check points rises while that at selection points still "
-        "falls, further terms fit noise.",
+        "If the error rises at independent check points and still falls at selection points, "
+        "further terms fit noise.",
         _front, lambda view: "" if view.record.front else "its search had one objective"),
     ChartKind(
         "convergence", "Convergence of the search",
@@ -127,7 +127,7 @@ KINDS = {kind.name: kind for kind in (
         terms.correlation_map, lambda view: "" if view.correlations else
         "its coefficients are not those of a least-squares fit with redundancy", True),
     ChartKind(
-        "sigma", "Where the model is uncertain",
+        "sigma", "Uncertainty of the model",
         "Dark areas, mostly outside the control points, need further points.",
         maps.sigma_map, lambda view: "" if view.sigma else
         "its control has no redundancy to estimate it from", True),

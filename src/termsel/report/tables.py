@@ -59,7 +59,7 @@ def sigma_table(view: View) -> TableBlock:
     cells = view.sigma
     rows = sorted({cell["line"] for cell in cells})[::STEP]
     columns = sorted({cell["sample"] for cell in cells})[::STEP]
-    return TableBlock("Standard deviation at places of the image", (
+    return TableBlock("Standard deviation across the image", (
         "line", "sample", "standard deviation [px]"), [
             (f"{(cell['line'] + cell['line2']) / 2:.0f}",
              f"{(cell['sample'] + cell['sample2']) / 2:.0f}", f"{cell['sigma']:.3g}")

@@ -44,13 +44,13 @@ def verdict_table(record: Record) -> Iterator[Block]:
     else:
         yield "Outliers were tested in an earlier run, not here." \
             if record.options.data.get("tested") else \
-            "No outliers detected; the first lines say how large an outlier must be to be found."
+            "No outliers detected; the first lines give the smallest detectable size."
     certainties = {outlier.certainty for outlier in outliers}
     if "probable" in certainties:
         yield "A probable blunder is more likely wrong than right: look at it in the image."
     if "possible" in certainties:
-        yield ("A possible blunder lies where the other features are too few or too far away to "
-               "test it: look at it in the image.")
+        yield ("For a possible blunder the other features are too few or too far away to decide: "
+               "look at it in the image.")
     spare = set(record.data.roles.control).difference(
         record.selection.features, (outlier.id for outlier in outliers))
     if spare and not record.strategy:

@@ -280,8 +280,8 @@ class Result(Glance):
         if self.final is None:
             if final:
                 raise TermselError("this result has no final fit",
-                                   hint="The strategy auto makes one where there are independent "
-                                        "points. Leave --final out.")
+                                   hint="The strategy auto makes one if there are independent "
+                                        "check points. Leave --final out.")
             return self
         if final is False:
             return replace(self, final=None, predicted_final=None)

@@ -38,7 +38,7 @@ _FILE = click.Path(path_type=Path)
 @click.option("--crs", metavar="CRS", help="CRS of the raster; by default that of the control if "
                                            "it is in metres, else UTM.")
 @click.option("--dem", metavar="FILE", type=_FILE,
-              help="Raster of heights; converted where it declares another vertical datum.")
+              help="Raster of heights; converted if it declares another vertical datum.")
 @click.option("--height", type=float, help="Height of the ground, instead of a raster; by default "
                                            "that of the middle of the control.")
 @final_option

@@ -30,8 +30,9 @@ COLUMNS_OPTION = click.option(
 _OPTIONS = (
     click.option("--problem", metavar="NAME", shell_complete=complete("problems"),
                  help="The problem to solve; see `termsel list problems`. By default the "
-                      "strategy auto answers: owdis-lines where there are lines, else rfm-terms, "
-                      "or poly-terms where heights are not known."),
+                      "strategy auto chooses a model; with --solver and the like the problem is "
+                      "owdis-lines with lines, otherwise rfm-terms, or poly-terms without "
+                      "heights."),
     click.option("--dataset", metavar="NAME", shell_complete=complete("datasets"),
                  help="A data set known by name; the problem's own by default."),
     click.option("--points", metavar="FILE", type=click.Path(path_type=Path),
@@ -39,7 +40,7 @@ _OPTIONS = (
     click.option("--lines", metavar="FILE", type=click.Path(path_type=Path),
                  help="Control lines, likewise."),
     click.option("--areas", metavar="FILE", type=click.Path(path_type=Path),
-                 help="Areas, by their corners: as lines along their edges, or as centroids where "
+                 help="Areas, by their corners: as lines along their edges, or as centroids if "
                       "points are the control; --set areas_as=boundary or centroid chooses."),
     click.option("--format", "formats", metavar="NAME", multiple=True,
                  shell_complete=complete("readers"),
@@ -51,8 +52,8 @@ _OPTIONS = (
     click.option("--raster", metavar="FILE",
                  help="The image the points were measured in, for formats that need it."),
     click.option("--rpc", metavar="FILE", type=click.Path(path_type=Path),
-                 help="The vendor's RPC, or the image with an RPC in its tags or next to it: auto "
-                      "corrects it by the points, from one on (package termsel-rpc)."),
+                 help="The vendor's RPC, or the image with an RPC in its tags or beside it: auto "
+                      "corrects it by one point or more (package termsel-rpc)."),
     click.option("--image", metavar="FILE", type=click.Path(path_type=Path),
                  help="The image: its size, and its RPC if it has one."),
     click.option("--image-lines", metavar="FILE",
@@ -77,12 +78,12 @@ _OPTIONS = (
                  help="Solver of the second step, with --set steps=features-first or "
                       "terms-first."),
     click.option("--criterion", metavar="NAME", shell_complete=complete("criteria"),
-                 help="What is minimised; see `termsel list criteria`."),
+                 help="Figure that the search minimises; see `termsel list criteria`."),
     click.option("--strategy", type=click.Choice(["auto", "as-asked"]),
-                 help="`auto` chooses among plain and regularised models of points and lines by "
-                      "predicted RMSE; `as-asked` runs the problem's solver. auto is the default "
-                      "for rfm-terms, poly-terms, and where no problem is named, unless you ask "
-                      "for a method or a budget."),
+                 help="`auto` chooses among conventional and regularised models by predicted "
+                      "RMSE; `as-asked` runs the problem's solver. auto is the default for "
+                      "rfm-terms, poly-terms, and without --problem, unless you name a method or "
+                      "a budget."),
     click.option("--set", "settings", metavar="KEY=VALUE", multiple=True,
                  help="An option of the problem, model, solver, criterion, data or file format; "
                       "may be repeated. `termsel describe NAME` lists them."),
@@ -101,7 +102,7 @@ _OPTIONS = (
                  help="Write the result to --out in this format too; may be repeated."),
     click.option("--report", "reports", is_flag=True,
                  help="Write the page report.html to --out too; see `termsel report`."),
-    click.option("--overwrite", is_flag=True, help="Replace what is already in --out."),
+    click.option("--overwrite", is_flag=True, help="Replace existing files in --out."),
     click.option("--json", "as_json", is_flag=True, help="Print JSON alone on stdout."),
     click.option("--quiet", is_flag=True, help="No progress bar."),
     progress_option,
@@ -272,7 +273,8 @@ class RunOptions:
 
     def command(self, problem: str, solver: str, criterion: str,
                 settings: Mapping[str, str]) -> str:
-        """Return a command that runs another method on the same data, all of ``--set`` included."""
+        """Return a command that runs another method on the same data, all of ``--set`` "
+          "included."""
         from termsel.core.files.drivers import remote_allowed
 
         words = ["termsel", "run", "--problem", problem]
@@ -303,8 +305,8 @@ def with_files(files: Sequence[Path], given: Mapping[str, Any]) -> dict[str, Any
         kind = _kind_of(path)
         if options[kind] is not None:
             raise TermselError(f"{options[kind]} and {path} are both {kind}",
-                               hint="Say which is which: --points FILE, --lines FILE, --image "
-                                    "FILE, --rpc FILE, --dem FILE.")
+                               hint="Name each file: --points FILE, --lines FILE, --image FILE, "
+                                    "--rpc FILE, --dem FILE.")
         options[kind] = path
     return options
 

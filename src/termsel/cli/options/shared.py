@@ -9,8 +9,8 @@ import click
 
 final_option = click.option(
     "--final/--no-final", default=None,
-    help="Take the fit of the chosen model to all points, independent ones included, or the fit "
-         "without them. By default the first, where auto chose a model.")
+    help="Use the fit to all points, independent check points included, or the fit without them. "
+         "By default the first if auto chose the model.")
 
 PROGRESS = "termsel.progress"
 """Where a context keeps the form in which its command shows progress."""

@@ -44,7 +44,7 @@ def refuse_pipe(path: Path) -> None:
     """Refuse a pipe or a device, which cannot be read twice or never ends."""
     if _kind(path) not in (None, stat.S_IFREG, stat.S_IFDIR):
         raise TermselError("this is a pipe or a device, expected a file", file=path,
-                           hint="Save what it carries to a file, and give that.")
+                           hint="Save its content to a file, and give that file.")
 
 
 def require_regular(path: Path, named_by: object = None) -> None:
@@ -53,7 +53,7 @@ def require_regular(path: Path, named_by: object = None) -> None:
         known = "" if named_by is None or str(named_by) == str(path) else f"{path.name!r}: "
         raise TermselError(f"{known}this is a pipe or a device, expected a file",
                            file=path if named_by is None else named_by,
-                           hint="Save what it carries to a file, and give that.")
+                           hint="Save its content to a file, and give that file.")
 
 
 def _kind(path: Path) -> int | None:
@@ -109,8 +109,8 @@ def refuse_links(folder: Path) -> None:
 def _linked(path: Path) -> TermselError:
     return TermselError("this is a link, and in the folder of a result, study or block no link is "
                         "followed", file=path,
-                        hint="Remove it, or choose another --out. Where you type the name of a "
-                             "link yourself, it is followed.")
+                        hint="Remove it, or choose another --out. A link whose name you type "
+                             "yourself is followed.")
 
 
 def open_inside(name: str, flags: int) -> int:

@@ -231,7 +231,7 @@ class _Chain:
         elif name.startswith("/vsi"):
             if depth or not name.startswith(("/vsi7z/", "/vsirar/", "/vsimem/")):
                 raise self.error(f"it refers to {cut(name, 100)!r}, which termsel does not open",
-                                 "Save the raster as a file of its own: gdal_translate.")
+                                 "Save the raster as a single file: gdal_translate.")
         elif os.path.lexists(name):
             self.reads[name] = self._of_file(name, depth)
         elif _CONTAINERS.match(name):
@@ -307,7 +307,7 @@ class _Chain:
             return content.decode("utf-8-sig")
         except UnicodeDecodeError:
             raise self.error("this raster has text that is not UTF-8",
-                             "Save the file, or what is next to it, with the encoding UTF-8."
+                             "Save the file, or the file beside it, with the encoding UTF-8."
                              ) from None
 
     def _of_archive(self, name: str, depth: int) -> int:
@@ -328,7 +328,8 @@ class _Chain:
         return 1
 
     def _require_members_near(self, name: str, archive: Path, member: str, depth: int) -> None:
-        """Require what GDAL would open next to a file in an archive, as next to one on the disk."""
+        """Require what GDAL would open next to a file in an archive, as next to one on the "
+          "disk."""
         members = _members(name, archive)
         if members is None:  # a single file, next to which are those of the disk
             self._require_neighbours(archive, depth)

@@ -18,7 +18,7 @@ from termsel.core.isolation.inside import code_of, is_marked
 
 OWN = "termsel"
 
-HINT = "This is a bug in the plugin, not your mistake: tell its author."
+HINT = "This is a bug in the plugin, not your mistake: report it to its author."
 
 _packages: dict[str, str] = {}
 
@@ -28,7 +28,8 @@ class PluginFault(TermselError):
 
 
 def remember(package: str, distribution: str) -> None:
-    """Remember the distribution, such as "termsel-demo 1.0", that a top-level module comes with."""
+    """Remember the distribution, such as "termsel-demo 1.0", that a top-level module comes "
+                                                           "with."""
     _packages[package] = distribution
 
 

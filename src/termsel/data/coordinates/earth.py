@@ -75,7 +75,7 @@ def note_on_turned(features: FeatureSet) -> str:
     # Computed points, and what names its sensor, say how the image was seen.
     is_declared = lattice_of(features.points) is not None or _SENSOR in features.points.attributes
     if not is_declared and (counted := _counted(features)):
-        upwards = (" If lines count from the lower edge of the image, say --set "
+        upwards = (" If lines count from the lower edge of the image, give --set "
                    "image_origin=bottom-left and --image FILE." if counted == _UPWARDS else "")
         return (f"{counted} here, as on maps whose y points up and in some radar images.{upwards} "
                 "If this is neither, check whether x and y are swapped.")

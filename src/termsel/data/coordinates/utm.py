@@ -35,7 +35,7 @@ def metric_crs(crs: str, lon: float, lat: float) -> str:
     if body_of(crs) != EARTH:
         return _transverse_mercator(crs, round(lon), round(lat))
     if not -80 <= lat <= 84:
-        raise TermselError(f"no UTM zone holds longitude {lon:.6g}, latitude {lat:.6g}",
+        raise TermselError(f"no UTM zone contains longitude {lon:.6g}, latitude {lat:.6g}",
                            hint="UTM goes from 80 S to 84 N: name a projected CRS, --fit-crs "
                                 "EPSG:n, such as EPSG:3031 or EPSG:3413.")
     # On a border the zone to the west, as PROJ's list of zones says; asking it takes 0.1 s.

@@ -39,8 +39,8 @@ def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Seque
     elif readings[0].keys() - found:
         error.guesses = texts
         first = next((row for row in rows if len(row) == len(header)), ())
-        error.hint += (" This is a guess: the file does not tell which is which. The first point "
-                       "would be " + "; or ".join(_read_so(first, one) for one in readings) + ".")
+        error.hint += (" This mapping is a guess; check it. The first point would be "
+                       + "; or ".join(_read_so(first, one) for one in readings) + ".")
     return error
 
 

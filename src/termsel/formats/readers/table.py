@@ -87,7 +87,7 @@ class Table:
             if first.setdefault(name, row) != row and "id" in self.names:
                 raise self.error(f"id {name!r} is already used on {self.part} "
                                  f"{self.lines[first[name]]}", row, "id",
-                                 "Give every point an id of its own.")
+                                 "Give every point a different id.")
         more = self.more
         try:
             if is_averaging():

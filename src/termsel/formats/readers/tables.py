@@ -47,7 +47,7 @@ log = logging.getLogger(__name__)
 COLUMNS: tuple[Option, ...] = (
     Option("columns", "", "Which column is which, as meaning=name or meaning=number, such as "
                           "x=Rechtswert,line=4 (--columns)."),
-    Option("decimal", None, "Decimal sign, where 1,234 or 1.234 may be one thousand.",
+    Option("decimal", None, "Decimal sign, if 1,234 or 1.234 may be one thousand.",
            choices=("comma", "point")),
     Option("layer", None, "Layer of a GIS file, or sheet of a spreadsheet; by default the first "
                           "that fits."),
@@ -220,7 +220,8 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, own: Mapping[str
 
 
 def _further(header: Sequence[str], used: Collection[int]) -> dict[str, int]:
-    """Return the places of the columns that are attributes, by name; of several alike the first."""
+    """Return the places of the columns that are attributes, by name; of several alike the "
+      "first."""
     columns: dict[str, int] = {}
     for i, cell in enumerate(header):
         name = unguarded(cell.strip())
@@ -242,9 +243,9 @@ def _signs(table: Table, decimal: str | None, *, points_only: bool) -> dict[str,
             row = next(i for i, cell in enumerate(columns[meaning])
                        if COMMA in cell or POINT in cell)
             raise table.error(
-                f"{columns[meaning][row].strip()!r} may be above one thousand or not, and no other "
-                "column tells", row, meaning, "Say which sign is decimal: --set decimal=comma or "
-                                              "decimal=point.")
+                f"{columns[meaning][row].strip()!r} may be above one thousand or not, and no "
+                "other column decides it", row, meaning, "State the decimal sign: --set "
+                                                         "decimal=comma or decimal=point.")
     if resolved:
         word = "comma" if signs[resolved[0]] == COMMA else "point"
         log.info("Note: the decimal sign of %s is taken to be a %s, as %s; the other sign "

@@ -101,7 +101,8 @@ def _layer(path: Path, layer: str | None, columns: list[str] | None,
 
 @contextmanager
 def _only_allowed(path: Path) -> Iterator[Path]:
-    """Yield a name in a private folder by which the drivers that are allowed read a vector file."""
+    """Yield a name in a private folder by which the drivers that are allowed read a vector "
+      "file."""
     from pyogrio.errors import DataLayerError, DataSourceError
 
     _turn_off_drivers()
@@ -190,7 +191,7 @@ def _foreign(path: Path) -> TermselError:
 
 def _unreadable(path: Path, error: Exception) -> TermselError:
     return TermselError(f"GDAL cannot read this file: {error}", file=path,
-                        hint="Is it complete? A Shapefile needs its .shx and .dbf next to it.")
+                        hint="Is it complete? A Shapefile needs its .shx and .dbf beside it.")
 
 
 def read_layer(path: Path, layer: str | None, kinds: Mapping[str, int],

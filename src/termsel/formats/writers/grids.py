@@ -66,11 +66,11 @@ class GridWriter(Writer):
         unseen = int(np.isnan(ground).any(axis=-1).sum())
         if unseen > image[..., 0].size - 3:
             raise TermselError(
-                "fewer than three places of the grid have ground", file=self.options["dem"],
+                "fewer than three nodes of the grid have ground", file=self.options["dem"],
                 hint="Give the image, a raster of heights that covers it, or a simpler model.")
         if unseen:
             reason = why_not_shown(fitted)
-            log.warning("Warning: %d of %d places of the grid have no ground%s; the image around "
+            log.warning("Warning: %d of %d nodes of the grid have no ground%s; the image around "
                         "them stays empty.", unseen, image[..., 0].size,
                         f", as they are {reason}" if reason else "")
         return ground
@@ -136,7 +136,7 @@ class GeolocationVrt(GridWriter):
     suffix = "_geolocation.vrt"
     declared_options: ClassVar[tuple[Option, ...]] = (
         IMAGE, *_GROUND,
-        Option("step", None, "Spacing of the array [px]; by default about 500 places along the "
+        Option("step", None, "Spacing of the array [px]; by default about 500 nodes along the "
                              "longer side.", int, 1, COUNT))
 
     def files(self, path: Path) -> tuple[Path, ...]:
@@ -186,14 +186,14 @@ class GeolocationVrt(GridWriter):
 
     def say_loss(self, fitted: Fit, image: FloatArray, ground: FloatArray,
                  surface: Dem | float) -> None:
-        """Log how far GDAL's interpolation between the places of the array is from the model."""
+        """Log how far GDAL's interpolation between the nodes of the array is from the model."""
         between = _middles(ground)
         places = _middles(image)
         seen = np.isfinite(between).all(axis=1)
         between = between[seen]
         places = places[seen]
         between[:, 2] = surface(between[:, :2]) if isinstance(surface, Dem) else surface
-        say_deviation(self.name, fitted, between, places, ", between the places of the array")
+        say_deviation(self.name, fitted, between, places, ", between the nodes of the array")
 
 
 def _arrays(path: Path) -> tuple[Path, Path]:

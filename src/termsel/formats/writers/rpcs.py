@@ -105,8 +105,8 @@ class RpcWriter(Writer):
                 taken = raster.tags(ns="RPC")
             if not taken or read_rpc(Path(image)) != rpc:
                 stem = Path(image).stem
-                log.warning("Warning: GDAL does not use this RPC for %s. A file next to it has "
-                            "priority, or this file is not called %s. --to rpc-vrt avoids "
+                log.warning("Warning: GDAL does not use this RPC for %s. A file beside it has "
+                            "priority, or this file is not named %s. --to rpc-vrt avoids "
                             "both.", image,
                             Path(image).with_name(stem + self.suffix))
 
@@ -115,7 +115,7 @@ class Rpb(RpcWriter):
     """RPC as the file IMAGE.RPB next to an image, which GDAL prefers to all others."""
 
     name = "rpb"
-    summary = "RPC as IMAGE.RPB, which GDAL and QGIS use for IMAGE.tif next to it"
+    summary = "RPC as IMAGE.RPB, which GDAL and QGIS use for IMAGE.tif beside it"
     suffix = ".RPB"
     declared_options: ClassVar[tuple[Option, ...]] = (_SIDECAR, _HEIGHTS)
 
@@ -128,7 +128,7 @@ class RpcTxt(RpcWriter):
     """RPC as the file IMAGE_RPC.TXT next to an image, which GDAL uses if there is no RPB."""
 
     name = "rpc-txt"
-    summary = "RPC as IMAGE_RPC.TXT, which GDAL, QGIS and OTB use for IMAGE.tif next to it"
+    summary = "RPC as IMAGE_RPC.TXT, which GDAL, QGIS and OTB use for IMAGE.tif beside it"
     suffix = "_RPC.TXT"
     declared_options: ClassVar[tuple[Option, ...]] = (_SIDECAR, _HEIGHTS)
 
@@ -141,7 +141,7 @@ class RpcVrt(RpcWriter):
     """RPC in a virtual raster of an image, whatever vendor files are next to it."""
 
     name = "rpc-vrt"
-    summary = "RPC in a VRT of the image, whatever vendor files are next to it"
+    summary = "RPC in a VRT of the image, whatever vendor files are beside it"
     needs = RpcWriter.needs + "; --image for a VRT that has pixels"
     suffix = "_rpc.vrt"
     declared_options: ClassVar[tuple[Option, ...]] = (IMAGE, _HEIGHTS)

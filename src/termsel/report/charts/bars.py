@@ -35,7 +35,8 @@ FLATTENED = 12.0
 
 
 def worst_bars(view: View) -> Any:
-    """Return the largest residuals as bars, the largest first; those beyond the axis are broken."""
+    """Return the largest residuals as bars, the largest first; those beyond the axis are "
+      "broken."""
     alt = require_altair()
     end = axis_end(view)
     rows = [{**row, "end": min(row["distance"], end), "broken": row["distance"] > end,
@@ -80,7 +81,7 @@ def axis_end(view: View) -> float:
 
 def broken(view: View) -> str:
     """Return what must be said of bars that are broken; "" where none is."""
-    return "Bars with a break are longer than the axis; their length is next to them." \
+    return "Bars with a break are longer than the axis; their length is written beside them." \
         if np.isfinite(axis_end(view)) else ""
 
 
