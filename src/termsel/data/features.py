@@ -346,8 +346,7 @@ class FeatureSet(Glance):
             dict.fromkeys(select(self.lines.ids, lines)))
 
     def ground_vertices(self) -> FloatArray:
-        """Return ground points and line vertices together, shape (n_points + 2 n, 3) of n "
-          "lines."""
+        """Return ground points and line vertices together, shape (n_points + 2 n, 3) of n lines."""
         return np.concatenate([self.points.ground, self.lines.ground.reshape(-1, 3)])
 
     def image_vertices(self) -> FloatArray:

@@ -151,8 +151,7 @@ def _residuals(design: FloatArray, image: FloatArray) -> tuple[FloatArray, Float
 
 
 def _split(residuals: FloatArray) -> BoolArray:
-    """Return which residuals are beyond the largest gap near the middle of their main "
-      "direction."""
+    """Return which residuals are beyond the largest gap near the middle of their main direction."""
     projected = residuals @ np.linalg.svd(residuals, full_matrices=False)[2][0]
     # Only gaps that leave enough points on either side count.
     order = np.sort(projected)

@@ -24,8 +24,7 @@ IMAGE = Option("image", None, "The image; if not given, the VRT has a size but n
 
 
 def picture_for(result: Result, image: Path | str | None) -> Picture:
-    """Return what a VRT must know of the image of a result, by default of a size that holds "
-      "all."""
+    """Return what a VRT must know of the image of a result, by default of a size that holds all."""
     known = result.features.image_size
     if image is None:
         require_inside(result.features, known, None)

@@ -305,8 +305,7 @@ def _window_of(raster: Any, made: MapPixels, places: FloatArray) -> Any:
 
 
 def _read(raster: Any, made: MapPixels, window: Any) -> tuple[Values, Mask]:
-    """Return pixels (bands, lines, samples) of a window, alpha last, and which of them are "
-      "data."""
+    """Return pixels (bands, lines, samples) of a window, alpha last, and which of them are data."""
     bands = list(range(1, len(made.empty) + made.alpha + 1))
     values = np.ascontiguousarray(raster.read(bands, window=window).astype(made.dtype, copy=False))
     known = np.ones(values.shape, dtype=bool)

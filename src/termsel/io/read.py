@@ -173,8 +173,7 @@ def parts_of(path: Path, format: str | None = None, **options: Any) -> dict[str,
 
 def features_of(given: Any, crs: str | None = None,
                 columns: str | Mapping[str, Any] | None = None) -> FeatureSet:
-    """Return features, points or lines or both, from a FeatureSet, a file or a table, as "
-      "`read`."""
+    """Return features, points or lines or both, from a FeatureSet, a file or a table, as `read`."""
     if isinstance(given, FeatureSet):
         if crs is not None or columns is not None:
             raise TermselError(f"the features have the CRS {given.crs} already",

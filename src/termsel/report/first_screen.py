@@ -1,5 +1,4 @@
-"""The first screen of a run: what was read, the model, its accuracy, outliers, and a "
-  "comparison."""
+"""The first screen of a run: what was read, the model, its accuracy, outliers, and a comparison."""
 
 from __future__ import annotations
 
@@ -53,8 +52,7 @@ def first_screen(record: Record) -> list[Fact]:
 
 
 def _facts(record: Record, brief: int) -> list[Fact]:
-    """Return all facts but cautions: briefly (1) without second lines, or (2) counting "
-      "outliers."""
+    """Return all facts but cautions: briefly (1) without second lines, or (2) counting outliers."""
     compared = list(_compared(record))
     search = list(_search(record))
     if brief:

@@ -273,8 +273,7 @@ class RunOptions:
 
     def command(self, problem: str, solver: str, criterion: str,
                 settings: Mapping[str, str]) -> str:
-        """Return a command that runs another method on the same data, all of ``--set`` "
-          "included."""
+        """Return a command that runs another method on the same data, all of ``--set`` included."""
         from termsel.core.files.drivers import remote_allowed
 
         words = ["termsel", "run", "--problem", problem]

@@ -328,8 +328,7 @@ class _Chain:
         return 1
 
     def _require_members_near(self, name: str, archive: Path, member: str, depth: int) -> None:
-        """Require what GDAL would open next to a file in an archive, as next to one on the "
-          "disk."""
+        """Require what GDAL would open next to a file in an archive, as next to one on the disk."""
         members = _members(name, archive)
         if members is None:  # a single file, next to which are those of the disk
             self._require_neighbours(archive, depth)

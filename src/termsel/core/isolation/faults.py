@@ -28,8 +28,7 @@ class PluginFault(TermselError):
 
 
 def remember(package: str, distribution: str) -> None:
-    """Remember the distribution, such as "termsel-demo 1.0", that a top-level module comes "
-                                                           "with."""
+    """Remember the distribution, such as "termsel-demo 1.0", that a top-level module comes with."""
     _packages[package] = distribution
 
 

@@ -220,8 +220,7 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, own: Mapping[str
 
 
 def _further(header: Sequence[str], used: Collection[int]) -> dict[str, int]:
-    """Return the places of the columns that are attributes, by name; of several alike the "
-      "first."""
+    """Return the places of the columns that are attributes, by name; of several alike the first."""
     columns: dict[str, int] = {}
     for i, cell in enumerate(header):
         name = unguarded(cell.strip())

@@ -101,8 +101,7 @@ def _layer(path: Path, layer: str | None, columns: list[str] | None,
 
 @contextmanager
 def _only_allowed(path: Path) -> Iterator[Path]:
-    """Yield a name in a private folder by which the drivers that are allowed read a vector "
-      "file."""
+    """Yield a name in a private folder by which the drivers that are allowed read a vector file."""
     from pyogrio.errors import DataLayerError, DataSourceError
 
     _turn_off_drivers()

@@ -35,8 +35,7 @@ FLATTENED = 12.0
 
 
 def worst_bars(view: View) -> Any:
-    """Return the largest residuals as bars, the largest first; those beyond the axis are "
-      "broken."""
+    """Return the largest residuals as bars, the largest first; those beyond the axis are broken."""
     alt = require_altair()
     end = axis_end(view)
     rows = [{**row, "end": min(row["distance"], end), "broken": row["distance"] > end,
