@@ -345,10 +345,11 @@ def figure(front: Front, study: termsel.Study) -> Any:
     x = alt.X("terms:Q", title="terms, both axes", scale=alt.Scale(zero=False))
     y = alt.Y("rmse:Q", title="RMSE [px]", scale=alt.Scale(
         type="log", domain=[0.65, 3.5], nice=False), axis=alt.Axis(values=[0.7, 0.8, 1, 1.5, 2, 3]))
-    colour = alt.Color("what:N", sort=names, legend=alt.Legend(title=None, orient="top", columns=2),
+    colour = alt.Color("what:N", sort=names, legend=alt.Legend(
+        title=None, orient="top", columns=2, columnPadding=60),
                        scale=alt.Scale(domain=names, range=[CONTROL, BLUNDER, UNUSED, INDEPENDENT]))
     shape = alt.Shape("what:N", sort=names, legend=None, scale=alt.Scale(
-        domain=names, range=["circle", "triangle-up", "circle", "triangle-up"]))
+        domain=names, range=["circle", "circle", "circle", "triangle-up"]))
     lines = alt.Chart(chart_rows(rows)).mark_line(point={"size": 30}).encode(x, y, colour)
     dots = alt.Chart(chart_rows(runs)).mark_point(size=22, opacity=0.7).encode(x, y, colour, shape)
     rule = alt.Chart(chart_rows([{"rmse": plain}])).mark_rule(

@@ -34,4 +34,4 @@ def told_of(fault: pytest.ExceptionInfo[TermselError], message: str, thing: str 
     if isinstance(fault.value, PluginFault):
         assert thing in fault.value.what
         assert "of the module tests" in fault.value.what
-        assert "tell its author" in str(fault.value.hint)
+        assert "report it to its author" in str(fault.value.hint)

@@ -104,10 +104,10 @@ def test_grids_say_what_they_lack(folder: Path, tmp_path: Path,
     code, _, err = _termsel(*export, "--dem", dem(10.0))
     assert code == 2
     # Nothing is said of how good a grid is that does not exist.
-    assert err.startswith(f"Error: {tmp_path / 'dem.tif'}: fewer than three places")
+    assert err.startswith(f"Error: {tmp_path / 'dem.tif'}: fewer than three nodes")
     assert not target.exists()
     assert _termsel(*export, "--dem", dem(59.59))[0] == 0
-    assert "places of the grid have no ground" in caplog.text
+    assert "nodes of the grid have no ground" in caplog.text
     assert "Warning: GDAL interpolates" not in caplog.text
     assert _termsel("export", folder, "--to", "gcp-grid-vrt", "-o", tmp_path / "g.vrt", "--set",
                     "across=1", "--set", "height=1100")[0] == 0

@@ -199,12 +199,20 @@ def test_describe_says_what_a_writer_needs(call, built_in):
     assert "control points" in built_in.get("writers", "points-csv").needs
 
 
-def test_describe_shows_the_options_of_the_data_with_every_problem(call, built_in):
+def test_options_of_the_data_are_described_once(call, built_in):
+    shown = call("describe", "data").stdout
+    for option in DATA_OPTIONS:
+        assert f"\n{option.name} " in shown
+        assert option.doc in shown
     for entry in built_in.entries("problems"):
-        done = call("describe", entry.name)
-        for option in DATA_OPTIONS:
-            assert f"\n{option.name} " in done.stdout
-            assert option.doc in done.stdout
+        assert "termsel describe data" in call("describe", entry.name).stdout
+
+
+def test_describe_leads_with_purpose_main_options_and_an_example(call):
+    lines = call("describe", "rfm-terms").stdout.splitlines()
+    assert lines[2] == "Which terms of a rational function model to use."
+    assert lines[4].startswith("Main options: mask, mixed, force_on, and ")
+    assert lines[5] == "Example:      termsel run --problem rfm-terms --points FILE --out result"
 
 
 def test_names_that_two_kinds_share_are_listed_once(call, built_in):
@@ -310,7 +318,7 @@ def test_a_fault_of_a_plugin_is_one_paragraph_and_exit_code_2(plugin_folder):
     assert (done.returncode, done.stdout) == (2, "")
     assert re.search(r", line \d+: the command 'greet' of greeter-package 2.5 failed: "
                      r"ZeroDivisionError: no luck\. ", done.stderr)
-    assert "tell its author" in done.stderr
+    assert "report it to its author" in done.stderr
     assert "Traceback" not in done.stderr
     shown = shell("greet", "fault", folder=plugin_folder, TERMSEL_DEBUG="1")
     assert shown.returncode == 2

@@ -173,7 +173,7 @@ def test_nearly_the_name_of_a_measurement_is_warned_of(
     termsel.read(path, crs="local")
     warnings = [one.getMessage() for one in caplog.records if one.levelname == "WARNING"]
     assert warnings == ([] if near is None else [
-        f"Warning: column {name!r} of {path} takes no part in the fit. Is {near} meant?"])
+        f"Warning: column {name!r} of {path} is not used. Did you mean {near}?"])
 
 
 def test_properties_of_geojson_points(tmp_path: Path) -> None:

@@ -189,7 +189,7 @@ def _marks(picture: str) -> dict[str, tuple[str, tuple[float, float]]]:
 
 def _toctree(page: Path) -> list[Path]:
     """Return the pages that the toctrees of a page list."""
-    found = re.findall(r"^```{toctree}\n(?::\w+:.*\n)*\n(.*?)^```$",
+    found = re.findall(r"^```{toctree}\n(?::\w+:[^\n]*\n)*\n(.*?)^```$",
                        page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
     return [(page.parent / f"{name}.md").resolve() for tree in found for name in tree.split()]
 

@@ -41,7 +41,7 @@ def test_every_guess_is_called_a_guess(order: str, kind: str, tmp_path: Path) ->
     rows = zip(*(known[name].tolist() for name in names), strict=True)
     path = tmp_path / "table.txt"
     path.write_text("\n".join(" ".join(f"{value:.10g}" for value in row) for row in rows))
-    with pytest.raises(TermselError, match="This is a guess") as caught:
+    with pytest.raises(TermselError, match="This mapping is a guess") as caught:
         termsel.read(path, crs="EPSG:32619" if kind == "metres" else "EPSG:4326")
     error = caught.value
     assert error.guesses

@@ -66,7 +66,7 @@ def test_lines_that_are_all_negative_are_upwards_in_an_image_that_holds_them(
     done = CliRunner().invoke(cli, ["run", "--points", str(path), "--image",
                                      str(image(tmp_path)), "--out", str(tmp_path / "out")])
     assert done.exit_code == 0, done.output
-    assert "they are read as y upwards from the upper-left pixel" in done.output
+    assert "lines are read as y upwards from the upper-left pixel" in done.output
     assert "image coordinates from the centre of the upper-left pixel, y upwards" in " ".join(
         done.output.split())
     result = termsel.read_result(tmp_path / "out")
@@ -103,7 +103,7 @@ def test_points_of_qgis_keep_their_own_rule(tmp_path: Path) -> None:
     path.write_text("#CRS: EPSG:32632\nmapX,mapY,sourceX,sourceY,enable\n" + "\n".join(
         f"{600_000 + x},{5_400_000 - y},{x},{-y},1" for x, y in ((10, 20), (90, 30), (50, 80))))
     np.testing.assert_allclose(termsel.read(path).points.image[0], [19.5, 9.5])
-    with pytest.raises(termsel.TermselError, match="says where its lines and samples are counted"):
+    with pytest.raises(termsel.TermselError, match="defines the origin of its lines and samples"):
         termsel.read(path, image_origin="corner")
 
 

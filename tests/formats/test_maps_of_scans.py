@@ -253,7 +253,7 @@ def test_bands_with_different_values_for_no_data_have_a_mask(
     assert empty[inside].any()
     assert (shown == (inside & ~empty)).all()
     assert (pixels[:, shown] == values[:, shown]).all()
-    assert "have different values for no data" in caplog.text
+    assert "have different nodata values" in caplog.text
 
 
 def test_an_alpha_band_that_comes_first_counts_and_a_further_one_is_kept(tmp_path: Path) -> None:

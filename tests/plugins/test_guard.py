@@ -95,7 +95,7 @@ def test_a_fault_names_the_thing_the_file_and_the_line() -> None:
     assert fault.what == ("solver 'once' of the module tests failed in generations(): "
                           "ZeroDivisionError: division by zero")
     assert (Path(str(fault.file)).name, fault.line) == ("test_guard.py", _line("# the line at"))
-    assert "tell its author" in str(fault.hint)
+    assert "report it to its author" in str(fault.hint)
 
 
 def test_what_is_wrong_with_a_value_comes_with_what_was_expected() -> None:

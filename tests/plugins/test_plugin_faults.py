@@ -287,7 +287,7 @@ def test_faulty_rpc(scene: FeatureSet) -> None:
 
 
 def test_a_selection_of_names_that_there_are_not(task: Task) -> None:
-    with pytest.raises(TermselError, match=r"unknown term 'nobody'.*tell its author"):
+    with pytest.raises(TermselError, match=r"unknown term 'nobody'.*report it to its author"):
         fit_of(task, Selection(("nobody",), task.observations.control.ids))
 
 

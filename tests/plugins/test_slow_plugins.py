@@ -47,4 +47,4 @@ def test_what_took_too_long_once_is_not_asked_again(install, registry, monkeypat
     names = registry()
     names.names("models")
     assert names.names("solvers") == Registry([]).names("solvers")
-    assert "not asked, as it took too long" in names.failures("solvers")[0].what
+    assert "not called, as it took too long" in names.failures("solvers")[0].what

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -23,8 +24,8 @@ if TYPE_CHECKING:
 def describe(name: str) -> None:
     """Describe a problem, model, solver or other named thing.
 
-    Options are shown with their defaults and accepted values; set them with
-    `termsel run --set KEY=VALUE`.
+    The purpose comes first, then an example with the main options, then the details. Set options
+    with `termsel run --set KEY=VALUE`. `termsel describe data` lists the options of the data.
 
     \b
     Examples:
@@ -32,6 +33,9 @@ def describe(name: str) -> None:
       termsel describe rfm
       termsel describe ga
     """
+    if name == DATA:
+        _describe_data()
+        return
     from termsel.plugins.kinds import KINDS
     from termsel.plugins.registry import registry
 
@@ -44,14 +48,51 @@ def describe(name: str) -> None:
         if i:
             echo()
         echo(f"{entry.name}: {KINDS[kind].word} of {entry.provided_by}")
+        _lead(kind, entry)
         _DESCRIBE.get(kind, _describe_format)(entry)
 
 
-def _describe_problem(entry: Entry) -> None:
+DATA = "data"
+"""Name under which the options of the data are described: every problem has them."""
+
+KEY_OPTIONS = 3
+"""Options that are named together with the purpose of a thing."""
+
+_EXAMPLES = {
+    "problems": "termsel run --problem {name} --points FILE{lines} --out result",
+    "models": "termsel run --points FILE --model {name} --solver all-terms --out result",
+    "solvers": "termsel run --problem rfm-terms --points FILE --solver {name} --out result",
+    "criteria": "termsel run --problem rfm-terms --points FILE --criterion {name} --out result",
+    "datasets": "termsel run --dataset {name} --out result",
+    "readers": "termsel run --points FILE --format {name} --out result",
+    "writers": "termsel export result --to {name} --output FILE",
+    "matchers": "termsel match-points IMAGE --reference MAP --matcher {name}"}
+"""A command for a thing of each kind; others say themselves how they are used."""
+
+
+def _lead(kind: str, entry: Entry) -> None:
+    """Print the purpose of a thing, its main options and an example."""
+    thing = entry.object
+    echo(f"\n{entry.summary}\n")
+    options = tuple(getattr(thing, "options" if kind == "problems" else "declared_options", ()))
+    if options:
+        names = ", ".join(option.name for option in options[:KEY_OPTIONS])
+        further = f", and {len(options) - KEY_OPTIONS} more" * (len(options) > KEY_OPTIONS)
+        echo(f"Main options: {names}{further}")
+    if kind in _EXAMPLES:
+        lines = " --lines FILE" if getattr(thing, "control", "points") != "points" else ""
+        echo(f"Example:      {_EXAMPLES[kind].format(name=entry.name, lines=lines)}")
+
+
+def _describe_data() -> None:
     from termsel.runs.request import DATA_OPTIONS
 
+    echo("Options of the data, for every problem:")
+    _option_table(DATA_OPTIONS)
+
+
+def _describe_problem(entry: Entry) -> None:
     recipe = entry.object
-    echo(f"\n{recipe.summary}")
     rules = {"{} generations": recipe.generations,
              "{} generations without a gain": recipe.patience}
     _pairs({
@@ -64,9 +105,8 @@ def _describe_problem(entry: Entry) -> None:
                       "the budget of every search",
         "control": recipe.control, "source": recipe.source})
     _options(recipe.options)
-    echo("\nOptions of the data, for every problem:")
-    _option_table(DATA_OPTIONS)
-    echo("\nModel, solver and criterion have their own options: termsel describe NAME.")
+    echo("\nOptions of the data: termsel describe data. Model, solver and criterion have their own "
+         "options, too: termsel describe NAME.")
 
 
 def _settings(options: Mapping[str, Any]) -> str:
@@ -118,7 +158,8 @@ def _describe_function(entry: Entry) -> None:
     (made_by, use) = _FUNCTIONS[type(entry.object).__name__]
     # The docstring's first line says what the function returns; the summary says what that is.
     more = (inspect.getdoc(getattr(one, made_by)) or "").partition("\n")[2].strip("\n")
-    echo(f"\n{entry.summary}" + f"\n\n{more}" * bool(more))
+    if more:
+        echo(f"\n{more}")
     echo(f"\n{use.format(entry.name)}")
 
 
@@ -131,12 +172,11 @@ _FUNCTIONS = {
 
 def _describe_method(entry: Entry) -> None:
     one = entry.object
-    echo(f"\n{entry.summary}")
     _pairs({"chosen": "never: it is shown for comparison" if one.only_shown else
             "by the smallest leave-one-out RMSE, if points are few" if one.for_few else
-            "where it is better by one standard error, or instead of what it contains"
+            "if it is better by one standard error, or instead of the methods that it contains"
             if one.has_prior else
-            f"where it is better by {'two' if one.central else 'three'} standard errors and has "
+            f"if it is better by {'two' if one.central else 'three'} standard errors and has "
             "the smaller RMSE",
             "contains": ", ".join(one.contains), "needs": ", ".join(one.needs),
             "tried for": f"up to {one.most:g} features" if one.most < float("inf") else ""})
@@ -144,12 +184,10 @@ def _describe_method(entry: Entry) -> None:
 
 
 def _describe_dataset(entry: Entry) -> None:
-    echo(f"\n{entry.summary}")
     _pairs({"measurements": "simulated" if entry.object.simulated else "real"})
 
 
 def _describe_format(entry: Entry) -> None:
-    echo(f"\n{entry.summary}")
     _document(entry)
     if needs := getattr(entry.object, "needs", ""):
         _pairs({"needs": needs})
@@ -166,8 +204,13 @@ _DESCRIBE: dict[str, Callable[[Entry], None]] = {
 def _document(entry: Entry) -> None:
     thing = entry.object
     text = (thing if isinstance(thing, type) else type(thing)).__doc__
-    if text:
-        echo(f"\n{inspect.cleandoc(text)}")
+    paragraphs = inspect.cleandoc(text or "").partition("\n\n")[2].strip()
+    if paragraphs:  # the first one is the summary
+        echo("\n" + _HEADING.sub(r"\1:", paragraphs))
+
+
+_HEADING = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
+"""A heading of a docstring, as numpydoc underlines it."""
 
 
 def _pairs(values: dict[str, Any]) -> None:

@@ -67,15 +67,21 @@ def document(record: Record, view: View | None = None, picture: str = "",
     title = record.data.source if record.strategy else f"{record.data.source}: {record.problem}"
     return Document(
         title, _made_by(record),
-        (*first_screen(record), *_fitted_in(record)),
+        (*first_screen(record), *_fitted_in(record), *_first_picture(view, picture)),
         (*(Section(title, blocks) for title, answer in (
             ("How accurate is it?", _accuracy(record)),
             ("Is it better than conventional models?", _compared(record, view)),
-            ("Which points or lines are outliers?", _bad(record, view, picture)),
+            ("Which points or lines are outliers?", _bad(record, view)),
             ("In which areas is the model uncertain?", _weak(view)),
             ("Which terms and features were selected, and why?", selected(record, view, picture)),
             ("How can it be repeated?", _repeated(record, view))) if (blocks := tuple(answer))),
          *further))
+
+
+def _first_picture(view: View | None, picture: str) -> Iterator[Block]:
+    """Yield the residuals over the image, which a page shows before its first heading."""
+    if view is not None:
+        yield from figure(view, "residuals", maps.image_map(view, picture))
 
 
 def _fitted_in(record: Record) -> Iterator[Block]:
@@ -283,13 +289,12 @@ def _figure(rmse: RoleRmse) -> str:
     return f"{total:.3f}" if 0.01 <= total < 1e5 else f"{total:.2e}"
 
 
-def _bad(record: Record, view: View | None, picture: str) -> Iterator[Block]:
+def _bad(record: Record, view: View | None) -> Iterator[Block]:
     yield from map(Detail, verdict_table(record)) if are_all_named(record) \
         else verdict_table(record)
     if view is None:
         return
     yield from figure(view, "worst", bars.worst_bars(view))
-    yield from figure(view, "residuals", maps.image_map(view, picture))
     on_ground: dict[str, float] = {}
     for row in view.on_ground:
         if row["metres"] is not None:

@@ -87,7 +87,8 @@ KINDS = {kind.name: kind for kind in (
         "This result should lie left of the conventional models at independent check points. If "
         "intervals overlap, the difference may be noise.", bars.baseline_bars,
         lambda view: "" if bars.fit_rows(view) else
-        "it has neither selection points nor independent check points"),
+        "it has neither selection points nor independent check points",
+        more=bars.unlike_others),
     ChartKind(
         "candidates", "Models that the automatic choice compared",
         "Prefer the simpler of two models that are equally good.",
@@ -104,7 +105,7 @@ KINDS = {kind.name: kind for kind in (
         "The best value should be level at the end. If it still falls, give the search more "
         "evaluations.", search.convergence,
         lambda view: "" if len(view.record.history) > 1 else
-        "it has no history of a search"),
+        "it has no history of a search", more=search.refined),
     ChartKind(
         "empires", "Empires of the search",
         "The imperialist competitive algorithm ends when one band remains. Many bands at the end "

@@ -24,12 +24,14 @@ DARK = {INK: "#e4e8ee", FAINT: "#a9b1bc", EDGE: "#505864", GRID: "#2a3038", GROU
 """What colours are on a dark page; the others are seen on both."""
 
 ROLE_COLOURS = {"control": CONTROL, "check": CHECK, "independent": INDEPENDENT,
-                "left out": UNUSED}
+                "rejected": BLUNDER, "left out": UNUSED}
 ROLE_SHAPES = {"control": "circle", "check": "square", "independent": "triangle-up",
-               "left out": "cross"}
+               "rejected": "cross", "left out": "cross"}
 
 ROLE_LABELS = ("datum.label == 'check' ? 'selection' : "
-               "datum.label == 'independent' ? 'independent check' : datum.label")
+               "datum.label == 'independent' ? 'independent check' : "
+               "datum.label == 'rejected' ? 'rejected outlier' : "
+               "datum.label == 'left out' ? 'not used' : datum.label")
 """What a legend calls the roles of files and options, as an expression of Vega."""
 
 WIDTH = 560
@@ -62,7 +64,7 @@ def styled(chart: Any, title: str = "", look: str = "") -> Any:
     ).configure_axis(
         labelColor=INK, titleColor=FAINT, titleFontWeight="normal", titleFontSize=11.5,
         labelFontSize=11, domainColor=EDGE, tickColor=EDGE, gridColor=GRID, labelLimit=150,
-        labelSeparation=5,
+        labelSeparation=5, titlePadding=9,
     ).configure_legend(
         orient="top", direction="horizontal", title=None, labelFontSize=11.5, labelColor=INK,
         titleColor=INK, titleFontSize=11.5, titleFontWeight="normal", symbolSize=70,

@@ -99,7 +99,8 @@ class Shown:
         lines = self.features.lines
         chosen = set(self.record.selection.features)
         blunders = {outlier.id for outlier in self.record.outliers}
-        return [{"id": name, "role": "control" if name in chosen else "left out",
+        return [{"id": name, "role": "control" if name in chosen else
+                 "rejected" if name in blunders else "left out",
                  "blunder": name in blunders, "line": _short(l1), "sample": _short(s1),
                  "line2": _short(l2), "sample2": _short(s2)}
                 for name, ((l1, s1), (l2, s2)) in zip(lines.ids, lines.image.tolist(),
@@ -246,7 +247,8 @@ class Shown:
     def _named(self, r: Residual) -> Row:
         left_out = r.role in ("control", "off") and not r.used
         return {"id": r.id, "kind": "point" if r.kind == "point" else "line",
-                "role": "left out" if left_out else r.role, "blunder": r.blunder,
+                "role": ("rejected" if r.blunder else "left out") if left_out else r.role,
+                "blunder": r.blunder,
                 "distance": _short(r.distance, 4)}
 
 

@@ -77,8 +77,12 @@ def running_times(groups: Groups, column: int) -> Figure:
                  for budget, share in zip(budgets, shares, strict=True)]
         last = max([last, *budgets])
     # All curves go on to the same end, so that they can be compared there.
+    first = min((row["budget"] for row in rows), default=1.0)
     ends = {row["method"]: row["share"] for row in rows}
     rows += [{"method": method, "budget": last, "share": share} for method, share in ends.items()]
+    # One that reaches no target is drawn at zero.
+    rows += [{"method": method, "budget": budget, "share": 0.0} for method in groups.methods
+             if method not in ends for budget in (first, last)]
     unit = "CPU seconds" if column else "evaluations, with local refinement"
     drawn = _shares(rows, groups.methods, "budget:Q", unit, "share of runs and targets reached")
     return Figure(
@@ -92,7 +96,7 @@ def _shares(rows: list[dict[str, Any]], methods: tuple[str, ...], x: str, of_x: 
             of_shares: str) -> Any:
     """Return a chart of the shares that methods reach, as steps over a logarithmic axis."""
     alt = require_altair()
-    return alt.Chart(chart_rows(rows)).mark_line(interpolate="step-after", strokeWidth=2).encode(
+    return alt.Chart(chart_rows(rows)).mark_line(interpolate="step-after").encode(
         x=alt.X(x, title=f"{of_x}, logarithmic", scale=alt.Scale(type="log", nice=False)),
         y=alt.Y("share:Q", title=of_shares, scale=alt.Scale(domain=[0, 1]),
                 axis=alt.Axis(format="%")),
@@ -125,8 +129,8 @@ def convergence(groups: Groups) -> Figure:
     band = base.mark_area(opacity=0.18, interpolate="step-after").encode(
         y=alt.Y("low:Q", title=f"best {' or '.join(map(with_unit, groups.objectives))}{kind}",
                 scale=scale), y2="high:Q")
-    line = base.mark_line(strokeWidth=2, interpolate="step-after").encode(
-        y="median:Q", strokeDash=by_method["strokeDash"])
+    line = base.mark_line(interpolate="step-after").encode(
+        y="median:Q", strokeDash=by_method["strokeDash"], strokeWidth=by_method["strokeWidth"])
     drawn = alt.layer(band, line).properties(width=WIDTH / 2, height=0.3 * WIDTH).facet(
         facet=alt.Facet("instance:N", title=None), columns=2).resolve_scale(
             x="independent", y="independent")
@@ -192,13 +196,20 @@ def alike(ranks: list[float], difference: float) -> list[tuple[float, float]]:
 
 
 def _by_method(methods: tuple[str, ...]) -> dict[str, Any]:
-    """Return colours and dashes of methods: with both, three times as many can be told apart."""
+    """Return colours, dashes and widths of methods.
+
+    Colours and dashes together distinguish three times as many. The first lines are the widest,
+    so that one shows below another that follows the same values.
+    """
     alt = require_altair()
     number = len(METHODS)
     columns = alt.ExprRef("(containerSize()[0] || 560) < 480 ? 2 : 4")
     # One for both.
     legend = alt.Legend(columns=columns, symbolType="stroke", symbolOpacity=1)
+    widths = np.linspace(5.0, 1.6, len(methods)) if len(methods) > 1 else [2.0]
     return {
+        "strokeWidth": alt.StrokeWidth("method:N", legend=None, scale=alt.Scale(
+            domain=list(methods), range=[round(float(width), 2) for width in widths])),
         "color": alt.Color("method:N", legend=legend, scale=alt.Scale(
             domain=list(methods), range=[METHODS[i % number] for i in range(len(methods))])),
         "strokeDash": alt.StrokeDash("method:N", legend=legend, scale=alt.Scale(

@@ -30,6 +30,8 @@ WORST = 25
 """Features that the chart of the worst residuals shows."""
 ROW = 18
 """Height of a row [px of the screen]."""
+FAILED = 30.0
+"""Times the median RMSE of all fits, beyond which one is left out of their chart."""
 FLATTENED = 12.0
 """Times the median bar; a longer one would flatten the others, and is broken."""
 
@@ -44,7 +46,7 @@ def worst_bars(view: View) -> Any:
             for row in view.worst[:WORST]]
     picked = alt.selection_point(name="picked", fields=["id"], empty=False)
     base = alt.Chart(chart_rows(rows)).encode(
-        y=alt.Y("id:N", sort=[row["id"] for row in rows], title="feature", axis=alt.Axis(
+        y=alt.Y("id:N", sort=[row["id"] for row in rows], title=None, axis=alt.Axis(
             labelLimit=120, ticks=False, domain=False)))
     roles = {row["role"] for row in rows}
     x = alt.X("end:Q", title="residual [px]", scale=alt.Scale(
@@ -87,14 +89,14 @@ def broken(view: View) -> str:
 def baseline_bars(view: View) -> Any:
     """Return the RMSE of this result and of all fits without a search, with intervals."""
     alt = require_altair()
-    rows = fit_rows(view)
+    rows, _ = shown_fits(view)
     roles = {row["role"]: ROLE_COLOURS[row["role"]] for row in rows}
-    order = [THIS, *dict.fromkeys(row["fit"] for row in rows if row["fit"] != THIS)]
+    order = [THIS, *sorted({row["fit"] for row in rows} - {THIS}, key=_rmse_of(rows).__getitem__)]
     scale, kind = spread_scale([row["rmse"] for row in rows], zero=True)
     x = alt.X("rmse:Q", title=f"RMSE [px], with 90 % interval{kind}", scale=scale)
     colours = alt.Scale(domain=list(roles), range=list(roles.values()))
     base = alt.Chart(chart_rows(rows)).encode(
-        y=alt.Y("fit:N", sort=order, title="fit", axis=alt.Axis(
+        y=alt.Y("fit:N", sort=order, title=None, axis=alt.Axis(
             ticks=False, domain=False, grid=True, labelLimit=160, labelFontWeight=alt.condition(
                 f"datum.value == '{THIS}'", alt.value("bold"), alt.value("normal")))),
         yOffset=alt.YOffset("role:N", sort=list(roles)),
@@ -117,6 +119,36 @@ def baseline_bars(view: View) -> Any:
     ).properties(width=WIDTH, height=1.55 * ROW * len(order))
 
 
+def shown_fits(view: View) -> tuple[list[Row], dict[str, float]]:
+    """Return the rows of the chart of all fits, and the RMSE [px] of fits that it leaves out.
+
+    One fit that failed would stretch the axis over many powers of ten.
+    """
+    rows = fit_rows(view)
+    errors = _rmse_of(rows)
+    longest = FAILED * float(np.median(list(errors.values())))
+    failed = {fit: error for fit, error in errors.items() if error > longest and fit != THIS}
+    return [row for row in rows if row["fit"] not in failed], failed
+
+
+def _rmse_of(rows: list[Row]) -> dict[str, float]:
+    """Return the RMSE [px] of each fit: at independent check points if it has one there."""
+    of_check = {row["fit"]: row["rmse"] for row in rows if row["role"] == "check"}
+    return of_check | {row["fit"]: row["rmse"] for row in rows if row["role"] == "independent"}
+
+
+def unlike_others(view: View) -> str:
+    """Return what hollow symbols of the chart of all fits mean, and which fits it leaves out."""
+    rows, failed = shown_fits(view)
+    sentences = []
+    if any(row["note"] == "fitted" for row in rows):
+        sentences.append("Hollow symbols: the fit used these selection points.")
+    if failed:
+        named = ", ".join(f"{fit} ({error:,.3g} px)" for fit, error in failed.items())
+        sentences.append(f"Not shown, as the axis would be too long: {named}.")
+    return " ".join(sentences)
+
+
 def candidate_bars(view: View) -> Any:
     """Return the candidates of the strategy "auto" with the RMSE that leave-one-out predicts."""
     alt = require_altair()
@@ -132,7 +164,7 @@ def candidate_bars(view: View) -> Any:
     colour = alt.Color("state:N", scale=alt.Scale(domain=["chosen", "other model"],
                                                   range=[CONTROL, UNUSED]))
     base = alt.Chart(chart_rows(rows)).encode(
-        y=alt.Y("fit:N", sort=order, title="model", axis=alt.Axis(
+        y=alt.Y("fit:N", sort=order, title=None, axis=alt.Axis(
             ticks=False, domain=False, grid=True, labelLimit=160)),
         x=alt.X("rmse:Q", title=f"leave-one-out RMSE [px]{kind}", scale=scale))
     return alt.layer(

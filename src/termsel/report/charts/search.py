@@ -117,6 +117,14 @@ def convergence(view: View) -> Any:
         width=WIDTH, height=0.45 * WIDTH)
 
 
+def refined(view: View) -> str:
+    """Return how many evaluations follow the search in its local refinement; "" if none do."""
+    searched = view.record.history[-1].evaluations
+    rest = view.record.evaluations - searched
+    return (f"The search ended after {searched:,} evaluations; the local refinement used "
+            f"{rest:,} more, which are not drawn.") if rest > 0 else ""
+
+
 def empires(view: View) -> Any:
     """Return how many countries each empire of the ICA has, as bands of the population."""
     alt = require_altair()

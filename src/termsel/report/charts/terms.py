@@ -30,7 +30,7 @@ def term_bars(view: View) -> Any:
     order = [row["term"] for row in rows]
     states = [{**row, "state": kinds[row["p"] > SIGNIFICANT]} for row in rows]
     base = alt.Chart(chart_rows(states)).encode(
-        y=alt.Y("term:N", sort=order, title="term",
+        y=alt.Y("term:N", sort=order, title=None,
                 axis=alt.Axis(ticks=False, domain=False, grid=True, labelLimit=170)))
     front = [alt.Tooltip("share:Q", title="share of the front", format=".0%")] \
         * bool(view.record.front)
@@ -69,7 +69,7 @@ def frequency_bars(view: View) -> Any:
     rows = frequency_rows(view)
     kinds = ["in this result", "not in this result"]
     base = alt.Chart(chart_rows([{**row, "state": kinds[not row["used"]]} for row in rows])).encode(
-        y=alt.Y("term:N", sort=[row["term"] for row in rows], title="term",
+        y=alt.Y("term:N", sort=[row["term"] for row in rows], title=None,
                 axis=alt.Axis(ticks=False, domain=False, labelLimit=170)))
     stability = view.record.stability
     of = f"{stability.repeats} selections" if stability else \
