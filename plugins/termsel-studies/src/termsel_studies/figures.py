@@ -61,7 +61,7 @@ def figures_of(study: Study) -> list[Figure]:
 
 def running_times(groups: Groups, column: int) -> Figure:
     """Return the ECDF of evaluations (column 0) or CPU seconds (2) over all targets."""
-    rows = []
+    rows: list[dict[str, Any]] = []
     last = 0.0
     for method in groups.methods:
         hits = []
