@@ -5,6 +5,8 @@ import nevergrad
 import termsel
 from termsel_optimisers import from_ask_tell
 
+BATCH = 10
+
 
 class OnePlusOne:
     """The discrete (1 + 1) evolution strategy of nevergrad."""
@@ -13,15 +15,17 @@ class OnePlusOne:
         space = nevergrad.p.Tuple(*[nevergrad.p.Choice([False, True])
                                     for _ in range(problem.genome.size)])
         space.random_state.seed(int(rng.integers(2**32)))
-        self.optimizer = nevergrad.optimizers.DiscreteOnePlusOne(space, budget=1000)
+        self.optimizer = nevergrad.optimizers.DiscreteOnePlusOne(space, budget=1000,
+                                                                 num_workers=BATCH)
 
     def ask(self):
-        self.candidate = self.optimizer.ask()
-        return self.candidate.value
+        self.candidates = [self.optimizer.ask() for _ in range(BATCH)]
+        return [candidate.value for candidate in self.candidates]
 
     def tell(self, genes, evaluation):
-        cost = evaluation.objectives[0, 0] + 1e6 * evaluation.violation[0]
-        self.optimizer.tell(self.candidate, cost)
+        costs = evaluation.objectives[:, 0] + 1e6 * evaluation.violation
+        for candidate, cost in zip(self.candidates, costs, strict=True):
+            self.optimizer.tell(candidate, cost)
 
 
 if __name__ == "__main__":

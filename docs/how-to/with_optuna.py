@@ -7,22 +7,26 @@ from termsel_optimisers import from_ask_tell
 
 optuna.logging.set_verbosity(optuna.logging.WARNING)
 
+BATCH = 10
+
 
 class Parzen:
     """The tree-structured Parzen estimator of optuna."""
 
     def __init__(self, problem, rng):
         self.labels = problem.genome.labels
-        sampler = optuna.samplers.TPESampler(seed=int(rng.integers(2**32)))
+        sampler = optuna.samplers.TPESampler(seed=int(rng.integers(2**32)), constant_liar=True)
         self.study = optuna.create_study(sampler=sampler)
 
     def ask(self):
-        self.trial = self.study.ask()
-        return [self.trial.suggest_categorical(label, [False, True]) for label in self.labels]
+        self.trials = [self.study.ask() for _ in range(BATCH)]
+        return [[trial.suggest_categorical(label, [False, True]) for label in self.labels]
+                for trial in self.trials]
 
     def tell(self, genes, evaluation):
-        cost = evaluation.objectives[0, 0] + 1e6 * evaluation.violation[0]
-        self.study.tell(self.trial, cost)
+        costs = evaluation.objectives[:, 0] + 1e6 * evaluation.violation
+        for trial, cost in zip(self.trials, costs, strict=True):
+            self.study.tell(trial, cost)
 
 
 if __name__ == "__main__":

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 import termsel
 from termsel import Problem, ProblemData, Recipe, SelectionProblem, feature_options
+from termsel.cli import describe
 from termsel.data.features import no_lines
+from termsel.formats.readers.csv_tables import write_points_csv
 from termsel.testing import check
 
 
@@ -39,3 +43,51 @@ def test_a_recipe_over_both_requires_lines_and_passes_the_suite() -> None:
 def test_a_control_that_there_is_not_is_refused() -> None:
     with pytest.raises(termsel.TermselError, match="has the control 'features'"):
         _recipe("features")
+
+
+def shared_mask(inputs: ProblemData) -> Problem:
+    return SelectionProblem(inputs, terms=True, features=False, mask="shared")
+
+
+# As docs/reference/plugins.md shows it.
+UNDECLARED = Recipe("shared-demo", "Terms of a 3-D polynomial, one mask for both axes.",
+                    shared_mask, model="poly3d", dataset="irs1c-mashad")
+
+
+def test_a_selection_problem_has_its_options_in_any_recipe() -> None:
+    task = termsel.prepare(UNDECLARED, options={"objectives": "log_condition", "force_on": "num:1"})
+    assert task.problem.objectives == ("check-rmse", "log_condition")
+    assert task.problem.genome.on.any()
+    by_name = termsel.prepare(UNDECLARED, solver="nsga2")
+    assert by_name.problem.objectives == ("check-rmse", "n_terms")
+
+
+def test_options_of_other_problems_are_refused() -> None:
+    for name in ("max_features", "steps", "mask"):
+        with pytest.raises(termsel.TermselError, match=f"unknown option {name!r}"):
+            termsel.prepare(UNDECLARED, options={name: "terms-first" if name == "steps" else 5})
+
+
+def test_what_a_recipe_does_not_declare_is_described() -> None:
+    names = [option.name for option in describe._undeclared(UNDECLARED)]
+    assert {"objectives", "max_share", "force_on"} <= set(names)
+    assert "max_features" not in names
+    assert describe._undeclared(_recipe("both")) == []
+
+
+@pytest.mark.parametrize("name", ["rfm-terms", "owdis-points"])
+def test_several_objectives_need_no_solver(name: str) -> None:
+    task = termsel.prepare(name, options={"objectives": "n_terms"})
+    assert task.solver.name == "nsga2"
+    assert task.problem.objectives == ("check-rmse", "n_terms")
+
+
+def test_prepare_reads_files(tmp_path: Path) -> None:
+    points = termsel.simulate_scene("ikonos-hamedan").points
+    file = tmp_path / "points.csv"
+    write_points_csv(points, file)
+    task = termsel.prepare("poly-terms", features=file, crs="EPSG:4979")
+    assert task.source == str(file)
+    assert len(task.features.points) == len(points)
+    with pytest.raises(termsel.TermselError, match="for features that are given"):
+        termsel.prepare("poly-terms", crs="EPSG:4979")

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import multiprocessing
 import pickle
 import random
@@ -237,3 +238,16 @@ def test_optimisers_of_other_libraries_are_solvers(library: str, optimiser: str)
     assert one.evaluations == 60
     first, *_, last = [step.best for step in one.history if step.best is not None]
     assert last < first
+
+
+def test_the_problem_of_the_how_to_is_logged_by_ioh(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("ioh")
+    monkeypatch.chdir(tmp_path)
+    text = (HOW_TO / "deap-and-pymoo.md").read_text(encoding="utf-8")
+    script = next(block for block in text.split("```python\n") if block.startswith("import ioh"))
+    exec(script.partition("```")[0], {})
+    [described] = tmp_path.rglob("IOHprofiler*.json")
+    [scenario] = json.loads(described.read_text())["scenarios"]
+    assert scenario["dimension"] == 20
+    assert scenario["runs"][0]["evals"] == 200

@@ -17,6 +17,7 @@ from termsel.core.errors import TermselError, unknown_name
 if TYPE_CHECKING:
     from termsel.core.options import Option
     from termsel.plugins.registry import Entry
+    from termsel.selection.problems.recipes import Recipe
 
 
 @click.command()
@@ -104,9 +105,22 @@ def _describe_problem(entry: Entry) -> None:
         "ends after": ", or ".join(rule.format(n) for rule, n in rules.items() if n) or
                       "the budget of every search",
         "control": recipe.control, "source": recipe.source})
-    _options(recipe.options)
+    _options([*recipe.options, *_undeclared(recipe)])
     echo("\nOptions of the data: termsel describe data. Model, solver and criterion have their own "
          "options, too: termsel describe NAME.")
+
+
+def _undeclared(recipe: Recipe) -> list[Option]:
+    """Return the options that the problem of a recipe has by what it is, as its data tell."""
+    from termsel.runs.task import prepare
+    from termsel.selection.problems.recipes import options_of, undeclared_options
+
+    undeclared = undeclared_options(recipe)
+    try:
+        names = options_of(prepare(recipe).problem) if undeclared else frozenset()
+    except TermselError:  # told where the problem is run
+        names = frozenset()
+    return [option for option in undeclared if option.name in names]
 
 
 def _settings(options: Mapping[str, Any]) -> str:

@@ -21,9 +21,12 @@ from termsel.core.interrupts import INTERRUPTED
 @run_options
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path),
               help="Folder for result.json, residuals.csv, summary.txt and the features.")
+@click.option("--checkpoint", metavar="FILE", type=click.Path(path_type=Path),
+              help="Keep what a search has evaluated in FILE. The same command goes on from there "
+                   "after a stop, to the same end.")
 @click.option("--verbose", is_flag=True,
               help="Print all of the summary, as in summary.txt: every table, term and proof.")
-def run(verbose: bool, files: tuple[Path, ...], **given: Any) -> None:
+def run(verbose: bool, checkpoint: Path | None, files: tuple[Path, ...], **given: Any) -> None:
     """Fit a model to control points or lines, and report its accuracy.
 
     FILES are points, lines, the image and the RPC, told apart by their names. Independent check
@@ -57,7 +60,8 @@ def run(verbose: bool, files: tuple[Path, ...], **given: Any) -> None:
             dataset=settings.dataset, source=settings.source, model=settings.model,
             solver=settings.solver, criterion=settings.criterion, options=options,
             **settings.budget,
-            observers=[observe] if observe else [], out=out, overwrite=settings.overwrite)
+            observers=[observe] if observe else [], out=out, overwrite=settings.overwrite,
+            checkpoint=checkpoint)
     echo(result.to_json() if settings.as_json else result.summary(verbose=verbose), nl=False)
     if out is not None:
         settings.write(result, exported, page)
@@ -67,6 +71,7 @@ def run(verbose: bool, files: tuple[Path, ...], **given: Any) -> None:
     elif out is not None:
         say_written([f"{out}/{RECORD}", *names_of(result.features)[1:]])
     if result.interrupted:
+        then = "repeats the whole run" if checkpoint is None else f"goes on from {checkpoint}"
         echo("Interrupted: this is the best so far. The same command"
-             f"{' with --overwrite' if out else ''} repeats the whole run.", err=True)
+             f"{' with --overwrite' if out else ''} {then}.", err=True)
         sys.exit(INTERRUPTED)

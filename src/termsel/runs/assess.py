@@ -12,7 +12,7 @@ from termsel.runs.choosing import choose_for
 from termsel.runs.finding import result_of
 from termsel.runs.task import Task
 from termsel.runs.task_method import TaskMethod
-from termsel.selection.solvers.search import Observer
+from termsel.selection.solvers.observers import Observer
 
 
 def assess(method: Method, task: Task, *, seed: int = 1, observers: Iterable[Observer] = (),

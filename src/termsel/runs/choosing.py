@@ -38,7 +38,7 @@ from termsel.selection.problems.base import Evaluation, Selection
 from termsel.selection.problems.recipes import Recipe
 from termsel.selection.solvers.base import Generation
 from termsel.selection.solvers.ledger import Progress
-from termsel.selection.solvers.search import Observer
+from termsel.selection.solvers.observers import Observer, Observers
 
 INTERRUPTED = ("The run was interrupted when {0} of {1} candidates were judged. The choice was not "
                "repeated without some of the points, so it predicts no accuracy.")
@@ -80,7 +80,7 @@ class _Watch:
     """
 
     def __init__(self, observers: Iterable[Observer], methods: int, folds: int) -> None:
-        self._observers = tuple(observers)
+        self._observers = Observers(observers)
         self._folds = folds
         self.methods = methods
         self.fits: list[Fit] = []
@@ -91,9 +91,9 @@ class _Watch:
         best = min((fitted.held_out_rmse for fitted in self.fits), default=np.inf)
         generation = Generation(self.count, np.zeros((0, 0), dtype=bool),
                                 Evaluation(np.zeros((0, 1)), np.zeros(0)))
-        for observe in self._observers:
-            observe(Progress(generation, self.count, share, best, 0.0,
-                             np.zeros(0, dtype=bool), what))
+        # No observer ends a choice: it is none before all candidates are judged.
+        self._observers.tell(Progress(generation, self.count, share, best, 0.0,
+                                      np.zeros(0, dtype=bool), what))
 
     def method(self, fitted: Fit | None) -> None:
         """Count a method that was tried, and tell."""

@@ -14,7 +14,7 @@ from termsel.plugins.registry import registry
 from termsel.selection.criteria import Criterion
 from termsel.selection.problems.constraints import listed
 from termsel.selection.problems.objectives import Objective
-from termsel.selection.problems.recipes import Recipe
+from termsel.selection.problems.recipes import Recipe, undeclared_options
 
 
 def auto_of(method: str | Method | None, memory: Memory | None = None) -> Auto:
@@ -68,7 +68,8 @@ def second_solver(recipe: Recipe, given: Mapping[str, Any]) -> Any:
     Given are the options of all parts. Refuses a solver, or options of one, where there is no
     second step, or no solver of its own.
     """
-    options = {option.name: option.default for option in recipe.options}
+    options = {option.name: option.default
+               for option in (*recipe.options, *undeclared_options(recipe))}
     own = [key for key in given if key.startswith("then.")]
     asked = next((given[key] for key in ("then", "problem.then") if key in given), None)
     if "then" not in options:

@@ -24,8 +24,8 @@ from termsel.runs.blank_heights import to_leave_out
 from termsel.runs.fit_crs import FIT_CRS
 from termsel.runs.given import class_of, second_solver, with_options
 from termsel.selection.criteria import Criterion
-from termsel.selection.problems.constraints import MAX_SHARE
-from termsel.selection.problems.recipes import Recipe
+from termsel.selection.problems.constraints import MAX_SHARE, listed
+from termsel.selection.problems.recipes import Recipe, undeclared_options
 from termsel.selection.solvers.base import Solver
 from termsel.selection.solvers.budget import SEARCH_OPTIONS
 
@@ -34,6 +34,9 @@ FILE = "file"
 
 ALIKE = "1:1:1"
 """Shares of control, check and independent points for a search."""
+
+SEVERAL_OBJECTIVES = "nsga2"
+"""The solver where several objectives are asked for and no solver is."""
 
 DATA_OPTIONS = (
     Option("roles", FILE, "Roles of points: those of the file, with blank ones assigned by "
@@ -76,6 +79,8 @@ class Request:
         Of the second of two steps, if it is another one.
     set_options : tuple of str
         Names of the options of the model that are given.
+    undeclared : tuple of str
+        Names of given options that the recipe does not declare: its problem has to.
     blank : tuple of str
         Ids of features that are left out as they have no height.
     rpc_part : ImagePart, optional
@@ -94,6 +99,7 @@ class Request:
     set_options: tuple[str, ...] = ()
     blank: tuple[str, ...] = ()
     rpc_part: ImagePart | None = None
+    undeclared: tuple[str, ...] = ()
 
 
 def method_words(model: Any = None, solver: Any = None, criterion: Any = None,
@@ -124,9 +130,7 @@ def request_of(
     given = options or {}
     recipe: Recipe = names.taken("problems", problem)
     parts = _named_parts(recipe, model, solver, criterion, given)
-    by_parts = by_part(given, {
-        "problem": recipe.options, "data": DATA_OPTIONS, "search": SEARCH_OPTIONS,
-        **{word: part.declared_options for word, part in parts.items()}})
+    by_parts = _by_parts(recipe, parts, given)
     model_part = parts["model"]
     set_options = tuple(by_parts["model"]) if isinstance(model_part, type) else tuple(
         option.name for option in model_part.declared_options
@@ -152,7 +156,20 @@ def request_of(
         recipe, made["model"], made["criterion"], made["solver"], features,
         with_roles(in_roles, dict.fromkeys(blank, "off")), printable(source or "given in Python"),
         {"problem": of_problem, "data": of_data, "search": of_search},
-        made.get("then"), set_options, blank)
+        made.get("then"), set_options, blank,
+        undeclared=tuple(option.name for option in undeclared_options(recipe)
+                         if option.name in by_parts["problem"]))
+
+
+def _by_parts(recipe: Recipe, parts: Mapping[str, Any],
+              given: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the given options by part of the run."""
+    declared = {"data": DATA_OPTIONS, "search": SEARCH_OPTIONS,
+                **{word: part.declared_options for word, part in parts.items()}}
+    elsewhere = {option.name for options in declared.values() for option in options}
+    of_problem = [*recipe.options, *(option for option in undeclared_options(recipe)
+                                     if option.name not in elsewhere)]
+    return by_part(given, {"problem": of_problem, **declared})
 
 
 def problem_for(features: FeatureSet | None, dataset: str | DatasetSpec | None = None) -> str:
@@ -175,7 +192,7 @@ def _named_parts(recipe: Recipe, model: Any, solver: Any, criterion: Any,
     model_part = names.taken("models", recipe.model if model is None else model)
     # Where terms have no influence there is nothing to search.
     usual_solver = "all-terms" if issubclass(class_of(model_part), Interpolating) \
-        else recipe.solver
+        else SEVERAL_OBJECTIVES if _several_objectives(recipe, given) else recipe.solver
     parts = {
         "model": model_part,
         "criterion": names.taken("criteria", recipe.criterion if criterion is None else criterion),
@@ -184,6 +201,13 @@ def _named_parts(recipe: Recipe, model: Any, solver: Any, criterion: Any,
     if then is not None:
         parts["then"] = names.get("solvers", then)
     return parts
+
+
+def _several_objectives(recipe: Recipe, given: Mapping[str, Any]) -> bool:
+    """Return whether objectives are asked for that the problem's own solver cannot take."""
+    asked = given.get("objectives", given.get("problem.objectives"))
+    solver = registry().get("solvers", recipe.solver)
+    return bool(listed(asked)) and solver.max_objectives == 1
 
 
 def _usual_options(recipe: Recipe, parts: Mapping[str, Any], model: Any, solver: Any,
@@ -244,9 +268,11 @@ def require_type(function: Callable[..., Any], name: str, value: Any, wanted: ty
 def _of_problem(recipe: Recipe, given: Mapping[str, Any], criterion: Criterion,
                 solver: Solver) -> dict[str, Any]:
     """Return the options of a problem, those decided that depend on criterion and solver."""
-    options = resolve(recipe.options, given)
-    if solver.max_objectives > 1 and "objectives" in options:
-        options["objectives"] = options["objectives"] or recipe.second
+    undeclared = {option.name: option for option in undeclared_options(recipe)}
+    options = resolve([*recipe.options, *(option for name, option in undeclared.items()
+                                          if name in given)], given)
+    if solver.max_objectives > 1 and "objectives" in {*options, *undeclared}:
+        options["objectives"] = options.get("objectives") or recipe.second
     if "max_share" in options and options["max_share"] is None:
         options["max_share"] = 1.0 if solver.uses_all else MAX_SHARE
     if options.get("steps") == "joint" and "then" in options:

@@ -18,8 +18,6 @@ from termsel.core.threads import one_blas_thread
 from termsel.data.datasets import DatasetSpec
 from termsel.data.rpc import Rpc
 from termsel.fitting.method import Method
-from termsel.formats.rpc_files import with_rpc
-from termsel.io.read import features_of
 from termsel.io.result_folder import claimed, write_result
 from termsel.io.spent import with_spent
 from termsel.models.base import SensorModel
@@ -30,11 +28,12 @@ from termsel.runs.given import auto_of
 from termsel.runs.method_task import request_of_method, require_alone, task_of_method
 from termsel.runs.notebook import notebook_observer
 from termsel.runs.request import method_words, problem_for, request_of
-from termsel.runs.task import Task, prepared
+from termsel.runs.task import Task, given_features, prepared
 from termsel.selection.criteria import Criterion
 from termsel.selection.problems.recipes import Recipe
 from termsel.selection.solvers.base import Solver
-from termsel.selection.solvers.search import Observer
+from termsel.selection.solvers.checkpoint import Checkpoint, require_resumable
+from termsel.selection.solvers.observers import Observer
 
 log = logging.getLogger(__name__)
 
@@ -67,6 +66,7 @@ def run(
     out: Path | str | None = None,
     overwrite: bool = False,
     memory: Memory | None = None,
+    checkpoint: Path | str | None = None,
 ) -> Result:
     """Search a problem and assess the selection.
 
@@ -102,7 +102,8 @@ def run(
     patience : int, optional
         End after so many generations without a gain above the option `tolerance`.
     observers : iterable of callable
-        Called with `Progress` after each generation, or each candidate of the strategy "auto". In a
+        Called with `Progress` after each generation, or each candidate of the strategy "auto". One
+        that returns True, or raises StopIteration, ends a search, whose result is kept. In a
         notebook one more shows the progress.
     out : path, optional
         Folder for result.json, residuals.csv, summary.txt and the features.
@@ -110,6 +111,8 @@ def run(
         Whether a result that is there may be replaced.
     memory : Memory, optional
         What runs on the same features found: pass the same object to each of them.
+    checkpoint : path-like, optional
+        File from which a stopped search goes on, in another process too; see `termsel.search`.
 
     Returns
     -------
@@ -127,13 +130,7 @@ def run(
     >>> round(result.rmse["independent"].total, 1) > 0
     True
     """
-    if features is not None:
-        source = source or (str(features) if isinstance(features, str | Path) else None)
-        features = features_of(features, crs, columns)
-        features = features if rpc is None else with_rpc(features, rpc)
-    elif crs is not None or columns is not None or rpc is not None:
-        raise TermselError("crs, columns and rpc are for features that are given",
-                           hint="Give features, such as the name of a file.")
+    features, source = given_features(features, source, crs, columns, rpc)
     asked: dict[str, Any] = {"dataset": dataset, "source": source, "model": model, "solver": solver,
              "criterion": criterion, "options": options}
     limits = {"generations": generations, "evaluations": evaluations, "seconds": seconds,
@@ -152,6 +149,7 @@ def run(
         if method is not None and strategy is not None:
             words.append("a strategy")
         recipe = registry().taken("problems", named)
+        words += ["a checkpoint"] if checkpoint is not None else []
         if method is not None or wanted(strategy, recipe, words, unnamed=problem is None):
             require_alone(method, words)
             auto = auto_of(method, memory)
@@ -166,6 +164,8 @@ def run(
     if task.solver.options.get("certificate") and out is None:
         raise TermselError("a certificate is a file of the folder of a result, and there is none",
                            hint="Add --out DIR, in Python out=.", name="certificate")
+    if checkpoint is not None:
+        require_resumable(task.solver)
 
     def result_of_run() -> Result:
         from termsel.runs.assess import assess
@@ -174,8 +174,10 @@ def run(
             return assess(auto, task, seed=seed, observers=observers, memory=memory)
         from termsel.runs.searching import Search  # not for auto
 
-        return assess(Search(limits={**limits, "seed": seed, "observers": observers}), task,
-                      memory=memory)
+        kept = None if checkpoint is None else Checkpoint(checkpoint)
+        searching = Search(limits={**limits, "seed": seed, "observers": observers,
+                                   "checkpoint": kept})
+        return assess(searching, task, memory=memory)
 
     return _written(result_of_run, out, overwrite, _seconds_of_compilation(task, auto))
 

@@ -57,7 +57,7 @@ def search_in_steps(task: Task, **how: Any) -> SearchResult:
             f"no selection of {word} with everything else in use satisfies all conditions",
             hint="Choose --set steps=joint or the other order, or lower the order or degree of "
                  "the model.")
-    if first.interrupted:
+    if first.stopped:
         return first
     solver = task.then or task.solver
     chosen = beginning.genome.chosen(first.genes[None])[0]

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from termsel.core.display import Glance
-from termsel.core.errors import TermselError
+from termsel.core.errors import TermselError, unknown_name
 from termsel.core.isolation.faults import blamed
 from termsel.data.datasets import DatasetSpec
 from termsel.data.features import FeatureSet
@@ -18,7 +19,10 @@ from termsel.data.fit_data import FitData, carriers
 from termsel.data.lattices import lattice_of
 from termsel.data.roles import Observations, check_as_control, parsed_shares
 from termsel.data.roles import observe as assign_roles
+from termsel.data.rpc import Rpc
 from termsel.data.scaling import Scaling, scaling_of
+from termsel.formats.rpc_files import with_rpc
+from termsel.io.read import features_of
 from termsel.models.base import SensorModel, require_heights
 from termsel.plugins.registry import registry
 from termsel.runs.enough import require_enough
@@ -29,7 +33,7 @@ from termsel.selection.criteria import Criterion
 from termsel.selection.problems.base import Problem, ProblemData
 from termsel.selection.problems.constraints import without_heights
 from termsel.selection.problems.parameters import ParameterProblem
-from termsel.selection.problems.recipes import Recipe
+from termsel.selection.problems.recipes import Recipe, options_of
 from termsel.selection.solvers.base import Solver
 from termsel.selection.solvers.search import require_able
 
@@ -146,7 +150,9 @@ class Task(Glance):
 def prepare(
     problem: str | Recipe,
     *,
-    features: FeatureSet | None = None,
+    features: Any = None,
+    crs: str | None = None,
+    columns: str | Mapping[str, Any] | None = None,
     dataset: str | DatasetSpec | None = None,
     source: str | None = None,
     model: str | type[SensorModel] | SensorModel | None = None,
@@ -160,14 +166,18 @@ def prepare(
     ----------
     problem : str or Recipe
         A recipe or its name, such as "owdis-lines".
-    features : FeatureSet, optional
-        Measured features; without them those of `dataset`, or of the recipe's data set.
+    features : FeatureSet, path-like or table, optional
+        Measured features, or what `termsel.read` reads them from; without them those of `dataset`,
+        or of the recipe's data set.
+    crs, columns : optional
+        As for `termsel.read`, where features are read.
     dataset : str or DatasetSpec, optional
         A data set or its name.
     source : str, optional
         Where `features` come from, for the record.
     model, solver, criterion : str, class or instance, optional
-        The recipe's own by default. Instances have their options already.
+        The recipe's own by default; with the option ``objectives`` the solver "nsga2". Instances
+        have their options already.
     options : mapping, optional
         Options of problem, data, model, criterion and solver together, as with ``--set``.
 
@@ -180,9 +190,24 @@ def prepare(
     TermselError
         For unknown names or options, and for data the problem cannot be run on.
     """
+    features, source = given_features(features, source, crs, columns)
     return prepared(request_of(
         problem, features=features, dataset=dataset, source=source, model=model,
         solver=solver, criterion=criterion, options=options))
+
+
+def given_features(features: Any, source: str | None, crs: str | None,
+                   columns: str | Mapping[str, Any] | None, rpc: Rpc | Path | str | None = None,
+                   ) -> tuple[FeatureSet | None, str | None]:
+    """Return the features that are given or read, with their RPC, and where they come from."""
+    if features is None:
+        if crs is not None or columns is not None or rpc is not None:
+            raise TermselError("crs, columns and rpc are for features that are given",
+                               hint="Give features, such as the name of a file.")
+        return None, source
+    file = str(features) if isinstance(features, str | Path) else None
+    read = features_of(features, crs, columns)
+    return read if rpc is None else with_rpc(read, rpc), source or file
 
 
 def prepared(request: Request) -> Task:
@@ -260,12 +285,22 @@ def _built(request: Request, inputs: ProblemData) -> Problem:
     with blamed(build, "build"):
         problem = build(inputs)
     require_type(build, "build", problem, Problem)
+    _refuse_foreign(request, problem)
     if isinstance(problem, ParameterProblem):
         _refuse_searched(request, problem)
     for solver in filter(None, (request.solver, request.then)):
         require_able(problem, solver, lambda: [
             entry.object for entry in registry().entries("solvers")])
     return problem
+
+
+def _refuse_foreign(request: Request, problem: Problem) -> None:
+    """Refuse options of other problems, which the recipe does not declare."""
+    known = options_of(problem)
+    for name in request.undeclared:
+        if name not in known:
+            raise unknown_name("option", name, {
+                *known, *(option.name for option in request.recipe.options)})
 
 
 def _refuse_searched(request: Request, problem: ParameterProblem) -> None:

@@ -46,7 +46,7 @@ def search_without_blunders(task: Task, auto: Auto, verdict: Verdict | None = No
         if less is task:
             return task, found
         # A second search would have no time.
-        if not found.violation or found.interrupted or how.get("seconds") is not None:
+        if not found.violation or found.stopped or how.get("seconds") is not None:
             return less, replace(found, notes=(*found.notes, (
                 "Outliers were removed before the search; --set blunders=keep keeps them.")))
     found = recommended(task, search_in_steps(task, **how))

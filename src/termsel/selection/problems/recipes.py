@@ -185,6 +185,33 @@ def select_both(inputs: ProblemData) -> Problem:
     return SelectionProblem(inputs, terms=True, features=True, mask=inputs.options["mask"])
 
 
+_ALSO = (*TERM_OPTIONS, MIXED, OBJECTIVES, RECOMMEND_TERMS, TERMS, *COUNTS, STEPS, THEN, BLUNDERS)
+
+
+def undeclared_options(recipe: Recipe) -> tuple[Option, ...]:
+    """Return what the problem of a recipe may take beside its declared options.
+
+    A recipe that declares none of those of `SelectionProblem` has them all the same; whether its
+    problem is one is known when it has been built, from `options_of`.
+    """
+    declared = {option.name for option in recipe.options}
+    return () if OBJECTIVES.name in declared else tuple(
+        option for option in _ALSO if option.name not in declared)
+
+
+def options_of(problem: Problem) -> frozenset[str]:
+    """Return the names of the options that a problem has by being a `SelectionProblem`."""
+    if not isinstance(problem, SelectionProblem):
+        return frozenset()
+    names = {segment.name for segment in problem.genome.segments}
+    if "features" not in names:
+        options = OF_TERMS
+    else:
+        options = OF_FEATURES if names == {"features"} else OF_BOTH
+    # How terms share a mask is an argument of the class.
+    return frozenset(option.name for option in options) - {MASK.name}
+
+
 YAVARI = "Yavari, Valadan Zoej, Salehi 2018 (OWDIS)"
 
 RECIPES = (

@@ -81,6 +81,9 @@ class Solver(Configurable, ABC):
     ends_by_itself: ClassVar[bool] = False
     """Whether it needs no budget: without one it runs to its end."""
 
+    can_resume: ClassVar[bool] = True
+    """Whether a checkpoint lets its search go on: what takes its time are evaluations."""
+
     uses_all: ClassVar[bool] = False
     """Whether it uses all terms, so that the problem's limit on them (`max_share`) is none."""
 

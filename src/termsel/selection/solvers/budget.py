@@ -75,7 +75,7 @@ class Budget:
         """Return True if no further generation may begin."""
         return ((self.generations is not None and generation.index >= self.generations)
                 or (self.evaluations is not None and ledger.count >= self.evaluations)
-                or (self.seconds is not None
+                or (self.seconds is not None and not ledger.is_replaying
                     and time.perf_counter() - self.start >= self.seconds))
 
 

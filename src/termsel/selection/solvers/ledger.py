@@ -19,6 +19,7 @@ from termsel.selection.problems.base import Evaluation, Problem, ProblemAround, 
 from termsel.selection.problems.genome import Genome
 from termsel.selection.problems.segments import Genes
 from termsel.selection.solvers.base import Generation, Solver
+from termsel.selection.solvers.checkpoint import Stage
 
 _KNOWN = 1_000_000  # individuals remembered at most, unless a front is made of them: some 300 MB
 
@@ -47,13 +48,15 @@ class Ledger(ProblemAround):
     """A problem that counts evaluations, looks up known ones, and remembers the best.
 
     At most so many individuals are evaluated, and none after a deadline by `time.perf_counter`. The
-    solver is who asks for the evaluations.
+    solver is who asks for the evaluations. What a checkpoint has of them is not computed again.
     """
 
     def __init__(self, problem: Problem, *, evaluations: int | None = None,
-                 deadline: float | None = None, solver: Solver | None = None) -> None:
+                 deadline: float | None = None, solver: Solver | None = None,
+                 stage: Stage | None = None) -> None:
         super().__init__(problem)
         self.solver = solver
+        self.stage = stage
         self.limit = evaluations
         self.deadline = deadline
         self.after_evaluation: Callable[[], None] = lambda: None
@@ -87,7 +90,8 @@ class Ledger(ProblemAround):
 
     def _evaluate(self, genes: Genes, near: Genes | None = None) -> Evaluation:
         """Evaluate as far as the budget goes; then end the search."""
-        if self.deadline is not None and self.count and time.perf_counter() > self.deadline:
+        if self.deadline is not None and self.count and time.perf_counter() > self.deadline \
+                and not self.is_replaying:
             raise BudgetSpent
         if fault := self.genome.fault(genes):
             raise wrong(self.solver or type(self), "generations",
@@ -99,6 +103,12 @@ class Ledger(ProblemAround):
         if allowed < len(genes):
             raise BudgetSpent
         return evaluation
+
+    @property
+    def is_replaying(self) -> bool:
+        """Whether the evaluations of a checkpoint are being taken, which costs no budget of time.
+        """
+        return self.stage is not None and self.stage.is_replaying
 
     def progress(self, generation: Generation, share: float | None, what: str = "") -> Progress:
         """Return the state for observers."""
@@ -144,8 +154,7 @@ class Ledger(ProblemAround):
             if len(unknown_keys) < len(genes):
                 first = dict(zip(reversed(keys), range(len(keys) - 1, -1, -1), strict=True))
                 unknown_genes = genes[[first[key] for key in unknown_keys]]
-            evaluation = (self.inner.evaluate(unknown_genes) if near is None
-                          else self.inner.evaluate_near(unknown_genes, near))
+            evaluation = self._computed(list(unknown_keys), unknown_genes, near)
             if fault := evaluation_fault(self.inner, evaluation, unknown_genes):
                 raise wrong(self.inner, "evaluate", fault)
             # At least doubled: in the whole search each row is copied about once.
@@ -161,6 +170,18 @@ class Ledger(ProblemAround):
         self.lookups += len(genes) - len(unknown_keys)
         rows = np.fromiter(map(self._row_of.__getitem__, keys), np.intp, len(keys))
         return Evaluation(self._values[rows, :-1], self._values[rows, -1])
+
+    def _computed(self, keys: list[bytes], genes: Genes, near: Genes | None) -> Evaluation:
+        """Return the evaluation of a checkpoint, or else that of the problem."""
+        stored = None if self.stage is None else self.stage.taken(keys, self.inner, genes)
+        if stored is not None:
+            return stored
+        evaluation = (self.inner.evaluate(genes) if near is None
+                      else self.inner.evaluate_near(genes, near))
+        # What is wrong is refused by the caller, and never kept.
+        if self.stage is not None and evaluation_fault(self.inner, evaluation, genes) is None:
+            self.stage.add(keys, evaluation)
+        return evaluation
 
     def _compared(self, objectives: FloatArray) -> FloatArray:
         """Return objectives as the solver gets them.

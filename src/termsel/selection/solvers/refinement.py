@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-
 import numpy as np
 
 from termsel.core.errors import TermselError
@@ -11,7 +9,8 @@ from termsel.data.record.search import Polish
 from termsel.selection.problems.base import Evaluation
 from termsel.selection.solvers.base import Generation
 from termsel.selection.solvers.heuristics.swap import climb, moves
-from termsel.selection.solvers.ledger import BudgetSpent, Ledger, Progress
+from termsel.selection.solvers.ledger import BudgetSpent, Ledger
+from termsel.selection.solvers.observers import Observers
 
 POLISH_SHARE = 3
 """Evaluations of the local refinement, relative to those of the search before it: enough for most
@@ -25,13 +24,13 @@ selection would take hours."""
 
 
 def refine(ledger: Ledger, rng: np.random.Generator, generation: Generation | None,
-           evaluations: int | None, observers: Iterable[Callable[[Progress], None]]) -> Polish:
+           evaluations: int | None, observers: Observers) -> Polish:
     """Climb from the best individual of a ledger, or search around all members of a front.
 
     `generation` is the last that the solver yielded, `evaluations` the budget of search and
     refinement together. Without one the refinement takes up to POLISH_SHARE times as many as the
     search; its first descent may take more, up to DESCENT. Refuses a solver that found
-    coefficients, which a changed selection would not fit.
+    coefficients, which a changed selection would not fit. An observer may end it.
     """
     assert ledger.best_genes is not None
     if generation is not None and "coefficients" in generation.details:
@@ -52,8 +51,8 @@ def refine(ledger: Ledger, rng: np.random.Generator, generation: Generation | No
     def tell() -> None:
         share = min((ledger.count - count) / max(max_evaluations - count, 1), 1.0)
         progress = ledger.progress(reached, share, "local refinement")
-        for observe in observers:
-            observe(progress)
+        if observers.tell(progress):
+            raise BudgetSpent
 
     ledger.after_evaluation = tell
     try:

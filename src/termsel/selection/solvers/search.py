@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,7 +30,9 @@ from termsel.selection.solvers.budget import (
     Patience,
     require_limits,
 )
-from termsel.selection.solvers.ledger import BudgetSpent, Ledger, Progress
+from termsel.selection.solvers.checkpoint import Checkpoint, require_resumable
+from termsel.selection.solvers.ledger import BudgetSpent, Ledger
+from termsel.selection.solvers.observers import Observer, Observers
 from termsel.selection.solvers.refinement import POLISH_SHARE, refine
 
 if TYPE_CHECKING:
@@ -37,9 +40,6 @@ if TYPE_CHECKING:
 
 NONE = Evaluation(np.full((1, 1), np.inf), np.zeros(1))
 """Of an individual, before a solver has evaluated any."""
-
-Observer = Callable[[Progress], None]
-
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
@@ -64,6 +64,8 @@ class SearchResult:
     seconds : float
     interrupted : bool
         True if the user stopped it.
+    ended_by_observer : bool
+        True if an observer ended it.
     polish : Polish, optional
         None if no local refinement was asked for.
     certificate : mapping, optional
@@ -101,6 +103,12 @@ class SearchResult:
     history: tuple[HistoryRow, ...] = ()
     proof: Proof | FeatureProof | None = None
     certificate_content: Mapping[str, Any] | None = None
+    ended_by_observer: bool = False
+
+    @property
+    def stopped(self) -> bool:
+        """Whether it was to go no further: by the user or by an observer."""
+        return self.interrupted or self.ended_by_observer
 
     def after(self, earlier: SearchResult, *notes: str) -> SearchResult:
         """Return the search with evaluations and history of an earlier one, and notes on both."""
@@ -126,6 +134,7 @@ def search(
     tolerance: float = TOLERANCE,
     polish: bool = False,
     observers: Iterable[Observer] = (),
+    checkpoint: Checkpoint | Path | str | None = None,
 ) -> SearchResult:
     """Search a problem with a solver.
 
@@ -153,7 +162,11 @@ def search(
         helps, from many starts.
     observers : iterable of callable
         Called with `Progress` after each generation, and in the local refinement; in another thread
-        while a solver of a plugin yields nothing for 10 s.
+        while a solver of a plugin yields nothing for 10 s. One that returns True, or raises
+        StopIteration, ends the search; its result is kept.
+    checkpoint : path-like, optional
+        File with all that was evaluated. If it is there, the search goes on from it, to the end
+        that it would have reached without a stop. A budget of time counts all processes.
 
     Returns
     -------
@@ -163,8 +176,16 @@ def search(
     Raises
     ------
     TermselError
-        For a budget that is no positive, or no whole, number; or a solver that cannot handle the
-        objectives.
+        For a budget that is no positive, or no whole, number; a solver that cannot handle the
+        objectives; or a checkpoint of another search.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> task = termsel.prepare("poly-terms", options={"degree": 2})
+    >>> found = termsel.search(task.problem, task.solver, observers=[lambda now: now.best < 30])
+    >>> found.ended_by_observer
+    True
     """
     require_limits(generations=generations, evaluations=evaluations, seconds=seconds,
                    patience=patience)
@@ -177,15 +198,23 @@ def search(
     if not solver.ends_by_itself and not any((generations, evaluations, seconds, patience)):
         solver_evaluations = EVALUATIONS
     start = time.perf_counter()
+    stage = refinement_stage = None
+    if checkpoint is not None:
+        require_resumable(solver)
+        checkpoint = checkpoint if isinstance(checkpoint, Checkpoint) else Checkpoint(checkpoint)
+        # What earlier processes took is spent.
+        start -= checkpoint.seconds
+        stage, refinement_stage = checkpoint.next_search(start)
     budget = Budget(generations, solver_evaluations, None if seconds is None else seconds / shares,
                     start)
     # What the solver gets is the ledger: it counts, looks up what is known, and ends the search.
     ledger = Ledger(problem, evaluations=solver_evaluations, deadline=budget.deadline,
-                    solver=solver)
+                    solver=solver, stage=stage)
     convergence = Patience(patience, tolerance)
     generation: Generation | None = None
     refined = None
     interrupted = False
+    told = Observers(observers)
     idle = 0
     notes: tuple[str, ...] = ()
     history: list[HistoryRow] = []
@@ -193,8 +222,7 @@ def search(
 
     def tell(activity: str) -> None:
         reached = generation or Generation(0, np.zeros((1, problem.genome.size), dtype=bool), NONE)
-        for observe in observers:
-            observe(ledger.progress(reached, budget.share(reached, ledger), activity))
+        told.tell(ledger.progress(reached, budget.share(reached, ledger), activity))
 
     running = heard(solver.generations(ledger, rng), solver, ledger, tell)
     try:
@@ -205,25 +233,30 @@ def search(
                 idle = 0 if not history or ledger.count > history[-1].evaluations else idle + 1
                 progress = ledger.progress(generation, budget.share(generation, ledger))
                 history.append(ledger.tally(generation))
-                for observe in observers:
-                    observe(progress)
-                if budget.spent(generation, ledger) or convergence.lost(ledger):
+                if told.tell(progress) or budget.spent(generation, ledger) \
+                        or convergence.lost(ledger):
                     break
                 if idle >= IDLE and not solver.ends_by_itself:
                     notes = (f"The search ended after {IDLE:,} generations in which solver "
                              f"{solver.name!r} evaluated nothing.",)
                     break
         # The refinement has what is left of the whole budget of time.
-        if polish and ledger.best_genes is not None:
+        if polish and ledger.best_genes is not None and not told.ended:
             ledger.deadline = None if seconds is None else start + seconds
-            refined = refine(ledger, rng, generation, evaluations, observers)
+            _write(ledger)
+            ledger.stage = refinement_stage
+            refined = refine(ledger, rng, generation, evaluations, told)
     except KeyboardInterrupt:  # what is known by now is the result
         if ledger.best_genes is None:
             raise
         answered()
         interrupted = True
+    finally:
+        _write(ledger)
     if ledger.best_genes is None:
         raise _unevaluated(solver, generation)
+    if told.ended:
+        notes = (*notes, "An observer ended the search.")
     details = generation.details if generation else {}
     # With several objectives the front is made of all that was evaluated, whatever the solver says.
     front = ledger.front() if len(problem.objectives) > 1 else details.get("front", ())
@@ -234,7 +267,14 @@ def search(
                   certificate=details.get("certificate"), front=tuple(front),
                   coefficients=details.get("coefficients"), notes=notes, history=tuple(history),
                   proof=details.get("proof"),
-                  certificate_content=details.get("certificate_content"))
+                  certificate_content=details.get("certificate_content"),
+                  ended_by_observer=told.ended)
+
+
+def _write(ledger: Ledger) -> None:
+    """Write what the checkpoint of a search has not written yet."""
+    if ledger.stage is not None:
+        ledger.stage.write()
 
 
 def _unevaluated(solver: Solver, generation: Generation | None) -> TermselError:

@@ -109,6 +109,7 @@ class Exact(Solver):
     segments: ClassVar[tuple[type[AnySegment], ...]] = (Bits, Subset)
     uses_chance = False
     ends_by_itself = True
+    can_resume = False
     declared_options = (
         Option("max_terms", None, "Most terms of an axis; by default as many as the problem "
                                   "allows. The proof is of selections up to this size.", int,

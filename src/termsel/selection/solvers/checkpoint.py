@@ -1,0 +1,224 @@
+"""The file from which a stopped search goes on, in another process too.
+
+A search asks for the same evaluations again if it begins with the same seed. Its file therefore
+holds the evaluations, in the order in which they were asked for. A search that is resumed begins
+anew, takes from the file what is there, and computes the rest. That is the same for every solver,
+as no solver has to keep its own state.
+
+The file has a line of JSON for each population, after a first line with the format. A line that a
+killed process left incomplete is dropped.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from base64 import b64encode
+from collections import deque
+from collections.abc import Sequence
+from hashlib import blake2b
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from termsel.core.errors import TermselError
+from termsel.core.version import __version__
+from termsel.data.features import FloatArray
+from termsel.selection.problems.base import Evaluation, Problem
+from termsel.selection.solvers.base import Solver
+
+log = logging.getLogger(__name__)
+
+SCHEMA = "termsel-checkpoint-1"
+
+_EVERY = 0.5  # seconds between two writes
+
+_TOLERANCE = 1e-6
+"""Relative difference of two evaluations of one selection that may be rounding."""
+
+
+class _Line(msgspec.Struct, forbid_unknown_fields=True):
+    """Evaluations of one population, of one stage of the run.
+
+    `digest` tells which individuals they are of; `values` are little-endian float64, the objectives
+    and the violation of each; `seconds` is what the search had taken by then.
+    """
+
+    stage: int
+    digest: str
+    values: bytes
+    seconds: float
+
+
+class _Head(msgspec.Struct, forbid_unknown_fields=True):
+    """First line of the file."""
+
+    schema: str
+    version: str
+
+
+class Checkpoint:
+    """The file of the searches of one run.
+
+    Parameters
+    ----------
+    path : path-like
+        It is made if it is not there.
+
+    Raises
+    ------
+    TermselError
+        For another file, and for one that cannot be read or written.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        self._lines: dict[int, list[_Line]] = {}
+        self._stages = 0
+        try:
+            content = self.path.read_bytes() if self.path.exists() else b""
+            complete = content[:content.rfind(b"\n") + 1]
+            if content:
+                self._read(complete.splitlines())
+                with self.path.open("r+b") as file:
+                    file.truncate(len(complete))
+            else:
+                head = msgspec.json.encode(_Head(SCHEMA, __version__))
+                self.path.write_bytes(head + b"\n")
+        except OSError as error:
+            raise TermselError(f"the checkpoint cannot be used: {error.strerror or error}",
+                               file=self.path) from error
+
+    def _read(self, lines: Sequence[bytes]) -> None:
+        """Take the lines of an earlier process."""
+        try:
+            head = msgspec.json.decode(lines[0], type=_Head) if lines else None
+        except msgspec.DecodeError:
+            head = None
+        if head is None or head.schema != SCHEMA:
+            raise TermselError("this file is no checkpoint of a search, and stays as it is",
+                               hint="Give the name of a new file.", file=self.path)
+        if head.version != __version__:
+            log.warning("Note: %s was begun by termsel %s; this is %s.", self.path, head.version,
+                        __version__)
+        for number, text in enumerate(lines[1:], start=2):
+            try:
+                line = msgspec.json.decode(text, type=_Line)
+            except msgspec.DecodeError:
+                raise TermselError("this line of the checkpoint is damaged",
+                                   hint="Remove it and all lines after it.",
+                                   file=self.path, line=number) from None
+            self._lines.setdefault(line.stage, []).append(line)
+
+    @property
+    def seconds(self) -> float:
+        """How long the next search, with its local refinement, has run in earlier processes."""
+        return max((self._lines[stage][-1].seconds for stage in (self._stages, self._stages + 1)
+                    if stage in self._lines), default=0.0)
+
+    def next_search(self, start: float) -> tuple[Stage, Stage]:
+        """Return the stages of the next search: its own, and that of its local refinement.
+
+        `start` is when the search began, by `time.perf_counter`.
+        """
+        numbers = (self._stages, self._stages + 1)
+        self._stages += 2
+        search, refinement = (Stage(self.path, number, deque(self._lines.get(number, ())), start)
+                              for number in numbers)
+        return search, refinement
+
+
+class Stage:
+    """The evaluations of one stage: those that are known, and those that are added."""
+
+    def __init__(self, path: Path, number: int, lines: deque[_Line], start: float) -> None:
+        self.path = path
+        self._number = number
+        self._lines = lines
+        self._start = start
+        self._unwritten: list[_Line] = []
+        self._written = time.perf_counter()
+        self._taken = 0
+
+    @property
+    def is_replaying(self) -> bool:
+        """Whether evaluations of the file are still to come."""
+        return bool(self._lines)
+
+    def taken(self, keys: Sequence[bytes], problem: Problem, genes: Any) -> Evaluation | None:
+        """Return the evaluation of the file, or None where the file has come to its end.
+
+        Refuses a file that is of another search.
+        """
+        while self._lines:
+            line = self._lines.popleft()
+            values = np.frombuffer(line.values, dtype="<f8")
+            columns = len(problem.objectives) + 1
+            n = len(values) // columns
+            if n == 0 or len(values) % columns or n > len(keys) \
+                    or line.digest != _digest(keys[:n]):
+                raise self._of_another()
+            # The last population of a smaller budget was cut short: it is evaluated as a whole.
+            if n < len(keys):
+                continue
+            table = values.reshape(n, columns).astype(np.float64)
+            evaluation = Evaluation(table[:, :-1], table[:, -1])
+            if not self._taken:
+                self._require_same(evaluation, problem, genes)
+            self._taken += n
+            return evaluation
+        return None
+
+    def _require_same(self, evaluation: Evaluation, problem: Problem, genes: Any) -> None:
+        """Evaluate one selection again: other data give other figures."""
+        again = problem.evaluate(genes[:1])
+        if not (_alike(again.objectives[0], evaluation.objectives[0])
+                and _alike(again.violation[:1], evaluation.violation[:1])):
+            raise TermselError("the checkpoint is of other data, or of another problem",
+                               hint="Give the name of a new file, or what the file was made with.",
+                               file=self.path)
+
+    def _of_another(self) -> TermselError:
+        where = f"from evaluation {self._taken + 1:,} on " if self._taken else ""
+        return TermselError(
+            f"this search differs {where}from the one of the checkpoint",
+            hint="Give the same problem, data, solver, options and seed, or the name of a new "
+                 "file. A budget may grow where no local refinement follows.", file=self.path)
+
+    def add(self, keys: Sequence[bytes], evaluation: Evaluation) -> None:
+        """Add an evaluation; it is written at once, or with others half a second later."""
+        values = np.column_stack([evaluation.objectives, evaluation.violation]).astype("<f8")
+        now = time.perf_counter()
+        self._unwritten.append(_Line(self._number, _digest(keys), values.tobytes(),
+                                     now - self._start))
+        if now - self._written > _EVERY:
+            self.write()
+
+    def write(self) -> None:
+        """Write what was added."""
+        content = b"".join(msgspec.json.encode(line) + b"\n" for line in self._unwritten)
+        try:
+            with self.path.open("ab") as file:
+                file.write(content)
+        except OSError as error:
+            raise TermselError(f"the checkpoint cannot be written: {error.strerror or error}",
+                               file=self.path) from error
+        self._unwritten = []
+        self._written = time.perf_counter()
+
+
+def require_resumable(solver: Solver) -> None:
+    """Refuse a solver that does its work elsewhere than in evaluations."""
+    if not solver.can_resume:
+        raise TermselError(f"solver {solver.name!r} keeps no checkpoint: what takes its time is no "
+                           "evaluation", hint="Leave the checkpoint out.")
+
+
+def _digest(keys: Sequence[bytes]) -> str:
+    return b64encode(blake2b(b"".join(keys), digest_size=12).digest()).decode()
+
+
+def _alike(values: FloatArray, others: FloatArray) -> bool:
+    return bool(np.allclose(values, others, rtol=_TOLERANCE, atol=0.0))
