@@ -198,3 +198,23 @@ def test_one_search_after_another_adds_up() -> None:
     assert both.evaluations == 2 * found.evaluations
     assert [one.evaluations for one in both.history] == [10, 18, 28, 36]
     assert both.notes == ("one", "two")
+
+
+def test_a_gain_is_told_with_the_evaluation_that_found_it() -> None:
+    found = search(problems.twelve_terms(), GeneticAlgorithm(population=20), evaluations=200)
+    genes = []
+    seen = search(problems.twelve_terms(), GeneticAlgorithm(population=20), evaluations=200,
+                  observers=[lambda progress: genes.append(progress.generation.genes)])
+    assert seen.gains == found.gains
+    best = np.inf
+    for _evaluation, value in found.gains:
+        assert value < best
+        best = value
+    assert best == found.objectives[0]
+    # Those of the first population, in the order of its individuals.
+    first = problems.twelve_terms().evaluate(genes[0])
+    values = np.where(first.violation == 0, first.objectives[:, 0], np.inf)
+    of_first = [gain for gain in found.gains if gain[0] <= 20]
+    assert [values[evaluation - 1] for evaluation, _value in of_first] == [
+        value for _evaluation, value in of_first]
+    assert of_first[-1][1] == values.min()

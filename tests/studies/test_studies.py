@@ -328,8 +328,8 @@ def test_a_trace_counts_the_evaluations_of_all_searches_of_a_cell() -> None:
     for evaluations, best in ((10, 4.0), (20, 3.0), (5, 6.0), (9, 5.0), (2, 8.0)):
         trace(Progress(None, evaluations, None, best, 0.0, np.zeros(0)))
     assert [point[:2] for point in trace.points] == [[31, 8.0]]
-    trace.end(35, 7.0)
-    assert [point[:2] for point in trace.points] == [[31, 8.0], [35, 7.0]]
+    trace.end(SimpleNamespace(evaluations=2, gains=((1, 9.0), (2, 7.0))))
+    assert [point[:2] for point in trace.points] == [[30, 9.0], [31, 7.0]]
 
 
 def test_a_cell_out_of_time_fails() -> None:

@@ -17,7 +17,7 @@ from termsel.toolkit import CellRecord, FloatArray
 from termsel_studies.claims import claims, size_in_words
 from termsel_studies.fronts import front_figures, indicators, non_dominated
 from termsel_studies.groups import Groups, Runs, group
-from termsel_studies.ioh import ioh_files
+from termsel_studies.ioh import WORST, ioh_files
 from termsel_studies.pages import latex, markdown, tables_of
 from termsel_studies.significance import (
     compare_methods,
@@ -353,8 +353,37 @@ def test_ioh_data_have_the_runs(study: termsel.Study, tmp_path: Path) -> None:
             assert mine[-1] == (run["evals"], run["best"]["y"])
 
 
+def test_failed_runs_are_among_the_ioh_data(tmp_path: Path) -> None:
+    traced = CellRecord("a", "done", "", {"evaluations": 50, "n_genes": 78},
+                        [[3, 2.5, 0.1], [41, 1.5, 0.2]], [])
+    infeasible = CellRecord("b", "infeasible", "none", {"evaluations": 50, "n_genes": 78}, [], [])
+    failed = CellRecord("c", "failed", "an error", {}, [], [])
+    groups = Groups("fitness", {"one": {"ga": Runs([], [], [traced, infeasible, failed])}},
+                    ("ga",))
+    files = dict(ioh_files(groups))
+    [described] = [json.loads(text) for name, text in files.items() if name.endswith(".json")]
+    [scenario] = described["scenarios"]
+    assert scenario["dimension"] == 78
+    assert [(run["evals"], run["best"]["evals"], run["best"]["y"]) for run in scenario["runs"]] \
+        == [(50, 41, 1.5), (50, 50, 1e9 + 1), (1, 1, 1e9 + 2)]
+    [rows] = [text.split() for name, text in files.items() if name.endswith(".dat")]
+    assert rows[2:] == ["1", "1000000000", "3", "2.5", "41", "1.5", "50", "1.5",
+                        "1", "1000000001", "50", "1000000001", "1", "1000000002"]
+    iohinspector = pytest.importorskip("iohinspector")
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    manager = iohinspector.DataManager()
+    manager.add_folder(str(tmp_path))
+    assert manager.overview["dimension"].to_list() == [78] * 3
+    assert sorted(manager.overview["evals"].to_list()) == [1, 50, 50]
+    table = manager.load(monotonic=True)
+    assert len(table.partition_by("data_id")) == 3
+    assert table["raw_y"].max() == 1e9 + 2
+
+
 def test_methods_of_like_names_have_ioh_data_of_their_own() -> None:
-    record = CellRecord("k", "done", "", {"evaluations": 10}, [[10, 0.5]], [])
+    record = CellRecord("k", "done", "", {"evaluations": 10}, [[10, 0.5, 0.1]], [])
     methods = ("ga p=1", "ga p 1", "GA_p_1", "ga_p=1-2")
     groups = Groups("fitness", {"one": {name: Runs([], [0.5], [record]) for name in methods}},
                     methods)
@@ -375,7 +404,8 @@ def test_iohinspector_reads_the_data(study: termsel.Study, tmp_path: Path) -> No
     manager.add_folder(str(tmp_path))
     best = sorted(manager.overview["best_y"].to_list())
     # Of a front the run may recommend another member than that of least fitness.
-    assert best == sorted(record.trace[-1][1] for record in study.records.values())
+    assert best == sorted(record.trace[-1][1] if record.trace else WORST
+                          for record in study.records.values())
     table = manager.load(monotonic=True)
     assert table["raw_y"].min() == best[0]
 

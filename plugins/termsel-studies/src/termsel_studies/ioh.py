@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterable, Iterator
 from itertools import chain, count
 from pathlib import Path
@@ -19,27 +18,31 @@ FORMAT = "0.3.5"
 """Version of the format, as IOHexperimenter numbers it."""
 
 
+WORST = 1e9
+"""What is written of a run without a feasible selection, and a little more for each further run:
+JSON has no infinity."""
+
+
 def ioh_files(groups: Groups) -> Iterator[tuple[str, str]]:
-    """Yield names and texts of IOHprofiler's files: a folder a method, two files an instance."""
+    """Yield names and texts of IOHprofiler's files: a folder a method, two files an instance.
+
+    Runs without a feasible selection are among them, with `WORST` as their best value.
+    """
     # De Nobel, Ye, Vermetten, Wang, Doerr and Bäck 2024, IOHexperimenter, Evol. Comput. 32(3); a
     # run begins with the row of its first evaluation.
     folders = _folders(groups.methods)
     for number, (instance, by_method) in enumerate(groups.instances.items(), 1):
         file_name = file_word(instance, "all")
-        # Readers compare methods of the same dimension alone, so an instance has one.
-        dimension = 1
-        for runs in by_method.values():
-            dimension = max([dimension, *(row.get("n_terms") or 0 for row in runs.rows)])
+        # Methods of an instance search the same genome; a run that failed does not tell its size.
+        dimension = max([1, *(record.figures.get("n_genes") or 0
+                              for runs in by_method.values() for record in runs.records)])
         for method, runs in by_method.items():
-            with_trace = [record for record in runs.records if record.trace]
-            if not with_trace:
-                continue
             folder = folders[method]
             stem = f"IOHprofiler_f{number}_{file_name}"
             data = f"data_f{number}_{file_name}/{stem}.dat"
-            yield f"{folder}/{data}", _data(with_trace)
+            yield f"{folder}/{data}", _data(runs.records)
             yield f"{folder}/{stem}.json", json.dumps(
-                _description(number, instance, method, dimension, with_trace, data),
+                _description(number, instance, method, dimension, runs.records, data),
                 indent=1) + "\n"
 
 
@@ -57,30 +60,42 @@ def write(study: Study, folder: Path) -> list[Path]:
 def _data(records: list[CellRecord]) -> str:
     """Return the improvements of all runs, each run from evaluation 1 to its last one."""
     lines = ["evaluations raw_y"]
-    for record in records:
-        trace = record.trace
-        last = length(record.figures)
-        # Before the end of the first generation nothing is known of the best value.
-        points = {1: math.inf, **{int(point[0]): point[1] for point in trace}}
+    for number, record in enumerate(records):
+        # No two runs begin alike: iohinspector drops a row with the value of the row before it,
+        # though that is of another run.
+        points = {1: WORST + number, **{int(point[0]): point[1] for point in record.trace}}
         # A run ends with the number of its evaluations, though the last improved nothing.
-        points.setdefault(int(max(last, *points)), trace[-1][1])
+        points.setdefault(_evaluations(record), _best(record, number)[1])
         lines += [f"{evaluations} {value:.17g}" for evaluations, value in points.items()]
     return "\n".join(lines) + "\n"
 
 
+def _evaluations(record: CellRecord) -> int:
+    """Return the evaluations of a run; 1 where it failed before it could tell."""
+    return int(max([1, length(record.figures), *(point[0] for point in record.trace)]))
+
+
+def _best(record: CellRecord, number: int) -> tuple[int, float]:
+    """Return the evaluation that found the best value of a run of that number, and the value."""
+    if not record.trace:
+        return _evaluations(record), WORST + number
+    evaluation, value, _seconds = record.trace[-1]
+    return int(evaluation), value
+
+
 def _description(number: int, instance: str, method: str, dimension: int,
                  records: list[CellRecord], data: str) -> dict[str, Any]:
+    described = []
+    for number, record in enumerate(records):
+        evaluation, value = _best(record, number)
+        described.append({"instance": 1, "evals": _evaluations(record),
+                          "best": {"evals": evaluation, "y": value, "x": []}})
     return {
         "version": FORMAT, "suite": "termsel", "function_id": number, "function_name": instance,
         "maximization": False,
         "algorithm": {"name": method, "info": f"termsel {__version__}"},
         "attributes": ["evaluations", "raw_y"],
-        "scenarios": [{
-            "dimension": dimension, "path": data,
-            "runs": [{"instance": 1, "evals": int(max(length(record.figures), 1)),
-                      "best": {"evals": int(record.trace[-1][0]), "y": record.trace[-1][1],
-                               "x": []}} for record in records if math.isfinite(
-                                   record.trace[-1][1])]}]}
+        "scenarios": [{"dimension": dimension, "path": data, "runs": described}]}
 
 
 def _folders(methods: Iterable[str]) -> dict[str, str]:

@@ -67,6 +67,9 @@ class Ledger(ProblemAround):
         self.best_genes: Genes | None = None
         self.best_objectives = np.full(len(problem.objectives), np.inf)
         self.least = np.full(len(problem.objectives), np.inf)
+        # Evaluation at which each new best was found, from 1, and its first objective.
+        self.gains: list[tuple[int, float]] = []
+        self._least_noted = np.inf
         self._row_of: dict[bytes, int] = {}
         # Objectives and violation by row, and space for more.
         self._values = np.empty((1024, len(problem.objectives) + 1))
@@ -166,6 +169,7 @@ class Ledger(ProblemAround):
             self._values[start:end, -1] = compared.violation
             self._row_of.update(zip(unknown_keys, range(start, end), strict=True))
             self._remember(unknown_genes, compared, evaluation.objectives)
+            self._note_gains(keys, list(unknown_keys), compared, evaluation.objectives)
         self.count += len(genes)  # looked up or not, so that budgets mean the same for all solvers
         self.lookups += len(genes) - len(unknown_keys)
         rows = np.fromiter(map(self._row_of.__getitem__, keys), np.intp, len(keys))
@@ -182,6 +186,20 @@ class Ledger(ProblemAround):
         if self.stage is not None and evaluation_fault(self.inner, evaluation, genes) is None:
             self.stage.add(keys, evaluation)
         return evaluation
+
+    def _note_gains(self, keys: list[bytes], unknown_keys: list[bytes], compared: Evaluation,
+                    objectives: FloatArray) -> None:
+        """Note which evaluations of a population found a better feasible individual than before.
+
+        The individuals of a population are evaluated in their order. They are compared as the
+        solver compares them; what is noted are the objectives (k, m) as they were computed.
+        """
+        values = np.where(compared.violation == 0, compared.objectives[:, 0], np.inf)
+        before = np.minimum.accumulate(np.concatenate([[self._least_noted], values[:-1]]))
+        for i in np.flatnonzero(values < before):
+            self._least_noted = float(values[i])
+            self.gains.append((self.count + keys.index(unknown_keys[i]) + 1,
+                               float(objectives[i, 0])))
 
     def _compared(self, objectives: FloatArray) -> FloatArray:
         """Return objectives as the solver gets them.

@@ -66,6 +66,8 @@ class SearchResult:
         True if the user stopped it.
     ended_by_observer : bool
         True if an observer ended it.
+    gains : tuple of (int, float)
+        Evaluation at which each new best was found, from 1, and its first objective.
     polish : Polish, optional
         None if no local refinement was asked for.
     certificate : mapping, optional
@@ -104,6 +106,7 @@ class SearchResult:
     proof: Proof | FeatureProof | None = None
     certificate_content: Mapping[str, Any] | None = None
     ended_by_observer: bool = False
+    gains: tuple[tuple[int, float], ...] = ()
 
     @property
     def stopped(self) -> bool:
@@ -118,7 +121,10 @@ class SearchResult:
                        generations=earlier.generations + self.generations,
                        lookups=earlier.lookups + self.lookups,
                        seconds=earlier.seconds + self.seconds,
-                       history=earlier.history + later, notes=(*self.notes, *notes))
+                       history=earlier.history + later, notes=(*self.notes, *notes),
+                       # What was found in the first step is of another problem.
+                       gains=tuple((evaluation + earlier.evaluations, value)
+                                   for evaluation, value in self.gains))
 
 
 @one_blas_thread
@@ -268,7 +274,7 @@ def search(
                   coefficients=details.get("coefficients"), notes=notes, history=tuple(history),
                   proof=details.get("proof"),
                   certificate_content=details.get("certificate_content"),
-                  ended_by_observer=told.ended)
+                  ended_by_observer=told.ended, gains=tuple(ledger.gains))
 
 
 def _write(ledger: Ledger) -> None:

@@ -54,6 +54,7 @@ class Figures(RecordPart, frozen=True):
     n_independent: int = 0
     n_terms: int = 0
     n_features: int = 0
+    n_genes: int = 0
     evaluations: int = 0
     refinement_evaluations: int = 0
     generations: int = 0

@@ -102,17 +102,26 @@ class _Trace:
         self._start = time.perf_counter()
         self._cpu = time.process_time()
         self._before, self._last = 0, 0
+        self._ticks: list[tuple[int, float]] = []
 
     def times(self) -> dict[str, float]:
         """Return the seconds since the cell began. Of all threads: `exact` has its own."""
         return {"seconds": time.perf_counter() - self._start,
                 "cpu_seconds": time.process_time() - self._cpu}
 
-    def end(self, evaluations: int, best: float | None) -> None:
-        """Add what was found last: a budget may end a generation that no observer sees."""
-        self._last = max(self._last, evaluations - self._before)
-        if best is not None:
-            self._add(best)
+    def end(self, search: SearchResult) -> None:
+        """Take the gains of the search, each with the evaluation that found it.
+
+        Its CPU seconds are those of the end of its generation.
+        """
+        cpu = self.times()["cpu_seconds"]
+        # An earlier search of the cell, which found nothing feasible, has cost its evaluations.
+        earlier = max(0, self._before + self._last - search.evaluations)
+        self.points = []
+        for evaluation, best in search.gains:
+            count = earlier + evaluation
+            seconds = next((tick for ended, tick in self._ticks if ended >= count), cpu)
+            self.points.append([count, best, seconds])
 
     def __call__(self, progress: Progress) -> None:
         if self._timeout is not None and time.perf_counter() - self._start > self._timeout:
@@ -121,8 +130,10 @@ class _Trace:
             # The search begins again, as of a second step: what was found before does not count.
             self._before += self._last
             self.points.clear()
+            self._ticks.clear()
         # Evaluations of this search; those of earlier ones are in `_before`.
         self._last = progress.evaluations
+        self._ticks.append((self._before + self._last, time.process_time() - self._cpu))
         if progress.violation == 0 and math.isfinite(progress.best):
             self._add(progress.best)
 
@@ -151,7 +162,7 @@ def _as_asked(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
     # The objectives of least squares are not those of other coefficients.
     is_judged = feasible and fitted.estimator.least_squares
     fitness = float(search.objectives[0]) if is_judged else None
-    trace.end(search.evaluations, fitness)
+    trace.end(search)
     times = trace.times()  # what follows tells about the study, and takes no part in the run
     # Only the figures of a table. A run also compares its selection with all plain models, which
     # takes longer than most searches and is the same for all seeds.
@@ -164,6 +175,7 @@ def _as_asked(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
                  "check": fitted.rmse(task.observations.check),
                  "independent": fitted.rmse(task.observations.independent)}),
         "n_terms": len(selection.terms), "n_features": len(selection.features),
+        "n_genes": task.problem.genome.size,
         "evaluations": search.evaluations,
         "refinement_evaluations": search.polish.evaluations if search.polish else 0,
         "generations": search.generations,
