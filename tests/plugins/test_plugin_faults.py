@@ -161,6 +161,22 @@ def test_faulty_criterion(fault: Any, message: str, task: Task) -> None:
     told_of(caught, message, "criterion 'faulty'")
 
 
+@pytest.mark.parametrize(("score", "message"), [
+    (raising, "failed in score(): ValueError"),
+    (lambda selected: np.full(len(selected.terms), np.nan), "score() returned 4 numbers that are"),
+    (always(None), "score() returned an object of type NoneType")])
+def test_a_faulty_objective_is_called_by_its_name(score: Any, message: str, scene: FeatureSet,
+                                                  ) -> None:
+    objective = termsel.Objective("spread-demo", "A figure.", score)
+    session = termsel.register(objective)
+    task = prepare("poly-terms", features=scene, options={"objectives": session.name})
+    with pytest.raises(PluginFault) as caught:
+        task.problem.evaluate(task.problem.genome.random(np.random.default_rng(1), 4))
+    told_of(caught, message, "objective 'spread-demo' of ")
+    assert caught.value.file is not None
+    assert caught.value.line is not None
+
+
 class Sound(Problem):
     """As many genes on as possible."""
 

@@ -15,6 +15,7 @@ from termsel.plugins.kinds import KINDS
 from termsel.plugins.loading import HOOKS
 from termsel.plugins.registry import Registry
 from termsel.plugins.registry import registry as process_registry
+from termsel.plugins.requirements import fits
 from tests.plugin_texts import BROKEN, INSTANCE, MODEL, NEW_RULE
 
 BUILT_IN = {
@@ -258,6 +259,38 @@ def test_unreadable_metadata_are_named(install, tmp_path, only, call, file, cont
     assert (ruined["distribution"], ruined["status"], ruined["requires"]) == (
         "ruined-one", "broken", "")
     assert said in ruined["reasons"][0]
+
+
+@pytest.mark.parametrize(("required", "is_loaded"), [
+    (">=0.2,<0.3", False), (f">={termsel.__version__},<0.4", True), ("~=0.2.1", False),
+    ("[gis]>=0.3,<0.4", True), ("", True), (" @ https://example.org/termsel.whl", True)])
+def test_a_plugin_for_another_version_is_refused_with_the_reason(
+        install, registry, tmp_path, required, is_loaded):
+    install("dated", MODEL.format(name="dated-model"))
+    metadata = tmp_path / "dated-1.0.dist-info" / "METADATA"
+    metadata.write_text(f"{metadata.read_text()}Requires-Dist: numpy>=1\n"
+                        f"Requires-Dist: termsel{required}\n")
+    names = registry()
+    assert ("dated-model" in names.names("models")) == is_loaded
+    assert ("dated" in sys.modules) == is_loaded
+    reasons = [failure.what for failure in names.failures()]
+    assert reasons == [] if is_loaded else reasons == [
+        f"not loaded: it is for termsel{required}, and this is {termsel.__version__}; "
+        "install a version of it for termsel 0.3"]
+
+
+@pytest.mark.parametrize(("requirement", "version", "is_met"), [
+    (">=0.3,<0.4", "0.3.0.dev0", True), (">=0.3.1", "0.3.0", False), ("==0.3", "0.3.0", True),
+    ("==0.2.*", "0.3.0", False), ("!=0.3.*", "0.3.2", False), ("~=0.3.1", "0.3.4", True),
+    ("~=0.3.1", "0.4.0", False), (">0.3", "0.3.0", False), ("<=0.3", "0.3.0", True)])
+def test_requirements_of_versions(requirement, version, is_met):
+    assert fits(requirement, version) == is_met
+
+
+def test_get_takes_the_word_of_a_kind_and_names_the_kinds():
+    assert termsel.get("solver", "ga") is termsel.get("solvers", "ga")
+    with pytest.raises(TermselError, match=r"unknown kind 'sover'. Did you mean 'solver"):
+        termsel.get("sover", "ga")
 
 
 def test_a_run_of_built_in_things_imports_no_plugin(install, monkeypatch, tmp_path):

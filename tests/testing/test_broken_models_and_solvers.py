@@ -13,6 +13,7 @@ from termsel.core.options import Option
 from termsel.data.features import FloatArray
 from termsel.fitting.population import Fits
 from termsel.models.polynomial import Affine
+from termsel.models.quotient import Blocks, RationalModel
 from termsel.models.rational import RationalFunctions
 from termsel.selection.criteria import CheckRmse, Criterion
 from termsel.selection.problems.base import Problem
@@ -206,3 +207,31 @@ def test_every_choice_is_checked() -> None:
 
 def test_other_checks_of_a_model_without_lines() -> None:
     check(NoLines, expected_failures={"control_kinds": "made for points"})
+
+
+class Waves(RationalModel):
+    """A polynomial with a wave across the scene: in another scaling it is another function."""
+
+    name = "waves"
+
+    def blocks(self, ground: FloatArray) -> Blocks:
+        X, Y, Z = ground.T
+        columns = np.column_stack([np.ones(len(ground)), X, Y, Z, np.sin(3 * X), np.cos(3 * Y)])
+        return Blocks(line=columns, sample=columns)
+
+
+class TwoWaves(Waves):
+    """Equations of one wave, and positions of another."""
+
+    name = "two-waves"
+
+    def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
+        return super().project(coefficients, ground + [0.01, 0.0, 0.0])
+
+
+def test_a_model_need_not_be_closed_under_rescaling() -> None:
+    [suite_check] = [one for one in checks(Waves) if one.name.endswith("fit")]
+    suite_check.run()
+    [broken_check] = [one for one in checks(TwoWaves) if one.name.endswith("fit")]
+    with pytest.raises(AssertionError, match=r"misses other points .*closed under rescaling"):
+        broken_check.run()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING
 
 import click
@@ -48,7 +47,7 @@ def plugins(as_json: bool, timed: bool) -> None:
     if as_json:
         print_json([{
             "name": plugin.name, "distribution": plugin.distribution, "version": plugin.version,
-            "api": PLUGIN_API, "requires": _required(plugin), "hooks": list(plugin.hooks),
+            "api": PLUGIN_API, "requires": plugin.requires, "hooks": list(plugin.hooks),
             "status": _status(plugin, failures),
             "reasons": _about(plugin, failures),
             **({"seconds": round(seconds.get(plugin, 0.0), 4)} if timed else {})}
@@ -59,7 +58,7 @@ def plugins(as_json: bool, timed: bool) -> None:
     print_table(
         ("name", "distribution", "version", "requires termsel", "status",
          *(["seconds"] if timed else []), "hooks"),
-        [(plugin.name, plugin.distribution, plugin.version, _required(plugin),
+        [(plugin.name, plugin.distribution, plugin.version, plugin.requires,
           _status(plugin, failures),
           *([f"{seconds.get(plugin, 0.0):.3f}"] if timed else []),
           " ".join(hook.removeprefix("termsel_") for hook in plugin.hooks))
@@ -73,21 +72,6 @@ def plugins(as_json: bool, timed: bool) -> None:
         echo(f"Command {command.name!r} of {command.provided_by}: {command.summary}")
     for failure in failures:
         echo(f"Broken: {failure}")
-
-
-def _required(plugin: Plugin) -> str:
-    """Return the versions of termsel that a plugin's package states to need; "" where it does not.
-    """
-    from importlib.metadata import requires
-
-    from termsel.plugins.loading import attempt
-
-    # None where it is not installed, or without metadata that can be read.
-    requirements = attempt(lambda: requires(plugin.distribution))[0] or []
-    # Extras may follow the name, and a condition the versions: "termsel[gis]>=0.3 ; ...".
-    stated = (re.match(r"termsel\s*(?:\[[^]]*])?\s*\(?([<>=!~][^;)]*)", requirement, re.IGNORECASE)
-              for requirement in requirements)
-    return next((match[1].replace(" ", "") for match in stated if match), "")
 
 
 def _about(plugin: Plugin, remarks: list[Remark]) -> list[str]:

@@ -15,9 +15,9 @@ from termsel.adjustment.equations import Equations, line_normals, weights_of
 from termsel.adjustment.iterated import Quotients, least_distances
 from termsel.adjustment.lines import approximate_image, image_equations
 from termsel.adjustment.parts import IndependentPart, solve_parts
-from termsel.core.errors import TermselError
 from termsel.core.isolation.arrays import of_shape, of_type
 from termsel.core.isolation.calls import Check
+from termsel.core.isolation.faults import wrong
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray, Points
 from termsel.data.monomials import Exponents, monomial_name, monomials
 from termsel.models.base import BOTH, LINE, SAMPLE, SensorModel
@@ -108,13 +108,10 @@ class RationalModel(SensorModel):
             # Columns without names are numbered.
             names = self.column_names(block) or tuple(str(i) for i in range(width))
             if len(names) != width:
-                raise TermselError(
-                    f"model {self.name!r} names {len(names)} of {width} columns of {block!r}",
-                    hint="Report this to the author of the model.")
+                raise wrong(self, "column_names",
+                            f"names {len(names)} of {width} columns of {block!r}")
             if len(set(names)) < width:
-                raise TermselError(
-                    f"model {self.name!r} gives two columns of {block!r} one name",
-                    hint="Report this to the author of the model.")
+                raise wrong(self, "column_names", f"gives two columns of {block!r} one name")
             layout.append((block, slice(start, start + width), axis,
                            tuple(str(Term(AXES[axis], part, name)) for name in names)))
             start += width

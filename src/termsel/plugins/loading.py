@@ -20,9 +20,10 @@ import pluggy
 from termsel.core.errors import raised, unknown_name
 from termsel.core.isolation.faults import OWN, distribution_of, remember
 from termsel.core.isolation.inside import TooSlow, code_of, surroundings_kept, within
-from termsel.core.version import __version__
+from termsel.core.version import PLUGIN_API, __version__
 from termsel.plugins import builtin, hookspecs
 from termsel.plugins.hookspecs import PROJECT
+from termsel.plugins.requirements import fits
 
 log = logging.getLogger(__name__)
 
@@ -44,12 +45,16 @@ HOOKS = tuple(name for name in vars(hookspecs) if name.startswith(f"{PROJECT}_")
 
 @dataclass(frozen=True)
 class Plugin:
-    """An installed plugin: its entry point, the package it comes in, and its hooks once loaded."""
+    """An installed plugin: its entry point, the package it comes in, and its hooks once loaded.
+
+    `requires` are the versions of termsel that the package states to need; empty if none.
+    """
 
     name: str
     distribution: str
     version: str
     hooks: tuple[str, ...] = ()
+    requires: str = ""
 
     def remark(self, text: str) -> Remark:
         """Return a remark on the plugin."""
@@ -208,6 +213,11 @@ class Loader:
         plugin = slot.plugin
         manager = new_manager()
         remember(slot.package, f"{plugin.distribution} {plugin.version}".strip())
+        if not fits(plugin.requires, __version__):
+            self.failures.append(plugin.remark(
+                f"not loaded: it is for termsel{plugin.requires}, and this is {__version__}; "
+                f"install a version of it for termsel {PLUGIN_API}"))
+            return
         module, reason = slot.attempt(slot.load)
         if reason is not None:
             self.failures.append(plugin.remark(f"cannot be imported: {reason}"))
@@ -316,11 +326,17 @@ def _name_of(distribution: Distribution) -> str:
 def _plugin_of(point: EntryPoint) -> Plugin:
     if point.dist is None:  # made by hand, not found in a distribution
         return Plugin(point.name, canonical(point.module), "")
-    return Plugin(point.name, *_named(point.dist))
+    name, version, requires = _named(point.dist)
+    return Plugin(point.name, name, version, requires=requires)
 
 
 @cache
-def _named(distribution: Distribution) -> tuple[str, str]:
-    """Return name and version: metadata are parsed whenever they are asked for."""
+def _named(distribution: Distribution) -> tuple[str, str, str]:
+    """Return name, version and required termsel: metadata are parsed whenever they are asked for.
+    """
     metadata = distribution.metadata
-    return canonical(metadata["Name"]), metadata["Version"] or ""
+    # Extras may follow the name, and a condition the versions: "termsel[gis]>=0.3 ; ...".
+    stated = (re.match(r"termsel\s*(?:\[[^]]*])?\s*\(?([<>=!~][^;)]*)", requirement, re.IGNORECASE)
+              for requirement in metadata.get_all("Requires-Dist") or ())
+    requires = next((match[1].replace(" ", "") for match in stated if match), "")
+    return canonical(metadata["Name"]), metadata["Version"] or "", requires

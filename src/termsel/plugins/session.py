@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any, TypeVar
 
+from termsel.core.errors import unknown_name
+from termsel.plugins.kinds import KINDS
 from termsel.plugins.registry import registry
 
 T = TypeVar("T")
@@ -52,7 +54,7 @@ def get(kind: str, name: Any) -> Any:
     Parameters
     ----------
     kind : str
-        Such as "models", "solvers" or "problems", as for ``termsel list``.
+        Such as "models", "solvers" or "problems", as for ``termsel list``, or "model" for one.
     name : str, type or object
         A name, perhaps as ``distribution:name``; or a thing of that kind, which is returned.
 
@@ -64,7 +66,7 @@ def get(kind: str, name: Any) -> Any:
     Raises
     ------
     TermselError
-        If nothing has the name, or it is no thing of that kind.
+        If nothing has the name, it is no thing of that kind, or there is no such kind.
 
     Examples
     --------
@@ -72,4 +74,8 @@ def get(kind: str, name: Any) -> Any:
     >>> termsel.get("models", "poly2d") is termsel.Polynomial2D
     True
     """
-    return registry().taken(kind, name)
+    plurals = {each.word: plural for plural, each in KINDS.items()}
+    plural = plurals.get(kind, kind)
+    if plural not in KINDS:
+        raise unknown_name("kind", kind, KINDS)
+    return registry().taken(plural, name)

@@ -178,7 +178,9 @@ def _model(record: Record) -> str:
         return f"{title}{how}{rpc}"
     selection = record.selection
     offered = record.offered
-    excluded = sum(outlier.excluded and outlier.role == "control" for outlier in record.outliers)
+    # What the search could select, though it did not, was on offer.
+    excluded = 0 if were_selectable(record) else sum(
+        outlier.excluded and outlier.role == "control" for outlier in record.outliers)
     n_features = max(offered.n_features - excluded, selection.n_features)
     text = (f"{title}, {share(selection.n_terms, offered.n_terms)} terms, "
             f"{share(selection.n_features, n_features)} {record.data.counts.word}")
@@ -186,6 +188,11 @@ def _model(record: Record) -> str:
         return f"{text}; stable over {record.stability.repeats} selections"
     whole = (selection.n_terms, selection.n_features) == (offered.n_terms, offered.n_features)
     return text if whole else f"{text}, selected by {record.solver}"
+
+
+def were_selectable(record: Record) -> bool:
+    """Return whether a search could select outliers: it was asked to keep them."""
+    return record.options.problem.get("blunders") == "keep"
 
 
 def share(chosen: int, offered: int) -> str:
@@ -203,7 +210,9 @@ def outlier_lines(record: Record) -> list[str]:
     word = record.data.counts.word
     lines = []
     if rejected:
-        lines.append(f"{_counted(rejected, word)} rejected: {_listed(rejected)}")
+        outcome = "not selected by the search, which could select them" \
+            if were_selectable(record) else "rejected"
+        lines.append(f"{_counted(rejected, word)} {outcome}: {_listed(rejected)}")
     if used:
         lines.append(f"{_counted(used, word)} still in use: {_listed(used)}")
     if independent:

@@ -85,8 +85,11 @@ def from_ask_tell(factory: Callable[[Problem, np.random.Generator], AskTell], *,
             for index in itertools.count():
                 with blamed(optimiser, "ask", CHECK):
                     candidates = optimiser.ask()
-                    if candidates is None:
+                    if candidates is None and index:
                         return
+                    if candidates is None:
+                        raise wrong(optimiser, "ask", "returned None at once; expected genes, and "
+                                    "None where there are no more", CHECK)
                     # One selection, or several; numbers that the genome rounds to its genes.
                     candidates = np.atleast_2d(np.asarray(candidates, dtype=float))
                 if fault := of_shape(candidates, (-1, problem.genome.size)):

@@ -74,20 +74,29 @@ def name_of(definition: Any) -> str:
     return f"{getattr(cls, 'kind', '')} {shown_name} of {distribution}".strip()
 
 
-def wrong(definition: Any, method: str, fault: str, hint: str = HINT) -> PluginFault:
-    """Return the fault of a method, such as "score": what it returned, and what was expected."""
+def named_function(what: str, function: Any) -> str:
+    """Return what a message calls a function by what it is of, such as "objective 'spread'"."""
+    return f"{what} of {distribution_of(package_of(function))}"
+
+
+def wrong(definition: Any, method: str, fault: str, hint: str = HINT,
+          called: str = "") -> PluginFault:
+    """Return the fault of a method, such as "score": what it returned, and what was expected.
+
+    `called` takes the place of the name of the definition.
+    """
     file, line = _defined(definition, method)
-    return PluginFault(f"{name_of(definition)}: {method}() {fault}", file=file, line=line,
-                       hint=hint)
+    return PluginFault(f"{called or name_of(definition)}: {method}() {fault}", file=file,
+                       line=line, hint=hint)
 
 
 @contextmanager
-def blamed(definition: Any, method: str, hint: str = HINT) -> Iterator[None]:
+def blamed(definition: Any, method: str, hint: str = HINT, called: str = "") -> Iterator[None]:
     """Run code of a plugin; what it raises becomes its PluginFault, with the method named.
 
     termsel's own errors pass, such as a `TermselError` on a file that the user can correct. So does
     all of a class, function or object of termsel. The hint says what to do, where it may be the
-    user's own mistake.
+    user's own mistake; `called` takes the place of the name of the definition.
     """
     package = package_of(definition)
     if package == OWN:
@@ -102,7 +111,8 @@ def blamed(definition: Any, method: str, hint: str = HINT) -> Iterator[None]:
         if isinstance(error, KeyboardInterrupt | MemoryError) or is_own(type(error)) \
                 or is_marked(error):
             raise
-        raise failed(error, f"{name_of(definition)} failed in {method}()", package, hint) from error
+        raise failed(error, f"{called or name_of(definition)} failed in {method}()", package,
+                     hint) from error
 
 
 def failed(error: BaseException, activity: str, package: str, hint: str = HINT) -> PluginFault:

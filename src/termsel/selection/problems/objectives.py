@@ -10,7 +10,7 @@ import numpy as np
 from termsel.adjustment.equations import Equations
 from termsel.adjustment.parts import IndependentPart
 from termsel.core.isolation.arrays import of_shape
-from termsel.core.isolation.faults import blamed, wrong
+from termsel.core.isolation.faults import blamed, is_own, named_function, wrong
 from termsel.data.coordinates.places import centres
 from termsel.data.features import BoolArray, FeatureSet, FloatArray
 from termsel.selection.problems.coverage import uncovered_share
@@ -142,10 +142,12 @@ class Objective:
 def scored(objective: Objective, selected: PopulationSelection) -> FloatArray:
     """Return the figures of an objective; refuse, naming the plugin, others than one finite each.
     """
-    with blamed(objective.score, "score"):
-        figures = objective.score(selected)
+    score = objective.score
+    called = "" if is_own(score) else named_function(f"objective {objective.name!r}", score)
+    with blamed(score, "score", called=called):
+        figures = score(selected)
     if fault := of_shape(figures, (len(selected.terms),)):
-        raise wrong(objective.score, "score", fault)
+        raise wrong(score, "score", fault, called=called)
     return figures
 
 

@@ -204,10 +204,11 @@ def options_of(problem: Problem) -> frozenset[str]:
     if not isinstance(problem, SelectionProblem):
         return frozenset()
     names = {segment.name for segment in problem.genome.segments}
+    options: tuple[Option, ...] = OF_BOTH
     if "features" not in names:
         options = OF_TERMS
-    else:
-        options = OF_FEATURES if names == {"features"} else OF_BOTH
+    elif names == {"features"}:
+        options = OF_FEATURES
     # How terms share a mask is an argument of the class.
     return frozenset(option.name for option in options) - {MASK.name}
 

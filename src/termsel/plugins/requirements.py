@@ -1,0 +1,43 @@
+"""Whether a version satisfies a requirement, as the metadata of packages state it."""
+
+from __future__ import annotations
+
+import operator
+import re
+
+
+def fits(requirement: str, version: str) -> bool:
+    """Return whether a version satisfies a requirement, such as ``>=0.3,<0.4``.
+
+    By the numbers alone: a development version counts as its release. What is no requirement of
+    versions, such as an address, is satisfied.
+    """
+    return all(_satisfied(clause.strip(), version) for clause in requirement.split(","))
+
+
+_CLAUSE = re.compile(r"(>=|<=|==|!=|~=|>|<)\s*v?(\d+(?:\.\d+)*)(\.\*)?")
+
+_COMPARED = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt,
+             "==": operator.eq, "!=": operator.ne}
+
+
+def _satisfied(clause: str, version: str) -> bool:
+    found = _CLAUSE.match(clause)
+    if found is None:
+        return True
+    sign, text, any_later = found.groups()
+    required = _numbers(text)
+    present = _numbers(version)
+    if sign == "~=":
+        return present >= required and present[:len(required) - 1] == required[:-1]
+    if any_later:
+        return bool(_COMPARED[sign](present[:len(required)], required))
+    # 0.3 is 0.3.0.
+    length = max(len(present), len(required))
+    padded = [numbers + (0,) * (length - len(numbers)) for numbers in (present, required)]
+    return bool(_COMPARED[sign](*padded))
+
+
+def _numbers(version: str) -> tuple[int, ...]:
+    release = re.match(r"\d+(?:\.\d+)*", version)
+    return tuple(map(int, release[0].split("."))) if release else ()
