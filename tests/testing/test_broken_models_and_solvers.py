@@ -226,7 +226,7 @@ class TwoWaves(Waves):
     name = "two-waves"
 
     def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
-        return super().project(coefficients, ground + [0.01, 0.0, 0.0])
+        return super().project(coefficients, ground + np.array([0.01, 0.0, 0.0]))
 
 
 def test_a_model_need_not_be_closed_under_rescaling() -> None:
