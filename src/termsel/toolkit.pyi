@@ -213,10 +213,10 @@ from .selection.solvers.genetic.operators import crossover as crossover
 from .selection.solvers.genetic.operators import mutation as mutation
 from .selection.solvers.ledger import Ledger as Ledger
 from .selection.solvers.ledger import Progress as Progress
+from .selection.solvers.observers import Observer as Observer
 from .selection.solvers.proofs.exact import gap as gap
 from .selection.solvers.proofs.proof import TIE as TIE
 from .selection.solvers.regression.base import regressions as regressions
-from .selection.solvers.observers import Observer as Observer
 from .simulate.kept import kept_features as kept_features
 from .studies.cells.cell import Cell as Cell
 from .studies.cells.images import IMAGES as IMAGES
