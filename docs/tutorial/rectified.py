@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 import warnings
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -68,17 +69,17 @@ def _panel(path: Path, marks: np.ndarray, colour: tuple[int, int, int]) -> np.nd
     return panel
 
 
-def draw(scene: Path, rectified: Path, measured: np.ndarray) -> np.ndarray:
+def draw(scene: Path, rectified_map: Path, measured: np.ndarray) -> np.ndarray:
     """Return image and map side by side, shape (3, lines, samples).
 
     Parameters
     ----------
-    scene, rectified : Path
+    scene, rectified_map : Path
     measured : ndarray, shape (n, 2)
         Line and sample of the points the model was fitted to.
     """
     panels = [_panel(scene, measured, (209, 36, 47)),
-              _panel(rectified, corners_true(rectified), (11, 122, 117))]
+              _panel(rectified_map, corners_true(rectified_map), (11, 122, 117))]
     height = max(panel.shape[0] for panel in panels)
     columns = []
     for panel in panels:
@@ -90,25 +91,51 @@ def draw(scene: Path, rectified: Path, measured: np.ndarray) -> np.ndarray:
     return np.moveaxis(whole.astype(np.uint8), -1, 0)
 
 
+@dataclass(frozen=True)
+class Rectified:
+    """The tutorial's result and map, and how far corners are from their true positions [px]."""
+
+    result: termsel.Result
+    map: Path
+    distances: np.ndarray
+
+    @property
+    def fitted(self) -> np.ndarray:
+        """Whether each point was used in the fit, shape (n,)."""
+        used = [residual.id for residual in self.result.residuals if residual.used]
+        return np.isin(self.result.features.points.ids, used)
+
+    @property
+    def figures(self) -> dict[str, str]:
+        """The figures that captions of the picture state."""
+        return {"points": str(self.fitted.sum()), "corners": str(len(self.distances)),
+                "largest": f"{self.distances.max():.2f}",
+                "rms": f"{np.sqrt((self.distances**2).mean()):.2f}"}
+
+
+def rectified(folder: Path) -> Rectified:
+    """Follow the tutorial with the example files in a folder."""
+    result = termsel.run("rfm-terms", features=termsel.read(folder / "gcps.csv")).as_exported()
+    path = folder / "map.tif"
+    termsel.rectify(result, folder / "scene.tif", path, dem=folder / "dem.tif",
+                    crs=MAP_CRS, resolution=GSD)
+    distances = np.linalg.norm(corners_found(path) - corners_true(path), axis=1)
+    return Rectified(result, path, distances)
+
+
 def main() -> None:
-    """Run the way and write the picture."""
+    """Follow the tutorial and write the picture."""
     with TemporaryDirectory() as name, warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         folder = Path(name) / "files"
         write_example(folder)
-        result = termsel.run("rfm-terms", features=termsel.read(folder / "gcps.csv")).as_exported()
-        rectified = folder / "map.tif"
-        termsel.rectify(result, folder / "scene.tif", rectified, dem=folder / "dem.tif",
-                        crs=MAP_CRS, resolution=GSD)
-        apart = np.linalg.norm(corners_found(rectified) - corners_true(rectified), axis=1)
-        fitted = np.isin(result.features.points.ids, [r.id for r in result.residuals if r.used])
-        picture = draw(folder / "scene.tif", rectified, result.features.points.image[fitted])
+        made = rectified(folder)
+        picture = draw(folder / "scene.tif", made.map,
+                       made.result.features.points.image[made.fitted])
         with rasterio.open(TARGET, "w", driver="PNG", height=picture.shape[1],
                            width=picture.shape[2], count=3, dtype="uint8", zlevel=9) as raster:
             raster.write(picture)
-    print(f"{fitted.sum()} points, {len(result.selection.terms)} terms of "
-          f"{result.model}; {len(apart)} corners, at most {apart.max():.2f} px from their places, "
-          f"{np.sqrt((apart**2).mean()):.2f} px RMS", file=sys.stderr)
+    print(made.figures, file=sys.stderr)
 
 
 if __name__ == "__main__":

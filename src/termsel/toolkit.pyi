@@ -156,6 +156,7 @@ from .plugins.registry import registry as registry
 from .report.accuracy import expected_of as expected_of
 from .report.accuracy import predicted_first as predicted_first
 from .report.blocks import Document as Document
+from .report.blocks import Fact as Fact
 from .report.blocks import Figure as Figure
 from .report.blocks import Section as Section
 from .report.blocks import TableBlock as TableBlock

@@ -325,14 +325,14 @@ def test_the_block_is_shown(example: Example) -> None:
     for image in record["images"]:
         assert f"{image['predicted']:.2f}" in text
     page = (folder / "adjusted/report.html").read_text()
-    assert page.count("<svg") == 3
+    assert page.count('data-chart="') == 3
     for wrong in record["wrong_ties"]:
-        assert f"<th scope=row>{wrong['id']}</th>" in page
+        assert f'<th scope="row">{wrong["id"]}</th>' in page
         near = wrong["error"] < 4 * record["sigma_ties"]
         line = f"{wrong['id']} in {wrong['image']}: {wrong['error']:.1f} px"
         assert line in text
         assert (f"{line} (now in one image only" in text) == near
-    assert "http" not in page.replace("http://www.w3.org", "")
+    assert "default-src 'none'" in page
     table = (folder / "adjusted/ties.csv").read_text().splitlines()
     assert len(table) > 100
 
@@ -384,9 +384,8 @@ def test_a_page_says_how_much_of_a_large_block_it_shows(
     count = int((times_seen(adjusted) > 1).sum())
     assert f"height; 20 of {count} are shown. Triangles" in shown
     assert "; 1 of 3 are shown." in shown
-    outlines = page._map(adjusted)
+    outlines = json.dumps(page._map(adjusted).to_dict())
     assert all(image.name in outlines for image in adjusted.block.images)
-    assert "<th scope=col></th>" not in shown
 
 
 def test_a_folder_that_is_taken_is_refused(example: Example) -> None:

@@ -38,7 +38,7 @@ def claims(groups: Groups, comparison: Comparison | None, rows: list[Row]) -> li
                          f"{counted(len(rows), 'cell')}.")
     if groups.measure == "fitness":
         sentences.append("The fitness chose the selections, so it is not the accuracy: compare the "
-                         "column independent.")
+                         "RMSE at independent check points (ICP).")
     return sentences
 
 
@@ -65,11 +65,10 @@ def _single(groups: Groups) -> list[str]:
         best = min(repeated, key=lambda method: quantiles(by_method[method].values, (0.5,)))
         sizes = {rival: effect_size(by_method[best].values, by_method[rival].values)
                  for rival in repeated if rival != best}
-        words = [f"{size_in_words(value)} difference from {rival} (A12 = {value:.2f})"
+        words = [f"{size_in_words(value)} over {rival} (A12 = {value:.2f})"
                  for rival, value in sizes.items()]
         sentences.append(f"On {name}, {best} has the lowest median of the methods with several "
-                         "runs: "
-                         f"{'; '.join(words)}.")
+                         f"runs; its advantage is {', '.join(words)}.")
     return sentences
 
 

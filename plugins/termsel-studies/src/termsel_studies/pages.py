@@ -35,8 +35,15 @@ def usual_notes(images: list[Row]) -> dict[str, int]:
             if number > 1 and number > USUAL * len(images)}
 
 
-def tables_of(study: Study) -> tuple[list[TableBlock], list[str]]:
-    """Return the tables of a study, and what may be claimed."""
+def tables_of(study: Study, *, brief: bool = False) -> tuple[list[TableBlock], list[str]]:
+    """Return the tables of a study, and valid claims.
+
+    Parameters
+    ----------
+    study : Study
+    brief : bool
+        Whether the table of an instance has the main columns alone, as a terminal shows it.
+    """
     rows = study.rows
     tables = [_images([row for row in rows if row["strategy"] == "auto"])]
     if study.spec.strategies == ("auto",):
@@ -47,7 +54,7 @@ def tables_of(study: Study) -> tuple[list[TableBlock], list[str]]:
     figures = summaries(groups)
     for name in groups.instances:
         of_instance = [figure for figure in figures if figure.instance == name]
-        tables.append(_of_instance(groups, name, of_instance))
+        tables.append((_main_figures if brief else _of_instance)(groups, name, of_instance))
     # Fronts are compared where the objectives are the same: on one model, by one criterion.
     searched = group([row for row in rows if row["strategy"] != "auto"], study.records, "fitness")
     tables.append(TableBlock(
@@ -108,7 +115,6 @@ def _of_instance(groups: Groups, name: str, figures: list[Summary]) -> TableBloc
     measure = groups.measure
     best = min(figures, key=lambda figure: figure.quartiles[2]).method
     optimum = figures[0].optimum
-    title = name if optimum is None else f"{name}: proven optimum {optimum:.4f}"
     header = ("method", "runs", "best", "lower quartile", "median", "upper quartile", "worst",
               "effect size", *(("optimum reached", "95 % interval", "expected evaluations")
                                if optimum is not None else ()),
@@ -127,7 +133,28 @@ def _of_instance(groups: Groups, name: str, figures: list[Summary]) -> TableBloc
             f"{effect_size(runs_of[best].values, runs_of[figure.method].values):.2f}", *reached,
             *(() if measure == "independent" else (shown(figure.independent, 3),)),
             shown(figure.evaluations, 0), shown(figure.cpu_seconds, 2)))
-    return TableBlock(title, header, rows)
+    return TableBlock(_title(name, optimum), header, rows)
+
+
+def _main_figures(groups: Groups, name: str, figures: list[Summary]) -> TableBlock:
+    """Return the main figures of all methods on an instance, in at most five columns."""
+    optimum = figures[0].optimum
+    header = ["method", "median [quartiles]"]
+    header += ["optimum reached", "expected evaluations"] if optimum is not None else ["runs"]
+    header += [] if groups.measure == "independent" else ["ICP RMSE [px]"]
+    rows = []
+    for figure in figures:
+        _, low, median, high, _ = (shown(value, 3) for value in figure.quartiles)
+        row = [figure.method, f"{median} [{low}-{high}]"]
+        row += [f"{figure.reached} of {figure.runs}", shown(figure.expected, 0)] \
+            if optimum is not None else [str(figure.finished)]
+        row += [] if groups.measure == "independent" else [shown(figure.independent, 3)]
+        rows.append(tuple(row))
+    return TableBlock(_title(name, optimum), tuple(header), rows)
+
+
+def _title(name: str, optimum: float | None) -> str:
+    return name if optimum is None else f"{name}: proven optimum {optimum:.4f}"
 
 
 def _named(row: Row) -> str:

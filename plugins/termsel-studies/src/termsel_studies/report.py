@@ -50,13 +50,14 @@ def report(study: Study, charts: list[Figure] | None = None) -> str:
 
 
 def summary(study: Study) -> str:
-    """Return what may be claimed of a study, and its tables, as text."""
-    return text_of(_document(study, [], {}))
+    """Return valid claims on a study, and its main figures, as text."""
+    return text_of(_document(study, [], {}, brief=True))
 
 
-def _document(study: Study, charts: list[Figure], pictures: dict[str, str]) -> Document:
+def _document(study: Study, charts: list[Figure], pictures: dict[str, str], *,
+              brief: bool = False) -> Document:
     """Return what is shown of a study; `pictures` are drawings of images by the key of the cell."""
-    tables, sentences = tables_of(study)
+    tables, sentences = tables_of(study, brief=brief)
     images = []
     for table in tables:
         if table.keys:

@@ -81,9 +81,15 @@ def axis_end(view: View) -> float:
 
 
 def broken(view: View) -> str:
-    """Return what must be said of bars that are broken; "" where none is."""
-    return "Bars with a break are longer than the axis; their length is written beside them." \
-        if np.isfinite(axis_end(view)) else ""
+    """Return what must be said of bars that are broken, and of those of rejected features."""
+    sentences = []
+    if np.isfinite(axis_end(view)):
+        sentences.append(
+            "Bars with a break are longer than the axis; their length is written beside them.")
+    if any(row["role"] == "rejected" for row in view.worst[:WORST]):
+        sentences.append("Residuals of rejected outliers are from the final fit; the outlier test "
+                         "compared them with predictions by the others, so its sizes differ.")
+    return " ".join(sentences)
 
 
 def baseline_bars(view: View) -> Any:

@@ -2,35 +2,28 @@
 
 from __future__ import annotations
 
-import html
-import logging
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from termsel import TermselError
-from termsel.toolkit import picture, require_altair
+from termsel import TableBlock
+from termsel.toolkit import (
+    CONTROL,
+    FAINT,
+    INK,
+    WIDTH,
+    Document,
+    Figure,
+    Section,
+    chart_rows,
+    page,
+    require_altair,
+)
 from termsel_block.geometry.frame import FloatArray, IntArray
 from termsel_block.joint import BlockResult
 from termsel_block.shown.record import BlockRecord, WrongControl, WrongTie, times_seen
-from termsel_block.shown.summary import opening, reason_of
-
-log = logging.getLogger("termsel.block")
-
-_STYLE = """
-:root { color-scheme: light dark; --text: #1c2024; --page: #fff; --rule: #c9ced4; }
-@media (prefers-color-scheme: dark) { :root { --text: #e6e8ea; --page: #16191c; --rule: #454b52; } }
-body { font: 16px/1.5 system-ui, sans-serif; color: var(--text); background: var(--page);
-       max-width: 62rem; margin: 0 auto; padding: 1rem; }
-.wide { overflow-x: auto; } pre { white-space: pre-wrap; }
-table { border-collapse: collapse; } th, td { padding: .25rem .75rem; text-align: right;
-        border-bottom: 1px solid var(--rule); } th:first-child, td:first-child { text-align: left; }
-        .remark { text-align: left; }
-figure { margin: 1.5rem 0; } figure div { background: #fff; overflow-x: auto; padding: .5rem; }
-svg { max-width: 100%; height: auto; }
-"""
+from termsel_block.shown.summary import facts, read_in, reason_of
 
 # Ties in a picture.
 _DRAWN_TIES = 3000
@@ -45,49 +38,48 @@ _LISTED = 50
 
 
 def page_of(result: BlockResult, record: BlockRecord) -> str:
-    """Return the page: summary, images, footprints with ties, residuals, and uncertainty.
+    """Return the page: first lines with a map, images, residuals and uncertainty, and outliers.
 
-    A picture that cannot be drawn is left out, which the page and a warning say.
+    Raises
+    ------
+    TermselError
+        If the libraries for charts are not installed.
     """
-    pictures: list[tuple[str, str, Callable[[], str]]] = [
-        ("Footprints, ties and control", "Each dot is a tie; its colour is the standard deviation "
-         f"of its height{_some(result)}. Triangles are control. Outlines are drawn around the ties "
-         "of each image.", partial(_map, result)),
-        ("Residuals and uncertainty by image", "The RMSE of the ties in each image, and the RMSE "
-         "that is predicted for points measured as the control is, over the area of these ties. "
-         f"The least certain image comes first{_first(record)}.", partial(_bars, record)),
-        ("Residuals by tie", "Number of measurements by their distance from the model. Those more "
-         "than four standard deviations off in line or in sample are left out.",
-         partial(_residuals, result))]
-    figures = "".join(_figure(*picture) for picture in pictures)
-    rows = "".join(
-        f"<tr><th scope=row>{html.escape(image.name)}</th><td>{image.model}</td>"
-        f"<td>{image.control}</td><td>{image.ties}</td><td>{image.rmse_ties:.2f}</td>"
-        f"<td>{image.predicted:.2f}</td><td>{image.low:.2f} to {image.high:.2f}</td>"
-        f"<td>{'' if image.independent is None else f'{image.independent:.2f}'}</td></tr>"
-        for image in record.images)
-    heads = "".join(f"<th scope=col>{name}</th>" for name in (
+    require_altair()
+    ground = Figure(
+        "map", "Footprints, ties and control",
+        "Each dot is a tie; its colour is the standard deviation of its height"
+        f"{_some(result)}. Triangles are control. Outlines are drawn around the ties of each "
+        "image.", _map(result), keeps_ratio=True)
+    by_image = Figure(
+        "images", "Residuals and uncertainty by image",
+        "The RMSE of the ties in each image, and the RMSE that is predicted for points measured "
+        "like the control, over the area of these ties. The least certain image comes first"
+        f"{_first(record)}.", _bars(record))
+    by_tie = Figure(
+        "ties", "Residuals by tie",
+        "Number of observations by their distance from the model. Those more than four standard "
+        "deviations off in line or in sample are rejected.", _residuals(result))
+    images = (
+        "Predicted is the RMSE of points measured like the control, at the positions of the "
+        "independent check points (ICPs), or of the ties if there are none.", _images(record))
+    sections = (Section("Images", images), Section("Residuals", (by_image, by_tie)),
+                Section("Rejected outliers", tuple(_rejected(record))))
+    return page(Document(
+        f"Block of {len(record.images)} images", read_in(record), (*facts(record), ground),
+        tuple(section for section in sections if section.blocks)))
+
+
+def _images(record: BlockRecord) -> TableBlock:
+    """Return the table of all images."""
+    return TableBlock("All images", (
         "image", "model", "control", "ties", "ties [px]", "predicted [px]", "90 % interval",
-        "independent [px]"))
-    return (f"<!doctype html><html lang=en><head><meta charset=utf-8><meta name=viewport "
-            f"content='width=device-width'><title>Block of {len(record.images)} images</title>"
-            f"<style>{_STYLE}</style></head><body><main><h1>Block of {len(record.images)} images"
-            f"</h1><pre>{html.escape(opening(record))}</pre><section><h2>Images</h2>"
-            f"<div class=wide tabindex=0><table><thead><tr>{heads}</tr></thead><tbody>{rows}"
-            "</tbody></table></div><p>Predicted is the RMSE of points measured as the control is, "
-            "at the places of the independent check points, or of the ties where there are "
-            f"none.</p></section>{figures}{_left_out(record)}</main></body></html>\n")
-
-
-def _figure(title: str, text: str, draw: Callable[[], str]) -> str:
-    """Return a picture with its title and what it shows, or why it could not be drawn."""
-    try:
-        require_altair()
-        figure = f"<div>{draw()}</div><figcaption>{text}</figcaption>"
-    except TermselError as error:
-        log.warning("Warning: the page lacks the picture %r: %s.", title, error.what.rstrip("."))
-        figure = f"<figcaption>This picture is missing: {html.escape(error.what)}.</figcaption>"
-    return f"<section><h2>{title}</h2><figure>{figure}</figure></section>"
+        "ICPs [px]"), [
+            (image.name, image.model, str(image.control), str(image.ties),
+             f"{image.rmse_ties:.2f}", f"{image.predicted:.2f}",
+             f"{image.low:.2f} to {image.high:.2f}",
+             "" if image.independent is None else f"{image.independent:.2f}")
+            for image in record.images])
 
 
 def _first(record: BlockRecord) -> str:
@@ -107,34 +99,22 @@ def _placed(result: BlockResult) -> IntArray:
     return np.flatnonzero(times_seen(result) > 1)
 
 
-def _left_out(record: BlockRecord) -> str:
-    """Return a table of what was left out: control, then ties, of each the worst first."""
-    blunders: list[tuple[str, WrongTie | WrongControl]] = [
+def _rejected(record: BlockRecord) -> Iterator[TableBlock | str]:
+    """Yield a table of rejected observations: control, then ties, of each the worst first."""
+    rejected: list[tuple[str, WrongTie | WrongControl]] = [
         ("control", wrong) for wrong in record.wrong_control]
-    blunders += [("tie", wrong) for wrong in record.wrong_ties]
-    if not blunders:
-        return ""
-    rows = "".join(
-        f"<tr><th scope=row>{html.escape(wrong.id)}</th><td>{html.escape(wrong.image)}</td>"
-        f"<td>{kind}</td><td>{wrong.error:.1f}</td>"
-        f"<td class=remark>{reason_of(wrong, record)}</td></tr>"
-        for kind, wrong in blunders[:_LISTED])
-    further = ""
-    if len(blunders) > _LISTED:
-        further = f"<p>{len(blunders) - _LISTED} more are in block.json.</p>"
-    heads = "".join(f"<th scope=col>{name}</th>" for name in (
-        "id", "image", "kind", "distance [px]", "remark"))
-    return ("<section><h2>Left out as blunders</h2><div class=wide tabindex=0><table><thead>"
-            f"<tr>{heads}</tr></thead><tbody>{rows}</tbody></table></div>{further}</section>")
+    rejected += [("tie", wrong) for wrong in record.wrong_ties]
+    if not rejected:
+        return
+    yield TableBlock("Observations that were rejected, the worst first", (
+        "id", "image", "kind", "distance [px]", "remark"), [
+            (wrong.id, wrong.image, kind, f"{wrong.error:.1f}", reason_of(wrong, record))
+            for kind, wrong in rejected[:_LISTED]])
+    if len(rejected) > _LISTED:
+        yield f"{len(rejected) - _LISTED} more are in block.json."
 
 
-def _svg(chart: Any) -> str:
-    """Return a chart as SVG."""
-    # A browser's letters may be wider than those that the picture leaves room for at its side.
-    return picture(chart.configure_legend(orient="bottom"), ".svg").decode()
-
-
-def _map(result: BlockResult) -> str:
+def _map(result: BlockResult) -> Any:
     """Return the ground with ties, control and the hulls of images, at one scale."""
     import altair as alt
     from scipy.spatial import ConvexHull, QhullError
@@ -175,15 +155,15 @@ def _map(result: BlockResult) -> str:
     colour = alt.value("#888") if len(names) > _TOLD_APART else alt.Color(
         "image:N", title="image", sort=names, legend=alt.Legend(columns=6),
         scale=alt.Scale(scheme="tableau10" if len(names) <= 10 else "tableau20"))
-    hulls = alt.Chart(alt.Data(values=outlines)).mark_line(strokeWidth=1.5).encode(
+    hulls = alt.Chart(chart_rows(outlines)).mark_line(strokeWidth=1.5).encode(
         x=x, y=y, order="order:Q", detail="image:N", color=colour)
-    points = alt.Chart(alt.Data(values=dots)).mark_circle(size=30, opacity=1.0).encode(
+    points = alt.Chart(chart_rows(dots)).mark_circle(size=30, opacity=1.0).encode(
         x=x, y=y, fill=alt.Fill("sigma:Q", title="sigma of height [m]",
                                 scale=alt.Scale(scheme="viridis")))
-    triangles = alt.Chart(alt.Data(values=marks)).mark_point(
-        shape="triangle-up", size=90, filled=False, color="black", strokeWidth=1.5).encode(x=x, y=y)
-    return _svg(alt.layer(hulls, points, triangles).resolve_scale(color="independent").properties(
-        width=width, height=height))
+    triangles = alt.Chart(chart_rows(marks)).mark_point(
+        shape="triangle-up", size=90, filled=False, color=INK, strokeWidth=1.5).encode(x=x, y=y)
+    return alt.layer(hulls, points, triangles).resolve_scale(color="independent").properties(
+        width=width, height=height)
 
 
 def _one_scale(ground: FloatArray) -> list[tuple[list[float], float]]:
@@ -199,7 +179,7 @@ def _one_scale(ground: FloatArray) -> list[tuple[list[float], float]]:
             for middle, half in zip((low + high) / 2, extent / 2, strict=True)]
 
 
-def _bars(record: BlockRecord) -> str:
+def _bars(record: BlockRecord) -> Any:
     """Return RMSE of ties and predicted RMSE of images, the least certain first."""
     import altair as alt
 
@@ -208,13 +188,15 @@ def _bars(record: BlockRecord) -> str:
     for image in images:
         rows.append({"image": image.name, "what": "ties", "px": image.rmse_ties})
         rows.append({"image": image.name, "what": "predicted", "px": image.uncertainty})
-    return _svg(alt.Chart(alt.Data(values=rows)).mark_bar().encode(
+    colours = alt.Scale(domain=["ties", "predicted"], range=[CONTROL, FAINT])
+    return alt.Chart(chart_rows(rows)).mark_bar().encode(
         x=alt.X("px:Q", title="RMSE [px]", axis=alt.Axis(tickCount=8)), yOffset="what:N",
-        y=alt.Y("image:N", title="image", sort=[image.name for image in images]),
-        color=alt.Color("what:N", title="")).properties(width=560))
+        y=alt.Y("image:N", title=None, sort=[image.name for image in images]),
+        color=alt.Color("what:N", scale=colours)).properties(
+            width=WIDTH, height=max(80, 36 * len(images)))
 
 
-def _residuals(result: BlockResult) -> str:
+def _residuals(result: BlockResult) -> Any:
     """Return how many measurements are how far from the model."""
     import altair as alt
 
@@ -224,7 +206,7 @@ def _residuals(result: BlockResult) -> str:
     count, edges = np.histogram(np.minimum(far, limit), bins=24, range=(0, limit))
     rows = [{"from": float(a), "to": float(b), "count": int(n)}
             for a, b, n in zip(edges[:-1], edges[1:], count, strict=True)]
-    return _svg(alt.Chart(alt.Data(values=rows)).mark_rect().encode(
+    return alt.Chart(chart_rows(rows)).mark_rect(color=CONTROL).encode(
         x=alt.X("from:Q", title=f"distance [px]; the last bar is all beyond {edges[-2]:.1f} px"),
-        x2="to:Q", y=alt.Y("count:Q", title="measurements"),
-        y2=alt.value(240)).properties(width=560, height=240))
+        x2="to:Q", y=alt.Y("count:Q", title="observations"),
+        y2=alt.value(240)).properties(width=WIDTH, height=240)

@@ -229,14 +229,13 @@ def correction_of(result: BlockResult, i: int) -> str:
 
 
 def _datum(images: Sequence[ImageRecord]) -> str:
-    """Return what holds the block on the ground, as a sentence."""
+    """Return what defines the position of the block on the ground."""
     features = sum(image.control for image in images)
     if not features:
-        return ("No control holds this block: its absolute accuracy is that of the vendor's RPCs, "
-                "and the figures that are predicted know no more than their spread.")
+        return ("the vendor's RPCs, as there is no control: the absolute accuracy is theirs, and "
+                "predicted figures include only their spread")
     holding = sum(image.control > 0 for image in images)
-    return (f"{features} GCP observations in {holding} of {len(images)} images hold the "
-            "block.")
+    return f"{features} GCP observations in {holding} of {len(images)} images"
 
 
 def _wrong_ties(result: BlockResult) -> list[WrongTie]:

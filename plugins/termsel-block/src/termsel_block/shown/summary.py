@@ -2,67 +2,96 @@
 
 from __future__ import annotations
 
+import textwrap
+from collections.abc import Iterable, Iterator
+
+from termsel.toolkit import Fact
 from termsel_block.estimation.adjustment import WRONG
 from termsel_block.shown.record import BlockRecord, WrongControl, WrongTie
 
 _SHOWN = 10
+_NAMED = 3
+"""Rejected observations that the first lines name."""
+_LABEL, _WIDTH = 10, 88
+"""Characters of the column of labels, and of a line."""
 
 
 def text_of(record: BlockRecord, *, verbose: bool = True) -> str:
     """Return the summary; without `verbose` long lists end after ten rows."""
-    return "\n".join([opening(record), "", *_table(record, verbose),
+    lines = []
+    for fact in facts(record):
+        lines += textwrap.wrap(fact.text, _WIDTH, initial_indent=fact.label.ljust(_LABEL),
+                               subsequent_indent=" " * _LABEL, break_on_hyphens=False)
+    return "\n".join([read_in(record), "", *_table(record, verbose), "", *lines,
                       *_wrong(record, verbose)]) + "\n"
 
 
-def opening(record: BlockRecord) -> str:
-    """Return what was read, how accurate it is, and what to do next."""
+def read_in(record: BlockRecord) -> str:
+    """Return what was read."""
     points = sum(image.control for image in record.images)
-    measured = (f"{len(record.images)} images, {record.ties} ties with {record.measurements} "
-                f"observations, {points} GCP observations, CRS {record.crs}.")
+    return (f"{len(record.images)} images, {record.ties} ties ({record.measurements} "
+            f"observations), {points} GCP observations, {record.crs}")
+
+
+def facts(record: BlockRecord) -> list[Fact]:
+    """Return the accuracy, the outliers, the datum, cautions and the next step."""
+    found = [*_labelled("Accuracy", _accuracy(record)), Fact(_blunders(record), "Outliers"),
+             Fact(record.datum, "Datum"),
+             Fact(f"ties {record.sigma_ties:.2f} px, control points {record.sigma_control:.2f} px "
+                  "(sigma of image measurements)", "Precision"),
+             *_labelled("Caution", _cautions(record))]
     worst = max(record.images, key=lambda image: image.uncertainty)
+    found.append(Fact(f"more control points or ties in {worst.name}, the least certain image",
+                      "Next"))
+    return found
+
+
+def _labelled(label: str, lines: Iterable[str]) -> Iterator[Fact]:
+    for i, line in enumerate(lines):
+        yield Fact(line, label if i == 0 else " ")
+
+
+def _accuracy(record: BlockRecord) -> Iterator[str]:
+    """Yield the RMSE at independent check points, in the images and on the ground."""
     with_accuracy = [image for image in record.images if image.independent is not None]
-    lines = ["Read: " + measured, "Datum: " + record.datum,
-             f"Sigma of image measurements: ties {record.sigma_ties:.2f} px, control points "
-             f"{record.sigma_control:.2f} px."]
-    if with_accuracy:
+    if not with_accuracy:
+        yield "not verified: no independent check points"
+    else:
         # The mean over all measurements, not over images.
         squares = sum(image.n_independent * (image.independent or 0.0)**2
                       for image in with_accuracy)
         n = sum(image.n_independent for image in with_accuracy)
-        lines.append(f"Accuracy: RMSE {(squares / n) ** 0.5:.2f} px on {n} observations of "
-                     f"independent check points in {len(with_accuracy)} images.")
+        yield (f"{(squares / n) ** 0.5:.2f} px   RMSE of {n} observations of independent check "
+               "points")
     if record.independent is not None:
         space = record.independent
-        lines.append(f"In space: east {space.east:.2f} m, north {space.north:.2f} m, up "
-                     f"{space.up:.2f} m, RMSE of {space.n} independent check points by "
-                     "intersection.")
-    lines.append("Outliers: " + _blunders(record))
-    lines.append(f"Next: {worst.name} is the least certain image, {worst.uncertainty:.2f} px over "
-                 "its ties. More control points or ties in it help most.")
+        yield (f"{space.east:.2f} m east, {space.north:.2f} m north, {space.up:.2f} m up: RMSE of "
+               f"{space.n} independent check points by intersection")
+
+
+def _cautions(record: BlockRecord) -> Iterator[str]:
+    """Yield what a user must know before using the figures."""
     if not record.converged:
-        lines.append("The adjustment did not converge: do not rely on the figures.")
-    lines += [f"Note: {note}" for note in record.notes]
+        yield "The adjustment did not converge: do not rely on the figures."
+    yield from record.notes
     if len(record.parts) > 1:
         joined_images = []
         for names in record.parts[:_SHOWN]:
             joined_images.append(", ".join(names[:4]) + (", ..." if len(names) > 4 else ""))
-        lines.append(f"Note: no tie joins {len(record.parts)} parts of this block, so that each "
-                     f"is adjusted by itself: {' | '.join(joined_images)}.")
-    return "\n".join(lines)
+        yield (f"No tie joins {len(record.parts)} parts of this block, so each is adjusted "
+               f"separately: {' | '.join(joined_images)}.")
 
 
 def _blunders(record: BlockRecord) -> str:
-    """Return how many measurements were left out, in a sentence."""
+    """Return how many observations were rejected, and the worst of them."""
     ties = len(record.wrong_ties)
     control = len(record.wrong_control)
     if not ties and not control:
-        return "none detected."
-    named = ", ".join(f"{wrong.id} in {wrong.image} ({wrong.error:.1f} px)"
-                      for wrong in record.wrong_control[:3])
-    if not control:
-        return f"{ties} tie and {control} GCP observations rejected."
-    further = ", ..." if control > 3 else ""
-    return f"{ties} tie and {control} GCP observations rejected: {named}{further}."
+        return "none detected"
+    worst = [*record.wrong_control, *record.wrong_ties][:_NAMED]
+    named = ", ".join(f"{wrong.id} in {wrong.image} {wrong.error:.1f} px" for wrong in worst)
+    further = f", {ties + control - len(worst)} more" if ties + control > len(worst) else ""
+    return f"{ties} tie and {control} GCP observations rejected: {named}{further}"
 
 
 def _table(record: BlockRecord, verbose: bool) -> list[str]:
@@ -92,17 +121,14 @@ def _table(record: BlockRecord, verbose: bool) -> list[str]:
 
 
 def _wrong(record: BlockRecord, verbose: bool) -> list[str]:
-    """Return the ties that were left out."""
-    wrong = record.wrong_ties if verbose else record.wrong_ties[:_SHOWN]
-    if not wrong:
+    """Return all tie observations that were rejected; none in a short summary."""
+    if not verbose or not record.wrong_ties:
         return []
     lines = ["", "Tie observations rejected:"]
-    for tie in wrong:
+    for tie in record.wrong_ties:
         reason = reason_of(tie, record)
         lines.append(f"  {tie.id} in {tie.image}: {tie.error:.1f} px"
                      + (f" ({reason})" if reason else ""))
-    if len(wrong) < len(record.wrong_ties):
-        lines.append(f"  {len(record.wrong_ties) - len(wrong)} more: summary.txt has all.")
     return lines
 
 
