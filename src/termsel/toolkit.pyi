@@ -109,6 +109,13 @@ from .fitting.figures import in_role as in_role
 from .fitting.figures import rmse_record as rmse_record
 from .fitting.least_squares import LeastSquares as LeastSquares
 from .fitting.residuals import Rmse as Rmse
+from .fitting.pinhole import Cameras as Cameras
+from .fitting.pinhole import Measured as Measured
+from .fitting.pinhole import Pinhole as Pinhole
+from .fitting.pinhole import camera_next_to as camera_next_to
+from .fitting.pinhole import camera_of as camera_of
+from .fitting.pinhole import cameras_of as cameras_of
+from .fitting.pinhole import pinhole_of as pinhole_of
 from .fitting.scene import errors_on_ground as errors_on_ground
 from .fitting.sky import ground_where_held as ground_where_held
 from .fitting.sky import image_places as image_places

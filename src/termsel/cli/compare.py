@@ -166,10 +166,10 @@ def _keys_of(given: dict[str, Any]) -> dict[str, Any]:
         keys["data"] = [word.strip() for word in given["dataset"].split(",")]
     settings = parse_settings(given["settings"])
     if files:
-        from termsel.io.read import READ_OPTIONS
+        from termsel.io.read import read_options
 
-        of_reading = {option.name: settings.pop(option.name) for option in READ_OPTIONS
-                      if option.name in settings}
+        of_reading = {option.name: settings.pop(option.name) for option in read_options()
+                      if option.name in settings} if settings else {}
         keys["data"] = [{**files, **({"crs": given["crs"]} if given["crs"] else {}),
                          **({"options": of_reading} if of_reading else {})}]
     budget = {name: given[name] for name in ("evaluations", "generations", "patience", "seconds",

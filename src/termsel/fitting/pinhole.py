@@ -58,6 +58,7 @@ _STARTS, _FIRST, _FURTHER = 12, 6, 3
 """Starts that are improved, by how many steps, and how many of them further."""
 
 _STEPS, _REFITTED = 40, 10
+_ROUNDS, _ROUNDS_IF_NORMAL = 12, 3
 _CLOSE, _STUCK = 1e-5, 1e2
 """Part of the cost by which steps have converged, and the damping beyond which none helps."""
 
@@ -116,6 +117,24 @@ class Cameras:
         slopes[..., 0, 7] = slopes[..., 1, 8] = 1.0
         return slopes
 
+    @property
+    def place(self) -> FloatArray:
+        """Places of the cameras, C = -R' t, (s, 3)."""
+        return np.asarray(-np.einsum("sji,sj->si", self.rotation, self.shift))
+
+    @property
+    def slopes_of_place(self) -> FloatArray:
+        """Derivatives of the places by turns and shifts, (s, 3, 6).
+
+        With R turned to (1 + [turn]) R: dC = R' (turn x t) - R' dshift, and turn x t = -[t] turn.
+        """
+        back = self.rotation.transpose(0, 2, 1)
+        x, y, z = self.shift.T
+        none = np.zeros_like(x)
+        crossed = -np.stack([np.stack([none, -z, y], 1), np.stack([z, none, -x], 1),
+                             np.stack([-y, x, none], 1)], axis=1)
+        return np.concatenate([back @ crossed, -back], axis=2)
+
     def moved(self, step: FloatArray) -> Cameras:
         """Return the cameras moved by steps of the unknowns (s, 9)."""
         return Cameras(_turns(step[:, :3]) @ self.rotation, self.shift + step[:, 3:6],
@@ -125,7 +144,11 @@ class Cameras:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """Control points, scaled, with what is known of the camera beforehand."""
+    """Control points, scaled, with what is known of the camera beforehand.
+
+    Errors of measurements are normal, or have Student's distribution with `tails` degrees of
+    freedom: then a few wild points hardly count (Lange, Little and Taylor 1989).
+    """
 
     ground: FloatArray  # (n, 3), scaled alike along its axes
     image: FloatArray  # (n, 2)
@@ -135,6 +158,14 @@ class Measured:
     focal: float  # expected
     unit: FloatArray  # (3,): of the scaled ground, by that of `ground`
     noise: float  # least standard deviation of a measurement
+    focal_spread: float = FOCAL_SPREAD  # standard deviation of the logarithm of the focal length
+    place: FloatArray | None = None  # (3,): expected of the camera; NaN where not known
+    place_spread: FloatArray | None = None  # (3,): its standard deviations
+    tilt: float = np.inf  # scale of the prior of the view's sine off the vertical
+    tails: float = np.inf
+    unknowns: int = 7  # that residuals are less for
+    usual: float = 0.0  # standard deviation of a measurement as it usually is
+    experience: float = 0.0  # degrees of freedom that it counts as
 
     @cached_property
     def _key(self) -> tuple[float | bytes, ...]:
@@ -148,16 +179,52 @@ class Measured:
         return hash(self._key)
 
     def prior(self, cameras: Cameras) -> tuple[FloatArray, FloatArray]:
-        """Return the priors' residuals (s, 3) and their robust weights: log f, then the middle.
+        """Return the priors' residuals (s, p) and their robust weights: log f, middle, tilt, place.
 
-        The middle has a Cauchy distribution, whose minus logarithm is that of 1 + d^2, so that its
-        weight is 1 / (1 + d^2).
+        The middle and the tilt have Cauchy distributions, whose minus logarithm is that of 1 + d^2,
+        so that the weight is 2 / (1 + d^2); of the middle it is half of that.
         """
         away = (cameras.middle - self.middle) / self.reach
-        rest = np.column_stack([np.log(cameras.focal / self.focal) / FOCAL_SPREAD, away])
+        rest = np.column_stack([np.log(cameras.focal / self.focal) / self.focal_spread, away])
+        if np.isfinite(self.tilt):
+            rest = np.column_stack([rest, cameras.rotation[:, 2, :2] / self.tilt])
+        if self.place is not None:
+            off = (cameras.place - self.place) / self.place_spread
+            rest = np.column_stack([rest, np.nan_to_num(off)])
         weights = np.ones_like(rest)
-        weights[:, 1:] = 1.0 / (1.0 + (away**2).sum(axis=1, keepdims=True))
+        weights[:, 1:3] = 1.0 / (1.0 + (away**2).sum(axis=1, keepdims=True))
+        tilted = rest[:, self._tilts]
+        weights[:, self._tilts] = 2.0 / (1.0 + (tilted**2).sum(axis=1, keepdims=True))
         return rest, weights
+
+    @property
+    def _tilts(self) -> slice:
+        """Columns of the priors that are of the tilt."""
+        return slice(3, 5 if np.isfinite(self.tilt) else 3)
+
+    def counting(self, squares: FloatArray, sigma: float) -> tuple[FloatArray, FloatArray]:
+        """Return the minus log likelihood of squared errors (..., n), twice, and their weights.
+
+        Of Student's distribution in two dimensions: (t + 2) log(1 + e^2 / t s^2), whose weight is
+        (t + 2) / (t + e^2 / s^2).
+        """
+        relative = squares / sigma**2
+        if not np.isfinite(self.tails):
+            return relative, np.ones_like(relative)
+        return ((self.tails + 2.0) * np.log1p(relative / self.tails),
+                (self.tails + 2.0) / (self.tails + relative))
+
+    def sigma_of(self, residuals: FloatArray, before: float) -> float:
+        """Return the standard deviation of a measurement, from residuals and experience.
+
+        `before` is what it was taken for, by which wild residuals are told.
+        """
+        squares = ((residuals * self.weights) ** 2).sum(axis=1)
+        _, weights = self.counting(squares, before)
+        fewest = 0 if self.experience else 1
+        freedom = self.experience + max(2 * len(residuals) - self.unknowns, fewest)
+        total = self.experience * self.usual**2 + float((weights * squares).sum())
+        return max(float(np.sqrt(total / freedom)), self.noise)
 
     def costs(self, cameras: Cameras, rows: FloatArray, sigma: float) -> FloatArray:
         """Return twice the minus logarithm of what is left, (s,); infinite with points behind.
@@ -165,23 +232,35 @@ class Measured:
         `rows` (s, n) says which points count.
         """
         left = (self.image - cameras.image(self.ground)) * self.weights
-        squares = np.where(rows > 0.0, (left**2).sum(axis=2), 0.0).sum(axis=1) / sigma**2
+        losses, _ = self.counting((left**2).sum(axis=2), sigma)
         rest, _ = self.prior(cameras)
-        squares = squares + rest[:, 0]**2 + 2.0 * np.log1p((rest[:, 1:]**2).sum(axis=1))
-        return np.where(np.isfinite(squares), squares, np.inf)
+        total = np.where(rows > 0.0, losses, 0.0).sum(axis=1) + rest[:, 0]**2 \
+            + 2.0 * np.log1p((rest[:, 1:3]**2).sum(axis=1)) \
+            + 2.0 * np.log1p((rest[:, self._tilts]**2).sum(axis=1)) \
+            + (rest[:, self._tilts.stop:]**2).sum(axis=1)
+        return np.where(np.isfinite(total), total, np.inf)
 
     def system(self, cameras: Cameras, rows: FloatArray,
                sigma: float) -> tuple[FloatArray, FloatArray]:
-        """Return the design (s, 2 n + 3, 9) and what is left (s, 2 n + 3), by their deviations."""
+        """Return the design (s, 2 n + p, 9) and what is left (s, 2 n + p), by their deviations."""
         count = len(cameras)
-        factor = rows[:, :, None] * self.weights / sigma
+        left = self.image - cameras.image(self.ground)
+        _, weights = self.counting(((left * self.weights) ** 2).sum(axis=2), sigma)
+        factor = (rows * np.sqrt(weights))[:, :, None] * self.weights / sigma
         slopes = cameras.slopes(self.ground) * factor[..., None]
-        left = (self.image - cameras.image(self.ground)) * factor
+        left = left * factor
         rest, weights = self.prior(cameras)
         root = np.sqrt(weights)
-        priors = np.zeros((count, 3, 9))
-        priors[:, 0, 6] = 1.0 / FOCAL_SPREAD
+        priors = np.zeros((count, rest.shape[1], 9))
+        priors[:, 0, 6] = 1.0 / self.focal_spread
         priors[:, 1, 7] = priors[:, 2, 8] = 1.0 / self.reach
+        if np.isfinite(self.tilt):
+            # Row 3 of [turn] R is turn_1 times row 2, less turn_2 times row 1.
+            priors[:, self._tilts, 0] = cameras.rotation[:, 1, :2] / self.tilt
+            priors[:, self._tilts, 1] = -cameras.rotation[:, 0, :2] / self.tilt
+        if self.place is not None and self.place_spread is not None:
+            priors[:, self._tilts.stop:, :6] = np.nan_to_num(
+                cameras.slopes_of_place / self.place_spread[:, None])
         design = np.concatenate([slopes.reshape(count, -1, 9), priors * root[..., None]], axis=1)
         return design, np.concatenate([left.reshape(count, -1), -rest * root], axis=1)
 
@@ -266,7 +345,7 @@ def pinhole_of(scaled: FeatureSet, scaling: Scaling) -> Pinhole | None:
     Heights that are not known, or all the same, are those of level ground.
     """
     measured = _measured(scaled, scaling)
-    return None if measured is None or len(measured.image) < FEWEST else _camera_of(measured)
+    return None if measured is None or len(measured.image) < FEWEST else camera_of(measured)
 
 
 def pinhole_near(camera: Pinhole, scaled: FeatureSet, scaling: Scaling) -> Pinhole | None:
@@ -275,39 +354,40 @@ def pinhole_near(camera: Pinhole, scaled: FeatureSet, scaling: Scaling) -> Pinho
     The points are in the scaled coordinates of the camera.
     """
     measured = _measured(scaled, scaling)
-    return None if measured is None else _settled(measured, camera.camera)
+    return None if measured is None else camera_next_to(measured, camera.camera)
 
 
 @lru_cache(maxsize=32)
-def _camera_of(measured: Measured) -> Pinhole | None:
+def camera_of(measured: Measured) -> Pinhole | None:
     """Return the camera of control points; a run asks for the same one many times."""
+    cameras = cameras_of(measured)
+    return camera_next_to(measured, cameras.take(np.arange(1))) if len(cameras) else None
+
+
+def cameras_of(measured: Measured) -> Cameras:
+    """Return a few cameras that control points may call for, the best first; or none."""
     everything = np.ones((1, len(measured.image)))
     started = _starts(measured)
-    if not len(started):
-        return None
-    sigma = measured.noise
-    for count, steps in ((len(started), _FIRST), (_FURTHER, _STEPS)):
+    costs = np.zeros(len(started))
+    for count, steps in ((_STARTS, _FIRST), (_FURTHER, _STEPS)):
         started = started.take(np.arange(min(count, len(started))))
         started, costs = measured.descended(
-            started, np.repeat(everything, len(started), axis=0), 10.0 * sigma, steps)
+            started, np.repeat(everything, len(started), axis=0), 10.0 * measured.noise, steps)
         started = started.take(np.argsort(costs, kind="stable"))
-    if not np.isfinite(costs).any():
-        return None
-    return _settled(measured, started.take(np.arange(1)))
+    return started.take(np.arange(np.isfinite(costs).sum()))
 
 
-def _settled(measured: Measured, camera: Cameras) -> Pinhole | None:
+def camera_next_to(measured: Measured, camera: Cameras) -> Pinhole | None:
     """Return the camera of control points that is next to a camera; None with points behind."""
     everything = np.ones((1, len(measured.image)))
     sigma = measured.noise
-    freedom = max(2 * len(measured.image) - 7, 1)
-    for _ in range(3):  # the noise says how much the priors count, and they how much is left
+    for _ in range(_ROUNDS if np.isfinite(measured.tails) else _ROUNDS_IF_NORMAL):
+        # The noise says how much the priors count, and they how much is left.
         camera, costs = measured.descended(camera, everything, sigma)
         residuals = measured.image - camera.image(measured.ground)[0]
         if not np.isfinite(costs).all():
             return None
-        left = float(np.sqrt(((residuals * measured.weights) ** 2).sum() / freedom))
-        sigma = max(left, measured.noise)
+        sigma = measured.sigma_of(residuals, sigma)
     design, _ = measured.system(camera, everything, sigma)
     q = np.linalg.qr(design[0])[0]
     effective = float((q[:2 * len(measured.image)] ** 2).sum())
@@ -351,8 +431,10 @@ def _starts(measured: Measured) -> Cameras:
 
     f q1 = (line - l0) q3, likewise for samples, are linear in the shift.
     """
-    rotation = np.concatenate([_grid(mirrored=_mirrored(measured))] * len(_FOCALS))
-    focal = np.repeat(np.array(_FOCALS) / FOCAL * measured.focal, len(rotation) // len(_FOCALS))
+    # A focal length that is known needs no others.
+    focals = np.array(_FOCALS) / FOCAL if measured.focal_spread == FOCAL_SPREAD else np.ones(1)
+    rotation = np.concatenate([_grid(mirrored=_mirrored(measured))] * len(focals))
+    focal = np.repeat(focals * measured.focal, len(rotation) // len(focals))
     turned = measured.ground @ rotation.transpose(0, 2, 1)                     # (s, n, 3)
     away = measured.image - measured.middle
     # Of each point f t - d t3 = d v3 - f v.

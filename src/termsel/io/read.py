@@ -16,6 +16,8 @@ from termsel.core.errors import TermselError, counted, unknown_name
 from termsel.core.files.atomic import private_folder
 from termsel.core.files.names import is_there
 from termsel.core.isolation.faults import PluginFault, is_own, name_of
+from termsel.core.isolation.parts import parts
+from termsel.core.options import Option
 from termsel.data.coordinates.crs import normalise
 from termsel.data.coordinates.earth import say_turned, unknown_crs
 from termsel.data.coordinates.mixed import note_on_mixed
@@ -45,7 +47,10 @@ Origin = Callable[..., FeatureSet]
 """Takes features and whether their format says where it counts from; see `with_image_origin`."""
 
 READ_OPTIONS = (Z_UNIT, RPC_OFFSET, RPC_SCALE, REPEATED, IMAGE_ORIGIN)
-"""Options of reading, whatever the format."""
+"""Options of reading, whatever the format; see `read_options` for those of packages."""
+
+OF_PACKAGES = "reading"
+"""Place of parts with options of reading: each has `options`, and `read` features with them."""
 
 _NEAR = 0.76
 """Likeness, by difflib: sgima_line and roles are near a name, rule is not."""
@@ -113,7 +118,8 @@ def read(
         pixel, "corner" for its outer corner, "y-up", "y-up-corner", "bottom-left" or
         "bottom-left-corner" for lines upwards.
     **options
-        Options of the readers, such as `raster` of "qgis-points".
+        Options of the readers, such as `raster` of "qgis-points", and of packages, such as
+        `camera_focal` of termsel-photos.
 
     Returns
     -------
@@ -124,7 +130,10 @@ def read(
     TermselError
         Naming file, line and column, for anything the user can correct.
     """
-    of_readers = {key: value for key, value in options.items() if value is not None}
+    given_options = {key: value for key, value in options.items() if value is not None}
+    of_packages = {option.name: given_options.pop(option.name) for option in read_options()
+                   if option.name in given_options} if given_options else {}
+    of_readers = given_options
     if columns:
         of_readers["columns"] = columns_text(columns)
     formats = [format] if isinstance(format, str) else format
@@ -144,7 +153,7 @@ def read(
                                     "FeatureSet.with_.")
         with averaging(repeated):
             features = _of_image(_read_frame(points, crs, of_readers, origin), image, size)
-            return _with_known(features, dem, rpc, z_unit, part)
+            return _with_packages(_with_known(features, dem, rpc, z_unit, part), of_packages, image)
     with ExitStack() as stack:
         stack.enter_context(averaging(repeated))
         image_lines = of_readers.get("image_lines")
@@ -160,9 +169,24 @@ def read(
         features = _of_image(features, image, size)
     given = [path for path in (points, lines, areas) if path is not None]
     try:
-        return _with_known(features, dem, rpc, z_unit, part)
+        return _with_packages(_with_known(features, dem, rpc, z_unit, part), of_packages, image)
     except TermselError as error:
         raise (located(error, Path(given[0])) if error.file is None else error) from error
+
+
+def read_options() -> tuple[Option, ...]:
+    """Return the options of reading, those of installed packages among them."""
+    of_packages = [option for package in parts(OF_PACKAGES) for option in package.options]
+    return (*READ_OPTIONS, *of_packages)
+
+
+def _with_packages(features: FeatureSet, given: Mapping[str, Any],
+                   image: Path | str | None) -> FeatureSet:
+    """Return features with what options of packages, or the image, tell of them."""
+    if given or image is not None:
+        for package in parts(OF_PACKAGES):
+            features = package.read(features, given, image)
+    return features
 
 
 def parts_of(path: Path, format: str | None = None, **options: Any) -> dict[str, dict[str, Any]]:

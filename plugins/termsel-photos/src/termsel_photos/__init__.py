@@ -4,19 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from termsel import DatasetSpec, Recipe, SensorModel, hookimpl
+from termsel import DatasetSpec, Method, Recipe, SensorModel, hookimpl
+from termsel.toolkit import Part
+from termsel_photos.known.method import KNOWN_CAMERA
+from termsel_photos.known.model import KnownFrame
+from termsel_photos.known.reading import CameraOptions
 from termsel_photos.maps import MAP, simulate_map
 from termsel_photos.photo import PHOTO
 from termsel_photos.problem import RECIPE
 from termsel_photos.radial import Radial2D, Radial3D
 
-__all__ = ["Radial2D", "Radial3D", "simulate_map"]
+__all__ = ["KnownFrame", "Radial2D", "Radial3D", "simulate_map"]
 
 
 @hookimpl
 def termsel_models() -> Iterable[type[SensorModel]]:
-    """Return the models with radial distortion."""
-    return [Radial2D, Radial3D]
+    """Return the models with radial distortion, and the camera of known interior."""
+    return [Radial2D, Radial3D, KnownFrame]
+
+
+@hookimpl
+def termsel_methods() -> Iterable[Method]:
+    """Return the photo whose camera is known."""
+    return [KNOWN_CAMERA]
+
+
+@hookimpl
+def termsel_parts() -> Iterable[Part]:
+    """Return the options of reading that say what is known of a camera."""
+    return [Part("reading", CameraOptions())]
 
 
 @hookimpl

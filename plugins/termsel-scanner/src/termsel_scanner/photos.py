@@ -16,7 +16,7 @@ from termsel import (
     SensorModel,
     Undetermined,
 )
-from termsel.toolkit import view_of
+from termsel.toolkit import pinhole_of, view_of
 from termsel_scanner.candidate import sensor_of
 from termsel_scanner.orbit import axes_at, geocentric
 from termsel_scanner.physical import FloatArray, Physical, RobustFit, known
@@ -61,10 +61,6 @@ tell nothing: half of it, by the spread in the image, is as much as can be measu
 FEWEST, MOST = 6, 20
 """Numbers of points for which the candidates are: more tell as much as the physics."""
 
-FOCALS = (0.5, 8.0)
-"""Least and largest focal length that a fit to an oblique view begins at, by the half extent."""
-
-
 AMISS = 2.0
 """Misfit of points and priors together, by what it is expected to be, beyond which a camera is not
 of this kind: it is at most about 1.2 where it is, and seldom below 3 where it is not."""
@@ -105,45 +101,38 @@ class Photo(Physical):
         return of_view if len(of_view) else some
 
     def starts_of_view(self, features: FeatureSet) -> FloatArray:
-        """Return the values of terms of the view that points call for, (s, k), or none, (0, k).
-
-        On level ground a pinhole camera with the focal length f and the principal point in the
-        middle sees (f l, f s, w) = K [r_E r_N t] (E, N, 1): two columns of a rotation give f.
+        """Return the values of terms of the pinhole camera of the points, (s, k), or none, (0, k).
         """
-        view = view_of(features.points)
-        none = np.zeros((0, len(self.terms)))
-        if view is None:
-            return none
+        points = features.points
+        pinhole = pinhole_of(FeatureSet(points, crs=self.crs), known(self.scaling))
+        if pinhole is None or not pinhole.matrix[2, 0] > 0.0:
+            return np.zeros((0, len(self.terms)))
+        # f (q1, q2) and q3 of 1, X, Y and Z, without the principal point.
+        away = np.append(pinhole.camera.middle[0], 0.0)
+        matrix = pinhole.matrix - np.outer(away, pinhole.matrix[2])
         steps = self.local(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]))[:, :2]
-        plane = view.matrix[:, 1:3] @ np.linalg.inv((steps[:2] - steps[2]).T)
-        middle = view.matrix[:, 0]
-        if not middle[2] > 0.0:
-            return none
-        # r_E r_N = 0 and r_E^2 = r_N^2 are linear in 1 / f^2.
-        (east, north) = plane[:2].T
-        (w_east, w_north) = plane[2]
-        by = np.array([east @ north, east @ east - north @ north])
-        free = np.array([w_east * w_north, w_east**2 - w_north**2])
-        inverse = -(by @ free) / (by @ by)
-        found = float(np.clip(inverse**-0.5 if inverse > 0.0 else FOCAL, *FOCALS))
-        return np.array([self._start_of(plane, middle, focal)
-                         for focal in (found, FOCAL, FOCAL * np.exp(FOCAL_SPREAD))])
+        plane = matrix[:, 1:3] @ np.linalg.inv((steps[:2] - steps[2]).T)
+        focal = float(pinhole.camera.focal[0])
+        return np.array([self._start_of(plane, matrix[:, 0], focal, pinhole.camera.middle[0])])
 
-    def _start_of(self, plane: FloatArray, middle: FloatArray, focal: float) -> list[float]:
+    def _start_of(self, plane: FloatArray, middle: FloatArray, focal: float,
+                  principal: FloatArray) -> list[float]:
         """Return the values of terms of a camera of some focal length, by what it sees.
 
-        `plane`, (3, 2), and `middle`, (3,), are of east, north and the middle of the ground.
+        `plane`, (3, 2), and `middle`, (3,), are of east, north and the middle of the ground, about
+        the principal point.
         """
         columns = plane / np.array([[focal], [focal], [1.0]])
         size = float(np.linalg.norm(columns, axis=0).mean())
         turn, tilts = _angles(columns, mirrored=bool(self.options["mirrored"]))
-        seen = middle[:2] / middle[2]
+        away = middle[:2] / middle[2]
+        seen = principal + away
         values = dict.fromkeys(self.terms, 0.0) | {
             "line": seen[0], "sample": seen[1], "turn": turn / TURN,
             "scale": np.log(focal * size / middle[2] * self._extent()) / SCALE,
             "focal": np.log(focal / FOCAL) / FOCAL_SPREAD,
             "tilt-line": tilts[0] / self.tilt, "tilt-sample": tilts[1] / self.tilt,
-            "middle-line": seen[0] / MIDDLE, "middle-sample": seen[1] / MIDDLE}
+            "middle-line": away[0] / MIDDLE, "middle-sample": away[1] / MIDDLE}
         return [values[name] for name in self.terms]
 
     def slopes_of(self, features: FeatureSet) -> FloatArray:

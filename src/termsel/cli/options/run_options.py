@@ -247,7 +247,7 @@ class RunOptions:
 
     def read(self) -> tuple[FeatureSet | None, dict[str, str]]:
         """Return the features of the files, if any are given, and the options that remain."""
-        from termsel.io.read import READ_OPTIONS, read, readers_of
+        from termsel.io.read import read, read_options, readers_of
         from termsel.plugins.registry import registry
 
         options = dict(self.options)
@@ -256,8 +256,8 @@ class RunOptions:
             options.setdefault("areas_as", "centroid")
         if not self.files:
             return None, options
-        of_reading = {one.name: options.pop(one.name) for one in READ_OPTIONS
-                      if one.name in options}
+        of_reading = {option.name: options.pop(option.name) for option in read_options()
+                      if option.name in options} if options else {}
         given = {"raster": self.raster, "image_lines": self.image_lines,
                  "columns": self.columns}
         known = {option.name for reader in readers_of(self.files, self.formats)

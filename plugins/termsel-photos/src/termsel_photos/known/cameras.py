@@ -1,0 +1,115 @@
+"""Cameras that are known by name, and camera files."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from termsel import TermselError
+from termsel.toolkit import read_text, unknown_name
+
+USGS = ("USGS reports of calibration OSL/2985, OSL/3030 and OSL/3221 of Wild RC30 cameras: 153 mm "
+        "nominal, 153.25 to 153.74 mm calibrated")
+REPORTS = ("makers' reports of calibration: pixels and sizes of the virtual image; the focal length "
+           "is the nominal one")
+
+
+@dataclass(frozen=True)
+class SurveyCamera:
+    """What is known of all cameras of one type.
+
+    Parameters
+    ----------
+    focal : float
+        Focal length [mm].
+    spread : float
+        Relative standard deviation of the focal length among cameras of the type.
+    width, height : float
+        Format, across and along [mm].
+    pixels : tuple of int
+        Size of the image, across and along; (0, 0) of film.
+    source : str
+        Where this was published.
+    distortion : tuple of 5 floats
+        k1, k2, p1, p2, k3 (see `Lens`).
+    """
+
+    focal: float
+    spread: float
+    width: float
+    height: float
+    pixels: tuple[int, int]
+    source: str
+    distortion: tuple[float, ...] = (0.0,) * 5
+
+
+def _film(focal: float, spread: float, size: float, source: str) -> SurveyCamera:
+    return SurveyCamera(focal, spread, size, size, (0, 0), source)
+
+
+def _digital(focal: float, pixel: float, width: int, height: int) -> SurveyCamera:
+    """Return a large-format camera with a pixel of so many micrometres."""
+    return SurveyCamera(focal, 0.003, width * pixel / 1e3, height * pixel / 1e3, (width, height),
+                        REPORTS)
+
+
+CAMERAS: dict[str, SurveyCamera] = {
+    "wild-rc30-153": _film(153.0, 0.004, 230.0, USGS),
+    "wild-rc20-153": _film(153.0, 0.005, 230.0, USGS),
+    "wild-rc10-153": _film(153.0, 0.005, 230.0, USGS),
+    "wild-rc8-152": _film(152.4, 0.005, 230.0,
+                          "National Report of Canada to the ISP, Commission I, 1960: 6 in"),
+    "metrogon-6in": _film(152.4, 0.008, 228.6, "Report of the United States to the ISP, 1952: "
+                          "Fairchild and other cameras with Metrogon lenses of 6 in, 9 by 9 in"),
+    "dmc": _digital(120.0, 12.0, 7680, 13824),
+    "dmc-ii-230": _digital(92.0, 5.6, 15552, 14144),
+    "dmc-iii": _digital(92.0, 3.9, 25728, 14592),
+    "ultracam-x": _digital(100.5, 7.2, 14430, 9420),
+    "ultracam-xp": _digital(100.5, 6.0, 17310, 11310),
+    "ultracam-eagle-80": _digital(79.8, 5.2, 20010, 13080),
+    "leica-rcd39": SurveyCamera(60.0, 0.01, 49.07, 36.80, (7216, 5412), "NERC Airborne Research "
+                                "Facility, RCD CH39: 60 mm, 6.8 um; up to 2 % distortion"),
+    "dji-fc300s": SurveyCamera(3.7, 0.01, 6.239, 4.679, (4000, 3000), "OpenSfM, "
+                               "camera_calibration.yaml: 0.593 of the width",
+                               (-0.012137, 0.016199, 0.0, 0.0, 0.0)),
+    "dji-fc6310": SurveyCamera(8.8, 0.02, 13.2, 8.8, (5472, 3648),
+                               "IPGP, waypoints_generator, drones.json: 8.8 mm, 13.2 by 8.8 mm"),
+}
+"""Cameras by name. Of a type the focal length differs from camera to camera, which the spread
+states; a report of calibration tells that of one."""
+
+FIELDS = ("focal", "focal_spread", "principal_point", "distortion", "source")
+
+
+def camera_named(name: str) -> SurveyCamera | dict[str, Any]:
+    """Return the camera of a name, or the content of a camera file.
+
+    A file is JSON with ``focal`` [px], and perhaps ``focal_spread``, relative, ``principal_point``,
+    line and sample [px], and ``distortion``, k1, k2, p1, p2, k3.
+
+    Raises
+    ------
+    TermselError
+        If there is neither, or the file is no such file.
+    """
+    key = name.strip().lower().replace(" ", "-").replace("_", "-")
+    if key in CAMERAS:
+        return CAMERAS[key]
+    path = Path(name)
+    if path.suffix.lower() != ".json":
+        raise unknown_name("camera", name, [*CAMERAS, "a file NAME.json"])
+    try:
+        content = json.loads(read_text(path))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        raise TermselError(f"{path} cannot be read as JSON: {error}",
+                           hint="Give a camera file.") from error
+    fields = f"Fields of a camera file are {', '.join(FIELDS)}."
+    if not isinstance(content, dict) or "focal" not in content:
+        raise TermselError(f"{path} has no field 'focal'", hint=fields)
+    for name_of_field in content:
+        if name_of_field not in FIELDS:
+            raise TermselError(f"{path} has the field {name_of_field!r}, which no camera file has",
+                               hint=fields)
+    return content
