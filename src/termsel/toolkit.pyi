@@ -108,7 +108,6 @@ from .fitting.figures import figures as figures
 from .fitting.figures import in_role as in_role
 from .fitting.figures import rmse_record as rmse_record
 from .fitting.least_squares import LeastSquares as LeastSquares
-from .fitting.residuals import Rmse as Rmse
 from .fitting.pinhole import Cameras as Cameras
 from .fitting.pinhole import Measured as Measured
 from .fitting.pinhole import Pinhole as Pinhole
@@ -116,6 +115,7 @@ from .fitting.pinhole import camera_next_to as camera_next_to
 from .fitting.pinhole import camera_of as camera_of
 from .fitting.pinhole import cameras_of as cameras_of
 from .fitting.pinhole import pinhole_of as pinhole_of
+from .fitting.residuals import Rmse as Rmse
 from .fitting.scene import errors_on_ground as errors_on_ground
 from .fitting.sky import ground_where_held as ground_where_held
 from .fitting.sky import image_places as image_places
@@ -145,7 +145,9 @@ from .formats.vrt import vrt_text as vrt_text
 from .formats.writers.selections import chosen_points as chosen_points
 from .formats.writers.selections import gcps_of as gcps_of
 from .formats.writers.selections import wkt as wkt
+from .io.accuracy_tags import Prediction as Prediction
 from .io.accuracy_tags import accuracy_tags as accuracy_tags
+from .io.accuracy_tags import prediction_of as prediction_of
 from .io.example import write_example as write_example
 from .io.map_grid import MapGrid as MapGrid
 from .io.map_grid import grid_of_image as grid_of_image

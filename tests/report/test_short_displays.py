@@ -81,6 +81,7 @@ def test_maps_have_the_crs_of_the_features(features: termsel.FeatureSet,
     np.testing.assert_array_equal(points.geometry.x, features.points.ground[:, 0])
     lines = features.lines.to_geopandas(features.crs)
     assert lines.geometry.iloc[0].coords[1] == tuple(features.lines.ground[0, 1])
+    assert result.residuals.to_geopandas().crs == points.crs
     assert result.residuals.to_geopandas("local").crs is None
     flat = features.points.ground.copy()
     flat[:, 2] = np.nan

@@ -23,13 +23,7 @@ from qgis.core import (
 )
 from qgis.PyQt.QtGui import QColor
 
-KNOWN = {
-    "id": ("id", "name", "gcp", "point", "fid"),
-    "role": ("role", "use"),
-    "line": ("line", "row", "y_pix", "sourcey", "pixely", "img_y", "zeile", "ligne"),
-    "sample": ("sample", "col", "column", "x_pix", "sourcex", "pixelx", "pixel", "img_x", "spalte"),
-    "z": ("z", "height", "h", "elevation", "elev", "hoehe", "altitude")}
-"""Known names of the fields of a layer of points."""
+from .field_names import KNOWN, field_of
 
 
 def points_csv(source, fields):
@@ -61,9 +55,7 @@ def _field(source, meaning, stated):
     """Return the name of the field that has a meaning."""
     if stated:
         return stated
-    # QGIS and other programs write names of fields with and without capitals.
-    fields = {field.name().lower(): field.name() for field in source.fields()}
-    return next((fields[name] for name in KNOWN[meaning] if name in fields), None)
+    return field_of(meaning, [field.name() for field in source.fields()])
 
 
 def _row(feature, names, number):

@@ -20,8 +20,9 @@ pytest.importorskip("termsel_standards", reason="termsel-standards is not instal
 import termsel
 from termsel import Result, TermselError, export
 from termsel.testing import check, invoke
-from termsel.toolkit import write_result
+from termsel.toolkit import accuracy_tags, write_result
 from termsel_standards import GroundErrors, errors_of, read_errors, statements_of
+from termsel_standards.quality.report import quality_of
 from termsel_standards.stac import StacItem
 from termsel_standards.statement import ASPRS, class_of, distribution_of
 
@@ -335,3 +336,24 @@ def test_the_fields_of_other_extensions_are_of_their_types(
     export(replace(result, accuracy=None), "stac-item", path, overwrite=True)
     bare = json.loads(path.read_text())
     assert [uri.split("/")[3] for uri in bare["stac_extensions"]] == ["projection", "processing"]
+
+
+def test_without_independent_points_the_prediction_is_stated_and_called_one(
+        tmp_path: Path) -> None:
+    scene = termsel.simulate_scene("ikonos-hamedan", roles=(14, 0, 0))
+    result = termsel.run(features=scene, out=tmp_path / "out")
+    assert result.predicted is not None
+    text = invoke("accuracy", tmp_path / "out").stdout
+    assert "Predicted, not tested by independent check points: RMSE" in " ".join(text.split())
+    assert "14 control points" in " ".join(text.split())
+    assert "ASPRS: not stated, as no independent check points were measured" in text
+    stated = json.loads(invoke("accuracy", tmp_path / "out", "--json").stdout)
+    assert stated["rmse"] == result.predicted.rmse
+    assert stated["low_ground"] < stated["rmse_ground"] < stated["high_ground"]
+    report = quality_of(result)
+    assert {measure.unit for measure in report.measures} == {"px", "m"}
+    assert all(measure.name.startswith("predicted") for measure in report.measures)
+    assert "No test by independent points" in report.method
+    tags = accuracy_tags(result)
+    assert tags["ACCURACY_PREDICTED_BY"].endswith("not an independent test")
+    assert "ACCURACY_RMSE_PX" not in tags

@@ -130,10 +130,12 @@ def residuals_of(chosen: Fit, observations: Observations, outliers: Iterable[Out
     points = observations.features.points
     off = points.take([name in certainty and role == "off"
                        for name, role in zip(points.ids, points.roles, strict=True)])
-    return Residuals(replace(r, blunder=certainty[r.id]) if r.id in certainty else r for r in (
+    rows = (
         *control_residuals(observations.control, chosen.used,
                            chosen.errors(observations.control.points), chosen.line_errors()),
         *point_residuals(check, chosen.errors(check), "check", [check_used] * len(check)),
         *point_residuals(independent, chosen.errors(independent), "independent",
                          [name in independent_used for name in independent.ids]),
-        *point_residuals(off, chosen.errors(off), "off", [False] * len(off))))
+        *point_residuals(off, chosen.errors(off), "off", [False] * len(off)))
+    return Residuals((replace(row, blunder=certainty[row.id]) if row.id in certainty else row
+                      for row in rows), observations.control.crs)

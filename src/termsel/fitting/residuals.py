@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field, fields
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
+from termsel.data.coordinates.crs import LOCAL
 from termsel.data.features import FeatureSet, FloatArray, IntArray, Lines, Points, select
 from termsel.data.tables.tabular import Framed
 
@@ -43,9 +44,25 @@ class Residuals(tuple[Residual, ...], Framed):
     """Residuals as a table.
 
     `to_pandas` gives a row for each, `to_geopandas` also its point on the ground.
+
+    Parameters
+    ----------
+    rows : iterable of Residual
+    crs : str
+        Of the ground coordinates.
     """
 
-    __slots__ = ()
+    crs: str
+
+    def __new__(cls, rows: Iterable[Residual] = (), crs: str = LOCAL) -> Self:
+        """Return the residuals as a table."""
+        table = super().__new__(cls, rows)
+        table.crs = crs
+        return table
+
+    def to_geopandas(self, crs: str | None = None) -> Any:
+        """Return a geopandas GeoDataFrame with the place of each, in the CRS of the control."""
+        return super().to_geopandas(self.crs if crs is None else crs)
 
     def __repr__(self) -> str:
         worst = max((r.distance for r in self), default=0.0)
@@ -78,7 +95,8 @@ def control_residuals(control: FeatureSet, used: Iterable[bool], errors: FloatAr
 
     Of points (n, 2), and of both ground vertices of the lines (n_lines, 2, 2).
     """
-    return Residuals(_of_control(control, tuple(bool(on) for on in used), errors, line_errors))
+    return Residuals(_of_control(control, tuple(bool(on) for on in used), errors, line_errors),
+                     control.crs)
 
 
 def point_residuals(points: Points, errors: FloatArray, role: str,

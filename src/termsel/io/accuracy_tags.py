@@ -1,15 +1,102 @@
-"""What the metadata of a map say of its accuracy."""
+"""What the metadata of a map, and statements to sign, say of its accuracy."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from termsel.core.errors import counted
 from termsel.core.version import __version__
-from termsel.report.accuracy import expected_of, predicted_first
+from termsel.data.coordinates.metres import in_metres
+from termsel.report.accuracy import are_computed, expected_of, lattice_of, predicted_first
 
 if TYPE_CHECKING:
     from termsel.results.result import Result
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """The accuracy that a run predicts, where no independent test says it.
+
+    Parameters
+    ----------
+    rmse, low, high : float
+        RMSE of points, and the interval that holds it with probability `level` [px].
+    level : float
+    metres : tuple of 3 floats, or None
+        The same on the ground [m], where the CRS tells metres.
+    method : str
+        How it was found, in a clause.
+    points : int
+        Points that it rests on.
+    """
+
+    rmse: float
+    low: float
+    high: float
+    level: float
+    metres: tuple[float, float, float] | None
+    method: str
+    points: int
+
+    @property
+    def sentence(self) -> str:
+        """The prediction in one sentence, which never calls it a test."""
+        ground = ""
+        if self.metres is not None:
+            rmse, low, high = self.metres
+            ground = f", on the ground {rmse:.3g} m ({low:.3g} to {high:.3g} m)"
+        return (f"Predicted, not tested by independent check points: RMSE {self.rmse:.3g} px "
+                f"({100 * self.level:g} % interval {self.low:.3g} to {self.high:.3g} px){ground}; "
+                f"found {self.method}")
+
+
+def prediction_of(result: Result) -> Prediction | None:
+    """Return the accuracy that a result predicts; None where it predicts none.
+
+    Of points that were computed, or are a lattice, none is known: nothing tells how well the image
+    was measured.
+    """
+    record = result.record
+    expected = expected_of(record)
+    if expected is None or are_computed(record) or lattice_of(record) is not None:
+        return None
+    points = len(result.fit.control.points)
+    if result.shared_sigma is not None:
+        method = "by the adjustment of the block that the image is part of, from the scatter of " \
+                 "its control and ties"
+    elif result.strategy is not None:
+        method = (f"by cross-validation: the whole choice of the model was repeated "
+                  f"{counted(result.strategy.folds, 'time')} without some of the "
+                  f"{counted(points, 'control point')}, and predicted those")
+    else:
+        method = f"by cross-validation of {counted(points, 'control point')}"
+    size = _pixel(result)
+    figures = expected.rmse, expected.low, expected.high
+    metres = None if size is None else tuple(size * figure for figure in figures)
+    return Prediction(*figures, expected.level, metres, method, points)  # type: ignore[arg-type]
+
+
+def _pixel(result: Result) -> float | None:
+    """Return how far a pixel is on the ground [m]: root of the mean square at the control."""
+    points = result.fit.control.points
+    if not len(points):
+        return None
+    heights = np.nan_to_num(points.ground[:, 2])
+    image = result.fit.project(np.column_stack([points.ground[:, :2], heights]))
+    squares = []
+    here = result.fit.locate(image, heights)
+    for step in np.eye(2):
+        metres = in_metres(result.features.crs, points.ground,
+                           (result.fit.locate(image + step, heights) - here)[:, :2])
+        if metres is None:
+            return None
+        squares.append((metres**2).sum(axis=1))
+    mean = float(np.nanmean(squares))
+    return mean**0.5 if np.isfinite(mean) else None
 
 
 def accuracy_tags(result: Result) -> dict[str, str]:
@@ -30,7 +117,7 @@ def accuracy_tags(result: Result) -> dict[str, str]:
     if accuracy is None:
         tags["ACCURACY_STATED"] = "no: the result has no independent check points" + (
             f"; {predicted}" if predicted else "")
-        return tags
+        return tags | _predicted_tags(prediction_of(result))
     stated = "by independent check points, used in no choice" + (
         f" of this run; an earlier result showed {accuracy.spent_count} of them"
         if accuracy.spent_count else "")
@@ -43,4 +130,20 @@ def accuracy_tags(result: Result) -> dict[str, str]:
         if figures is not None:
             tags[f"ACCURACY_RMSE_{unit}"] = f"{figures.total:.4g}"
             tags[f"ACCURACY_CE90_{unit}"] = f"{figures.ce90:.4g}"
+    return tags
+
+
+def _predicted_tags(prediction: Prediction | None) -> dict[str, str]:
+    """Return tags of a predicted accuracy, with the way in which it was found."""
+    if prediction is None:
+        return {}
+    tags = {"ACCURACY_PREDICTED_RMSE_PX": f"{prediction.rmse:.4g}",
+            "ACCURACY_PREDICTED_RMSE_PX_INTERVAL":
+                f"{prediction.low:.4g} to {prediction.high:.4g} ({100 * prediction.level:g} %)",
+            "ACCURACY_PREDICTED_BY": f"{prediction.method}; not an independent test"}
+    if prediction.metres is not None:
+        rmse, low, high = prediction.metres
+        tags["ACCURACY_PREDICTED_RMSE_M"] = f"{rmse:.4g}"
+        tags["ACCURACY_PREDICTED_RMSE_M_INTERVAL"] = \
+            f"{low:.4g} to {high:.4g} ({100 * prediction.level:g} %)"
     return tags

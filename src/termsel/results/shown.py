@@ -223,7 +223,7 @@ class Shown:
     def _drawn(self) -> Residuals:
         """Residuals that are drawn."""
         return self.residuals if self._step == 1 else Residuals(
-            self.residuals[i] for i in self._which)
+            (self.residuals[i] for i in self._which), self.residuals.crs)
 
     @cached_property
     def _seen(self) -> list[list[float]]:

@@ -87,6 +87,9 @@ class Georeference(Algorithm):
         add(QgsProcessingParameterFile("FILE", "Or file of points", optional=True))
         add(QgsProcessingParameterCrs("CRS", "CRS of the file, if it states none", optional=True))
         add(QgsProcessingParameterRasterLayer("DEM", "Raster of heights", optional=True))
+        add(QgsProcessingParameterRasterLayer(
+            "IMAGE", "Image: its size, its RPC and its camera, where it states them",
+            optional=True))
         add(QgsProcessingParameterFile("RPC", "RPC of the vendor", optional=True))
         add(QgsProcessingParameterFile("LINES", "File of control lines", optional=True))
         add(QgsProcessingParameterString(
@@ -135,6 +138,9 @@ class Georeference(Algorithm):
         dem = self.parameterAsRasterLayer(parameters, "DEM", context)
         if dem is not None:
             arguments += ["--dem", layer_file(dem, "raster of heights")]
+        image = self.parameterAsRasterLayer(parameters, "IMAGE", context)
+        if image is not None:
+            arguments += ["--image", layer_file(image, "image")]
         for name, option in (("RPC", "--rpc"), ("LINES", "--lines")):
             file = self.parameterAsFile(parameters, name, context)
             if file:

@@ -29,6 +29,8 @@ from .base import Algorithm, layer_file, result_parameter, scratch, with_page
 
 _FORMATS = ("rpc-txt", "rpb", "rpc-vrt", "gcp-vrt", "gcp-grid-vrt", "geolocation-vrt",
             "qgis-points", "points-csv", "residuals-gpkg")
+_RESAMPLING = ("as the image calls for", "nearest", "bilinear", "cubic", "cubic_spline", "lanczos",
+               "average")
 _WITH_IMAGE = ("rpc-vrt", "gcp-vrt", "gcp-grid-vrt", "geolocation-vrt")
 
 
@@ -52,6 +54,10 @@ class Rectify(Algorithm):
         add(QgsProcessingParameterNumber("RES", "Pixel size in units of the CRS",
                                          QgsProcessingParameterNumber.Type.Double, optional=True,
                                          minValue=0))
+        add(QgsProcessingParameterEnum("RESAMPLING", "Resampling", _RESAMPLING, defaultValue=0,
+                                       optional=True))
+        add(QgsProcessingParameterNumber("NODATA", "Value where the map shows nothing",
+                                         QgsProcessingParameterNumber.Type.Double, optional=True))
         add(QgsProcessingParameterRasterDestination("OUTPUT", "Map"))
 
     def processAlgorithm(self, parameters, context, feedback):
@@ -69,6 +75,12 @@ class Rectify(Algorithm):
             arguments += ["--crs", crs_text(crs)]
         if parameters.get("RES"):
             arguments += ["--res", self.parameterAsDouble(parameters, "RES", context)]
+        # The first one leaves it to the command: nearest for categories, else bilinear.
+        resampling = self.parameterAsEnum(parameters, "RESAMPLING", context)
+        if resampling:
+            arguments += ["--resampling", _RESAMPLING[resampling]]
+        if parameters.get("NODATA") is not None:
+            arguments += ["--nodata", self.parameterAsDouble(parameters, "NODATA", context)]
         output = self.parameterAsOutputLayer(parameters, "OUTPUT", context)
         run([*arguments, "-o", output, "--overwrite", "--progress", "json"], feedback)
         return {"OUTPUT": output}

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from termsel_standards.statement import Statements
+    from termsel_standards.statement import PredictedStatement, Statements
 
 _PATH = click.Path(path_type=Path)
 _METRES = click.FloatRange(0, 1e6, min_open=True)
@@ -33,6 +33,8 @@ def accuracy(source: Path, survey_sigma: float | None, survey_sigma_z: float | N
     """State the accuracy by ASPRS (edition 2, 2024) and NSSDA.
 
     DIR is the folder that a run wrote with --out; its independent points are the check points.
+    Without such points the accuracy that the run predicted is stated, with its interval and how it
+    was found: it is no test, so the standards have no statement on it.
     TABLE is a CSV of errors in metres, headed id,dx,dy and where they are known
     dz,x,y,sigma_x,sigma_y,sigma_z.
 
@@ -45,12 +47,21 @@ def accuracy(source: Path, survey_sigma: float | None, survey_sigma_z: float | N
     import msgspec
 
     from termsel import read_result
+    from termsel.toolkit import prediction_of
     from termsel_standards.errors import errors_of, read_errors
-    from termsel_standards.statement import statements_of
+    from termsel_standards.statement import prediction_statement, statements_of
 
     # A folder with a result is not a table, nor is its result.json.
     table = source.is_file() and source.suffix != ".json"
-    errors = read_errors(source) if table else errors_of(read_result(source))
+    if table:
+        errors = read_errors(source)
+    else:
+        result = read_result(source)
+        prediction = prediction_of(result) if result.accuracy is None else None
+        if prediction is not None:
+            _show_prediction(prediction_statement(result.data.source, prediction), as_json=as_json)
+            return
+        errors = errors_of(result)
     stated = statements_of(errors.surveyed(survey_sigma, survey_sigma_z), horizontal, vertical)
     if as_json:
         click.echo(msgspec.json.format(msgspec.json.encode(stated), indent=2))
@@ -86,6 +97,20 @@ def _text(stated: Statements, took: str) -> Iterator[str]:
     for statement in stated.statements:
         yield fill(f"{statement.standard}: {statement.words}.", 90, subsequent_indent="    ")
     yield from (fill(f"Note: {note}", 90, subsequent_indent="    ") for note in stated.notes)
+
+
+def _show_prediction(stated: PredictedStatement, *, as_json: bool) -> None:
+    """Print a predicted accuracy as JSON, or as text to sign."""
+    import msgspec
+
+    if as_json:
+        click.echo(msgspec.json.format(msgspec.json.encode(stated), indent=2))
+        return
+    click.echo(f"{stated.source}: no independent check points\n")
+    click.echo(fill(f"{stated.words}.", 90) + "\n")
+    for statement in stated.statements:
+        click.echo(fill(f"{statement.standard}: {statement.words}.", 90, subsequent_indent="    "))
+    click.echo("\nDate:                Signed:")
 
 
 def _or(value: float | None) -> str:

@@ -13,6 +13,7 @@ from termsel.toolkit import (
     NSSDA_POINTS,
     FloatArray,
     OnGround,
+    Prediction,
     counted,
     distances,
     nssda,
@@ -146,6 +147,53 @@ class Statements:
     distribution: Distribution
     statements: tuple[Statement, ...]
     notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class PredictedStatement:
+    """What can be said of the accuracy without a test.
+
+    Parameters
+    ----------
+    source : str
+    rmse, low, high : float
+        Predicted RMSE in the image and its interval [px].
+    level : float
+        Probability that the interval holds the RMSE.
+    rmse_ground, low_ground, high_ground : float or None
+        The same on the ground [m].
+    method : str
+        How it was found.
+    points : int
+        Points that it rests on.
+    words : str
+        All of it in a sentence.
+    statements : tuple of Statement
+        Why the standards have none.
+    """
+
+    source: str
+    rmse: float
+    low: float
+    high: float
+    level: float
+    rmse_ground: float | None
+    low_ground: float | None
+    high_ground: float | None
+    method: str
+    points: int
+    words: str
+    statements: tuple[Statement, ...]
+
+
+def prediction_statement(source: str, prediction: Prediction) -> PredictedStatement:
+    """Return the statement on a predicted accuracy."""
+    why = "not stated, as no independent check points were measured: a prediction is no test"
+    ground = prediction.metres or (None, None, None)
+    return PredictedStatement(
+        source, prediction.rmse, prediction.low, prediction.high, prediction.level, *ground,
+        prediction.method, prediction.points, prediction.sentence,
+        (Statement("ASPRS", None, why), Statement("NSSDA", None, why)))
 
 
 def statements_of(ground_errors: GroundErrors, horizontal_class: float | None = None,

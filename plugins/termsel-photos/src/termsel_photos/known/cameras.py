@@ -12,8 +12,8 @@ from termsel.toolkit import read_text, unknown_name
 
 USGS = ("USGS reports of calibration OSL/2985, OSL/3030 and OSL/3221 of Wild RC30 cameras: 153 mm "
         "nominal, 153.25 to 153.74 mm calibrated")
-REPORTS = ("makers' reports of calibration: pixels and sizes of the virtual image; the focal length "
-           "is the nominal one")
+REPORTS = ("makers' reports of calibration: pixels and sizes of the virtual image; the nominal "
+           "focal length")
 
 
 @dataclass(frozen=True)

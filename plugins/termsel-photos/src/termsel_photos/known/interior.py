@@ -25,7 +25,7 @@ STATED_REACH = 0.0005
 """The same about a principal point that is stated."""
 
 POSITION_SPREAD = 50.0
-"""Standard deviation of a position without one [m]: a navigator's, or a phone's by a wide margin."""
+"""Standard deviation of a position without one [m]: a navigator's, or a phone's at worst."""
 
 HEIGHT_SPREAD = 0.1
 """Relative standard deviation of a flying height: as flight plans were kept."""
@@ -115,7 +115,7 @@ def _stated(features: FeatureSet, name: str) -> str:
     """Return the one value that a column has, or ""."""
     values = {str(value).strip() for value in features.points.attributes.get(name, ())} - {""}
     if len(values) > 1:
-        raise TermselError(f"the column {name!r} has {len(values)} values; one image has one camera",
+        raise TermselError(f"the column {name!r} has {len(values)} values, and an image one camera",
                            hint="Read the points of each image by themselves.")
     return values.pop() if values else ""
 

@@ -18,7 +18,6 @@ from termsel import (
     Scaling,
     SensorModel,
     Spread,
-    TermselError,
     Undetermined,
 )
 from termsel.toolkit import BoolArray, Pinhole, camera_next_to

@@ -8,8 +8,15 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from termsel import Equations, FeatureSet, Option, SensorModel, TermselError, Undetermined
-from termsel import image_equations
+from termsel import (
+    Equations,
+    FeatureSet,
+    Option,
+    SensorModel,
+    TermselError,
+    Undetermined,
+    image_equations,
+)
 from termsel.toolkit import (
     LOCAL,
     Cameras,
@@ -18,7 +25,6 @@ from termsel.toolkit import (
     camera_of,
     cameras_of,
     to_ecef,
-    to_wgs84,
 )
 from termsel_photos.known.interior import Interior
 from termsel_photos.known.lens import FloatArray, Lens

@@ -75,15 +75,21 @@ def _measure(measure: Measure) -> Element:
 
 
 def _evaluation(report: Quality) -> Element:
-    # An inspection of a sample: the independent points stand for all of the image.
+    # An inspection of a sample: the independent points stand for all of the image. Without any
+    # the data are held against themselves.
+    kind = "directInternal" if report.predicted else "directExternal"
+    scheme = f"{report.check_points} independent points, chosen before the model was fitted"
+    points = report.check_points
+    if report.predicted:
+        scheme = "control features, each predicted without it; no independent points"
+        points = report.control_features
     content = [
         _time("mdq:dateTime", report.made),
         _string("mdq:evaluationMethodDescription", report.method),
-        _x("mdq:evaluationMethodType", _code("mdq:DQ_EvaluationMethodTypeCode", "directExternal")),
-        _string("mdq:samplingScheme", f"{report.check_points} independent points, chosen before "
-                "the model was fitted"),
+        _x("mdq:evaluationMethodType", _code("mdq:DQ_EvaluationMethodTypeCode", kind)),
+        _string("mdq:samplingScheme", scheme),
         _string("mdq:lotDescription", report.title),
-        _string("mdq:samplingRatio", f"{report.check_points} points of the image")]
+        _string("mdq:samplingRatio", f"{points} points of the image")]
     return _x("mdq:evaluationMethod", _x("mdq:DQ_SampleBasedInspection", *content))
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from termsel import Option, Result, TermselError
-from termsel.toolkit import LOCAL, horizontal, plain, require_regular
+from termsel.toolkit import LOCAL, Prediction, horizontal, plain, prediction_of, require_regular
 from termsel_standards.outline import outline_of
 
 RMSEP = "47"
@@ -83,10 +83,12 @@ class Quality:
         Of the image on the ground: longitudes of the west and east, latitudes of the south and
         north [degrees].
     measures : tuple of Measure
-        Accuracy on independent points; none where there are none.
+        Accuracy on independent points; where there are none, as it was predicted.
     statements : tuple of str
         What standards let one say, or why they do not; why there are no measures.
     check_points, control_features : int
+    predicted : bool
+        Whether the measures are predicted: then there was no independent test.
     method, lineage : str
     sources : tuple of Source
     software : dict
@@ -104,6 +106,7 @@ class Quality:
     statements: tuple[str, ...]
     check_points: int
     control_features: int
+    predicted: bool
     method: str
     lineage: str
     sources: tuple[Source, ...]
@@ -156,15 +159,21 @@ def quality_of(result: Result, title: str = "", organisation: str = "",
     software = dict(result.versions)
     for versions_of_kind in result.plugins.values():
         software |= versions_of_kind
+    prediction = prediction_of(result) if result.accuracy is None else None
+    method = "Positions that the model computes for independent points are compared with their " \
+             "surveyed positions, at the surveyed heights. No choice has used these points."
+    if result.accuracy is None:
+        method = "There was no test by independent points." if prediction is None else (
+            f"No test by independent points: the accuracy is predicted {prediction.method}.")
     return Quality(
         title=title or Path(result.data.source).stem or "scene", organisation=organisation,
         made=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
         crs=horizontal(result.features.crs), bounds=(west, east, south, north),
-        measures=_measures(result), statements=_statements(result),
+        measures=_measures(result) if prediction is None else _predicted(prediction),
+        statements=_statements(result, prediction),
         check_points=result.accuracy.image.n if result.accuracy else 0,
         control_features=counts.control,
-        method="Positions that the model computes for independent points are compared with their "
-               "surveyed positions, at the surveyed heights. No choice has used these points.",
+        predicted=prediction is not None, method=method,
         lineage=f"Georeferenced by termsel: the model {result.model} with {len(terms.terms)} "
                 f"terms, selected by {result.solver}, was fitted to {counts.control} control "
                 "features.",
@@ -194,10 +203,25 @@ def _measures(result: Result) -> tuple[Measure, ...]:
                                "px"))
 
 
-def _statements(result: Result) -> tuple[str, ...]:
+def _predicted(prediction: Prediction) -> tuple[Measure, ...]:
+    """Return the figures of a predicted accuracy, named as such."""
+    found = f"predicted {prediction.method}, with a {100 * prediction.level:g} % interval"
+    measures = []
+    if prediction.metres is not None:
+        rmse, low, high = prediction.metres
+        measures.append(Measure("predicted root mean square error of planimetry",
+                                f"{found} from {low:.3g} to {high:.3g} m; no independent test",
+                                rmse, "m"))
+    return (*measures, Measure(
+        "predicted root mean square error in the image", f"{found} from {prediction.low:.3g} to "
+        f"{prediction.high:.3g} px; no independent test", prediction.rmse, "px"))
+
+
+def _statements(result: Result, prediction: Prediction | None) -> tuple[str, ...]:
     accuracy = result.accuracy
     if accuracy is None:
-        return ("The accuracy is not known, as the result has no independent points",)
+        return ("The accuracy is not known, as the result has no independent points",) \
+            if prediction is None else (prediction.sentence,)
     statements = [f"{name}: not stated: {figure.reason}" for name, figure in (
         ("ASPRS", accuracy.asprs), ("NSSDA", accuracy.nssda)) if figure.value is None]
     if accuracy.nssda.value is not None:

@@ -1,0 +1,45 @@
+"""Names of the fields of a layer of points, as termsel's command line knows those of columns.
+
+The plugin runs in the Python of QGIS, where termsel need not be installed: the names stand here
+again, and a test holds them against termsel's.
+"""
+
+import re
+import unicodedata
+
+KNOWN = {
+    "id": "id name pt ptid ptno point points pointid pointname pointno pointnr pointnumber gcp "
+          "gcpid gcpno gcpname label nr no num number punkt punktid punktnr punktnummer punktname "
+          "nummer numero nom nombre punto idpunto nome ponto 点 点号 点名 编号 序号 名称 id号 fid",
+    "role": "role use",
+    "line": "line row ypx lines rows ypix ypixel pixely imgy imagey yimg yimage lineno zeile "
+            "bildzeile ligne rangee fila linea riga linha 行 行号 行数 行坐标 sourcey",
+    "sample": "sample col column xpx pixel samples samp cols columns xpix xpixel pixelx pix imgx "
+              "imagex ximg ximage spalte bildspalte colonne columna muestra colonna campione "
+              "coluna 列 列号 列数 列坐标 sourcex",
+    "z": "z h height elev elevation alt altitude hohe hoehe hauteur altura altitud altitudine "
+         "altezza cota quota elevazione elevacion elevacao ellipsoidalheight ellheight "
+         "高程 高度 高 大地高 海拔"}
+"""Names of each meaning, without accents and signs, the usual ones first."""
+
+_UNIT = re.compile(r"\s*[\[({<【].*$|[\s_.-]+(px|pix|pixels?|m|deg|degrees?|dms|wgs84|utm)$")
+
+
+def folded(name):
+    """Return a name without accents, signs and capitals."""
+    letters = unicodedata.normalize("NFKD", name.casefold())
+    without_accents = "".join(sign for sign in letters if not unicodedata.combining(sign))
+    return re.sub(r"[\W_]", "", without_accents)
+
+
+def field_of(meaning, fields):
+    """Return the field that has a meaning, of names as the layer has them; None without one.
+
+    Of several the one whose name is the more usual. Units count for nothing: "Line (px)" is line.
+    """
+    forms = {}
+    for name in fields:
+        normal = unicodedata.normalize("NFKC", name.strip().casefold())
+        forms.setdefault(folded(normal), name)
+        forms.setdefault(folded(_UNIT.sub("", normal)), name)
+    return next((forms[known] for known in KNOWN[meaning].split() if known in forms), None)
