@@ -188,7 +188,7 @@ class Measured:
         rest = np.column_stack([np.log(cameras.focal / self.focal) / self.focal_spread, away])
         if np.isfinite(self.tilt):
             rest = np.column_stack([rest, cameras.rotation[:, 2, :2] / self.tilt])
-        if self.place is not None:
+        if self.place is not None and self.place_spread is not None:
             off = (cameras.place - self.place) / self.place_spread
             rest = np.column_stack([rest, np.nan_to_num(off)])
         weights = np.ones_like(rest)
