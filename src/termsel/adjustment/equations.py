@@ -68,6 +68,14 @@ def line_normals(lines: Lines) -> tuple[FloatArray, FloatArray]:
         Unit normals (nl, ns).
     rho : ndarray, shape (n,)
         Signed distances from the origin.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> lines = termsel.Lines(["L"], [[[2.0, 0.0], [2.0, 5.0]]], [[[0, 0, 0], [0, 1, 0]]])
+    >>> normal, rho = termsel.line_normals(lines)
+    >>> abs(normal).tolist(), abs(rho).tolist()
+    ([[1.0, 0.0]], [2.0])
     """
     direction = lines.image[:, 1] - lines.image[:, 0]
     normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)

@@ -93,6 +93,14 @@ def row_weights(features: FeatureSet, *, heights: bool = True) -> FloatArray:
     -------
     ndarray, shape (2 n_points + 2 n_lines,)
         The median standard deviation, or 1 where none is given, over that of the row.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> points = termsel.Points(["A", "B"], [[0, 0], [1, 1]], [[0, 0, 0], [1, 1, 0]],
+    ...                         [[1.0, 1.0], [2.0, 2.0]])
+    >>> termsel.row_weights(termsel.FeatureSet(points)).tolist()
+    [1.5, 1.5, 0.75, 0.75]
     """
     points = features.points
     lines = features.lines
@@ -132,6 +140,17 @@ def image_equations(features: FeatureSet, of_points: FloatArray, of_vertices: Fl
     -------
     Equations
         Two rows per point, then two per line, weighted by `row_weights`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import termsel
+    >>> points = termsel.Points(["A"], [[0.1, 0.2]], [[0.0, 0.0, 0.0]])
+    >>> shift = np.array([[[1.0, 0.0], [0.0, 1.0]]])  # a model of two constants
+    >>> equations = termsel.image_equations(
+    ...     termsel.FeatureSet(points), shift, np.empty((0, 2, 2)))
+    >>> equations.A.shape, equations.b.tolist()
+    ((2, 2), [0.1, 0.2])
     """
     points = features.points
     lines = features.lines

@@ -31,6 +31,11 @@ def estimator(name: str, /, **options: Any) -> Estimator:
     **options
         As `Estimator.options` gives them.
 
+    Returns
+    -------
+    Estimator
+        With its options.
+
     Raises
     ------
     TermselError

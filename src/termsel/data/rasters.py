@@ -128,6 +128,18 @@ def open_raster(path: Path | str) -> Iterator[Any]:
     TermselError
         If rasterio is not installed; if GDAL cannot open or read the file; if it, or what it
         names, is of another format or on a server (see `termsel.core.files.sources`).
+
+    Examples
+    --------
+    >>> import tempfile, termsel
+    >>> from pathlib import Path
+    >>> from termsel.toolkit import write_example
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     files = Path(folder) / "files"
+    ...     _ = write_example(files)
+    ...     with termsel.open_raster(files / "scene.tif") as raster:
+    ...         raster.count
+    1
     """
     rasterio = require_rasterio()
     from rasterio._err import CPLE_BaseError

@@ -54,6 +54,22 @@ def ce90(errors: FloatArray) -> FloatArray:
 
     Of errors (..., n, 2) it has the shape (...). It is interpolated linearly between the distances;
     no distribution is assumed.
+
+    Parameters
+    ----------
+    errors : ndarray, shape (..., n, 2)
+        Errors of n points, such as line and sample [px].
+
+    Returns
+    -------
+    ndarray, shape (...)
+        In the unit of the errors.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> round(float(termsel.ce90([[0.0, 0.1 * i] for i in range(11)])), 3)
+    0.9
     """
     return quantile(np.linalg.norm(errors, axis=-1), 0.9)
 

@@ -65,6 +65,11 @@ def rpc_of(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcFit:
     heights : tuple of float, optional
         Least and largest height that the RPC is for, by default those of the control.
 
+    Returns
+    -------
+    RpcFit
+        With the RPC and its largest distance from the model [px].
+
     Raises
     ------
     TermselError
@@ -80,6 +85,14 @@ def rpc_of(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcFit:
     photogrammetric processing", PE&RS 67 (2001) 1347-1357): with the selected terms, and with
     all of them where that loses more than 0.05 px. Where no cubic follows the image, as in ground
     range, denominators follow its noise up to a pole; there their coefficients are held near zero.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> features = termsel.simulate_scene("ikonos-hamedan")
+    >>> fitted = termsel.fit(features, "poly3d", degree=2)
+    >>> termsel.rpc_of(fitted).rpc.project([[48.5, 34.8, 1850.0]]).shape
+    (1, 2)
     """
     convert = to_wgs84(fitted.control.crs)
     refuse_sky(fitted, "an RPC")

@@ -151,12 +151,29 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
         where the raster declares another one; without a vertical axis it has ellipsoidal heights
         in metres.
 
+    Yields
+    ------
+    Dem
+        It has heights at ground coordinates, and is closed after the block.
+
     Raises
     ------
     TermselError
         If rasterio or pyproj is not installed; if the raster cannot be read, has no
         CRS, no geotransform, several bands or another unit than metres and feet; if PROJ lacks the
         grid that converts its heights; if `crs` is "local".
+
+    Examples
+    --------
+    >>> import tempfile, termsel
+    >>> from pathlib import Path
+    >>> from termsel.toolkit import write_example
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     files = Path(folder) / "files"
+    ...     _ = write_example(files)
+    ...     with termsel.open_dem(files / "dem.tif", "EPSG:4979") as dem:
+    ...         type(dem).__name__
+    'Dem'
     """
     if crs == LOCAL:
         raise TermselError("a raster gives heights only to ground coordinates with a "

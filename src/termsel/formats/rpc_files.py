@@ -46,10 +46,26 @@ def read_rpc(path: Path | str) -> Rpc:
         RPB, _RPC.TXT, DIMAP version 1 to 3, DigitalGlobe XML, VRT or PAM (.aux.xml), or an
         image with an RPC in its tags or in a file next to it, which GDAL reads (extra `gis`).
 
+    Returns
+    -------
+    Rpc
+
     Raises
     ------
     TermselError
         If the file is in none of these formats, lacks an item, or has one that is not a number.
+
+    Examples
+    --------
+    >>> import tempfile, termsel
+    >>> from pathlib import Path
+    >>> from termsel.toolkit import write_example
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     files = Path(folder) / "files"
+    ...     _ = write_example(files)
+    ...     rpc = termsel.read_rpc(files / "vendor.RPB")
+    >>> rpc.project([[48.5, 34.8, 1850.0]]).shape
+    (1, 2)
     """
     path = Path(path)
     head = read_head(path, f"Expected {KNOWN}.")
@@ -282,10 +298,23 @@ def write_rpc(rpc: Rpc, path: Path | str) -> None:
     path : path-like
         GDAL finds the RPC of image.tif in image.RPB next to it.
 
+    Returns
+    -------
+    None
+
     Raises
     ------
     TermselError
         If the file cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile, termsel
+    >>> fitted = termsel.fit(termsel.simulate_scene("ikonos-hamedan"), "poly3d", degree=2)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     termsel.write_rpc(termsel.rpc_of(fitted).rpc, f"{folder}/scene.RPB")
+    ...     type(termsel.read_rpc(f"{folder}/scene.RPB")).__name__
+    'Rpc'
     """
     write_text(path, rpb_text(rpc))
 

@@ -90,6 +90,14 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
     TermselError
         If there is no such format or option, the format cannot hold this result, the file
         exists and may not be replaced, is read itself, or cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile, termsel
+    >>> result = termsel.run("poly-terms", seed=1, generations=2)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     [path.name for path in termsel.export(result, "points-csv", f"{folder}/points.csv")]
+    ['points.csv']
     """
     path = Path(path)
     result = as_exported(result, final)

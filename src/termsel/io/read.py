@@ -129,6 +129,15 @@ def read(
     ------
     TermselError
         Naming file, line and column, for anything the user can correct.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> rows = [{"id": "A", "line": 10.0, "sample": 20.0, "x": 500000.0, "y": 4e6, "z": 100.0},
+    ...         {"id": "B", "line": 30.0, "sample": 40.0, "x": 500100.0, "y": 4e6, "z": 110.0}]
+    >>> features = termsel.read(rows, crs="EPSG:32639")
+    >>> features.ids
+    ('A', 'B')
     """
     given_options = {key: value for key, value in options.items() if value is not None}
     of_packages = {option.name: given_options.pop(option.name) for option in read_options()

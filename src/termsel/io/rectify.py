@@ -106,6 +106,11 @@ def rectify(
     progress : callable, optional
         Called with the fraction that is done, 0 to 1.
 
+    Returns
+    -------
+    None
+        The map is the file `output`.
+
     Raises
     ------
     TermselError
@@ -113,6 +118,19 @@ def rectify(
         fit the result; if no part of the image is on the map; if the map would have fewer than 16
         or more than 30,000 px along a side and the image does not; if the file exists and may
         not be replaced, or cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile, termsel
+    >>> from pathlib import Path
+    >>> from termsel.toolkit import write_example
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     files = Path(folder) / "files"
+    ...     _ = write_example(files)
+    ...     result = termsel.run("poly-terms", features=files / "gcps.csv", generations=2)
+    ...     termsel.rectify(result, files / "scene.tif", files / "map.tif", dem=files / "dem.tif")
+    ...     (files / "map.tif").exists()
+    True
     """
     require_rasterio()
     image = Path(image)

@@ -38,10 +38,21 @@ def require_replaceable(files: Iterable[Path], *, reads: Iterable[object] = (),
     makes_folder : bool
         Whether the command makes the folder that they are in.
 
+    Returns
+    -------
+    None
+        If all files may be written.
+
     Raises
     ------
     TermselError
         Naming the file.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> from pathlib import Path
+    >>> termsel.require_replaceable([Path("new.csv")], reads=["old.csv"])
     """
     files = list(files)
     existing = [file for file in files if is_there(file)]

@@ -181,6 +181,15 @@ def read_result(folder: Path | str) -> Result:
     TermselError
         If there is no result, a file of it is missing, was changed or is of another version, or
         its model is of a plugin that is not installed.
+
+    Examples
+    --------
+    >>> import tempfile, termsel
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     out = f"{folder}/result"
+    ...     result = termsel.run("poly-terms", seed=1, generations=2, out=out)
+    ...     termsel.read_result(out).selection == result.selection
+    True
     """
     path = _place(Path(folder), RECORD)
     if not is_there(path):

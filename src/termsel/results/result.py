@@ -67,7 +67,7 @@ CARRIED = (
     "objectives", "front",
     "certificate", "strategy", "evaluations", "lookups", "generations", "seconds", "history",
     "budget", "stability", "by_size", "interrupted", "polish", "versions", "shared_sigma")
-"""What a result and its record hold alike."""
+"""Fields that a result and its record have in common."""
 
 
 
@@ -75,7 +75,7 @@ CARRIED = (
 class Result(Glance):
     """Fitted model, accuracy and outliers of a run.
 
-    Parameters
+    Attributes
     ----------
     problem, model, solver, criterion : str
     seed : int
@@ -156,6 +156,15 @@ class Result(Glance):
     files : mapping of str to str
         Further files that the folder of the result gets, by name: certificate.json of a proof.
         Empty for a result that was read.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> result = termsel.run("poly-terms", seed=1, generations=2)
+    >>> result.rmse["independent"].n
+    26
+    >>> result.project([[48.5, 34.8, 1850.0]]).shape  # line and sample [px]
+    (1, 2)
     """
 
     problem: str

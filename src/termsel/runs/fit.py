@@ -59,8 +59,8 @@ def fit(features: Any, model: str | type[SensorModel] | SensorModel | Method = "
     >>> import termsel
     >>> scene = termsel.simulate_scene("ikonos-hamedan")
     >>> fitted = termsel.fit(scene, "poly3d", degree=1)
-    >>> fitted.adjustment.redundancy
-    24
+    >>> fitted.adjustment.redundancy  # of 24 points and 120 lines
+    280
     >>> independent = scene.points.take([role == "independent" for role in scene.points.roles])
     >>> fitted.rmse(independent).total < 10
     True

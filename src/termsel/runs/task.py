@@ -189,6 +189,13 @@ def prepare(
     ------
     TermselError
         For unknown names or options, and for data the problem cannot be run on.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> task = termsel.prepare("poly-terms", options={"degree": 3})
+    >>> task.problem.genome.size, task.problem.objectives
+    (20, ('check-rmse',))
     """
     features, source = given_features(features, source, crs, columns)
     return prepared(request_of(

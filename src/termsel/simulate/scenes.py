@@ -96,6 +96,13 @@ def simulate_scene(
     ------
     TermselError
         For an unknown name, a negative number or seed, or more mismatched lines than lines.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> features = termsel.simulate_scene("ikonos-hamedan", n_points=12, n_lines=5)
+    >>> len(features.points), len(features.lines)
+    (12, 5)
     """
     scene = _scene(name)
     n_lines, wrong = _line_counts(scene, n_lines, wrong_lines)

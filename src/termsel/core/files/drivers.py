@@ -92,10 +92,20 @@ def allow_driver(*names: str) -> Iterator[None]:
     *names : str
         As GDAL calls them, such as "netCDF" or "MRF".
 
+    Yields
+    ------
+    None
+
     Raises
     ------
     TermselError
         If GDAL has no driver of such a name.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> with termsel.allow_driver("GIF"):
+    ...     pass  # read files here that you trust
     """
     known = {name.casefold(): name for name in
              (*RASTER_DRIVERS, *VECTOR_DRIVERS, *WORKING_DRIVERS, *_OTHERS)}
@@ -115,6 +125,16 @@ def allow_remote() -> Iterator[None]:
     """Allow sources on servers while the block runs.
 
     Without it, no file that is read as raster or vector data makes GDAL send a request.
+
+    Yields
+    ------
+    None
+
+    Examples
+    --------
+    >>> import termsel
+    >>> with termsel.allow_remote():
+    ...     pass  # read sources on servers here
     """
     token = _remote.set(True)
     try:

@@ -97,10 +97,23 @@ def write_points_csv(points: Points, path: Path | str, crs: str = "") -> None:
     crs : str, optional
         Declared in a comment line.
 
+    Returns
+    -------
+    None
+
     Raises
     ------
     TermselError
         If the file cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile, termsel
+    >>> points = termsel.simulate_scene("ikonos-hamedan", n_points=6).points
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     termsel.write_points_csv(points, f"{folder}/points.csv", crs="EPSG:4979")
+    ...     len(termsel.read(f"{folder}/points.csv").points)
+    6
     """
     write_text(path, points_text(points, crs))
 
@@ -132,10 +145,23 @@ def write_lines_csv(lines: Lines, path: Path | str, crs: str = "") -> None:
     crs : str, optional
         Declared in a comment line.
 
+    Returns
+    -------
+    None
+
     Raises
     ------
     TermselError
         If the file cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile, termsel
+    >>> lines = termsel.simulate_scene("ikonos-hamedan", n_lines=3).lines
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     termsel.write_lines_csv(lines, f"{folder}/lines.csv", crs="EPSG:4979")
+    ...     len(termsel.read(lines=f"{folder}/lines.csv").lines)
+    3
     """
     write_text(path, lines_text(lines, crs))
 

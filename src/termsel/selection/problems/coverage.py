@@ -60,6 +60,20 @@ def uncovered_share(points: FloatArray, masks: BoolArray) -> FloatArray:
     The image is the smallest rectangle around all candidate points (n, 2), where the features lie
     in it. (Covered area as an objective: Konugurthi et al. 2016; their formula could not be
     consulted.)
+
+    Returns
+    -------
+    ndarray, shape (p,)
+        From 0, all covered, to 1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import termsel
+    >>> corners = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]])
+    >>> masks = np.array([[True, True, True, True], [True, True, True, False]])
+    >>> termsel.uncovered_share(corners, masks).tolist()
+    [0.0, 0.5]
     """
     area = float(np.prod(np.ptp(points, axis=0)))
     if area <= 0:

@@ -134,6 +134,16 @@ def feature_options(**defaults: Any) -> tuple[Option, ...]:
     ----------
     **defaults
         Defaults that differ there, such as ``max_features=6``.
+
+    Returns
+    -------
+    tuple of Option
+
+    Examples
+    --------
+    >>> import termsel
+    >>> [option.name for option in termsel.feature_options(max_features=6)][:2]
+    ['terms', 'mixed']
     """
     return with_defaults(OF_FEATURES, **defaults)
 
@@ -146,10 +156,21 @@ def term_options(**defaults: Any) -> tuple[Option, ...]:
     **defaults
         Defaults that differ there, such as ``max_share=0.5``.
 
+    Returns
+    -------
+    tuple of Option
+
     Raises
     ------
     TermselError
         For a default of an option that there is not.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> options = termsel.term_options(max_share=0.5)
+    >>> [option.default for option in options if option.name == "max_share"]
+    [0.5]
     """
     return with_defaults(OF_TERMS, **defaults)
 

@@ -81,6 +81,15 @@ def read_study(folder: Path | str) -> Study:
     ------
     TermselError
         If there is no study, or its files were damaged.
+
+    Examples
+    --------
+    >>> import tempfile, termsel
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     study = termsel.compare(problems=["poly-terms"], solvers=["random"], seeds=2,
+    ...                             budget={"evaluations": 20}, out=f"{folder}/study")
+    ...     len(termsel.read_study(f"{folder}/study").rows)
+    2
     """
     spec, _, cells = _read_plan(Path(folder))
     records = read_journal(Path(folder)).records

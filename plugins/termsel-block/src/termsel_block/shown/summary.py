@@ -88,7 +88,8 @@ def _blunders(record: BlockRecord) -> str:
     control = len(record.wrong_control)
     if not ties and not control:
         return "none detected"
-    worst = [*record.wrong_control, *record.wrong_ties][:_NAMED]
+    rejected: list[WrongControl | WrongTie] = [*record.wrong_control, *record.wrong_ties]
+    worst = rejected[:_NAMED]
     named = ", ".join(f"{wrong.id} in {wrong.image} {wrong.error:.1f} px" for wrong in worst)
     further = f", {ties + control - len(worst)} more" if ties + control > len(worst) else ""
     return f"{ties} tie and {control} GCP observations rejected: {named}{further}"

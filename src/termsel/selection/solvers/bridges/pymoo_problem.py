@@ -152,6 +152,10 @@ def to_pymoo(problem: Problem, *, elementwise_runner: Callable[..., Any] | None 
         Of `pymoo.parallelization`, such as ``StarmapParallelization(pool.starmap)``: each selection
         is evaluated by itself, in other processes.
 
+    Returns
+    -------
+    pymoo.core.problem.Problem
+
     Examples
     --------
     >>> import termsel
