@@ -38,6 +38,7 @@ from .core.files.drivers import remote_allowed as remote_allowed
 from .core.files.lock import locked as locked
 from .core.files.names import STABILITY as STABILITY
 from .core.files.names import inside as inside
+from .core.files.names import refuse_link as refuse_link
 from .core.files.names import refuse_links as refuse_links
 from .core.files.names import require_regular as require_regular
 from .core.files.reasons import reason_of as reason_of

@@ -176,3 +176,22 @@ def test_no_settings_of_the_current_folder_reach_numba(folder: Path) -> None:
                               text=True, check=False, cwd=folder, env=_environment())
         assert done.stdout.split() == ["True", "0"], done.stderr
     assert not (folder / "forged").exists()
+
+
+def test_programs_of_the_current_folder_are_not_started(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Windows looks there first, other systems where the path of programs has a dot or a blank."""
+    pytest.importorskip("termsel_formats")
+    from termsel_formats.check.base import installed
+
+    elsewhere = tmp_path / "bin"
+    elsewhere.mkdir()
+    for place in (tmp_path, elsewhere):
+        (place / "gdalinfo").write_text("#!/bin/sh\n")
+        (place / "gdalinfo").chmod(0o755)
+    monkeypatch.chdir(tmp_path)
+    for path in (".", str(tmp_path), os.curdir + os.pathsep):
+        monkeypatch.setenv("PATH", path)
+        assert installed("gdalinfo") is None
+    monkeypatch.setenv("PATH", str(elsewhere))
+    assert sys.platform == "win32" or installed("gdalinfo") == str(elsewhere / "gdalinfo")

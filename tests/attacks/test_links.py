@@ -9,6 +9,8 @@ import pytest
 
 import termsel
 from termsel import TermselError
+from termsel.plugins.registry import registry
+from tests.attacks.files import image
 
 POINTS = "id,line,sample,x,y,z\n" + "".join(
     f"P{i},{(i * 37) % 50},{(i * 23) % 50},{(i * 23) % 50 / 100},{-((i * 37) % 50) / 100},0\n"
@@ -140,3 +142,31 @@ def test_hidden_folders_of_a_project_are_left_alone(control: Path, folder: Path)
     features = termsel.read(control, crs="local")
     termsel.run("poly-terms", features=features, model="affine", solver="all-terms", out=project)
     assert (project / "result.json").is_file()
+
+
+def test_outputs_whose_names_nobody_typed(made_result: Path, folder: Path, victim: Path,
+                                          call) -> None:
+    """Of the page of a result, of a second file, of a table by default, of a session."""
+    (folder / "r").mkdir()
+    for file in made_result.iterdir():
+        (folder / "r" / file.name).write_bytes(file.read_bytes())
+    (folder / "r" / "report.html").symlink_to(victim / "made.html")
+    assert "this is a link" in call("report", "r").stderr
+    assert "this is a link" in call("report", "r", "--overwrite").stderr
+    if "micmac-xml" in registry().names("writers"):
+        (folder / "a-S2D.xml").symlink_to(victim / "made-too.xml")
+        (folder / "a-S3D.xml").symlink_to(victim / "made.xml")
+        done = call("export", "r", "--to", "micmac-xml", "--output", "a-S2D.xml")
+        assert "this is a link" in done.stderr
+
+
+def test_tables_of_matching_by_default(folder: Path, victim: Path, call) -> None:
+    pytest.importorskip("termsel_match")
+    pytest.importorskip("rasterio")
+    image(folder / "a.tif")
+    (folder / "candidates.csv").symlink_to(victim / "made.csv")
+    (folder / "lines.csv").symlink_to(victim / "made.csv")
+    (folder / "roads.geojson").write_text("{}")
+    for words in (("match-points", "a.tif", "--reference", "a.tif"),
+                  ("match-lines", "a.tif", "--vectors", "roads.geojson")):
+        assert "this is a link" in call(*words).stderr

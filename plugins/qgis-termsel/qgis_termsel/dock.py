@@ -1,10 +1,16 @@
 """A dock that shows a result: its accuracy, its points, and what they say without some of them."""
 
 import csv
+import io
 import json
 from pathlib import Path
 
-from qgis.core import QgsProject, QgsVectorLayer
+from qgis.core import (
+    QgsProcessingException,
+    QgsProcessingFeedback,
+    QgsProject,
+    QgsVectorLayer,
+)
 from qgis.PyQt.QtCore import Qt
 from qgis.PyQt.QtWidgets import (
     QComboBox,
@@ -19,8 +25,10 @@ from qgis.PyQt.QtWidgets import (
     QWidget,
 )
 
+from .algorithms.base import scratch
 from .algorithms.georeference import inputs_of, model_named
-from .layers import blunder_style
+from .child import run
+from .layers import add_blunders, blunder_style, read_inside
 
 CHECKED = Qt.CheckState.Checked
 UNCHECKED = Qt.CheckState.Unchecked
@@ -71,27 +79,41 @@ class ResultDock(QDockWidget):
         """Show the result of a folder."""
         self.folder = Path(folder)
         try:
-            record = json.loads((self.folder / "result.json").read_text(encoding="utf-8"))
-            with open(self.folder / "residuals.csv", newline="", encoding="utf-8") as opened:
-                rows = list(csv.DictReader(opened))
-        except (OSError, ValueError) as error:
+            record = json.loads(read_inside(self.folder, "result.json"))
+            rows = list(csv.DictReader(io.StringIO(read_inside(self.folder, "residuals.csv"))))
+            accuracy = accuracy_text(record)
+        except (OSError, ValueError, KeyError, TypeError, AttributeError,
+                RecursionError) as error:  # of a folder that anybody may have written
             self.folder = None
             self.accuracy.setText(f"{folder} has no result: {error}")
             self._enable()
             return
         self.problem = record.get("problem")
-        self.accuracy.setText(accuracy_text(record))
+        self.accuracy.setText(accuracy)
         self._offer(record)
         self._fill(rows)
         self._enable()
-        file = self.folder / "result_residuals.gpkg"
-        if file.exists() and self.iface is not None:
-            # Layers that Georeference adds; without a window of QGIS there is no map.
-            for layer in ("residuals", "vectors", "blunders"):
-                map_layer = QgsVectorLayer(f"{file}|layername={layer}", layer, "ogr")
-                if layer == "blunders":
-                    blunder_style(map_layer)
-                QgsProject.instance().addMapLayer(map_layer)
+        if self.iface is not None:  # without a window of QGIS there is no map
+            self._add_layers(record)
+
+    def _add_layers(self, record):
+        """Add the layers that Georeference adds, made anew by termsel from the result.
+
+        QGIS would open a file of the folder, which may be a stranger's, with all its drivers.
+        """
+        file = Path(scratch() + ".gpkg")
+        try:
+            run(["export", self.folder, "--to", "residuals-gpkg", "-o", file],
+                QgsProcessingFeedback())
+            add_blunders(self.folder, record, file)
+        except (QgsProcessingException, OSError, ValueError, KeyError) as error:
+            self.accuracy.setText(f"{self.accuracy.text()} The map shows no residuals: {error}")
+            return
+        for layer in ("residuals", "vectors", "blunders"):
+            map_layer = QgsVectorLayer(f"{file}|layername={layer}", layer, "ogr")
+            if layer == "blunders":
+                blunder_style(map_layer)
+            QgsProject.instance().addMapLayer(map_layer)
 
     def _offer(self, record):
         """Offer the candidates; those that only auto can fit are shown and cannot be taken."""

@@ -1,6 +1,10 @@
 """Layers of QGIS as files that termsel reads, and files of termsel as layers."""
 
 import csv
+import io
+import re
+import stat
+from pathlib import Path
 
 from qgis.core import (
     QgsColorRampShader,
@@ -43,12 +47,37 @@ def points_csv(source, fields):
                 f"The layer of points has no field that is known as {meaning}. State which it is; "
                 f"its fields are {', '.join(field.name() for field in source.fields())}.")
     path = QgsProcessingUtils.generateTempFilename("points.csv")
-    with open(path, "w", newline="", encoding="utf-8") as opened:
-        table = csv.writer(opened, lineterminator="\n")
-        table.writerow(["id", "role", "line", "sample", "x", "y", "z"])
-        for number, feature in enumerate(source.getFeatures(), 1):
-            table.writerow(_row(feature, names, number))
+    rows = [_row(feature, names, number)
+            for number, feature in enumerate(source.getFeatures(), 1)]
+    write_table(path, [["id", "role", "line", "sample", "x", "y", "z"], *rows])
     return path, crs_text(source.sourceCrs())
+
+
+_FORMULA = re.compile(r"'*\s*[=+\-@\uff1d\uff0b\uff0d\uff20\ufe62\ufe63\ufe66\ufe6b]")
+"""How a formula of a spreadsheet begins, as in termsel.core.files.texts."""
+
+
+def write_table(path, rows):
+    """Write a table whose texts no spreadsheet runs; termsel reads them as they were."""
+    with open(path, "w", newline="", encoding="utf-8") as opened:
+        csv.writer(opened, lineterminator="\n").writerows(
+            [[_guarded(cell) for cell in row] for row in rows])
+
+
+def _guarded(cell):
+    """Return a cell with an apostrophe in front of what would be a formula."""
+    if not isinstance(cell, str) or not _FORMULA.match(cell):
+        return cell
+    try:
+        float(cell)
+    except ValueError:
+        return f"'{cell}"
+    return cell
+
+
+def _unguarded(text):
+    """Return a cell of a table of termsel without the apostrophe in front of a formula."""
+    return text[1:] if text[:1] == "'" and _FORMULA.match(text) else text
 
 
 def _field(source, meaning, stated):
@@ -107,6 +136,43 @@ def crs_text(crs):
                                      "properties.")
     # Other systems than EPSG's are described in full.
     return crs.authid() if crs.authid().startswith("EPSG:") else crs.toWkt()
+
+
+_CODE = re.compile(r"\w{2,20}:\w{1,20}")
+_GRID = re.compile(r"(grids|file|model|init)\s*=\s*\S*[/\\]|PARAMETERFILE|PROJ4_GRIDS",
+                   re.IGNORECASE)
+"""What in WKT may name a file that PROJ would open."""
+
+
+def stated_crs(text):
+    """Return the CRS that a result states, which may be a stranger's; none for other texts.
+
+    From any text GDAL would also open files and ask servers.
+    """
+    if _CODE.fullmatch(text):
+        return QgsCoordinateReferenceSystem(text)
+    if "[" in text and not _GRID.search(text):
+        return QgsCoordinateReferenceSystem.fromWkt(text)
+    return QgsCoordinateReferenceSystem()
+
+
+LARGEST = 256 << 20
+"""Bytes of a file of a result that are read."""
+
+
+def read_inside(folder, name):
+    """Return the text of a file in the folder of a result, which may be a stranger's.
+
+    Raises
+    ------
+    OSError
+        If it is a link, a pipe, too large, or cannot be read.
+    """
+    path = Path(folder) / name
+    state = path.lstat()
+    if not stat.S_ISREG(state.st_mode) or state.st_size > LARGEST:
+        raise OSError(f"{name} is a link, no file, or too large")
+    return path.read_text(encoding="utf-8")
 
 
 # Post-processors, which QGIS does not keep.
@@ -169,21 +235,20 @@ def blunder_style(layer):
 def add_blunders(folder, record, target):
     """Add the blunders among the points of a result as a layer to a GeoPackage."""
     errors = {outlier["id"]: outlier["error"] for outlier in record.get("outliers", [])}
-    crs = QgsCoordinateReferenceSystem()
-    crs.createFromUserInput(record["data"].get("crs", ""))
     layer = QgsVectorLayer("Point?field=id:string&field=error:double", "blunders", "memory")
-    layer.setCrs(crs)
-    with open(folder / "points.csv", newline="", encoding="utf-8") as opened:
-        rows = csv.DictReader(line for line in opened if not line.startswith("#"))
-        features = []
-        for row in rows:
-            # Only points: a blunder among lines has no place of its own.
-            if row["id"] in errors:
-                feature = QgsFeature(layer.fields())
-                feature.setAttributes([row["id"], errors[row["id"]]])
-                feature.setGeometry(QgsGeometry.fromPointXY(
-                    QgsPointXY(float(row["x"]), float(row["y"]))))
-                features.append(feature)
+    layer.setCrs(stated_crs(record["data"].get("crs", "")))
+    # Without points, such as of lines alone, there is no such table.
+    text = read_inside(folder, "points.csv") if (Path(folder) / "points.csv").exists() else ""
+    features = []
+    for row in csv.DictReader(line for line in io.StringIO(text) if not line.startswith("#")):
+        # Only points: a blunder among lines has no place of its own.
+        name = _unguarded(row["id"])
+        if name in errors:
+            feature = QgsFeature(layer.fields())
+            feature.setAttributes([name, errors[name]])
+            feature.setGeometry(QgsGeometry.fromPointXY(
+                QgsPointXY(float(row["x"]), float(row["y"]))))
+            features.append(feature)
     layer.dataProvider().addFeatures(features)
     options = QgsVectorFileWriter.SaveVectorOptions()
     options.layerName = "blunders"

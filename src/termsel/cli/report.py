@@ -34,12 +34,13 @@ def report(folder: Path, output: Path | None, image: str | None, overwrite: bool
       termsel report result -o report.html --image scene.tif
       termsel report study --overwrite
     """
-    output = folder / REPORT if output is None else output
+    from termsel.core.files.names import JOURNAL, inside, is_there
+
+    output = inside(folder, REPORT) if output is None else output
     refuse_stdout(output)
     show_messages()
 
     from termsel.core.files.atomic import write_text
-    from termsel.core.files.names import JOURNAL, is_there
     from termsel.io.replacing import require_replaceable
     from termsel.io.result_folder import files_of_result, read_result
     from termsel.studies.cells.folder import PLAN, read_study

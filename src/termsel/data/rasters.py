@@ -24,7 +24,7 @@ from termsel.core.files.drivers import (
     raster_drivers,
     without_exceptions,
 )
-from termsel.core.files.names import is_there, refuse_pipe, utf8_name
+from termsel.core.files.names import is_there, refuse_grids, refuse_pipe, utf8_name
 from termsel.core.files.sources import (
     REMOTE_HINT,
     is_single_file,
@@ -157,6 +157,8 @@ def open_raster(path: Path | str) -> Iterator[Any]:
                 stack.close()
                 raster = stack.enter_context(open_distant(path))
             _refuse_large_blocks(path, raster)
+            for crs in (raster.crs, raster.gcps[1]):
+                refuse_grids("" if crs is None else crs.to_wkt(), path)
             yield raster
     except (rasterio.errors.RasterioError, CPLE_BaseError) as error:
         # rasterio's own message only points to the cause.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from termsel.core.display.quiet import quieted
 from termsel.core.errors import TermselError
 from termsel.core.files.atomic import private_folder
-from termsel.core.files.names import is_there
+from termsel.core.files.names import is_there, refuse_link
 from termsel.io.replacing import require_replaceable
 from termsel.plugins.registry import registry
 
@@ -115,5 +115,7 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
     if not overwrite and not is_there(path):
         files -= set(_left(writer, result, path))
     require_replaceable(files, reads=writer.options.values(), overwrite=overwrite)
+    for file in files - {path}:
+        refuse_link(file)  # only the first has a name that somebody typed
     writer.write(result, path)
     return tuple(file for file in writer.files(path) if file.exists())

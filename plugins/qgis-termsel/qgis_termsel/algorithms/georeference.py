@@ -23,7 +23,14 @@ from qgis.core import (
 )
 
 from ..child import run
-from ..layers import AsInFile, BlundersInRed, add_blunders, crs_text, points_csv
+from ..layers import (
+    AsInFile,
+    BlundersInRed,
+    add_blunders,
+    crs_text,
+    points_csv,
+    read_inside,
+)
 from .base import Algorithm, in_place, layer_file, scratch, with_page
 
 _RESIDUALS = "result_residuals.gpkg"
@@ -40,7 +47,7 @@ def inputs_of(folder):
     """Return the RPC of a result, as a parameter; no other parameter is taken from its folder."""
     try:
         # The file is ours, but anything may have happened to the folder.
-        stated = json.loads((Path(folder) / INPUTS).read_text(encoding="utf-8"))
+        stated = json.loads(read_inside(folder, INPUTS))
     except (OSError, ValueError, RecursionError):
         return {}
     rpc = stated.get("RPC") if isinstance(stated, dict) else None

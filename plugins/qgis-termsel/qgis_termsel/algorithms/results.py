@@ -2,10 +2,8 @@
 
 import csv
 import json
-from pathlib import Path
 
 from qgis.core import (
-    QgsCoordinateReferenceSystem,
     QgsFeature,
     QgsGeometry,
     QgsPointXY,
@@ -24,7 +22,7 @@ from qgis.core import (
 )
 
 from ..child import run
-from ..layers import InShades, crs_text
+from ..layers import InShades, crs_text, read_inside, stated_crs
 from .base import Algorithm, layer_file, result_parameter, scratch, with_page
 
 _FORMATS = ("rpc-txt", "rpb", "rpc-vrt", "gcp-vrt", "gcp-grid-vrt", "geolocation-vrt",
@@ -231,7 +229,4 @@ class NextPlaces(Algorithm):
 
 def _crs_of(folder):
     """Return the CRS of a result."""
-    record = json.loads((Path(folder) / "result.json").read_text(encoding="utf-8"))
-    crs = QgsCoordinateReferenceSystem()
-    crs.createFromUserInput(record["data"].get("crs", ""))
-    return crs
+    return stated_crs(json.loads(read_inside(folder, "result.json"))["data"].get("crs", ""))

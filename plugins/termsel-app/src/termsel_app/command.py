@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import click
 
 from termsel import TermselError
-from termsel.toolkit import echo, remote_option, show_messages
+from termsel.toolkit import echo, refuse_link, remote_option, show_messages
 
 if TYPE_CHECKING:
     from termsel_app.session import Files
 
 _FILE = click.Path(path_type=Path)
-EXAMPLE = Path("termsel-example")
+EXAMPLE = "termsel-example"
 """Where the files of the example are written."""
 
 
@@ -81,11 +81,11 @@ def app(image: str | None, maps: tuple[str, ...], points: Path | None, lines: Pa
     with open_session(given, folder, remote=remote_allowed(),
                       drivers=allowed_drivers()) as session:
 
-        def started(address: str) -> None:
+        def started(address: str, first_address: str) -> None:
             echo(f"The page is at {address}")
             echo(f"Saved in {folder}; Ctrl-C ends it.", err=True)
             if not no_browser:
-                webbrowser.open(address)
+                webbrowser.open(first_address)
 
         try:
             serve(session, port, started)
@@ -108,17 +108,24 @@ def found(given: Files, folder: Path | None) -> tuple[Files, Path]:
 
     place = Path(given.image or "")
     if is_iiif(given.image):
-        return given, folder or Path(f"{place.parent.name or 'image'}-control")
+        return given, folder or by_default(f"{place.parent.name or 'image'}-control")
     if not place.is_dir():
-        return given, folder or Path(f"{place.stem or 'image'}-control")
+        return given, folder or by_default(f"{place.stem or 'image'}-control")
     if (place / NAME).exists():
         kept = Files.of_header(header_of(place), place)
         return replace(kept, maps=kept.maps + given.maps), folder or place
     if (place / "result.json").exists():
-        return of_result(place, given), folder or place.with_name(f"{place.name}-control")
+        return of_result(place, given), folder or by_default(place.with_name(f"{place.name}-control"))
     raise TermselError("this folder holds neither a session nor a result", file=place,
                        hint="Give an image, or the folder that `termsel app` or `termsel run "
                             "--out` wrote.")
+
+
+def by_default(name: Path | str) -> Path:
+    """Return the folder of a session whose name the user did not type: so it is no link."""
+    folder = Path(name)
+    refuse_link(folder)
+    return folder
 
 
 def of_result(place: Path, given: Files) -> Files:
@@ -140,7 +147,7 @@ def example_files(given: Files, folder: Path | None) -> tuple[Files, Path]:
 
     from termsel.toolkit import write_example
 
-    place = folder or EXAMPLE
+    place = folder or by_default(EXAMPLE)
     if not (place / "files").exists():
         place.mkdir(parents=True, exist_ok=True)
         write_example(place / "files")

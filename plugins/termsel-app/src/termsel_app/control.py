@@ -19,6 +19,8 @@ ROLES = ("", "control", "check", "independent", "off")
 """Roles that the page offers; "" lets termsel assign one."""
 MOST = 20_000
 """Features that a session may have."""
+LARGEST = 1e300
+"""Coordinates are less: JSON has integers of any length."""
 
 Record = dict[str, Any]
 """A feature: id, kind ("point" or "line"), role, and image and ground, either of which may still be
@@ -42,9 +44,26 @@ class Patch:
 class ControlFeatures:
     """All features of a session by id, in the order in which they were begun, and what to undo."""
 
-    records: dict[str, Record] = field(default_factory=dict)
     undone: list[tuple[Patch, ...]] = field(default_factory=list)
     done: list[tuple[Patch, ...]] = field(default_factory=list)
+    _records: dict[str, Record] = field(default_factory=dict)
+    _places: dict[str, int] = field(default_factory=dict)
+    _begun: int = 0
+    _in_order: bool = True
+
+    @property
+    def records(self) -> dict[str, Record]:
+        """All features by id. A new name keeps the place in the order."""
+        if not self._in_order:
+            # Sorted when somebody looks, not at every change: a journal may have many thousands.
+            self._records = dict(sorted(self._records.items(),
+                                        key=lambda item: self._places[item[0]]))
+            self._in_order = True
+        return self._records
+
+    def __len__(self) -> int:
+        """Return the number of features."""
+        return len(self._records)
 
     def apply(self, patches: Iterable[Patch]) -> None:
         """Change the records, as a change that can be undone."""
@@ -73,17 +92,18 @@ class ControlFeatures:
 
     def _patch(self, patches: Iterable[Patch]) -> None:
         for patch in patches:
-            before = patch.before
-            after = patch.after
-            if before is not None and after is not None and before["id"] != after["id"]:
-                # A new name keeps its place in the list.
-                self.records = {(after["id"] if name == before["id"] else name):
-                                (after if name == before["id"] else record)
-                                for name, record in self.records.items()}
-            elif after is not None:
-                self.records[after["id"]] = after
-            elif before is not None:
-                self.records.pop(before["id"], None)
+            before = None if patch.before is None else patch.before["id"]
+            after = None if patch.after is None else patch.after["id"]
+            if before is not None and before != after:
+                self._records.pop(before, None)
+                place = self._places.pop(before, self._begun)
+                if after is not None:
+                    self._places[after] = place
+                    self._in_order = False
+            if after is not None and patch.after is not None:
+                self._begun += 1
+                self._places.setdefault(after, self._begun)
+                self._records[after] = patch.after
 
     def new_id(self, kind: str) -> str:
         """Return a name that no feature has: the next number after those there are."""
@@ -168,6 +188,6 @@ def _place(value: Any, size: int) -> list[float | None]:
 
 
 def _number(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise TermselError(f"{value!r} is no coordinate", hint="Give finite numbers.")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
+        raise TermselError(f"{value!r:.40} is no coordinate", hint="Give finite numbers.")
     return float(value)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from io import FileIO
 from pathlib import Path
@@ -22,6 +22,8 @@ SCHEMA = "termsel-app-1"
 NAME = "session.jsonl"
 LARGEST = 2**28
 """Bytes of a journal that are read."""
+MOST_REPEATED = 2_000_000
+"""Changes of features that are repeated from a journal, 2 s."""
 
 
 class Journal:
@@ -150,20 +152,24 @@ def _header(entry: dict[str, Any], path: Path) -> dict[str, Any]:
 def replayed(entries: list[dict[str, Any]], path: Path) -> ControlFeatures:
     """Return the features after all changes of a journal."""
     control = ControlFeatures()
+    repeated = 0
     for number, entry in enumerate(entries, 2):
         try:
             if "undo" in entry:
-                control.undo()
+                patches: Sequence[Patch] = control.undo()
             elif "redo" in entry:
-                control.redo()
+                patches = control.redo()
             else:
-                control.apply(patches_of(entry))
+                patches = patches_of(entry)
+                control.apply(patches)
         except TermselError as error:
             raise TermselError(f"this change cannot be repeated: {error.what}", file=path,
                                line=number, hint="Was the file edited? Remove the line, or choose "
                                                  "another --out.") from error
-        if len(control.records) > MOST:
-            raise TermselError(f"a session has at most {MOST:,} features", file=path, line=number)
+        repeated += len(patches)  # each undo and redo may be of all features
+        if len(control) > MOST or repeated > MOST_REPEATED:
+            raise TermselError(f"a session has at most {MOST:,} features and {MOST_REPEATED:,} "
+                               "changes of them", file=path, line=number)
     return control
 
 

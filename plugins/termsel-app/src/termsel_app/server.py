@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import hmac
 import json
+import logging
 import secrets
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -44,6 +45,7 @@ PAGE = {"app.js": "text/javascript", "panes.js": "text/javascript", "panel.js": 
         "vendor/ol.css": "text/css"}
 """Files of the page, and what they are."""
 _THREADS = 4
+log = logging.getLogger(__name__)
 
 
 class Pages:
@@ -58,6 +60,7 @@ class Pages:
     def __init__(self, session: Session, port: int) -> None:
         self.session = session
         self.secret = secrets.token_urlsafe(24)
+        self.first = secrets.token_urlsafe(24)
         self.port = port
         self.box = session.box()
         self.threads = ThreadPoolExecutor(_THREADS)
@@ -72,6 +75,14 @@ class Pages:
     def address(self) -> str:
         """The address of the page."""
         return f"http://{ADDRESS}:{self.port}/{self.secret}/"
+
+    @property
+    def first_address(self) -> str:
+        """The address that the browser is started with, which leads to the page once.
+
+        Others on this machine may see with what a program was started.
+        """
+        return f"http://{ADDRESS}:{self.port}/{self.first}"
 
     def tell(self, message: dict[str, Any]) -> None:
         """Send a message to all pages; in the thread of the server."""
@@ -108,9 +119,9 @@ class Guarded(RequestHandler):
         self.finish()
 
     def log_exception(self, *details: Any) -> None:
-        """Keep what is refused out of the terminal; faults of the program stay there."""
+        """Say nothing of what is refused, and of a fault all but the request with its secret."""
         if not isinstance(details[1], HTTPError):
-            super().log_exception(*details)
+            log.error("The page asked for something, and that failed.", exc_info=details)
 
     @property
     def session(self) -> Session:
@@ -122,12 +133,13 @@ class Guarded(RequestHandler):
         return await IOLoop.current().run_in_executor(self.pages.threads, task, *given)
 
 
-def is_allowed(handler: RequestHandler) -> bool:
+def is_allowed(handler: RequestHandler, expected: str | None = None) -> bool:
     """Return whether a request has the secret, comes to this server and from its page."""
     pages: Pages = handler.pages  # type: ignore[attr-defined]
+    expected = expected or pages.secret
     secret = handler.path_args[0] if handler.path_args else ""
     origin = handler.request.headers.get("Origin")
-    return (hmac.compare_digest(str(secret).encode(), pages.secret.encode())
+    return (hmac.compare_digest(str(secret).encode(), expected.encode())
             and handler.request.host in pages.hosts
             and (origin is None or origin in {f"http://{host}" for host in pages.hosts})
             and handler.request.headers.get("Sec-Fetch-Site", "none") in ("none", "same-origin"))
@@ -276,7 +288,10 @@ def _names(given: dict[str, Any]) -> list[str]:
 
 
 def _box(given: dict[str, Any]) -> tuple[float, float, float, float]:
-    low, high = checked_places([given.get("box", [])[:2], given.get("box", [])[2:]])
+    box = given.get("box")
+    if not isinstance(box, list):
+        raise TermselError("box is no list of coordinates")
+    low, high = checked_places([box[:2], box[2:]])
     return (low[0], low[1], high[0], high[1])
 
 
@@ -325,9 +340,9 @@ class Events(WebSocketHandler):
         self.finish()
 
     def log_exception(self, *details: Any) -> None:
-        """Keep what is refused out of the terminal."""
+        """Say nothing of what is refused."""
         if not isinstance(details[1], HTTPError):
-            super().log_exception(*details)
+            log.error("The events of the page have failed.", exc_info=details)
 
     def open(self, *_: str, **__: str) -> None:
         """Begin to tell."""
@@ -348,15 +363,15 @@ class Events(WebSocketHandler):
             self.pages.open.discard(self)
 
 
-def serve(session: Session, port: int, started: Callable[[str], None]) -> None:
-    """Serve the page until Ctrl-C; `started` is called with its address.
+def serve(session: Session, port: int, started: Callable[[str, str], None]) -> None:
+    """Serve the page until Ctrl-C; `started` is called with its address, and the first one.
 
     Raises TermselError if the port cannot be had.
     """
     asyncio.run(_serve(session, port, started))
 
 
-async def _serve(session: Session, port: int, started: Callable[[str], None]) -> None:
+async def _serve(session: Session, port: int, started: Callable[[str, str], None]) -> None:
     try:
         sockets = bind_sockets(port, address=ADDRESS)
     except OSError as error:
@@ -369,14 +384,14 @@ async def _serve(session: Session, port: int, started: Callable[[str], None]) ->
         (r"/([^/]*)/tile/(image|warped|map\d{1,3})/(\d{1,2})/(-?\d{1,8})/(-?\d{1,8})\.png", Tile,
          given),
         (r"/([^/]*)/call/([a-z]+)", Call, given), (r"/([^/]*)/events", Events, given),
-        (r"/([^/]*)/(.*)", Page, given), (r"/(.*)", Nobody, given)],
+        (r"/([^/]*)/(.*)", Page, given), (r"/([^/]*)", First, given)],
         log_function=lambda _: None, websocket_ping_interval=20)
     server = HTTPServer(application, max_body_size=LARGEST_BODY)
     server.add_sockets(sockets)
     loop = IOLoop.current()
     session.tell = lambda message: loop.add_callback(pages.tell, message)
     try:
-        started(pages.address)
+        started(pages.address, pages.first_address)
         await asyncio.Event().wait()
     finally:
         session.tell = lambda _: None
@@ -384,9 +399,15 @@ async def _serve(session: Session, port: int, started: Callable[[str], None]) ->
         pages.threads.shutdown(wait=False, cancel_futures=True)
 
 
-class Nobody(Guarded):
-    """Whatever else is asked for."""
+class First(Guarded):
+    """The address that the browser is started with."""
 
-    def get(self, *_: str) -> None:
-        """Refuse it."""
-        raise HTTPError(403)
+    def prepare(self) -> None:
+        """Refuse all but the first request, and a request from elsewhere."""
+        if not is_allowed(self, self.pages.first):
+            raise HTTPError(403)
+        self.pages.first = secrets.token_urlsafe(24)  # which nobody knows
+
+    def get(self, _: str) -> None:
+        """Lead to the page."""
+        self.redirect(self.pages.address)

@@ -6,6 +6,7 @@ import csv
 import io
 import os
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
@@ -18,7 +19,7 @@ import numpy as np
 import termsel
 from termsel import FeatureSet, TermselError
 from termsel.toolkit import LOCAL, horizontal, normalise
-from termsel_app.control import MOST, ControlFeatures, Patch, Record, checked
+from termsel_app.control import LARGEST, MOST, ControlFeatures, Patch, Record, checked
 from termsel_app.iiif import IiifImage, fetched, is_iiif
 from termsel_app.journal import Journal, entry_of, open_journal
 from termsel_app.maps import Box, Maps, around, box_of, open_maps
@@ -32,8 +33,14 @@ MOST_PASTED = 2**20
 """Characters that may be pasted."""
 
 
+LONGEST_NAME = 4096
 NAMES = ("image", "points", "lines", "rpc", "dem")
 """What of the files of a session is a name."""
+
+
+def is_name(value: object) -> bool:
+    """Return whether a value from a file can be the name of one."""
+    return isinstance(value, str) and value.isprintable() and len(value) < LONGEST_NAME
 
 
 def from_folder(name: str, folder: Path) -> str:
@@ -41,9 +48,11 @@ def from_folder(name: str, folder: Path) -> str:
     if name.startswith("/vsi") or "://" in name:
         return name
     try:
-        return os.path.relpath(Path(name).absolute(), folder.absolute())
+        relative = os.path.relpath(Path(name).absolute(), folder.absolute())
     except ValueError:  # another drive of Windows
         return str(Path(name).absolute())
+    # A command would take a name that begins with a hyphen for an option.
+    return os.path.join(os.curdir, relative) if relative.startswith("-") else relative
 
 
 def from_here(name: str, folder: Path) -> str:
@@ -83,12 +92,12 @@ class Files:
         The addresses of tiles are left out: only the command line asks a server for anything.
         """
         maps = header.get("maps") or []
-        if not isinstance(maps, list) or not all(isinstance(name, str) for name in maps):
+        if not isinstance(maps, list) or not all(is_name(name) for name in maps):
             raise TermselError("the maps of this session are no list of files")
         texts = {key: header.get(key) for key in ("image", "points", "lines", "rpc", "dem", "crs")}
         for key, value in texts.items():
-            if value is not None and not isinstance(value, str):
-                raise TermselError(f"{key} of this session is no text")
+            if value is not None and not is_name(value):
+                raise TermselError(f"{key} of this session is no name")
         size = header.get("size")
         if size is not None and not (isinstance(size, list) and len(size) == 2
                                      and all(type(n) is int and 0 < n < 2**31 for n in size)):
@@ -332,8 +341,8 @@ class Session:
                 if after["ground"] and after["ground"][2] is None:
                     after["ground"] = self._with_height(after["ground"])
                 patches.append(Patch(before, checked(after)))
-            names = [patch.after["id"] for patch in patches if patch.after]
-            twice = next((name for name in names if names.count(name) > 1), None)
+            names = Counter(patch.after["id"] for patch in patches if patch.after)
+            twice = next((name for name, count in names.items() if count > 1), None)
             if twice is not None:
                 raise TermselError(f"{twice!r} occurs twice in what was pasted",
                                    hint="Names are unique: correct one of them.")
@@ -357,7 +366,7 @@ def checked_places(places: Any) -> list[list[float]]:
         raise TermselError("these are no places")
     for place in places:
         if not isinstance(place, list) or len(place) != 2 or not all(
-                isinstance(value, int | float) and np.isfinite(value) for value in place):
+                isinstance(value, int | float) and abs(value) < LARGEST for value in place):
             raise TermselError("a place has two finite coordinates")
     return places
 
@@ -380,9 +389,13 @@ def _pasted(text: str) -> Iterator[Record]:
     """Yield the points of a table; raises TermselError with the line at fault."""
     lines = [line for line in text.splitlines() if line.strip()]
     separator = next((mark for mark in ("\t", ";", ",") if lines and mark in lines[0]), None)
-    rows = [[cell.strip() for cell in row] for row in csv.reader(
-        io.StringIO("\n".join(lines)), delimiter=separator)] if separator else [
-        re.split(r"\s+", line.strip()) for line in lines]
+    try:
+        rows = [[cell.strip() for cell in row] for row in csv.reader(
+            io.StringIO("\n".join(lines)), delimiter=separator)] if separator else [
+            re.split(r"\s+", line.strip()) for line in lines]
+    except csv.Error as error:
+        raise TermselError(f"this is no table: {error}", hint="Paste rows such as: "
+                           "A1, 512300.5, 5339520.1") from error
     if not rows:
         raise TermselError("nothing was pasted", hint="Paste rows such as: A1, 512300.5, 5339520.1")
     header = [cell.lower() for cell in rows[0]]

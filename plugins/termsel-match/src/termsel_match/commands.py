@@ -13,9 +13,10 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from termsel import TermselError, get, require_replaceable
-from termsel.toolkit import counted, printable, remote_option
+from termsel.toolkit import counted, printable, refuse_link, remote_option
 
 if TYPE_CHECKING:
     from termsel_match.matchers import Matcher
@@ -358,7 +359,12 @@ def next_run(start: str | None, image: Path, lines: Path) -> str:
 
 
 def refuse_output(output: Path, overwrite: bool, *reads: object) -> None:
-    """Refuse to replace what is read, or a file without permission, before long work."""
+    """Refuse to replace what is read, or a file without permission, before long work.
+
+    A link is followed where the user typed its name.
+    """
+    if click.get_current_context().get_parameter_source("output") is ParameterSource.DEFAULT:
+        refuse_link(output)
     require_replaceable([output], reads=reads, overwrite=overwrite)
 
 

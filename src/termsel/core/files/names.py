@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import glob
 import os
+import re
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -111,6 +112,29 @@ def _linked(path: Path) -> TermselError:
                         "followed", file=path,
                         hint="Remove it, or choose another --out. A link whose name you type "
                              "yourself is followed.")
+
+
+_GRIDS = re.compile(
+    r"""(?:grids|file|model|init)\s*=\s*(?:""|["'])?[^\s"\]]*[/\\]"""
+    r"""|PARAMETERFILE\s*[\[(]\s*"(?:[^"]|"")*"\s*,\s*"[^"]*[/\\]"""
+    r"""|PROJ4_GRIDS"\s*,\s*"[^"]*[/\\]""", re.IGNORECASE)
+"""A grid of datum shifts in WKT or in a string of PROJ, by the name of a file or an address."""
+
+
+def refuse_grids(crs: str, file: object = None) -> None:
+    """Refuse a CRS that names a file or an address of its own, which PROJ would open.
+
+    Grids by name alone are those of PROJ's own folder.
+
+    Raises
+    ------
+    TermselError
+    """
+    # WKT may have typographic quotation marks, too.
+    if _GRIDS.search(re.sub("[\u201c\u201d]", '"', crs)):
+        raise TermselError("this CRS names the file of a grid, which termsel does not open",
+                           file=file, hint="Put the grid into PROJ's folder, and give its name "
+                                           "alone; or transform the coordinates to another CRS.")
 
 
 def open_inside(name: str, flags: int) -> int:

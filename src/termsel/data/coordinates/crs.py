@@ -18,6 +18,7 @@ from warnings import catch_warnings, simplefilter
 import numpy as np
 
 from termsel.core.errors import GIS, TermselError, requires
+from termsel.core.files.names import refuse_grids
 from termsel.data.coordinates.wgs84 import ECCENTRICITY, SEMI_MAJOR, FloatArray
 
 if TYPE_CHECKING:
@@ -441,6 +442,7 @@ def _read(crs: str) -> CRS:
     from pyproj import CRS
     from pyproj.exceptions import CRSError
 
+    refuse_grids(crs)
     try:
         parsed = CRS.from_user_input(crs)
     except CRSError:

@@ -20,7 +20,7 @@ from termsel.core.errors import GIS, TermselError, requires
 from termsel.core.files.apart import apart
 from termsel.core.files.atomic import private_folder
 from termsel.core.files.drivers import DRIVER_HINT, WORKING_DRIVERS, gdal_options, vector_drivers
-from termsel.core.files.names import is_there, require_regular
+from termsel.core.files.names import is_there, refuse_grids, require_regular
 from termsel.core.files.sources import foreign_format
 from termsel.formats.base import read_head, read_text
 from termsel.formats.readers.geojson import Feature
@@ -75,6 +75,7 @@ def open_layer(path: Path, layer: str | None, kinds: Container[str],
         layer = next((key for key, kind in layers.items() if kind in kinds),
                      next((key for key, kind in layers.items() if kind == "Unknown"), None))
     meta, geometries, values = apart(_layer, path, layer, columns)
+    refuse_grids(str(meta["crs"] or ""), path)
     try:
         return meta, None if geometries is None else from_wkb(geometries), values
     except GEOSException as error:

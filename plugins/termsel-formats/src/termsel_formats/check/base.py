@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -45,6 +46,16 @@ class Taken:
 
 class NoAnswer(TermselError):
     """A program that ended with an error, or not in time."""
+
+
+def installed(name: str) -> str | None:
+    """Return where a program is installed, or None.
+
+    One in the current folder, which may have come with data, is none: Windows looks there first.
+    """
+    place = shutil.which(name)
+    return place if place is not None and os.path.isabs(place) and not os.path.samefile(
+        os.path.dirname(place), os.curdir) else None
 
 
 def answer(command: Sequence[str], text: str = "",

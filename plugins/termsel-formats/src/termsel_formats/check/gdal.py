@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from termsel.toolkit import FloatArray
-from termsel_formats.check.base import NoAnswer, Places, Taken, answer
+from termsel_formats.check.base import NoAnswer, Places, Taken, answer, installed
 
 WGS84 = "EPSG:4326"
 _ALIKE = 1e-9  # of the size of the coordinates
@@ -57,8 +56,8 @@ def header(path: Path) -> Header | None:
     NoAnswer
         If GDAL cannot read the raster.
     """
-    program = shutil.which("gdalinfo")
-    if program is None or shutil.which("gdaltransform") is None:
+    program = installed("gdalinfo")
+    if program is None or installed("gdaltransform") is None:
         return None
     version = answer([program, "--version"]).partition(",")[0]
     said: dict[str, Any] = json.loads(answer(
@@ -87,7 +86,7 @@ def header(path: Path) -> Header | None:
 
 def transformed(path: Path, *options: str) -> Places:
     """Return what gdaltransform computes with options."""
-    program = shutil.which("gdaltransform") or "gdaltransform"
+    program = installed("gdaltransform") or "gdaltransform"
 
     def places(image: FloatArray, heights: FloatArray) -> FloatArray:
         # GDAL counts pixels from the corner of the first one.

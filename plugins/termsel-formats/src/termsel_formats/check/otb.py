@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-import shutil
 from pathlib import Path
 
 import numpy as np
 
 from termsel.toolkit import FloatArray
-from termsel_formats.check.base import NoAnswer, Taken, answer
+from termsel_formats.check.base import NoAnswer, Taken, answer, installed
 from termsel_formats.check.gdal import WGS84, Header
 
 MOST = 25
@@ -26,9 +25,11 @@ def taken(path: Path, found: Header) -> Taken | None:
     NoAnswer
         If OTB cannot read the raster.
     """
-    info, convert = map(shutil.which, ("otbcli_ReadImageInfo", "otbcli_ConvertSensorToGeoPoint"))
+    info, convert = map(installed, ("otbcli_ReadImageInfo", "otbcli_ConvertSensorToGeoPoint"))
     if info is None or convert is None:
         return None
+    if "?" in str(path.absolute()):  # what follows it would be options of OTB, such as files
+        raise NoAnswer("OTB does not take a name with a question mark")
     name = "OTB"
 
     def places(image: FloatArray, _heights: FloatArray) -> FloatArray:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from termsel.toolkit import private_folder
-from termsel_formats.check.base import NoAnswer, Taken, answer
+from termsel_formats.check.base import NoAnswer, Taken, answer, installed
 from termsel_formats.check.gdal import Header, level, outline, transformed
 
 _NEAR = 3.0  # px of the map that QGIS makes, by which its extent may differ from GDAL's
@@ -46,7 +45,7 @@ def taken(path: Path, found: Header) -> Taken | None:
         If QGIS cannot read the raster.
     """
     # The script of this name on some systems hands on an option that the program has not.
-    program = shutil.which("qgis_process.bin") or shutil.which("qgis_process")
+    program = installed("qgis_process.bin") or installed("qgis_process")
     if program is None:
         return None
     with private_folder() as folder:

@@ -27,7 +27,7 @@ from termsel.toolkit import (
     image_of,
     located,
     write_text,
-    xml_characters,
+    xml_document,
 )
 from termsel_formats.points.common import xml_root
 from termsel_formats.points.written import (
@@ -186,15 +186,10 @@ class MicmacXmlWriter(PointsWriter):
             _add(point, "NamePt", name)
             _add(point, "Incertitude", f"{sigma!r} {sigma!r} {sigma!r}")
         with atomic_path(path) as made:  # in place after the other, or neither is
-            made.write_bytes(encoded(_text(measures)))
-            write_text(_ground_file(path), _text(ground))
+            made.write_bytes(encoded(xml_document(measures)))
+            write_text(_ground_file(path), xml_document(ground))
         say_checked(self.name, checked)
 
 
 def _add(parent: ElementTree.Element, tag: str, text: str) -> None:
-    ElementTree.SubElement(parent, tag).text = xml_characters(text)
-
-
-def _text(root: ElementTree.Element) -> str:
-    ElementTree.indent(root, space="     ")
-    return f'<?xml version="1.0" ?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
+    ElementTree.SubElement(parent, tag).text = text
