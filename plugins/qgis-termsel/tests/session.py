@@ -40,7 +40,7 @@ from qgis.PyQt.QtWidgets import QApplication, QDockWidget
 from qgis.utils import iface, plugins
 from qgis_termsel import child
 from qgis_termsel.dock import CHECKED
-from qgis_termsel.layers import shade
+from qgis_termsel.layers import shade, stated_crs, write_table
 
 folder = Path(os.environ["TERMSEL_PLACE"])
 registry, project = QgsApplication.processingRegistry(), QgsProject.instance()
@@ -324,6 +324,25 @@ def dock():
     drive(shown.buttons["Export RPC"].click, export)
     shown.show_result(folder)
     seen["none"] = shown.accuracy.text()
+    stranger(shown, seen)
+
+
+def stranger(shown, seen):
+    """Open what somebody else has made: links, pipes, a CRS that names files, formulas."""
+    for name, make in (("link", lambda path: path.symlink_to(folder / "result" / "result.json")),
+                       ("pipe", os.mkfifo), ("text", lambda path: path.write_text('{"rmse": 5}'))):
+        place = folder / f"of a stranger, {name}"
+        place.mkdir()
+        make(place / "result.json")
+        (place / "residuals.csv").write_text("id\n")
+        shown.show_result(place)
+        seen[name] = shown.accuracy.text()
+    wkt = QgsCoordinateReferenceSystem("EPSG:32639").toWkt()
+    seen["crs"] = [stated_crs(text).isValid() for text in (
+        "EPSG:32639", wkt, "http://127.0.0.1:9/crs", "/etc/passwd", "+proj=longlat",
+        wkt.replace("]]", '],EXTENSION["PROJ4","+proj=utm +nadgrids=/dev/zero"]]', 1))]
+    write_table(folder / "cells.csv", [["=cmd()", "P1", "-1.5", " @x", 2.5]])
+    seen["cells"] = (folder / "cells.csv").read_text()
 
 
 def drawn(canvas):

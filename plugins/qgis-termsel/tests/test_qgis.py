@@ -244,6 +244,15 @@ def test_the_dock_shows_a_result_and_runs_it_again(told: dict[str, Any], place: 
     assert "has no result" in dock["none"]
 
 
+def test_the_folder_of_a_stranger_is_data_alone(told: dict[str, Any]) -> None:
+    dock = told["dock"]
+    assert "result.json is a link" in dock["link"]
+    assert "result.json is a link, no file" in dock["pipe"]
+    assert "has no result" in dock["text"]
+    assert dock["crs"] == [True, True, False, False, False, False]
+    assert dock["cells"] == "'=cmd(),P1,-1.5,' @x,2.5\n"
+
+
 def test_the_dock_switches_between_candidates(told: dict[str, Any], place: Place) -> None:
     dock = told["dock"]
     candidates = {text.split(",")[0]: (model, taken) for text, model, taken in dock["candidates"]}

@@ -115,7 +115,8 @@ def found(given: Files, folder: Path | None) -> tuple[Files, Path]:
         kept = Files.of_header(header_of(place), place)
         return replace(kept, maps=kept.maps + given.maps), folder or place
     if (place / "result.json").exists():
-        return of_result(place, given), folder or by_default(place.with_name(f"{place.name}-control"))
+        beside = place.with_name(f"{place.name}-control")
+        return of_result(place, given), folder or by_default(beside)
     raise TermselError("this folder holds neither a session nor a result", file=place,
                        hint="Give an image, or the folder that `termsel app` or `termsel run "
                             "--out` wrote.")
