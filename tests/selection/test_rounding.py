@@ -133,7 +133,8 @@ def test_a_fit_through_all_points_is_called_exact() -> None:
 class Tied(termsel.Problem):
     """The distance of the number of genes from five: many selections are equally good.
 
-    Each is computed with its own error, of some 1e-14, as another processor would compute it.
+    Fewer than three genes are a violation. Each figure is computed with its own error, of some
+    1e-14, as another processor would compute it.
     """
 
     objectives = ("distance",)
@@ -144,8 +145,10 @@ class Tied(termsel.Problem):
 
     def evaluate(self, genes: np.ndarray) -> termsel.Evaluation:
         weights = np.random.default_rng(self.processor).uniform(-1e-14, 1e-14, genes.shape[1])
-        distance = 1.3 + np.abs(genes.sum(axis=1) - 5.0) + genes @ weights
-        return termsel.Evaluation(distance[:, None], np.zeros(len(genes)))
+        number = genes.sum(axis=1)
+        distance = 1.3 + np.abs(number - 5.0) + genes @ weights
+        violation = np.where(number < 3, 3.0 - number + genes @ weights, 0.0)
+        return termsel.Evaluation(distance[:, None], violation)
 
     def decode(self, genes: np.ndarray) -> termsel.Selection:
         return termsel.Selection((), ())

@@ -164,7 +164,7 @@ class Ledger(ProblemAround):
             if end > len(self._values):
                 space = np.empty((max(len(self._values), len(unknown_keys)), self._values.shape[1]))
                 self._values = np.concatenate([self._values, space])
-            compared = Evaluation(self._compared(evaluation.objectives), evaluation.violation)
+            compared = self._compared(evaluation)
             self._values[start:end, :-1] = compared.objectives
             self._values[start:end, -1] = compared.violation
             self._row_of.update(zip(unknown_keys, range(start, end), strict=True))
@@ -201,14 +201,15 @@ class Ledger(ProblemAround):
             self.gains.append((self.count + keys.index(unknown_keys[i]) + 1,
                                float(objectives[i, 0])))
 
-    def _compared(self, objectives: FloatArray) -> FloatArray:
-        """Return objectives as the solver gets them.
+    def _compared(self, evaluation: Evaluation) -> Evaluation:
+        """Return the evaluation of a population as the solver gets it.
 
-        A search that draws lots compares individuals; those whose objectives differ by rounding
-        must be equal to it, or each processor would go another way. A proof needs all digits.
+        A search that draws lots compares individuals; those that differ by rounding must be equal
+        to it, or each processor would go another way. A proof needs all digits.
         """
-        draws_lots = self.solver is None or self.solver.uses_chance
-        return significant(objectives) if draws_lots else objectives
+        if self.solver is not None and not self.solver.uses_chance:
+            return evaluation
+        return Evaluation(significant(evaluation.objectives), significant(evaluation.violation))
 
     def _remember(self, genes: Genes, compared: Evaluation, objectives: FloatArray) -> None:
         """Keep the best individual, and the least feasible value of each objective.
