@@ -225,7 +225,7 @@ def test_pipes_and_devices(what: str, kind: str, folder: Path, made_result: Path
             or "there is no result here" in done.stderr, done.stderr
 
 
-@pytest.mark.slow_cases("DIM_a.XML", "a.IMD", "a.RPB", "a.tfw")
+@pytest.mark.slow_cases("DIM_a.XML", "a.IMD", "a.RPB", "a.tfw", "a.tif.aux.xml", "a.tif.ovr")
 @pytest.mark.parametrize("name", ["a.tif.aux.xml", "a_RPC.TXT", "a.RPB", "a.tfw", "a.tif.ovr",
                                   "a.IMD", "DIM_a.XML", "a.aux"])
 def test_pipes_next_to_a_raster(name: str, folder: Path, made_result: Path, typed) -> None:

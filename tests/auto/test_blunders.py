@@ -198,7 +198,7 @@ def blank(n: int) -> FeatureSet:
     return FeatureSet(Points(points.ids, points.image, points.ground), no_lines(), "EPSG:4979")
 
 
-@pytest.mark.slow_cases("8")
+@pytest.mark.slow_cases("8", "14")
 @pytest.mark.parametrize("n", [5, 8, 11, 14])
 def test_few_points_without_roles_are_all_control(n: int) -> None:
     result = termsel.run("rfm-terms", features=blank(n))

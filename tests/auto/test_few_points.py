@@ -62,7 +62,8 @@ def test_auto_announces_only_what_it_compiles_itself(
 
 
 @pytest.mark.slow_cases(
-    "10-False", "10-True", "11-False", "11-True", "12-True", "7-True", "9-False", "9-True")
+    "10-False", "10-True", "11-False", "11-True", "12-True", "6-True", "7-False", "7-True",
+    "8-False", "9-False", "9-True")
 @pytest.mark.parametrize("heights", [True, False])
 @pytest.mark.parametrize("n", range(2, 13))
 def test_two_and_more_points_are_answered(n: int, heights: bool, call: Call,

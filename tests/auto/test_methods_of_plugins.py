@@ -204,6 +204,7 @@ class Uncalled(Known):
 TRIED = Counter[tuple[str, int]]()
 
 
+@pytest.mark.slow_cases("20-20", "39-20")
 @pytest.mark.parametrize(("count", "folds"), [(19, 19), (20, 20), (39, 20), (40, 10)])
 def test_folds_of_many_points_do_not_try_what_all_points_are_far_from(count: int, folds: int
                                                                       ) -> None:

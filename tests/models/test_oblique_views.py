@@ -33,6 +33,7 @@ def chosen_by(drawn: Scene) -> tuple[str, float]:
     return choice.method.name, rmse(choice.chosen.project(drawn.ground), drawn.image)
 
 
+@pytest.mark.slow_cases("10-0-8", "10-20-14", "20-100-24")
 @pytest.mark.parametrize(("angle", "relief", "count"), [
     (10, 0, 8), (30, 0, 14), (10, 20, 14), (40, 100, 8), (20, 100, 24)])
 def test_the_projection_of_an_oblique_photograph_is_chosen(angle: int, relief: int,
@@ -42,18 +43,21 @@ def test_the_projection_of_an_oblique_photograph_is_chosen(angle: int, relief: i
     assert error < 2.0
 
 
+@pytest.mark.slow_cases("0-14")
 @pytest.mark.parametrize(("relief", "count"), [(0, 14), (100, 20)])
 def test_auto_is_near_the_better_projection(relief: int, count: int) -> None:
     assert case_of(15, relief, count, 3).ratio < MOST
 
 
-def test_five_points_of_level_ground_suffice_without_heights() -> None:
-    for seed in (1, 2, 3):
-        found, error = chosen_by(scene(20, 0, 5, seed, heights=False, noise=0.05))
-        assert found in PROJECTIONS
-        assert error < 3.0
+@pytest.mark.slow_cases("2", "3")
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_five_points_of_level_ground_suffice_without_heights(seed: int) -> None:
+    found, error = chosen_by(scene(20, 0, 5, seed, heights=False, noise=0.05))
+    assert found in PROJECTIONS
+    assert error < 3.0
 
 
+@pytest.mark.slow_cases("10-4", "12-0")
 @pytest.mark.parametrize(("count", "seed"), [(10, 1), (10, 4), (12, 0)])
 def test_birds_eye_views_that_are_drawn_roughly_are_projective(count: int, seed: int) -> None:
     found, error = chosen_by(scene(40, 0, count, seed, heights=False, noise=10.0))
@@ -145,6 +149,7 @@ def test_the_sky_has_no_ground() -> None:
     assert np.isfinite(fitted.locate(low, level)).all()
 
 
+@pytest.mark.slow_cases("10-0", "40-20")
 @pytest.mark.parametrize(("angle", "relief"), [(10, 0), (20, 100), (40, 20)])
 def test_locate_finds_all_that_an_oblique_photograph_shows(angle: int, relief: int) -> None:
     drawn, fitted = fit_of(angle, relief)
@@ -308,6 +313,7 @@ def test_an_image_from_above_shows_no_sky() -> None:
     assert part_said(result.fit) == ""
 
 
+@pytest.mark.slow_cases("40-100-30", "30-60-22")
 @pytest.mark.parametrize(("angle", "relief", "count"), [(30, 100, 24), (40, 100, 30), (30, 60, 22)])
 def test_what_an_oblique_view_predicts_is_no_blunder(angle: int, relief: int, count: int) -> None:
     """Polynomials name a right point for the bend of the view; a blunder is still named alone."""
@@ -324,6 +330,7 @@ def test_what_an_oblique_view_predicts_is_no_blunder(angle: int, relief: int, co
     assert np.flatnonzero(wrong.blunders | wrong.undecided).tolist() == [7]
 
 
+@pytest.mark.slow_cases("12-0", "38-40")
 @pytest.mark.parametrize(("angle", "relief"), [(12, 0), (25, 100), (38, 40)])
 def test_a_medium_blunder_in_an_oblique_view_is_named_alone(angle: int, relief: int) -> None:
     features = scene(angle, relief, 30, 1).features

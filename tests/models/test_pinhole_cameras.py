@@ -27,7 +27,7 @@ def seen_by(drawn: Scene, *, size: bool = True) -> FloatArray:
     return control.scaling.pixels(np.column_stack([line, sample]) / below[:, None])
 
 
-@pytest.mark.slow_cases("20-6", "40-7")
+@pytest.mark.slow_cases("20-6", "30-5", "40-7")
 @pytest.mark.parametrize(("angle", "count"), [(10, 5), (20, 6), (30, 5), (40, 7)])
 def test_few_points_over_hills_tell_a_camera(angle: int, count: int) -> None:
     errors = [rmse(seen_by(drawn), drawn.image) for drawn in (
@@ -68,7 +68,7 @@ def test_a_mirrored_photograph_is_a_camera_too() -> None:
         rmse(seen_by(drawn), drawn.image), abs=0.3)
 
 
-@pytest.mark.slow_cases("25-100-6")
+@pytest.mark.slow_cases("25-100-6", "35-0-5")
 @pytest.mark.parametrize(("angle", "relief", "count"), [(10, 100, 5), (25, 100, 6), (35, 0, 5)])
 def test_auto_takes_the_camera_and_says_how_good_it_is(angle: int, relief: int, count: int) -> None:
     predicted, true = [], []
