@@ -158,7 +158,6 @@ def answer(make: Case) -> dict[str, Any]:
     strategy = result["strategy"]
     return {
         "chosen": strategy["chosen"], "held_out": strategy["predicted"],
-        "reason": strategy["reason"],
         "candidates": [[row["name"], row["effective"], row["predicted"]]
                        for row in strategy["candidates"]],
         "coefficients": result["coefficients"], "predicted": result["predicted"],

@@ -54,7 +54,6 @@ def test_auto_announces_only_what_it_compiles_itself(
     """Not what a search compiles, which would be announced at each of its runs."""
     monkeypatch.setattr("termsel.adjustment.kernels.needs_compilation", lambda: True)
     monkeypatch.setattr("termsel.adjustment.bayesian.held_out.is_compiled", lambda _: kept)
-    monkeypatch.setattr("termsel.adjustment.bayesian.held_out.KERNEL_MIN_POINTS", 6)
     with caplog.at_level("INFO", logger="termsel"):
         termsel.run(features=some(n))
     assert told in caplog.text

@@ -13,7 +13,7 @@ from termsel.adjustment.bayesian.cameras import frame_views, radar_views
 from termsel.adjustment.bayesian.physics import (
     N_FREE,
     CameraEquations,
-    CameraPrior,
+    CameraPriors,
     CameraSolutions,
 )
 from termsel.auto.physical import averaged, averaged_of
@@ -24,12 +24,15 @@ from termsel_bench.scenes.cameras import CHOSEN, image_of
 
 
 def solutions(rows=slice(None), seed=3, scale=1.0):
+    """A stack of one prior."""
     rng = np.random.default_rng(seed)
     columns = monomials(rng.uniform(-1, 1, (7, 3)), graded_exponents(2, 3))
     image, weights = rng.normal(size=(7, 2)), rng.uniform(0.5, 1.5, (7, 2))
     rest = 2 * (columns.shape[1] - N_FREE)
-    prior = CameraPrior(0.1 * rng.normal(size=rest), scale * rng.normal(size=(rest, rest)), 0.25,
-                        "any")
+    mean, root = 0.1 * rng.normal(size=rest), scale * rng.normal(size=(rest, rest))
+    prior = CameraPriors(
+        mean[None], (root @ root.T)[None], np.zeros(rest), ("any",), view=np.zeros(1, dtype=int),
+        width=np.ones(1), size=np.ones(1), share=np.full(1, 0.25))
     return columns, image, weights, prior, CameraSolutions(
         CameraEquations(columns[rows], image[rows], weights[rows]), prior, 1.0)
 
@@ -40,11 +43,11 @@ def dense(columns, image, weights, prior, noise, free):
     k = columns.shape[1]
     rest = np.r_[N_FREE:k, k + N_FREE:2 * k]
     covariance = np.zeros((2 * k, 2 * k))
-    covariance[np.ix_(rest, rest)] = prior.root @ prior.root.T
+    covariance[np.ix_(rest, rest)] = prior.covariances[0]
     for axis in (0, 1):
         covariance[axis * k + np.arange(N_FREE), axis * k + np.arange(N_FREE)] = free**2
     mean = np.zeros(2 * k)
-    mean[rest] = prior.mean
+    mean[rest] = prior.means[0]
     w = weights.T.ravel()
     return (w * (both @ mean), (w[:, None] * (both @ covariance @ both.T) * w)
             + noise**2 * np.eye(len(w)), w * image.T.ravel())
@@ -62,27 +65,28 @@ def test_marginal_likelihood_and_average_are_those_of_dense_normal_densities():
     before /= before.sum()
     # A flat prior of density 1 for each free coefficient instead of a wide normal one.
     flat = np.array(logs) + 2 * N_FREE * np.log(free * np.sqrt(2 * np.pi))
-    total = np.logaddexp.reduce(flat + np.log(before)) + np.log(prior.share)
-    assert found.log_evidence == pytest.approx(total, abs=1e-3)
-    share = np.exp(flat + np.log(before) + np.log(prior.share) - total)
-    np.testing.assert_allclose(found.share, share, atol=1e-4)
+    total = np.logaddexp.reduce(flat + np.log(before)) + np.log(prior.share[0])
+    assert found.log_evidence[0] == pytest.approx(total, abs=1e-3)
+    share = np.exp(flat + np.log(before) + np.log(prior.share[0]) - total)
+    np.testing.assert_allclose(found.share[0], share, atol=1e-4)
 
 
 def test_errors_of_points_left_out_are_those_of_solutions_without_them():
     columns, image, _, _, found = solutions()
+    logs, errors = found.left_out()
     for out in range(7):
         rest = np.arange(7) != out
         without = solutions(rest)[-1]
-        np.testing.assert_allclose(found.errors[out],
-                                   image[out] - columns[out] @ without.coefficients, atol=1e-8)
-        assert found.log_evidence_without[out] == pytest.approx(without.log_evidence, abs=1e-8)
+        np.testing.assert_allclose(errors[0, out],
+                                   image[out] - columns[out] @ without.coefficients[0], atol=1e-8)
+        assert logs[0, out] == pytest.approx(without.log_evidence[0], abs=1e-8)
 
 
 def test_spread_at_a_place_is_the_variance_of_a_measurement_there():
     columns, image, weights, prior, found = solutions()
     place = np.array([[1.0, 0.3, -0.2, 0.5, 0.09, -0.06, 0.15, 0.04, -0.1, 0.25]])
     variance, noise = found.spread(place)
-    assert noise == pytest.approx(found.share @ found.noise**2)
+    assert noise[0] == pytest.approx(found.share[0] @ found.noise**2)
     means, each = [], []
     for one in found.noise:
         mean, covariance, target = dense(
@@ -93,10 +97,10 @@ def test_spread_at_a_place_is_the_variance_of_a_measurement_there():
         means.append(mean[there] + gain @ (target - mean)[~there])
         each.append(np.diag(covariance[np.ix_(there, there)]
                             - gain @ covariance[np.ix_(~there, there)]) - one**2)
-    middle = found.share @ means
-    expected = found.share @ (np.array(each) + (np.array(means) - middle) ** 2)
-    np.testing.assert_allclose(variance[0], expected, rtol=1e-3)
-    np.testing.assert_allclose((place @ found.coefficients)[0], middle, rtol=1e-3)
+    middle = found.share[0] @ means
+    expected = found.share[0] @ (np.array(each) + (np.array(means) - middle) ** 2)
+    np.testing.assert_allclose(variance[0, 0], expected, rtol=1e-3)
+    np.testing.assert_allclose((place @ found.coefficients[0])[0], middle, rtol=1e-3)
 
 
 def worth(mine, others, without):
@@ -258,7 +262,10 @@ def test_a_prior_has_the_covariance_of_its_cameras_even_of_absurd_heights(height
     priors = physics.camera_priors(
         [physics.SCANNERS], scaled * [6e3, 6e3, height], scaled, graded_exponents(3, 3), 35.0,
         np.array([[0.0, -1.0], [1.0, 0.0]]) / 6e3, 4e-4)
-    narrow, wide = (one.root @ one.root.T for one in priors[::len(priors) - 1])
+    size = priors.means.shape[1]
+    covariances = np.stack([priors.covariance_times(np.tile(unit, (len(priors.share), 1)))
+                            for unit in np.eye(size)], axis=2)
+    narrow, wide = covariances[[0, -1]]
     ratio = physics.PRIOR_WIDTHS[-1] / physics.PRIOR_WIDTHS[0]
     off = ~np.eye(len(narrow), dtype=bool)  # what comes to the variances of cameras is diagonal
     np.testing.assert_allclose(wide[off], ratio**2 * narrow[off], rtol=1e-6,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -11,17 +12,16 @@ from termsel.adjustment.bayesian.cameras import east_north_up
 from termsel.adjustment.bayesian.field import GaussianProcess, fit_gaussian_process
 from termsel.adjustment.bayesian.physics import (
     FRAMES,
-    N_VIEW_POINTS,
     RADARS,
     SCANNERS,
-    VIEW_BOX,
     CameraEquations,
     CameraSolutions,
     Kind,
     camera_priors,
     log_marginal_likelihood,
+    view_points,
 )
-from termsel.adjustment.bayesian.posterior import Posterior, polynomial_posterior
+from termsel.adjustment.bayesian.posterior import Posterior, normalized, polynomial_posterior
 from termsel.adjustment.bayesian.predicted_positions import predict_positions
 from termsel.adjustment.equations import weights_of
 from termsel.auto.local import LIKELY, asked_of, points_alone
@@ -68,7 +68,7 @@ remain alone; beyond few points they must be as much worse not to."""
 class Averaged(Average):
     """Polynomials with different priors, averaged by their marginal likelihoods."""
 
-    physical: tuple[CameraSolutions, ...]
+    physical: CameraSolutions
     shrunken: tuple[tuple[Posterior, Exponents], ...]
     shares: FloatArray  # (p,): of the physical ones, then of the others
     worse: float  # standard errors by which the regularised ones predict left-out points better
@@ -82,8 +82,9 @@ class Averaged(Average):
     def kind(self) -> str:
         """The kind of cameras that is likeliest."""
         likely: defaultdict[str, float] = defaultdict(float)
-        for one, share in zip(self.physical, self.shares, strict=False):
-            likely[one.kind] += float(share)
+        priors = self.physical.priors
+        for view, share in zip(priors.view, self.shares, strict=False):
+            likely[priors.kinds[view]] += float(share)
         return max(likely, key=likely.__getitem__)
 
     def alone(self, local: GaussianProcess | None) -> bool:
@@ -107,73 +108,107 @@ def averaged(points: Points, scaling: Scaling, crs: str, exponents: Exponents) -
 
     The exponents are those of a cubic polynomial of X and Y, or of X, Y and Z.
     """
-    variables = 3 if any(power[2] for power in exponents) else 2
-    found = east_north_up(scaling, crs, points.ground)
-    rng = np.random.default_rng(0)
-    scaled = rng.uniform(-VIEW_BOX, VIEW_BOX, (N_VIEW_POINTS, 3)) * [1.0, 1.0, variables == 3]
-    grid = east_north_up(scaling, crs, scaled)
-    if found is None or grid is None or not FEWEST <= len(points) <= MOST:
-        return None
-    plan = found[0][:, :2]
-    pixel = 1.0 / scaling.image_scale
-    slopes, _, rank, _ = np.linalg.lstsq(
-        np.column_stack([np.ones(len(plan)), plan]), points.image)
-    if rank < 3:
-        return None
-    coarse, fine = sorted(np.linalg.norm(slopes[1:], axis=0) / pixel)  # px per metre
+    image, ground, sigma = (None if column is None else np.ascontiguousarray(column).tobytes()
+                            for column in (points.image, points.ground, points.sigma))
+    return _averaged(image, ground, sigma, scaling, crs, exponents)
 
-    def seen(sizes: tuple[float, float]) -> bool:
+
+@lru_cache(maxsize=2)
+def _averaged(image: bytes, ground: bytes, sigma: bytes | None, scaling: Scaling, crs: str,
+              exponents: Exponents) -> Averaged | None:
+    """Return the same; a fit, what describes it and its spread ask for one."""
+    measured = np.frombuffer(image).reshape(-1, 2)
+    points = Points(tuple(map(str, range(len(measured)))), measured,
+                    np.frombuffer(ground).reshape(-1, 3),
+                    None if sigma is None else np.frombuffer(sigma).reshape(-1, 2))
+    variables = 3 if any(power[2] for power in exponents) else 2
+    slopes = _slopes_on_ground(points, scaling, crs)
+    physical = None if slopes is None else _by_cameras(points, scaling, crs, exponents, slopes)
+    if slopes is None or physical is None:
+        return None
+    weights = None if sigma is None else weights_of(points)
+    height = scaling.ground_scale[2] * float(np.linalg.norm(slopes, axis=1).mean())
+    averages = []
+    shrunken = []
+    logs = []
+    logs_without = []
+    for degree in (2, 3):
+        powers = graded_exponents(degree, variables)
+        average_of_degree = average(points.ground, points.image, powers, weights)
+        posterior = polynomial_posterior(points.ground, points.image, powers, weights)
+        if average_of_degree is None or posterior is None:
+            return None
+        log = log_marginal_likelihood(posterior, average_of_degree.coefficients, variables, height,
+                                      1.0 / scaling.image_scale) - np.log(2.0)
+        averages.append(average_of_degree)
+        shrunken.append((posterior, powers))
+        logs.append(log)
+        logs_without.append(log + posterior.held_out.log_evidence - posterior.cells.log_evidence)
+    # What cameras say comes first, then both polynomials.
+    logs_of_cameras, errors_of_cameras = physical.left_out()
+    errors = np.concatenate([errors_of_cameras, [each.errors for each in averages]])
+    logs_without_each = np.concatenate([logs_of_cameras, logs_without])
+    coefficients = np.concatenate([physical.coefficients, [
+        np.pad(each.coefficients, ((0, len(exponents) - len(each.coefficients)), (0, 0)))
+        for each in averages]])
+    effective = np.concatenate([physical.effective, [each.effective for each in averages]])
+    shares = normalized(np.concatenate([physical.log_evidence, logs]))[0]
+    mean = _mean_without_each(logs_without_each, errors)
+    others = _mean_without_each(logs_without_each[-len(averages):], errors[-len(averages):])
+    return Averaged(np.einsum("p,pka->ka", shares, coefficients), mean, float(shares @ effective),
+                    physical, tuple(shrunken), shares,
+                    gain_of((others**2).sum(axis=1), (mean**2).sum(axis=1)))
+
+
+def _mean_without_each(logs: FloatArray, errors: FloatArray) -> FloatArray:
+    """Return the errors of each point left out, (n, 2), averaged by what its others say, (p, n)."""
+    return np.asarray(np.einsum("pn,pna->na", normalized(logs)[0], errors))
+
+
+def _slopes_on_ground(points: Points, scaling: Scaling, crs: str) -> FloatArray | None:
+    """Return the slopes of line and of sample by metres to the east and to the north, (2, 2).
+
+    In scaled units of the image. None where the ground is not known, or points lie on a line.
+    """
+    positions = east_north_up(scaling, crs, points.ground)
+    if positions is None or not FEWEST <= len(points) <= MOST:
+        return None
+    plane = np.column_stack([np.ones(len(points)), positions[0][:, :2]])
+    slopes, _, rank, _ = np.linalg.lstsq(plane, points.image)
+    return np.asarray(slopes[1:].T) if rank == plane.shape[1] else None
+
+
+def _by_cameras(points: Points, scaling: Scaling, crs: str, exponents: Exponents,
+                slopes: FloatArray) -> CameraSolutions | None:
+    """Return the solutions with priors of the kinds of cameras that may have made the image.
+
+    Those that are not negligible; None where none of the kinds can be meant.
+    """
+    variables = 3 if any(power[2] for power in exponents) else 2
+    pixel = 1.0 / scaling.image_scale
+    coarse, fine = sorted(np.linalg.norm(slopes, axis=0) / pixel)  # px per metre
+
+    def has_size(sizes: tuple[float, float]) -> bool:
         return bool(sizes[0] * fine <= 1.0 <= sizes[1] * coarse)
 
     kinds: list[Kind] = []
-    if seen(FROM_ORBIT):
+    if has_size(FROM_ORBIT):
         # Without heights a map that bends would look like a radar image.
         kinds += [SCANNERS, *RADARS] if variables == 3 else [SCANNERS]
-    if variables == 3 and len(points) <= FRAMED and seen(FROM_THE_AIR):
+    if variables == 3 and len(points) <= FRAMED and has_size(FROM_THE_AIR):
         kinds.append(FRAMES)
-    priors = camera_priors(kinds, grid[0], scaled, exponents, grid[1], np.asarray(slopes[1:].T),
-                           pixel)
-    if not priors:
+    scaled = view_points(variables)
+    grid = east_north_up(scaling, crs, scaled)
+    if grid is None:
         return None
-    weights = weights_of(points)
-    equations = CameraEquations(monomials(points.ground, exponents), points.image, weights)
-    physical = [CameraSolutions(equations, prior, pixel) for prior in priors]
-    least = max(one.log_evidence for one in physical) - NEGLIGIBLE
-    physical = [one for one in physical if one.log_evidence > least]
-    logs = [solution.log_evidence for solution in physical]
-    logs_without = [solution.log_evidence_without for solution in physical]
-    errors = [solution.errors for solution in physical]
-    coefficients = [solution.coefficients for solution in physical]
-    effective = [solution.effective for solution in physical]
-    shrunken = []
-    own = None if points.sigma is None else weights
-    height = scaling.ground_scale[2] * float(np.linalg.norm(slopes[1:], axis=0).mean())
-    for degree in (2, 3):
-        powers = graded_exponents(degree, variables)
-        one = average(points.ground, points.image, powers, own)
-        posterior = polynomial_posterior(points.ground, points.image, powers, own)
-        if one is None or posterior is None:
-            return None
-        shrunken.append((posterior, powers))
-        log = log_marginal_likelihood(posterior, one.coefficients, variables, height,
-                                      pixel) - np.log(2.0)
-        logs.append(log)
-        logs_without.append(log + posterior.held_out.log_evidence - posterior.cells.log_evidence)
-        errors.append(one.errors)
-        coefficients.append(np.pad(one.coefficients, (
-            (0, len(exponents) - len(powers)), (0, 0))))
-        effective.append(one.effective)
-    shares = np.exp(logs - np.logaddexp.reduce(logs))
-
-    def left_out(some: slice) -> FloatArray:
-        logs = np.array(logs_without[some])
-        return np.asarray(np.einsum("pn,pna->na", np.exp(
-            logs - np.logaddexp.reduce(logs, axis=0)), np.array(errors[some])))
-
-    mean, others = left_out(slice(None)), left_out(slice(len(physical), None))
-    return Averaged(np.einsum("p,pka->ka", shares, coefficients), mean, float(shares @ effective),
-                    tuple(physical), tuple(shrunken), shares,
-                    gain_of((others**2).sum(axis=1), (mean**2).sum(axis=1)))
+    priors = camera_priors(kinds, grid[0], scaled, exponents, grid[1], slopes, pixel)
+    if priors is None:
+        return None
+    equations = CameraEquations(monomials(points.ground, exponents), points.image,
+                                weights_of(points))
+    solutions = CameraSolutions(equations, priors, pixel)
+    return solutions.take(
+        solutions.log_evidence > solutions.log_evidence.max() - NEGLIGIBLE)
 
 
 def averaged_of(fitted: Fit) -> Averaged:
@@ -211,8 +246,10 @@ class Physical(Estimator):
         found = averaged_of(fitted)
         parts = []
         columns = monomials(ground, fitted.model.exponents)
-        for one in found.physical:
-            parts.append((columns @ one.coefficients, *one.spread(columns)))
+        variances, noises = found.physical.spread(columns)
+        for coefficients, variance, noise in zip(found.physical.coefficients, variances, noises,
+                                                 strict=True):
+            parts.append((columns @ coefficients, variance, noise))
         for posterior, powers in found.shrunken:
             mine = monomials(ground, powers)
             lead = posterior.designs[0].lead.shape[0]

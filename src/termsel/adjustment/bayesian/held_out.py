@@ -22,17 +22,14 @@ import numpy as np
 from termsel.adjustment.compiled import compiled, is_compiled
 from termsel.data.features import FloatArray, IntArray
 
-KERNEL_MIN_POINTS = 100
-"""Points up to which no kernel is called: it takes half as long, but numba longer to import."""
+MIN_POINTS = 5
+"""Points from which on each may be predicted by the others: of fewer these leave no freedom."""
 
 MIN_LOG_POWER = -300.0
 """Powers are not taken below this natural logarithm, lest numbers lose precision and time."""
 
 POINTS_AT_ONCE, CELLS_AT_ONCE = 64, 8
 """Points and cells that are worked on together: what is read again stays in a cache."""
-
-NUMPY_BATCH = 1 << 15
-"""Points times cells that are worked on together without a kernel."""
 
 # Nothing is allocated. Sums may be taken in any order. `max` would be compiled on its own.
 _compiled = partial(compiled, _nrt=False, fastmath={"reassoc", "contract", "nsz", "nnan"})
@@ -66,11 +63,6 @@ class AxisErrors(NamedTuple):
     errors: FloatArray  # (u, n)
     solution_of_cell: IntArray  # (c,): which solution each cell of the posterior has
 
-    def take(self, points: slice) -> AxisErrors:
-        """Return the solutions for some of the points."""
-        return AxisErrors(self.redundancies[:, points], self.errors[:, points],
-                          self.solution_of_cell)
-
 
 @dataclass(frozen=True, eq=False)
 class WeightedCells:
@@ -101,12 +93,6 @@ def leave_each_point_out(line: AxisErrors, sample: AxisErrors, cells: WeightedCe
     degrees of freedom without a point.
     """
     count = line.redundancies.shape[1]
-    if count <= KERNEL_MIN_POINTS:
-        step = max(1, NUMPY_BATCH // len(cells.share))
-        return concatenated([
-            _leave_out_by_numpy(line.take(slice(start, start + step)),
-                                sample.take(slice(start, start + step)), cells, half)
-            for start in range(0, count, step)])
     weight = cells.share * cells.square
     figures = np.empty((count, 7))
     for start in range(0, count, POINTS_AT_ONCE):
@@ -122,46 +108,6 @@ def leave_each_point_out(line: AxisErrors, sample: AxisErrors, cells: WeightedCe
                    workspace=workspace, figures=figures)
     return HeldOutPredictions(figures[:, :2], figures[:, 2], figures[:, 3], figures[:, 4:6],
                               cells.log_evidence + figures[:, 6])
-
-
-def _leave_out_by_numpy(line: AxisErrors, sample: AxisErrors, cells: WeightedCells,
-                        half: int) -> HeldOutPredictions:
-    """Return what `_leave_out` finds: of few points numba would take longer to import."""
-    weight = cells.share * cells.square
-    inverse_line = 1.0 / line.redundancies                                             # (u, m)
-    inverse_sample = 1.0 / sample.redundancies                                         # (v, m)
-    # S' = S - e^2 / l of both axes, but not below what counts as no noise.
-    removed = ((inverse_line * line.errors**2).take(line.solution_of_cell, axis=0)
-               + (inverse_sample * sample.errors**2).take(sample.solution_of_cell, axis=0))
-    largest_share = (1.0 - cells.min_square / cells.square)[:, None]
-    square_ratio = 1.0 - np.minimum(removed / cells.square[:, None], largest_share)     # S' / S
-    root = (np.sqrt(inverse_line).take(line.solution_of_cell, axis=0)
-            * np.sqrt(inverse_sample).take(sample.solution_of_cell, axis=0))
-    # The new probabilities: S (l_line l_sample)^-1/2 (S / S')^half, with the largest power as the
-    # unit, lest powers overflow.
-    log_ratio = np.log(square_ratio)
-    smallest_log = log_ratio.min(axis=0)
-    share = np.exp((log_ratio - smallest_log) * -half)
-    share *= root
-    share *= weight[:, None]
-    ones = np.ones(len(share))  # sums of columns by BLAS, in an eighth of the time
-    total = ones @ share
-    errors = np.empty((share.shape[1], 2))
-    spread = np.empty((share.shape[1], 2))
-    for axis, (solutions, inverse) in enumerate(((line, inverse_line), (sample, inverse_sample))):
-        cell = solutions.solution_of_cell
-        errors[:, axis] = _column_products(share, (inverse * solutions.errors).take(cell, axis=0))
-        spread[:, axis] = _column_products(share, inverse.take(cell, axis=0))
-    share /= square_ratio
-    return HeldOutPredictions(
-        errors / total[:, None], weight @ root / total * np.exp(half * smallest_log),
-        half * (ones @ share / total - 1.0), spread / total[:, None],
-        cells.log_evidence - half * smallest_log + np.log(total))
-
-
-def _column_products(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the scalar products of columns of two matrices (c, m), shape (m,)."""
-    return np.asarray(np.einsum("cm,cm->m", a, b))
 
 
 def concatenated(batches: Sequence[HeldOutPredictions]) -> HeldOutPredictions:
@@ -287,5 +233,5 @@ def _leave_out(line: AxisErrors, sample: AxisErrors, square: FloatArray, min_squ
 
 
 def needs_compilation(points: int) -> bool:
-    """Return True if so many points will first spend some seconds on compilation."""
-    return points > KERNEL_MIN_POINTS and not is_compiled(_leave_out)
+    """Return whether so many points will first spend some seconds on compilation."""
+    return points >= MIN_POINTS and not is_compiled(_leave_out)

@@ -1,12 +1,11 @@
 """A cubic polynomial with the prior of known cameras, averaged with shrunken ones.
 
 Cubic polynomials fitted to what plausible cameras see (see `termsel.adjustment.bayesian.cameras`)
-have a mean
-and a covariance of all coefficients but those that are affine in X and Y, which are free; line and
-sample go together. The prior is normal with that mean, and with the covariance times the square of
-a width: wide, it forgets the physics by degrees. Kind of camera, width and noise are not known, and
-averaged over a grid by marginal likelihood. Every solution on it is linear in the measurements, so
-that those without each point, and their probabilities, are known in closed form.
+have a mean and a covariance of all coefficients but those that are affine in X and Y, which are
+free; line and sample go together. The prior is normal with that mean, and with the covariance times
+the square of a width: wide, it forgets the physics by degrees. Kind of camera, width and noise are
+not known, and averaged over a grid by marginal likelihood. Every solution on it is linear in the
+measurements, so that those without each point, and their probabilities, are known in closed form.
 
 The regularised polynomials of any image are the other parts of the average, by their own marginal
 likelihood. In it Z has no prior. So that both compare, what a height does gets that of views from
@@ -22,8 +21,9 @@ from an ensemble of cameras is termsel's own.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property, lru_cache, partial
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import cache, cached_property, lru_cache, partial
 from math import lgamma
 from typing import TypeAlias
 
@@ -40,7 +40,7 @@ from termsel.adjustment.bayesian.posterior import (
     log_prior_of_sizes,
     normalized,
 )
-from termsel.data.features import FloatArray
+from termsel.data.features import BoolArray, FloatArray, IntArray
 from termsel.data.fit_data import PARALLAX
 from termsel.data.monomials import Exponents, monomials
 
@@ -93,85 +93,97 @@ DEPARTURE_RELIEF = 0.03
 """The same of a further power of Z, by that without it."""
 
 
+@cache
+def view_points(variables: int) -> FloatArray:
+    """Return scaled places at which cameras look, (m, 3): a prior is the same for all data."""
+    rng = np.random.default_rng(0)
+    scaled = rng.uniform(-VIEW_BOX, VIEW_BOX, (N_VIEW_POINTS, 3)) * [1.0, 1.0, variables == 3]
+    scaled.setflags(write=False)
+    return scaled
+
+
 @dataclass(frozen=True, eq=False)
-class CameraPrior:
-    """A normal prior of the coefficients that are not free, those of line before those of sample.
+class CameraPriors:
+    """Normal priors of the coefficients that are not free, those of line before those of sample.
+
+    A stack of p priors, by v kinds of views. The covariance of a prior is that of its views, C,
+    widened, with what no camera explains, D, of some size:
+
+        covariance = width^2 C + size^2 D^2.
     """
 
-    mean: FloatArray  # (c,)
-    root: FloatArray  # (c, c): times its transpose it is the covariance
-    share: float  # how likely it is beforehand
-    kind: str
+    means: FloatArray  # (v, c)
+    covariances: FloatArray  # (v, c, c): of the cameras of each kind of views
+    departure: FloatArray  # (c,): the diagonal of D
+    kinds: tuple[str, ...]  # (v,)
+    view: IntArray  # (p,): which views
+    width: FloatArray  # (p,)
+    size: FloatArray  # (p,)
+    share: FloatArray  # (p,): how likely each prior is beforehand
+
+    def take(self, which: BoolArray) -> CameraPriors:
+        """Return some of the priors."""
+        return replace(self, view=self.view[which], width=self.width[which],
+                       size=self.size[which], share=self.share[which])
+
+    def covariance_times(self, vectors: FloatArray) -> FloatArray:
+        """Return the covariance of each prior by a vector of its own, (p, c)."""
+        by_views = (self.covariances[self.view] @ vectors[..., None])[..., 0]
+        return np.asarray(self.width[:, None] ** 2 * by_views
+                          + self.size[:, None] ** 2 * self.departure**2 * vectors)
 
 
 def camera_priors(kinds: Sequence[Kind], positions: FloatArray, scaled: FloatArray,
                   exponents: Exponents, latitude: float, slopes: FloatArray,
-                  pixel: float) -> list[CameraPrior]:
+                  pixel: float) -> CameraPriors | None:
     """Return priors by cameras that see places (m, 3) [m], which are scaled (m, 3), too.
 
-    None of them if hardly any camera sees these. The slopes are those of line and of sample by
-    metres to the east and to the north, (2, 2), in scaled units; `pixel` is that of a pixel.
+    None if hardly any camera sees these. The slopes are those of line and of sample by metres to
+    the east and to the north, (2, 2), in scaled units; `pixel` is that of a pixel.
     """
     azimuth = AZIMUTH_STEP * round(np.degrees(float(np.arctan2(*slopes[0]))) / AZIMUTH_STEP)
-    view_points = ViewPoints(positions, scaled, exponents, slopes, pixel)
-    priors = []
+    plane = np.column_stack([np.ones(len(positions)), positions[:, :2]])
+    to_slopes = np.linalg.pinv(plane)[1:]
+    to_coefficients = np.linalg.pinv(monomials(scaled, exponents))[N_FREE:]
+    means = []
+    covariances = []
+    names = []
+    shares_of_views = []
     for kind, views, share in kinds:
-        for image in _cached_views(views, positions.tobytes(), azimuth, latitude):
-            priors += _priors_of_views(kind, image, share, view_points)
-    return priors
-
-
-@dataclass(frozen=True, eq=False)
-class ViewPoints:
-    """Positions at which cameras look, and what the points say of the image there.
-
-    As for `camera_priors`.
-    """
-
-    positions: FloatArray  # (m, 3) [m]
-    scaled: FloatArray  # (m, 3)
-    exponents: Exponents
-    slopes: FloatArray  # (2, 2)
-    pixel: float
+        for seen in _cached_views(views, positions.tobytes(), azimuth, latitude):
+            if len(seen) < 2 * len(exponents):
+                continue
+            own_slopes = to_slopes @ seen                                        # (cameras, 2, 2)
+            # Each camera has the pixels of the image, and counts samples in its direction.
+            factor = np.linalg.norm(slopes, axis=1) / np.linalg.norm(own_slopes, axis=1)
+            factor *= np.sign(np.einsum("cxa,ax->ca", own_slopes, slopes))
+            coefficients = to_coefficients @ seen * factor[:, None]       # (cameras, k - N_FREE, 2)
+            stacked = coefficients.swapaxes(1, 2).reshape(len(seen), -1)
+            mean = stacked.mean(axis=0)
+            deviations = stacked - mean
+            means.append(mean)
+            covariances.append(deviations.T @ deviations / (len(seen) - 1.0))
+            names.append(kind)
+            shares_of_views.append(share)
+    if not means:
+        return None
+    powers = np.array(exponents[N_FREE:])
+    departure = np.tile(pixel * DEPARTURE_FALL ** np.maximum(powers.sum(axis=1) - 2.0, 0.0)
+                        * DEPARTURE_RELIEF ** powers[:, 2], 2)
+    # Each of the views with all widths and sizes; the wider, the less likely.
+    width_shares = 1.0 / np.hypot(1.0, PRIOR_WIDTHS)
+    width_shares /= width_shares.sum() * len(DEPARTURE_SIZES)
+    view, width, size = (each.ravel() for each in np.meshgrid(
+        np.arange(len(means)), np.arange(len(PRIOR_WIDTHS)), DEPARTURE_SIZES, indexing="ij"))
+    return CameraPriors(np.array(means), np.array(covariances), departure, tuple(names), view,
+                        PRIOR_WIDTHS[width], size,
+                        np.array(shares_of_views)[view] * width_shares[width])
 
 
 @lru_cache(maxsize=16)  # points held out hardly turn an image, and most do not narrow its extent
 def _cached_views(views: Views, positions: bytes, azimuth: float,
                   latitude: float) -> tuple[FloatArray, ...]:
     return views(np.frombuffer(positions).reshape(-1, 3), np.radians(azimuth), latitude)
-
-
-def _priors_of_views(kind: str, views: FloatArray, share: float,
-                     view_points: ViewPoints) -> list[CameraPrior]:
-    """Return the priors by what one kind of cameras sees, (c, m, 2) (see `camera_priors`)."""
-    exponents = view_points.exponents
-    if len(views) < 2 * len(exponents):
-        return []
-    positions = view_points.positions
-    plane = np.column_stack([np.ones(len(positions)), positions[:, :2]])
-    view_slopes = np.linalg.pinv(plane)[1:] @ views                                  # (c, 2, 2)
-    # Each camera has the pixels of the image, and counts samples in its direction.
-    factor = np.linalg.norm(view_points.slopes, axis=1) / np.linalg.norm(view_slopes, axis=1)
-    factor *= np.sign(np.einsum("cxa,ax->ca", view_slopes, view_points.slopes))
-    columns = monomials(view_points.scaled, exponents)
-    coefficients = np.linalg.pinv(columns) @ (views * factor[:, None])               # (c, k, 2)
-    shrunken = coefficients[:, N_FREE:].swapaxes(1, 2).reshape(len(coefficients), -1)
-    mean = shrunken.mean(axis=0)
-    powers = np.array(exponents[N_FREE:])
-    # Roots by QR: a covariance of cameras that hardly differ has none by Cholesky.
-    spread = np.linalg.qr((shrunken - mean) / np.sqrt(len(shrunken) - 1.0), mode="r")
-    departure = np.tile(view_points.pixel
-                        * DEPARTURE_FALL ** np.maximum(powers.sum(axis=1) - 2.0, 0.0)
-                        * DEPARTURE_RELIEF ** powers[:, 2], 2)
-    width_shares = 1.0 / np.hypot(1.0, PRIOR_WIDTHS)
-    width_shares *= share / (width_shares.sum() * len(DEPARTURE_SIZES))
-    priors = []
-    for width, width_share in zip(PRIOR_WIDTHS, width_shares, strict=True):
-        for size in DEPARTURE_SIZES:
-            # The root of the sum of both covariances: R of their roots, one above the other.
-            root = np.linalg.qr(np.vstack([width * spread, np.diag(size * departure)]), mode="r")
-            priors.append(CameraPrior(mean, np.transpose(root), float(width_share), kind))
-    return priors
 
 
 class CameraEquations:
@@ -196,112 +208,124 @@ class CameraEquations:
 
 
 class CameraSolutions:
-    """All solutions of equations with a prior, for all noises; `pixel` is a pixel, scaled."""
+    """All solutions of equations with priors, for all noises; `pixel` is a pixel, scaled.
 
-    def __init__(self, equations: CameraEquations, prior: CameraPrior, pixel: float) -> None:
+    With A the shrunken columns without the free ones, y what is measured along them, and
+    A covariance A' = U diag(s) U' for each prior, y - A mean is normal along U with the variances
+    s + noise^2. A stack: p priors, a noises, r rows.
+    """
+
+    def __init__(self, equations: CameraEquations, priors: CameraPriors, pixel: float) -> None:
         self._equations = equations
-        self._prior = prior
-        self.kind = prior.kind
-        # Along U, what the prior lets vary has the variance S^2, to which comes that of the noise.
-        varying = equations.shrunken @ prior.root
-        u, values, self._vt = np.linalg.svd(varying,
-                                            full_matrices=varying.shape[0] > varying.shape[1])
-        self._strength = np.zeros(len(u))
-        self._strength[:len(values)] = values
+        self.priors = priors
         self.noise = NOISE_GRID * pixel
-        self._variance = self._strength**2 + self.noise[:, None] ** 2                   # (c, v)
-        self._projections = u.T @ (equations.target - equations.shrunken @ prior.mean)
-        self._rows = equations.basis @ u
-        # The noise is log-normal beforehand; given it, the projections are normal.
-        standardised_noise = np.log(NOISE_GRID / NOISE_MEDIAN) / NOISE_LOG_DEVIATION
-        log_prior = np.log(normalized(-0.5 * standardised_noise**2)[0])
-        minus_twice_log_density = (np.log(2 * np.pi * self._variance).sum(axis=1)
-                                   + (self._projections**2 / self._variance).sum(axis=1))
-        self._logs = (log_prior - 0.5 * minus_twice_log_density
-                      - np.log(np.abs(np.diag(equations.lead))).sum() + np.log(prior.share))
-        self.log_evidence = float(np.logaddexp.reduce(self._logs))
-        self.share = np.exp(self._logs - self.log_evidence)
+        columns = equations.shrunken
+        by_views = columns @ priors.covariances @ columns.T                             # (v, r, r)
+        by_departure = (columns * priors.departure**2) @ columns.T
+        values, self._u = np.linalg.eigh(
+            priors.width[:, None, None] ** 2 * by_views[priors.view]
+            + priors.size[:, None, None] ** 2 * by_departure)
+        noise = self.noise[:, None] ** 2
+        self._precision = 1.0 / (np.maximum(values, 0.0)[:, None] + noise)           # (p, a, r)
+        beyond_mean = (equations.target - priors.means @ columns.T)[priors.view]
+        self._along = (beyond_mean[:, None] @ self._u)[:, 0]                            # (p, r)
+        noise_share = normalized(
+            -0.5 * (np.log(NOISE_GRID / NOISE_MEDIAN) / NOISE_LOG_DEVIATION) ** 2)[0]
+        squares = (self._precision @ self._along[..., None] ** 2)[..., 0]
+        self._logs = np.log(noise_share) - 0.5 * (
+            len(columns) * np.log(2 * np.pi) - np.log(self._precision).sum(axis=2) + squares) \
+            - np.log(np.abs(np.diag(equations.lead))).sum() + np.log(priors.share)[:, None]
+        # Of each prior: the logarithm of its marginal likelihood, and how likely each noise is.
+        self.share, self.log_evidence = normalized(self._logs.T)
+        self.share = self.share.T                                                       # (p, a)
 
-    @property
-    def log_evidence_without(self) -> FloatArray:
-        """The logarithm of the marginal likelihood without each point, shape (n,)."""
-        return self._held_out[0]
+    def __len__(self) -> int:
+        return len(self.log_evidence)
 
-    @property
-    def errors(self) -> FloatArray:
-        """Errors of each point left out, shape (n, 2)."""
-        return self._held_out[1]
+    def take(self, which: BoolArray) -> CameraSolutions:
+        """Return the solutions with some of the priors."""
+        fewer = copy(self)
+        fewer.priors = self.priors.take(which)
+        for name in ("_u", "_precision", "_along", "_logs", "share", "log_evidence"):
+            setattr(fewer, name, getattr(self, name)[which])
+        return fewer
 
-    @cached_property
-    def _held_out(self) -> tuple[FloatArray, FloatArray]:
-        """Log evidence without each point, (n,), and its errors by the others, (n, 2)."""
-        # The errors of a point by all others: P^-1 P y of its two rows, P the inverse covariance.
-        rows_of_axes = np.split(self._rows, 2)
-        precision = 1.0 / self._variance
-        n_noises = len(precision)
-        n = len(rows_of_axes[0])
-        inverse = np.empty((n_noises, n, 2, 2))
-        right = np.empty((n_noises, n, 2))
-        for a, rows in enumerate(rows_of_axes):
-            right[:, :, a] = (precision * self._projections) @ rows.T
-            for b, other_rows in enumerate(rows_of_axes):
-                inverse[:, :, a, b] = precision @ (rows * other_rows).T
-        errors = np.linalg.solve(inverse, right[..., None])[..., 0]
-        # The density of the point given the others is taken from that of all: it is normal with
-        # these errors, and the inverse covariance of its two rows.
-        logs = (self._logs[:, None] + 0.5 * (errors * right).sum(axis=2) + np.log(2 * np.pi)
-                - 0.5 * np.log(np.linalg.det(inverse)))
-        log_evidence = np.logaddexp.reduce(logs, axis=0)
-        shares = np.exp(logs - log_evidence)
-        return log_evidence, np.einsum("cn,cna->na", shares, errors) / self._equations.weights
+    def left_out(self) -> tuple[FloatArray, FloatArray]:
+        """Return what the priors say of each point by the others.
+
+        That is the logarithm of the marginal likelihood without it, (p, n), and its error,
+        (p, n, 2): P^-1 P y of its two rows, P being the inverse covariance of all rows.
+        """
+        rows = self._equations.basis @ self._u                                       # (p, 2n, r)
+        n = len(self._equations.image)
+        line = rows[:, :n].swapaxes(1, 2)
+        sample = rows[:, n:].swapaxes(1, 2)
+        precision = self._precision
+        weighted = precision * self._along[:, None]
+        of_line = precision @ line**2                                                # (p, a, n)
+        of_sample = precision @ sample**2
+        of_both = precision @ (line * sample)
+        right_line = weighted @ line
+        right_sample = weighted @ sample
+        determinant = of_line * of_sample - of_both**2
+        errors = np.stack([of_sample * right_line - of_both * right_sample,
+                           of_line * right_sample - of_both * right_line]) / determinant
+        logs = self._logs[..., None] + np.log(2 * np.pi) - 0.5 * np.log(determinant) \
+            + 0.5 * (errors[0] * right_line + errors[1] * right_sample)
+        share, log_each = normalized(logs.swapaxes(0, 1))
+        mean = np.einsum("apn,xpan->pnx", share, errors)
+        return log_each, mean / self._equations.weights
 
     @cached_property
     def coefficients(self) -> FloatArray:
-        """The averaged coefficients, shape (k, 2)."""
-        # Along each direction V a solution has S / (S^2 + noise^2) of what is measured.
-        projections = self.share @ (self._strength / self._variance * self._projections)
-        rank = min(len(projections), len(self._vt))
-        deviation = self._prior.root @ (self._vt[:rank].T @ projections[:rank])
-        shrunken = (self._prior.mean + deviation).reshape(2, -1).T
-        columns = self._equations.columns
-        image = self._equations.image
-        coefficients = np.empty((columns.shape[1], 2))
-        coefficients[N_FREE:] = shrunken
-        lead = columns[:, :N_FREE]
-        for axis, w in enumerate(self._equations.weights.T):
-            residuals = image[:, axis] - columns[:, N_FREE:] @ shrunken[:, axis]
-            coefficients[:N_FREE, axis] = np.linalg.lstsq(lead * w[:, None], residuals * w)[0]
-        return coefficients
+        """The coefficients, averaged over the noises, shape (p, k, 2)."""
+        equations = self._equations
+        priors = self.priors
+        weighted = (self.share[:, None] @ self._precision)[:, 0] * self._along          # (p, r)
+        turned = (self._u @ weighted[..., None])[..., 0] @ equations.shrunken          # (p, c)
+        rest = (priors.means[priors.view] + priors.covariance_times(turned)).reshape(
+            len(turned), 2, -1)
+        found = np.empty((len(rest), equations.columns.shape[1], 2))
+        found[:, N_FREE:] = rest.swapaxes(1, 2)
+        lead = equations.columns[:, :N_FREE]
+        for axis, weight in enumerate(equations.weights.T):
+            left = equations.image[:, axis] - rest[:, axis] @ equations.columns[:, N_FREE:].T
+            found[:, :N_FREE, axis] = np.linalg.lstsq(lead * weight[:, None],
+                                                      (left * weight).T)[0].T
+        return found
 
     @property
-    def effective(self) -> float:
-        """Effective parameters of line and sample together."""
-        return 2 * N_FREE + float(self.share @ (
-            1.0 - self.noise[:, None] ** 2 / self._variance).sum(axis=1))
+    def effective(self) -> FloatArray:
+        """Effective parameters of line and sample together, (p,)."""
+        explained = (1.0 - self.noise[:, None] ** 2 * self._precision).sum(axis=2)
+        return np.asarray(2 * N_FREE + (self.share * explained).sum(axis=1))
 
-    def spread(self, columns: FloatArray) -> tuple[FloatArray, float]:
-        """Return the variance of what is predicted at places (m, k), shape (m, 2), and the noise's.
+    def spread(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the variance of what is predicted at places (m, k), shape (p, m, 2).
+
+        And that of the noise, shape (p,).
         """
+        equations = self._equations
+        priors = self.priors
+        noise = self.share @ self.noise**2
+        variance = np.empty((len(self.share), len(columns), 2))
         count = len(columns)
-        variance = np.empty((count, 2))
-        noise = float(self.share @ self.noise**2)
-        rank = min(len(self._strength), len(self._vt))
-        free_rows = _both_axes(columns[:, :N_FREE], np.ones((count, 2)))
-        shrunken_rows = _both_axes(columns[:, N_FREE:], np.ones((count, 2)))
-        gain = (self._strength / self._variance)[:, :rank]
         for axis in (0, 1):
-            rows = slice(axis * count, (axis + 1) * count)
-            q = np.linalg.solve(self._equations.lead.T, free_rows[rows].T).T
-            varying = (shrunken_rows[rows] - q @ self._equations.free_projections) \
-                @ self._prior.root
-            projections = (varying @ self._vt.T)[:, :rank]
-            means = projections @ (gain * self._projections[:rank]).T                # (m, c)
-            # The variance of the prior, less what the measurements tell of it.
-            unexplained = (varying**2).sum(axis=1, keepdims=True) \
-                - projections**2 @ (self._strength[:rank] * gain).T
-            mean = means @ self.share
-            variance[:, axis] = (q**2).sum(axis=1) * noise + (
-                unexplained + (means - mean[:, None]) ** 2) @ self.share
+            lead, rest = (_both_axes(part, np.ones((count, 2)))[axis * count:(axis + 1) * count]
+                          for part in (columns[:, :N_FREE], columns[:, N_FREE:]))
+            q = np.linalg.solve(equations.lead.T, lead.T).T
+            free = rest - q @ equations.free_projections                               # (m, c)
+            by_views = free @ priors.covariances                                     # (v, m, c)
+            for prior, share in enumerate(self.share):
+                spanned = priors.width[prior] ** 2 * by_views[priors.view[prior]] \
+                    + priors.size[prior] ** 2 * priors.departure**2 * free
+                along = spanned @ equations.shrunken.T @ self._u[prior]                # (m, r)
+                precision = self._precision[prior].T                                   # (r, a)
+                means = along @ (precision * self._along[prior, :, None])              # (m, a)
+                own = (spanned * free).sum(axis=1, keepdims=True) - along**2 @ precision
+                middle = means @ share
+                variance[prior, :, axis] = (q**2).sum(axis=1) * noise[prior] + (
+                    own + (means - middle[:, None]) ** 2) @ share
         return variance, noise
 
 
