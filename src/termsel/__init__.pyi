@@ -6,8 +6,10 @@ from .adjustment import line_normals as line_normals
 from .adjustment import row_weights as row_weights
 from .auto.auto import Auto as Auto
 from .auto.estimators import estimator as estimator
+from .auto.function import FunctionMethod as FunctionMethod
 from .auto.memory import Memory as Memory
 from .auto.methods import Structure as Structure
+from .auto.refits import held_out_by_refits as held_out_by_refits
 from .core.errors import TermselError as TermselError
 from .core.files.drivers import allow_driver as allow_driver
 from .core.files.drivers import allow_remote as allow_remote

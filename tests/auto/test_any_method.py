@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import termsel
 from termsel.core.errors import TermselError
 from termsel.data.features import FeatureSet
 from termsel.data.fit_data import FitData
+from termsel.testing import checks
 
 AFFINE = termsel.Structure("affine", "an affine polynomial", termsel.Affine(), None)
 
@@ -101,3 +103,61 @@ def test_errors_held_out_are_those_of_fits_without_each_point(
         point = fitted.control.points.take(np.arange(len(fitted.control)) == out)
         error = termsel.fit(kept, name).errors(point)[0]
         assert np.sqrt(squares[out]) == pytest.approx(np.hypot(*error), rel=0.05)
+
+
+def middle(features: FeatureSet) -> object:
+    """Project every place into the middle of the control, a metre moving nothing."""
+    return lambda ground: np.tile(features.points.image.mean(axis=0), (len(ground), 1))
+
+
+def linear(features: FeatureSet) -> object:
+    points = features.points
+    design = np.column_stack([np.ones(len(points)), points.ground])
+    solution = np.linalg.lstsq(design, points.image, rcond=None)[0]
+    return lambda ground: np.column_stack([np.ones(len(ground)), ground]) @ solution
+
+
+def test_a_plain_function_is_assessed_as_the_model_that_it_is(
+        scene: FeatureSet, tmp_path: Path) -> None:
+    theirs = termsel.run(features=scene, method=linear, out=tmp_path / "result")
+    ours = termsel.run(features=scene, method="affine")
+    assert theirs.strategy is not None
+    assert theirs.strategy.chosen == "linear"
+    assert theirs.predicted is not None
+    assert ours.predicted is not None
+    assert theirs.predicted.rmse == pytest.approx(ours.predicted.rmse, rel=1e-6)
+    assert theirs.fit.effective == pytest.approx(8.0, abs=2.0)
+    with pytest.raises(TermselError, match="a function in Python, which no file holds"):
+        termsel.read_result(tmp_path / "result")
+
+
+def test_a_function_that_returns_no_projection_is_named(scene: FeatureSet) -> None:
+    with pytest.raises(TermselError, match="returned tuple, which projects nothing"):
+        termsel.fit(scene, termsel.FunctionMethod(
+            "mine", "a function", function=lambda features: features.ids))
+
+
+def test_a_function_does_what_every_method_does() -> None:
+    few = FeatureSet(replace(termsel.simulate_scene(
+        "ikonos-hamedan", n_points=8, n_lines=0).points, roles=()))
+    for check in checks(termsel.FunctionMethod("middle", "a middle", function=middle),
+                        features=[few]):
+        check.run()
+
+
+@pytest.mark.parametrize("name", ["huber", "similarity"])
+def test_methods_that_auto_does_not_choose_are_fitted_where_they_are_asked_for(
+        scene: FeatureSet, name: str) -> None:
+    result = termsel.run(features=scene, method=name)
+    assert result.strategy is not None
+    assert result.strategy.chosen == name
+
+
+def test_a_method_that_cannot_be_held_against_features_says_why(scene: FeatureSet) -> None:
+    with pytest.raises(TermselError, match="cannot be held against a third-order RFM by ridge"):
+        termsel.run(features=scene, method="ridge")
+
+
+def test_a_search_of_its_own_is_run_as_a_method(scene: FeatureSet) -> None:
+    search = termsel.Search("poly-terms", {"solver": "exact", "options": {"degree": 1}})
+    assert termsel.run(features=scene, method=search).solver == "exact"

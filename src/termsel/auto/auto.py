@@ -10,12 +10,18 @@ from __future__ import annotations
 import numbers
 from collections.abc import Callable, Iterable
 from dataclasses import KW_ONLY, dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 
 from termsel.adjustment.lines import row_weights
+from termsel.auto.folds import (
+    FOLDS_OF_LATTICE,
+    folds_along,
+    folds_of,
+    held_out_lines,
+)
 from termsel.auto.memory import Memory
 from termsel.auto.methods import METHODS
 from termsel.auto.rule import (
@@ -35,24 +41,13 @@ from termsel.core.isolation.faults import HINT, PluginFault, blamed, is_own, wro
 from termsel.data.coordinates.places import ground_centres, spatial_order
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray, no_lines
 from termsel.data.fit_data import FitData, carriers
-from termsel.data.lattices import FEWEST as FEWEST_LINES
-from termsel.data.lattices import Lattice, lattice_of
+from termsel.data.lattices import Lattice
 from termsel.fitting.fit import Fit, HeldOut, Undetermined
 from termsel.fitting.method import Method, Suspects
 from termsel.models.base import SensorModel
 
 EXACT = 3
 """Number of points up to which a model fits them exactly, and none is chosen."""
-
-FOLDS_WITH_LINES = 10
-"""Folds in which the whole choice is repeated where there are lines, which take longer."""
-
-FOLDS = ((40, 20), (5000, 10), (50_000, 5), (np.inf, 2))
-"""Folds for fewer points than a number: of many, nine tenths or four fifths predict all but as well
-as all, and of very many a half."""
-
-FOLDS_OF_LATTICE = 8
-"""Folds of the lines of a lattice, and of its columns: of a radar image with ten, one each."""
 
 MANY_POINTS = 20
 """Points from which on folds do not try what all points together come nowhere near to choosing."""
@@ -166,9 +161,12 @@ class Auto(Method):
 
     def offered(self, data: FitData, *, for_few: bool = False) -> list[Method]:
         """Return the methods to choose from for some features, the plainest first."""
-        sizes = {method: self.ask(method, "size", data.heights) for method in self.methods
-                 if not method.only_shown and method.for_few == for_few
-                 and method.name not in self.faults and self._count(data) <= method.most
+        # One that is asked for is fitted whatever its place among others would be.
+        candidates = [method for method in self.methods if
+                      (not for_few if self.is_one_method
+                       else not method.only_shown and method.for_few == for_few)]
+        sizes = {method: self.ask(method, "size", data.heights) for method in candidates
+                 if method.name not in self.faults and self._count(data) <= method.most
                  and self.ask(method, "declines", data) is None}
         return sorted((method for method in sizes if method.name not in self.faults),
                       key=lambda method: sizes[method])
@@ -406,17 +404,17 @@ class Auto(Method):
                          choice: Choice | None) -> Callable[[BoolArray], Fit | None]:
         """Return what makes the choice again without some features, and returns its fit if any."""
         features = data.features
+        if self.is_one_method:
+            return partial(self._alone_without, data, watch)
         whole = cache(lambda: self.choose(data, whole=False))
         many = len(features.points) >= MANY_POINTS and not len(features.lines)
         parts = self.for_parts_of(data, (choice or whole()) if many else None)
         fewest = self.fewest(data)
 
         def fit_without(out: BoolArray) -> Fit | None:
-            rest = data.take(~out)
-            # Relief that rests on one feature of the others tells nothing of those held out.
-            flat = replace(rest, heights=rest.heights and not carriers(rest, limit=1))
+            rest = _without(data, out)
             chosen = None if len(rest) < fewest else \
-                parts.choose_features(flat, watch, whole=False)
+                parts.choose_features(rest, watch, whole=False)
             fitted = None if chosen is None else chosen.chosen
             if chosen is None or not any(
                     method_of(compared).has_prior for compared in chosen.compared):
@@ -424,10 +422,18 @@ class Auto(Method):
                     return None
                 # Few features choose by luck: what all of them choose is fitted to these.
                 if usual := whole():
-                    fitted = self.ask(usual.method, "refit", usual.chosen, rest) or fitted
+                    fitted = self.ask(usual.method, "refit", usual.chosen,
+                                      replace(rest, heights=data.heights)) or fitted
             return fitted
 
         return fit_without
+
+    def _alone_without(self, data: FitData, watch: Watch, out: BoolArray) -> Fit | None:
+        """Return the fit of the only method without some features: there is nothing to choose by.
+        """
+        fitted: Fit | None = self.ask(self.methods[0], "fit", _without(data, out))
+        watch(fitted)
+        return fitted
 
     def between_lines(self, data: FitData, lattice: Lattice, watch: Watch,
                       choice: Choice) -> tuple[FloatArray, IntArray] | None:
@@ -443,9 +449,9 @@ class Auto(Method):
         for number in (lattice.line, lattice.column):
             errors = np.full((len(data), 2), np.nan)
             count = int(number.max()) + 1
-            first, last = _held_out_lines(count)
+            first, last = held_out_lines(count)
             inside = (number >= first) & (number <= last)
-            for fold in range(_folds_along(count)):
+            for fold in range(folds_along(count)):
                 out = inside & ((number - first) % FOLDS_OF_LATTICE == fold)
                 fitted = fit_without(out)
                 if fitted is None:
@@ -456,23 +462,10 @@ class Auto(Method):
                    key=lambda found: float((found[0]**2).sum(axis=1).mean()))
 
 
-def folds_of(features: FeatureSet) -> int:
-    """Return in how many folds the whole choice is repeated."""
-    if len(features.lines):
-        return min(FOLDS_WITH_LINES, len(features))
-    lattice = lattice_of(features.points)
-    if lattice is not None:
-        return _folds_along(lattice.lines) + _folds_along(lattice.columns)
-    return next(min(folds, len(features)) for below, folds in FOLDS if len(features) < below)
+def _without(data: FitData, out: BoolArray) -> FitData:
+    """Return features without some, as plane where relief rests on one of the others.
 
-
-def _held_out_lines(count: int) -> tuple[int, int]:
-    """Return the first and the last of so many lines that are left out."""
-    edge = 2 if count > 2 * FEWEST_LINES else 1
-    return edge, count - 1 - edge
-
-
-def _folds_along(count: int) -> int:
-    """Return in how many folds so many lines are left out."""
-    first, last = _held_out_lines(count)
-    return min(FOLDS_OF_LATTICE, last - first + 1)
+    It tells nothing of those held out then.
+    """
+    rest = data.take(~out)
+    return replace(rest, heights=rest.heights and not carriers(rest, limit=1))

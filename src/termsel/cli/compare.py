@@ -37,6 +37,8 @@ from termsel.core.options import MOST_RUNS
               help="Solvers, likewise.")
 @click.option("--criterion", metavar="NAMES", shell_complete=complete("criteria"),
               help="Criteria, likewise.")
+@click.option("--method", metavar="NAMES", shell_complete=complete("methods"),
+              help="Methods in place of the automatic choice, likewise; auto is that choice.")
 @click.option("--strategy", metavar="NAMES",
               help="auto, as-asked or both. By default auto, unless models, solvers, criteria or "
                    "a budget are given.")
@@ -151,7 +153,7 @@ def _first(given: dict[str, Any]) -> str:
 def _keys_of(given: dict[str, Any]) -> dict[str, Any]:
     """Return the keys of a study file that options stand for."""
     lists = {"problems": "problem", "models": "model", "solvers": "solver",
-             "criteria": "criterion", "strategies": "strategy"}
+             "criteria": "criterion", "methods": "method", "strategies": "strategy"}
     keys: dict[str, Any] = {
         key: [word.strip() for word in given[name].split(",")] for key, name in lists.items()
         if given[name] is not None}

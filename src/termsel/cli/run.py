@@ -54,10 +54,12 @@ def run(verbose: bool, checkpoint: Path | None, files: tuple[Path, ...], **given
     exported = settings.exported()
     page = settings.page()
     features, options = settings.read()
-    with search_bar(settings.problem or settings.solver or "auto", settings.quiet) as observe:
+    title = settings.problem or settings.solver or settings.method or "auto"
+    with search_bar(title, settings.quiet) as observe:
         result = running.run(
-            settings.problem, strategy=settings.strategy, features=features,
-            dataset=settings.dataset, source=settings.source, model=settings.model,
+            settings.problem, strategy=settings.strategy, method=settings.method,
+            features=features, dataset=settings.dataset, source=settings.source,
+            model=settings.model,
             solver=settings.solver, criterion=settings.criterion, options=options,
             **settings.budget,
             observers=[observe] if observe else [], out=out, overwrite=settings.overwrite,

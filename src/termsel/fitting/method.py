@@ -80,6 +80,8 @@ class Method(ABC):
         Whether it is for features that are too few for any method with a prior.
     only_shown : bool
         Whether it is shown for comparison and never chosen.
+    on_request : bool
+        Whether auto leaves it alone, so that it is fitted only where it is asked for.
     central : bool
         Whether it is a central projection, as whole images may be: two standard errors are then
         enough for it in place of three.
@@ -105,6 +107,7 @@ class Method(ABC):
     needs: tuple[str, ...] = ()
     for_few: bool = False
     only_shown: bool = False
+    on_request: bool = False
     central: bool = False
     from_one: bool = False
     most: float = np.inf
@@ -143,7 +146,8 @@ class Method(ABC):
         """Return the errors of features of a fit of this method, each held out.
 
         By default they are those that the estimator finds: of least squares in closed form, else by
-        repeating the fit without each feature. A method that chooses repeats the choice.
+        repeating the fit without each feature. A method that chooses repeats the choice; with
+        `termsel.held_out_by_refits` that is one line.
 
         Raises
         ------

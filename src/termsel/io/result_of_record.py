@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from msgspec import ValidationError, convert
 
+from termsel.auto.function import OfFunction, OfPlaneFunction
 from termsel.core.errors import TermselError, printable
 from termsel.core.version import __version__
 from termsel.data.features import FeatureSet
@@ -163,6 +164,9 @@ def _estimator(record: Record) -> Estimator | None:
 def _model_type(plugin: PluginRecord | None, name: str) -> type[SensorModel]:
     """Return the class of a model, as a plugin or this session provides it."""
     names = registry()
+    if name in (OfFunction.name, OfPlaneFunction.name):
+        raise TermselError("this result is that of a function in Python, which no file holds",
+                           hint="Call termsel.run again with the same features and function.")
     if plugin and plugin.class_ and not any(
             entry.answers_to(plugin.name) for entry in names.entries("models")):
         raise TermselError(

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.auto.auto import EXACT, Auto, folds_of
+from termsel.auto.auto import EXACT, Auto
 from termsel.auto.compare import compare
 from termsel.auto.exact import exact, exact_view
+from termsel.auto.folds import folds_of
 from termsel.auto.rule import Choice, method_of
 from termsel.auto.validated import has_pole
 from termsel.core.errors import TermselError, counted
@@ -24,7 +25,7 @@ from termsel.data.twins import merged
 from termsel.fitting.accuracy import predicted_between, predicted_by, predicted_of_all
 from termsel.fitting.extrapolation import warnings_of
 from termsel.fitting.figures import Baseline, Rmses, finite_or_none, in_role
-from termsel.fitting.fit import Fit
+from termsel.fitting.fit import Fit, Undetermined
 from termsel.models.base import SensorModel
 from termsel.plugins.registry import registry
 from termsel.runs.data_notes import notes_on_data, notes_on_dem
@@ -219,9 +220,8 @@ def _choose(clean: Observations, auto: Auto, watch: _Watch, seed: int) -> _Chose
             enough = view is choice
             choice = view
         if choice is None:
-            raise TermselError(
-                f"the {len(features)} control and check {features.word} lie so that no model can "
-                "be held against them", hint="Measure more, spread over the scene.")
+            raise TermselError(_no_choice(auto, data), hint="Measure more, spread over the scene"
+                               + (", or choose another method." if auto.is_one_method else "."))
         errors: FloatArray | None = None
         if len(features.lines):
             from termsel.runs.owdis import with_selected_lines  # it searches
@@ -243,6 +243,22 @@ def _choose(clean: Observations, auto: Auto, watch: _Watch, seed: int) -> _Chose
             raise
         answered()
         return _Chosen(best, exact=not enough, interrupted=True)
+
+
+def _no_choice(auto: Auto, data: FitData) -> str:
+    """Return why there is no choice: of a method that is asked for, what it says itself."""
+    features = f"the {len(data)} control and check {data.features.word}"
+    if not auto.is_one_method:
+        return f"{features} lie so that no model can be held against them"
+    method = auto.methods[0]
+    reason = method.declines(data)
+    try:
+        if reason is None:
+            method.fit(data)
+    except Undetermined as error:
+        reason = error.what
+    return (f"{features} cannot be held against {method.title}: "
+            f"{reason or 'it has no redundancy, or a pole in the scene'}")
 
 
 def _strategy(choice: Choice, errors: FloatArray | None, predicted: Predicted | None,

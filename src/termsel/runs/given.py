@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from termsel.auto.auto import Auto
+from termsel.auto.function import FunctionMethod
 from termsel.auto.memory import Memory
 from termsel.core.errors import TermselError
 from termsel.core.options import Configurable
+from termsel.data.features import FeatureSet
 from termsel.fitting.method import Method
 from termsel.plugins.registry import registry
 from termsel.selection.criteria import Criterion
@@ -17,12 +19,16 @@ from termsel.selection.problems.objectives import Objective
 from termsel.selection.problems.recipes import Recipe, undeclared_options
 
 
-def auto_of(method: str | Method | None, memory: Memory | None = None) -> Auto:
-    """Return the choice by a method, by its name or itself; by default among all methods."""
+def auto_of(method: str | Method | Callable[[FeatureSet], Any] | None,
+            memory: Memory | None = None) -> Auto:
+    """Return the choice by a method: its name, itself or a function; by default among all."""
     if method is None or method == "auto":
         return auto_of_all(memory)
     if isinstance(method, Auto):
         return method
+    if callable(method) and not isinstance(method, Method | type):
+        name = getattr(method, "__name__", "function")
+        method = FunctionMethod(name, f"the function {name}", function=method)
     if not isinstance(method, str | Method):
         raise TermselError(f"{method!r:.60} is no method",
                            hint="Give the name of one (termsel list methods), or a termsel.Method.")
@@ -31,9 +37,12 @@ def auto_of(method: str | Method | None, memory: Memory | None = None) -> Auto:
 
 
 def auto_of_all(memory: Memory | None = None) -> Auto:
-    """Return the choice among all methods; of two with one name termsel's own, or the first."""
+    """Return the choice among all methods but those on request.
+
+    Of two with one name it takes termsel's own, or the first.
+    """
     methods = tuple(entry.object for entry in registry().entries("methods")
-                    if entry.name == entry.object.name)
+                    if entry.name == entry.object.name and not entry.object.on_request)
     return Auto(methods=methods, memory=memory or Memory())
 
 

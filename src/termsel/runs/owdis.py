@@ -17,7 +17,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from termsel.auto.auto import FOLDS_WITH_LINES, Auto
+from termsel.auto.auto import Auto
+from termsel.auto.folds import FOLDS_WITH_LINES
 from termsel.auto.rule import CLEARLY, Choice
 from termsel.auto.validated import gain_of
 from termsel.core.errors import TermselError

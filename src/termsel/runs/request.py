@@ -105,7 +105,8 @@ class Request:
 def method_words(model: Any = None, solver: Any = None, criterion: Any = None,
                  options: Mapping[str, Any] | None = None) -> list[str]:
     """Return the words for what is asked for of a method, which "auto" would choose itself."""
-    of_data = {option.name for option in DATA_OPTIONS}
+    # Plain, or with the part they are of before a dot.
+    of_data = {name for option in DATA_OPTIONS for name in (option.name, f"data.{option.name}")}
     named = [word for word, part in (
         ("model", model), ("solver", solver), ("criterion", criterion)) if part]
     return [*named, *(f"the option {key}" for key in options or () if key not in of_data)]

@@ -16,6 +16,7 @@ from termsel.core.errors import TermselError
 from termsel.core.files.names import CERTIFICATE
 from termsel.core.threads import one_blas_thread
 from termsel.data.datasets import DatasetSpec
+from termsel.data.features import FeatureSet
 from termsel.data.rpc import Rpc
 from termsel.fitting.method import Method
 from termsel.io.result_folder import claimed, write_result
@@ -29,6 +30,7 @@ from termsel.runs.method_task import request_of_method, require_alone, task_of_m
 from termsel.runs.notebook import notebook_observer
 from termsel.runs.request import method_words, problem_for, request_of
 from termsel.runs.task import Task, given_features, prepared
+from termsel.runs.task_method import TaskMethod
 from termsel.selection.criteria import Criterion
 from termsel.selection.problems.recipes import Recipe
 from termsel.selection.solvers.base import Solver
@@ -56,7 +58,7 @@ def run(
     criterion: str | type[Criterion] | Criterion | None = None,
     options: Mapping[str, Any] | None = None,
     strategy: str | None = None,
-    method: str | Method | None = None,
+    method: str | Method | Callable[[FeatureSet], Any] | None = None,
     seed: int = 1,
     generations: int | None = None,
     evaluations: int | None = None,
@@ -90,9 +92,10 @@ def run(
         the problem allows it and neither model, solver, criterion, budget nor any option but
         those of the data is given; for problems that select features only where none is named. A
         prepared task is always run as asked.
-    method : str or Method, optional
-        A method that needs no search, in place of "auto", which chooses among them: its name, such
-        as "shrunken-cubic", or a `Method` of your own.
+    method : str, Method or callable, optional
+        A method in place of "auto", which chooses among them: its name, such as "shrunken-cubic"; a
+        `Method`, such as `Search` with a problem of its own; or a function, as for
+        `FunctionMethod`.
     seed : int
         Seed of the search.
     generations, evaluations : int, optional
@@ -139,7 +142,7 @@ def run(
     notebook = notebook_observer(
         problem.recipe.name if isinstance(problem, Task) else str(problem or "auto"))
     observers = (*observers, *filter(None, [notebook]), *registry().observers())
-    auto: Auto | None = None
+    alone: Auto | TaskMethod | None = None
     if isinstance(problem, Task):
         _refuse_named({"features": features, **asked})
         task = problem
@@ -152,10 +155,14 @@ def run(
         words += ["a checkpoint"] if checkpoint is not None else []
         if method is not None or wanted(strategy, recipe, words, unnamed=problem is None):
             require_alone(method, words)
-            auto = auto_of(method, memory)
-            request = request_of_method(named, features=features, dataset=dataset, source=source,
-                                        model=model, options=options)
-            task = task_of_method(request, auto)
+            of_data = {"features": features, "dataset": dataset, "source": source,
+                       "options": options}
+            if isinstance(method, TaskMethod):
+                alone = method
+                task = prepared(request_of(named, **of_data))
+            else:
+                alone = auto_of(method, memory)
+                task = task_of_method(request_of_method(named, model=model, **of_data), alone)
         else:
             task = prepared(request_of(named, features=features, **asked))
             _warn_of_search(task, words, is_in_place_of_auto=strategy is None and problem is None)
@@ -170,8 +177,8 @@ def run(
     def result_of_run() -> Result:
         from termsel.runs.assess import assess
 
-        if auto is not None:
-            return assess(auto, task, seed=seed, observers=observers, memory=memory)
+        if alone is not None:
+            return assess(alone, task, seed=seed, observers=observers, memory=memory)
         from termsel.runs.searching import Search  # not for auto
 
         kept = None if checkpoint is None else Checkpoint(checkpoint)
@@ -179,7 +186,7 @@ def run(
                                    "checkpoint": kept})
         return assess(searching, task, memory=memory)
 
-    return _written(result_of_run, out, overwrite, _seconds_of_compilation(task, auto))
+    return _written(result_of_run, out, overwrite, _seconds_of_compilation(task, alone))
 
 
 def _warn_of_search(task: Task, words: Sequence[str], *, is_in_place_of_auto: bool) -> None:
@@ -193,9 +200,9 @@ def _warn_of_search(task: Task, words: Sequence[str], *, is_in_place_of_auto: bo
                     "criterion out to have it corrected.", task.model.name)
 
 
-def _seconds_of_compilation(task: Task, auto: Auto | None) -> int:
+def _seconds_of_compilation(task: Task, alone: Method | None) -> int:
     """Return how many seconds longer a run takes as it compiles, if it does."""
-    if auto is None:
+    if not isinstance(alone, Auto):
         return SEARCH_COMPILES if kernels.needs_compilation() else 0
     # Whether a search of lines follows, which compiles more, is not known yet.
     points = len(task.observations.together.points)

@@ -12,14 +12,14 @@ import numpy as np
 from msgspec import convert
 from msgspec.structs import asdict
 
-from termsel.auto.auto import Auto, folds_of
+from termsel.auto.auto import Auto
 from termsel.auto.compare import compare_robustly
 from termsel.auto.memory import Memory
+from termsel.auto.refits import held_out_by_refits
 from termsel.auto.ridge import RidgeByOrder
 from termsel.core.errors import TermselError, unknown_name
 from termsel.core.files.names import CERTIFICATE
 from termsel.core.isolation.faults import HINT, wrong
-from termsel.data.coordinates.places import ground_centres, spatial_order
 from termsel.data.features import BoolArray, select
 from termsel.data.fit_data import FitData
 from termsel.data.record.base import plain
@@ -108,20 +108,7 @@ class Search(TaskMethod):
         It is repeated in as many folds as the choice of "auto" is, so it takes so many times as
         long as `fit`. The errors are those of all features, selected or not.
         """
-        features = fitted.control
-        data = FitData.of(features, fitted.model.uses_height)
-        order = spatial_order(ground_centres(features))
-        owner = features.vertex_feature
-        errors = np.empty((len(owner), 2))
-        folds = folds_of(features)
-        for fold in range(folds):
-            out = np.zeros(len(features), dtype=bool)
-            out[order[fold::folds]] = True
-            others = self.fit(data.take(~out))
-            held = features.take(out)
-            errors[out[owner]] = np.concatenate([
-                others.errors(held.points), others.line_errors(held.lines).reshape(-1, 2)])
-        return HeldOut.of(errors, features)
+        return held_out_by_refits(self.fit, fitted.control, heights=fitted.model.uses_height)
 
     def find(self, task: Task, memory: Memory) -> tuple[Request, Finding]:
         """Search a prepared task, or the problem of one's own with its features."""

@@ -21,6 +21,8 @@ REFUTED = 2
 
 
 @click.command()
+@click.option("--method", "method_names", multiple=True, metavar="NAME",
+              help="A method of `termsel list methods`.")
 @click.option("--solver", "solvers", multiple=True, metavar="NAME", help="A solver of terms.")
 @click.option("--problem", metavar="NAME", help="Problem of the solvers; that of the set else.")
 @click.option("--model", "models", multiple=True, metavar="NAME",
@@ -47,10 +49,11 @@ REFUTED = 2
 @click.option("--files", metavar="DIR", type=click.Path(file_okay=False, path_type=Path),
               help="Write the sets as files, with their description, and run nothing.")
 @click.option("--overwrite", is_flag=True, help="Replace files that are there.")
-def bench(solvers: tuple[str, ...], problem: str | None, models: tuple[str, ...],
-          packages: tuple[str, ...], settings: tuple[str, ...], without_others: bool, quick: bool,
-          pattern: str, real: Path | None, processes: int, scheduler: str, folder: Path | None,
-          checked: Path | None, files: Path | None, overwrite: bool) -> None:
+def bench(method_names: tuple[str, ...], solvers: tuple[str, ...], problem: str | None,
+          models: tuple[str, ...], packages: tuple[str, ...], settings: tuple[str, ...],
+          without_others: bool, quick: bool, pattern: str, real: Path | None, processes: int,
+          scheduler: str, folder: Path | None, checked: Path | None, files: Path | None,
+          overwrite: bool) -> None:
     """Compare methods of georeferencing on forty simulated sets.
 
     A method sees control and check points, lines and the RPC of a set. 1,000 independent points
@@ -67,11 +70,12 @@ def bench(solvers: tuple[str, ...], problem: str | None, models: tuple[str, ...]
     show_messages()
     tasks = {"--check": checked, "--files": files}
     # All options are looked at before any set is simulated.
-    methods = _methods(solvers, problem, models, packages, parse_settings(settings),
-                       without_others=without_others)
+    own_methods = _own_methods(method_names, solvers, problem, models, packages,
+                               parse_settings(settings))
+    methods = _with_others(own_methods, without_others=without_others)
     named = [name for name, value in tasks.items() if value is not None]
     trusted = packages if checked is not None else ()
-    other_options = solvers or models or (packages
+    other_options = method_names or solvers or models or (packages
                                           and not trusted) or without_others or folder or real
     if len(named) == 2 or (named and other_options):
         raise TermselError(f"{named[0]} goes with no method and no other task",
@@ -86,21 +90,30 @@ def bench(solvers: tuple[str, ...], problem: str | None, models: tuple[str, ...]
         _run(methods, names, real, processes, scheduler, folder, overwrite=overwrite)
 
 
-def _methods(solvers: Sequence[str], problem: str | None, models: Sequence[str],
-             packages: Sequence[str], options: dict[str, str], *,
-             without_others: bool) -> list[Method]:
-    from termsel_bench.methods.base import AUTO, PEERS, Method
+def _own_methods(names: Sequence[str], solvers: Sequence[str], problem: str | None,
+                 models: Sequence[str], packages: Sequence[str],
+                 options: dict[str, str]) -> list[Method]:
+    """Return the methods that the options name."""
+    from termsel_bench.methods.base import Method
 
     if options and not solvers and not models:
         raise TermselError("--set is an option of no method", hint="Add --solver or --model.")
     if problem and not solvers:
         raise TermselError("--problem is for solvers", hint="Add --solver NAME.")
-    own_methods = [*(Method("solver", name, options, problem or "") for name in solvers),
-                   *(Method("model", name, options) for name in models),
-                   *(Method("package", name) for name in packages)]
+    return [*(Method("method", name) for name in names),
+            *(Method("solver", name, options, problem or "") for name in solvers),
+            *(Method("model", name, options) for name in models),
+            *(Method("package", name) for name in packages)]
+
+
+def _with_others(own_methods: list[Method], *, without_others: bool) -> list[Method]:
+    """Return methods, among auto and those of other packages unless they run alone."""
+    from termsel_bench.methods.base import AUTO, PEERS, Method
+
     if without_others and not own_methods:
         raise TermselError("there is no method to run",
-                           hint="Add --solver, --model or --package, or leave --alone out.")
+                           hint="Add --method, --solver, --model or --package, or leave --alone "
+                                "out.")
     return own_methods if without_others else [AUTO, *own_methods,
                                                *(Method("peer", name) for name in PEERS)]
 

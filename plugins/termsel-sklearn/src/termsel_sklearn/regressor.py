@@ -9,8 +9,10 @@ from sklearn.base import MultiOutputMixin, RegressorMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from termsel import (
+    Auto,
     Estimator,
     FeatureSet,
+    Method,
     Points,
     Polynomial2D,
     Polynomial3D,
@@ -19,6 +21,7 @@ from termsel import (
     TermselError,
     estimator,
     fit,
+    get,
 )
 from termsel_sklearn.arrays import FloatArray
 from termsel_sklearn.parts import WithOptions, weights_of
@@ -51,10 +54,11 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
         differ, and otherwise that of X and Y.
     degree : int or None
         Option of polynomials; None for the model's own default.
-    strategy : {"least-squares", "ridge", "shrunken", "selected", "huber", "tukey"}
-        How coefficients are found. "shrunken" averages polynomials of degree 2 or more by their
-        posterior probability; "selected" selects their terms forward; "huber" and "tukey" are
-        robust.
+    strategy : {"least-squares", "ridge", "shrunken", "selected", "huber", "tukey"} or a method
+        How the coefficients of the model are found. "shrunken" averages polynomials of degree 2 or
+        more by their posterior probability; "selected" selects their terms forward; "huber" and
+        "tukey" are robust. Or a `termsel.Method`, or the name of one (``termsel list methods``)
+        such as "auto": it has models of its own.
     options : dict or None
         Further options of the model. ``set_params`` and grids also take each by its name, such as
         ``set_params(order=2)`` of "rfm".
@@ -84,7 +88,8 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
     extension = "model"
 
     def __init__(self, model: Any = "polynomial", degree: int | None = None,
-                 strategy: str = "least-squares", options: dict[str, Any] | None = None) -> None:
+                 strategy: str | Method = "least-squares",
+                 options: dict[str, Any] | None = None) -> None:
         self.model = model
         self.degree = degree
         self.strategy = strategy
@@ -112,9 +117,7 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
         if X.shape[1] not in (2, 3) or image.shape[1] not in (1, 2):
             raise ValueError(f"X has {X.shape[1]} columns and y {image.shape[1]}; ground "
                              "coordinates have 2 or 3, image coordinates 1 or 2")
-        if self.strategy not in STRATEGIES:
-            raise ValueError(f"strategy is {self.strategy!r}; it is one of "
-                             f"{', '.join(STRATEGIES)}")
+        method = self._method()
         self._columns = None if np.ndim(y) == 1 else image.shape[1]
         # One image coordinate stands for both, of which `predict` returns one.
         image = np.broadcast_to(image, (len(X), 2))
@@ -125,12 +128,16 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
         try:
             points = Points(tuple(f"{i}" for i in range(len(positions))), image, _ground(positions),
                             sigma)
+            features = FeatureSet(points, crs="local")
+            if method is not None:
+                self.fit_ = fit(features, method)
+                return self
             # Heights that are all alike, or absent, say nothing: then the plane model is fitted.
             high, flat = self._models()
             if self.strategy in ("shrunken", "selected") and (flat.polynomial_degree or 0) < 2:
                 raise ValueError(f"strategy {self.strategy!r} needs a polynomial of at least "
                                  "degree 2")
-            self.fit_ = fit(FeatureSet(points, crs="local"), Structure(
+            self.fit_ = fit(features, Structure(
                 flat.name, f"model {flat.name!r}", high, flat,
                 estimator=STRATEGIES[self.strategy]))
         except TermselError as error:
@@ -148,6 +155,19 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
         X = validate_data(self, X, reset=False, dtype=np.float64)
         image: FloatArray = self.fit_.project(_ground(X))
         return image[:, 0] if self._columns is None else image[:, :self._columns]
+
+    def _method(self) -> Method | None:
+        """Return the method that stands in place of a strategy, if one does."""
+        if isinstance(self.strategy, Method):
+            return self.strategy
+        if self.strategy in STRATEGIES:
+            return None
+        try:
+            return Auto() if self.strategy == "auto" else get("methods", self.strategy)
+        except TermselError as error:
+            raise ValueError(f"strategy is {self.strategy!r}; it is one of "
+                             f"{', '.join(STRATEGIES)}, a termsel.Method or the name of one"
+                             ) from error
 
     def _models(self) -> tuple[SensorModel, SensorModel]:
         """Return the model for points with heights that differ, and for others."""

@@ -69,6 +69,9 @@ def stability(repeats: int, threshold: float, **arguments: Any) -> None:
                             overwrite=run_settings.overwrite, makes_folder=True)
         click.get_current_context().with_resource(claimed(run_settings.out,
                                                           overwrite=run_settings.overwrite))
+    if run_settings.method is not None:
+        raise TermselError("--method is for a model without a search, and this repeats a search",
+                           hint="Leave --method out, or call termsel run.")
     if run_settings.strategy == "auto":
         echo("Note: the strategy auto searches for no terms. Each repetition runs the problem's "
              "solver instead.", err=True)

@@ -17,6 +17,7 @@ from termsel.plugins.loading import canonical
 from termsel.plugins.registry import SESSION, registry
 from termsel.results.extras import Measure
 from termsel.runs.choosing import wanted
+from termsel.runs.given import auto_of
 from termsel.runs.method_task import LEAST
 from termsel.runs.request import DATA_OPTIONS, Request, problem_for, request_of
 from termsel.runs.task import Task, checked, observe, with_shares
@@ -92,9 +93,9 @@ def _require_few(spec: Spec, data: int) -> None:
         spec.solvers or (None,))
     searched = "as-asked" in spec.strategies
     # An upper bound: cells without chance, and splits without effect, are left out later.
-    kinds = problems * (methods * searched + ("auto" in spec.strategies))
-    cells = problems * data * len(spec.splits) * (
-        methods * searched * len(spec.seeds) + ("auto" in spec.strategies))
+    alone = len(spec.methods or (None,)) * ("auto" in spec.strategies)
+    kinds = problems * (methods * searched + alone)
+    cells = problems * data * len(spec.splits) * (methods * searched * len(spec.seeds) + alone)
     for number, limit, plural in ((kinds, MOST_KINDS, "combinations of problems and methods"),
                                   (cells, MOST_CELLS, "cells")):
         if number > limit:
@@ -117,12 +118,15 @@ def _of_data(spec: Spec, kinds: _Kinds, problem: PartSpec | None, name: str | No
              alternatives: list[Data], split: int) -> Iterator[Cell]:
     problem_spec: PartSpec | None = problem or (PartSpec(name, name) if name else None)
     for strategy in spec.strategies:
-        # Auto chooses the method itself; else each model with each criterion and each solver.
-        methods = [(None, None, None)] if strategy == "auto" else product(
-            spec.models or (None,), spec.criteria or (None,), spec.solvers or (None,))
-        for model, criterion, solver in methods:
+        # Auto, or a method in its place; else each model with each criterion and each solver.
+        of_search = product(spec.models or (None,), spec.criteria or (None,),
+                            spec.solvers or (None,), (None,))
+        alone = [(None, None, None, method) for method in spec.methods or (None,)]
+        for model, criterion, solver, method in alone if strategy == "auto" else of_search:
             specs = {"problem": problem_spec, "model": model, "criterion": criterion,
                      "solver": solver}
+            if method is not None:
+                specs["method"] = method
             kind = kinds.kind(strategy, specs, data, alternatives)
             if kind.unfit is not None:
                 if problem is not None:
@@ -203,7 +207,7 @@ class _Kinds:
                          for role in ("recipe", "model", "criterion", "solver", "then")}
             if strategy == "auto":
                 checksums["methods"] = made_of(
-                    [entry.object for entry in registry().entries("methods")])
+                    list(auto_of(_given(specs.get("method"))).methods))
             if measures:
                 checksums["measures"] = made_of([measure.compute for measure in measures])
             solver: Solver = request.solver
@@ -230,8 +234,9 @@ class _Kinds:
                options: Mapping[str, Any]) -> Request:
         problem = specs["problem"]
         assert problem is not None
+        self._require_method(specs.get("method"))
         names: dict[str, Any] = {role: spec.thing or spec.name for role, spec in specs.items()
-                                 if spec}
+                                 if spec and role != "method"}
         method: dict[str, Any] = {}
         try:
             if strategy == "auto":
@@ -244,6 +249,15 @@ class _Kinds:
                 options=options))
         except TermselError as error:
             raise self._at_fault(specs, error) from error
+
+    def _require_method(self, method: PartSpec | None) -> None:
+        """Refuse a name that no method has, or what is none."""
+        if method is None:
+            return
+        try:
+            auto_of(_given(method))
+        except TermselError as error:
+            raise self._spec.places.error(method.path, error.what, error.hint) from error
 
     def _at_fault(self, specs: Mapping[str, PartSpec | None], error: TermselError) -> TermselError:
         """Return the error with the place of the part, or the option, that it is about."""
@@ -270,7 +284,7 @@ class _Kinds:
         # with --set: next to a solver its local refinement, next to a problem a model's degree.
         chosen: dict[str, Any] = {}
         for role, spec in specs.items():
-            if spec is None or role == "problem":
+            if spec is None or role in ("problem", "method"):
                 continue
             own_names = {option.name for option in declared.get(role, ())}
             for key, value in spec.options.items():
@@ -307,6 +321,11 @@ def _without_certificate(request: Request) -> Request:
     return request
 
 
+def _given(method: PartSpec | None) -> Any:
+    """Return the method that a study names or gives; None for the automatic choice."""
+    return None if method is None else method.thing or method.name
+
+
 def _cell(spec: Spec, strategy: str, specs: Mapping[str, PartSpec | None], kind: _Kind, data: Data,
           split: int, seed: int) -> Cell:
     problem = specs["problem"]
@@ -317,7 +336,9 @@ def _cell(spec: Spec, strategy: str, specs: Mapping[str, PartSpec | None], kind:
             role: spec_of_role.label if (spec_of_role := specs[role]) else kind.names.get(role, "")
             for role in ("model", "criterion", "solver")}, "seed": seed}
     if strategy == "auto":
-        labels |= {"model": "", "criterion": "press", "solver": "auto"}
+        method = specs.get("method")
+        labels |= {"model": "", "criterion": "press",
+                   "solver": "auto" if method is None else method.label}
     options = {**kind.options}
     if spec.splits != (0,):
         options["data.split"] = split

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -18,17 +17,20 @@ def folders_of(labels: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
     """Return the names of the folders of all images of auto, by the keys of their cells."""
     labels = {key: cell for key, cell in labels.items() if cell["strategy"] == "auto"}
     # How many problems have the same data and split.
-    problems = Counter((label["data"], label["split"]) for label in labels.values())
+    labels_of_data: dict[tuple[str, int], list[Mapping[str, Any]]] = {}
+    for cell in labels.values():
+        labels_of_data.setdefault((cell["data"], cell["split"]), []).append(cell)
     names = {}
     owners = dict[str, str]()
     for key, cell in labels.items():
-        # By its data, by its split if that is not the first, and by its problem where several have
-        # the same data.
+        # By its data, by its split if that is not the first, and by its problem and its method
+        # where several have the same data.
         name = file_word(str(cell["data"]), "image")
         if cell["split"]:
             name += f"-split-{cell['split']}"
-        if problems[cell["data"], cell["split"]] > 1:
-            name += f"-{file_word(str(cell['problem']), 'image')}"
+        for part in ("problem", "solver"):
+            if len({other[part] for other in labels_of_data[cell["data"], cell["split"]]}) > 1:
+                name += f"-{file_word(str(cell[part]), 'image')}"
         # Capitals do not tell names apart on every disk.
         if name.casefold() in owners:
             raise TermselError(f"{owners[name.casefold()]} and {cell['data']} would have the same "

@@ -237,9 +237,11 @@ def _auto(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
     """Return state and figures of a choice by the strategy auto, and the files of its result."""
     with private_folder() as folder:
         result_folder = folder / "result"
+        method = cell.things.get("method", cell.call.get("method"))
         result = run(cell.things.get("problem", cell.call["problem"]), features=features,
-                     source=cell.data.source, strategy="auto", options=cell.call["options"],
-                     seed=cell.call["seed"], observers=[trace], out=result_folder)
+                     source=cell.data.source, strategy="auto" if method is None else None,
+                     method=method, options=cell.call["options"], seed=cell.call["seed"],
+                     observers=[trace], out=result_folder)
         if result.interrupted:
             raise KeyboardInterrupt
         warnings = [warning for warning in cell.data.warnings if warning not in result.notes]

@@ -16,7 +16,7 @@ from termsel.formats.toml_files import read_toml
 from termsel.studies.plan.places import Path as Keys
 from termsel.studies.plan.places import Places, places_of
 
-PARTS = ("problems", "models", "solvers", "criteria")
+PARTS = ("problems", "models", "solvers", "criteria", "methods")
 KEYS = ("title", *PARTS, "strategies", "data", "seeds", "splits", "budget", "options", "exports",
         "measure", "measures")
 FILES = ("points", "lines", "areas", "rpc")
@@ -32,7 +32,7 @@ _LONGEST = 200  # characters of a label: charts have no room for more
 
 @dataclass(frozen=True)
 class PartSpec:
-    """A problem, model, solver or criterion of a study."""
+    """A problem, model, solver, criterion or method of a study."""
 
     name: str
     label: str  # what tables call it
@@ -63,6 +63,7 @@ class Spec:
     models: tuple[PartSpec, ...] = ()
     solvers: tuple[PartSpec, ...] = ()
     criteria: tuple[PartSpec, ...] = ()
+    methods: tuple[PartSpec, ...] = ()  # in place of the automatic choice
     strategies: tuple[str, ...] = ()
     data: tuple[Source, ...] = ()  # none: the data set of each problem
     seeds: tuple[int, ...] = (1,)
@@ -99,6 +100,15 @@ def spec_of(table: Mapping[str, Any], places: Places | None = None) -> Spec:
     if strategies == ("auto",) and named:
         raise at.error((named[0],), f"the strategy auto chooses the method itself, and {named[0]} "
                        "are given", "Leave one of them out, or add the strategy as-asked.")
+    methods = components["methods"]
+    if methods and strategies == ("as-asked",):
+        raise at.error(("methods",), "the strategy as-asked runs solvers, and methods are given",
+                       "Leave one of them out, or add the strategy auto.")
+    for method in methods:
+        if method.options:
+            raise at.error(method.path, f"the method {method.name!r} takes no options",
+                           "In Python, give the object with its options.")
+    usual = (*["as-asked"] * bool(searched), *["auto"] * bool(methods)) or ("auto",)
     measure = table.get("measure")
     measures = _texts(at, ("measures",), table.get("measures", []))
     if measure is not None and measure not in (*MEASURES, *measures):
@@ -110,7 +120,7 @@ def spec_of(table: Mapping[str, Any], places: Places | None = None) -> Spec:
         raise at.error(("title",), "the title is not text")
     return Spec(
         title, components["problems"], components["models"], components["solvers"],
-        components["criteria"], strategies=strategies or (("as-asked",) if searched else ("auto",)),
+        components["criteria"], methods, strategies=strategies or usual,
         data=tuple(_sources(at, table.get("data", []))),
         seeds=_numbers(at, "seeds", table.get("seeds", 1), first=1),
         splits=_numbers(at, "splits", table.get("splits", 1), first=0),

@@ -17,7 +17,7 @@ from termsel_bench.methods import peers, scripts
 Projection = Callable[[FloatArray], FloatArray]
 """Image positions [px], shape (n, 2), of ground positions, shape (n, 3)."""
 
-METHOD_KINDS = ("auto", "solver", "model", "package", "peer")
+METHOD_KINDS = ("auto", "method", "solver", "model", "package", "peer")
 
 FUNCTION = "georeference"
 """Function of a package that is called where none is named."""
@@ -35,9 +35,9 @@ class Method:
 
     Parameters
     ----------
-    kind : {"auto", "solver", "model", "package", "peer"}
+    kind : {"auto", "method", "solver", "model", "package", "peer"}
     name : str
-        Of the solver, model or peer; "module:function" of a package.
+        Of the method, solver, model or peer; "module:function" of a package.
     options : mapping
         Options of a solver or a model by name.
     problem : str
@@ -62,7 +62,7 @@ class Method:
         return " ".join([label, *suffixes])
 
     def require(self) -> None:
-        """Raise TermselError for an unknown solver, model, package or peer, or refused options."""
+        """Raise TermselError for a name that is not known, or refused options."""
         if self.kind not in METHOD_KINDS:
             raise unknown_name("kind of method", self.kind, METHOD_KINDS)
         if self.kind in ("solver", "model"):
@@ -72,6 +72,8 @@ class Method:
                     for key in (option.name, f"{self.kind}.{option.name}"):
                         if key in self.options:
                             option.parse(self.options[key])
+        elif self.kind == "method":
+            termsel.get("methods", self.name)
         elif self.kind == "peer" and self.name not in PEERS:
             raise unknown_name("peer", self.name, PEERS)
         elif self.kind == "package":
@@ -91,6 +93,8 @@ class Method:
     def _applied(self, features: FeatureSet, seed: int) -> Projection:
         if self.kind == "auto":
             return termsel.run(features=features, seed=seed).project
+        if self.kind == "method":
+            return termsel.run(features=features, method=self.name, seed=seed).project
         if self.kind == "solver":
             # What is asked of a solver is what the features allow: lines, a plane, or space.
             problem = self.problem or ("owdis-lines" if len(features.lines) else "poly-terms"

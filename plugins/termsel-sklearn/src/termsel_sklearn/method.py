@@ -1,0 +1,81 @@
+"""Any regressor of scikit-learn as a method of termsel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from sklearn.base import clone
+
+from termsel import FeatureSet, FunctionMethod, Undetermined
+from termsel_sklearn.arrays import FloatArray
+
+
+@dataclass(frozen=True)
+class _Fitting:
+    """Fits a copy of a regressor to points, from scaled ground coordinates to image positions."""
+
+    regressor: Any
+
+    def __call__(self, features: FeatureSet) -> Any:
+        points = features.points
+        if len(features.lines):
+            raise Undetermined("regressors take points alone, and there are lines",
+                               hint="Leave the lines out, or choose another method.")
+        # Without heights the plane is all there is.
+        columns = 2 if np.isnan(points.ground[:, 2]).any() else 3
+        middle = points.ground[:, :columns].mean(axis=0)
+        size = np.ptp(points.ground[:, :columns], axis=0)
+        # Regularisation and kernels need coordinates, and positions, of about one.
+        half_size = np.where(size > 0.0, size / 2, 1.0)
+        image_middle, image_size = points.image.mean(axis=0), float(np.ptp(points.image)) or 1.0
+        regressor = clone(self.regressor)
+        try:
+            regressor.fit((points.ground[:, :columns] - middle) / half_size,
+                          (points.image - image_middle) / image_size)
+        except ValueError as error:
+            raise Undetermined(f"{type(regressor).__name__} fits nothing: {error}",
+                               hint="Measure more, or choose another regressor.") from error
+
+        def project(ground: FloatArray) -> FloatArray:
+            scaled = (ground[:, :columns] - middle) / half_size
+            image = np.full((len(ground), 2), np.nan)
+            is_known = np.isfinite(scaled).all(axis=1)
+            if is_known.any():
+                image[is_known] = image_middle + image_size * regressor.predict(scaled[is_known])
+            return image
+
+        return project
+
+
+def regressor_method(regressor: Any, name: str = "", title: str = "") -> FunctionMethod:
+    """Return a regressor of scikit-learn as a method of termsel.
+
+    It is then fitted, held out, and compared with the models of termsel as any method is.
+
+    Parameters
+    ----------
+    regressor : estimator
+        One that predicts two values, such as a pipeline that ends with `Ridge`. It gets ground
+        coordinates scaled to about [-1, 1], x and y, and z where all points have heights.
+    name, title : str, optional
+        As for `termsel.Method`; by default those of the regressor's class.
+
+    Returns
+    -------
+    termsel.FunctionMethod
+
+    Examples
+    --------
+    >>> import termsel
+    >>> from sklearn.linear_model import LinearRegression
+    >>> from termsel_sklearn import regressor_method
+    >>> scene = termsel.simulate_scene("ikonos-hamedan", n_points=20, n_lines=0)
+    >>> result = termsel.run(features=scene, method=regressor_method(LinearRegression()))
+    >>> result.strategy.chosen
+    'LinearRegression'
+    """
+    kind = type(regressor).__name__
+    return FunctionMethod(name or kind, title or f"a {kind} of scikit-learn",
+                          function=_Fitting(regressor))

@@ -1,0 +1,153 @@
+"""A plain function as a method: it takes features, and returns what projects places on the ground.
+
+Such as a script of one's own or another package. It is fitted, held out and compared with all other
+methods alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from termsel.auto.refits import held_out_by_refits
+from termsel.core.errors import TermselError
+from termsel.core.isolation.arrays import of_shape
+from termsel.core.isolation.faults import blamed, wrong
+from termsel.data.features import BoolArray, FeatureSet, FloatArray
+from termsel.data.fit_data import FitData
+from termsel.data.scaling import Scaling
+from termsel.fitting.fit import Estimator, Fit, HeldOut, Undetermined
+from termsel.fitting.least_squares import LeastSquares
+from termsel.fitting.method import Method
+from termsel.fitting.of_features import require_determined
+from termsel.models.base import SensorModel
+from termsel.models.polynomial import Affine, Polynomial, Polynomial2D
+
+Projection = Callable[[FloatArray], Any]
+"""Line and sample [px], shape (n, 2), of ground places in the CRS of the features, shape (n, 3)."""
+
+
+class _Projects(Polynomial):
+    """What a function projects. Its terms are those of an affine polynomial, without influence."""
+
+    projection: Projection | None = None
+    """What the function returned."""
+
+    def predict(self, coefficients: FloatArray, control: FeatureSet,
+                ground: FloatArray) -> FloatArray:
+        """Return scaled image positions, whatever the coefficients are."""
+        scaling, projection = self.scaling, self.projection
+        assert scaling is not None
+        assert projection is not None
+        with blamed(projection, "project"):
+            positions = np.asarray(projection(scaling.unscaled(ground)), dtype=np.float64)
+        if fault := of_shape(positions, (len(ground), 2), finite=False):
+            raise wrong(projection, "project", fault)
+        image = scaling.image(positions)
+        return np.broadcast_to(image, (*coefficients.shape[:-1], *image.shape)).copy()
+
+
+class OfFunction(_Projects, Affine):
+    """What a function projects for places with heights."""
+
+    name = "function"
+
+
+class OfPlaneFunction(_Projects, Polynomial2D):
+    """What a function projects for places without heights."""
+
+    name = "plane-function"
+
+
+class FunctionEstimator(Estimator):
+    """What a function of one's own does, of which nothing else is known."""
+
+    name = "function"
+    repeatable = False
+
+    def fit(self, model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+            used: BoolArray) -> Fit:
+        """Refuse, as the function is called with all features by its method alone."""
+        raise TermselError("the estimator of this fit is a function of one's own",
+                           hint="Fit the method again: termsel.fit(features, method).")
+
+
+FUNCTION = FunctionEstimator()
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionMethod(Method):
+    """A method that is a plain function.
+
+    Its errors held out are those of calling it again without some of the features.
+
+    Parameters
+    ----------
+    name, title
+        As for `Method`, whose other parameters follow by name.
+    function : callable
+        Takes a `FeatureSet`, and returns a function of ground places, shape (n, 3), in its CRS,
+        that returns line and sample [px], shape (n, 2); or an object with such a method `project`.
+        What it cannot be fitted to it refuses by raising `Undetermined`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import termsel
+    >>> def affine(features):
+    ...     points = features.points
+    ...     design = np.column_stack([np.ones(len(points)), points.ground])
+    ...     solution = np.linalg.lstsq(design, points.image, rcond=None)[0]
+    ...     return lambda ground: np.column_stack([np.ones(len(ground)), ground]) @ solution
+    >>> scene = termsel.simulate_scene("ikonos-hamedan", n_lines=0)
+    >>> fitted = termsel.fit(scene, termsel.FunctionMethod("mine", "a script", function=affine))
+    >>> fitted.project(scene.points.ground).shape == scene.points.image.shape
+    True
+    """
+
+    _: KW_ONLY
+    function: Callable[[FeatureSet], Any]
+    on_request: bool = True
+    estimator: Estimator = FUNCTION
+
+    def fit(self, data: FitData) -> Fit:
+        """Call the function with the features, and again without each, or without parts of many."""
+        fitted = self._called(data)
+        try:
+            held_out = held_out_by_refits(self._called, data.features, heights=data.heights)
+        except Undetermined:
+            return fitted
+        # As much as errors grow where their features take no part, so many parameters there are:
+        # PRESS = RSS / (1 - p / 2 n)^2, the generalised cross-validation of Craven and Wahba 1979.
+        squares = fitted.control_errors(fitted.used)**2
+        kept = np.sqrt(squares.sum() / max(held_out.squares.sum(), np.finfo(np.float64).tiny))
+        effective = squares.size * (1.0 - min(float(kept), 1.0))
+        return replace(fitted, trace=effective, stored_held_out=held_out)
+
+    def held_out(self, fitted: Fit) -> HeldOut:
+        """Return the errors of features where the function is called again without them."""
+        return fitted.stored_held_out or held_out_by_refits(
+            self._called, fitted.control, heights=fitted.model.uses_height)
+
+    def _called(self, data: FitData) -> Fit:
+        """Return what the function makes of features, with an affine polynomial next to it."""
+        features = data.features
+        with blamed(self.function, "fit"):
+            returned = self.function(features)
+        # An object with a method `project`, or the function itself.
+        projection = getattr(returned, "project", returned)
+        if not callable(projection):
+            raise wrong(self.function, "fit", f"returned {type(returned).__name__}, which projects "
+                        "nothing")
+        model: _Projects = OfFunction() if data.heights else OfPlaneFunction(degree=1)
+        model.projection = projection
+        terms = np.ones(len(model.terms), dtype=bool)
+        used = np.ones(len(features), dtype=bool)
+        plain = LeastSquares(iterated=False).fit(model, features, data.scaling, terms, used)
+        require_determined(plain)
+        unknown = np.full(len(terms), np.nan)
+        return replace(plain, estimator=self.estimator, trace=np.nan, adjustment=replace(
+            plain.adjustment, deviations=unknown, correlations=None))

@@ -1,0 +1,55 @@
+"""Errors of features held out by a method that is fitted again without them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from termsel.auto.folds import folds_of
+from termsel.data.coordinates.places import ground_centres, spatial_order
+from termsel.data.features import FeatureSet
+from termsel.data.fit_data import FitData
+from termsel.fitting.fit import Fit, HeldOut
+
+
+def held_out_by_refits(fit: Callable[[FitData], Fit], features: FeatureSet, *,
+                       heights: bool | None = None) -> HeldOut:
+    """Return the errors of features by fits without them, in folds spread over the scene.
+
+    For `Method.held_out` of methods that choose, or whose estimator has no closed form: the whole
+    of `fit` is repeated, as many times as the choice of "auto" is. Below 40 points each feature is
+    a fold.
+
+    Parameters
+    ----------
+    fit : callable
+        `Method.fit`.
+    features : FeatureSet
+        All that the method was fitted to.
+    heights : bool, optional
+        As for `FitData.of`.
+
+    Returns
+    -------
+    HeldOut
+        Of all features.
+
+    Raises
+    ------
+    Undetermined
+        If the features without those of some fold do not determine the method.
+    """
+    data = FitData.of(features, heights)
+    order = spatial_order(ground_centres(features))
+    owner = features.vertex_feature
+    errors = np.empty((len(owner), 2))
+    folds = folds_of(features)
+    for fold in range(folds):
+        out = np.zeros(len(features), dtype=bool)
+        out[order[fold::folds]] = True
+        held = features.take(out)
+        fitted = fit(data.take(~out))
+        errors[out[owner]] = np.concatenate([
+            fitted.errors(held.points), fitted.line_errors(held.lines).reshape(-1, 2)])
+    return HeldOut.of(errors, features)
