@@ -22,7 +22,7 @@ from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
 
 import termsel
-from termsel.toolkit import write_example
+from termsel.toolkit.files import write_example
 
 STATIC = Path(__file__).parent / "_static"
 POINTS, WRONG = 12, 5

@@ -22,7 +22,6 @@ from termsel.data.record.schema import json_schema
 from termsel.plugins.commands import COMMANDS, GROUPS, PACKAGES
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.registry import Entry, registry
-from termsel.rooms import ROOMS
 from termsel.runs.request import DATA_OPTIONS
 from termsel.selection.solvers.budget import SEARCH_OPTIONS
 
@@ -61,7 +60,8 @@ def part(name: str) -> str:
     if what == "commands":
         return "\n".join(_commands())
     if what == "toolkit":
-        return "\n".join(_toolkit(Path(termsel.toolkit.__file__).with_suffix(".pyi").read_text()))
+        stubs = sorted(Path(termsel.toolkit.__file__).parent.glob("*.pyi"))
+        return "\n".join(line for stub in stubs for line in _toolkit(stub))
     if what == "schema":
         rows = keys(json_schema())
         return "\n".join(["| key | type | meaning |", "|---|---|---|", *rows])
@@ -89,17 +89,16 @@ def _commands() -> Iterator[str]:
             yield from ("```", "")
 
 
-def _toolkit(stub: str) -> Iterator[str]:
-    """Yield a section and a table for each room that the stub has names of."""
-    place, above = Path(termsel.toolkit.__file__).parent, ""
-    for node in ast.parse(stub).body:
+def _toolkit(stub: Path) -> Iterator[str]:
+    """Yield a section and a table of the names of a stub."""
+    module_of_names = ".".join(["termsel.toolkit", *[stub.stem] * (stub.stem != "__init__")])
+    summary = ast.get_docstring(ast.parse(stub.with_suffix(".py").read_text(encoding="utf-8")))
+    place = Path(termsel.__file__).parent
+    yield from ("", f"## {module_of_names}", "", (summary or "").partition("\n\n")[0], "",
+                "| name | what it is |", "|---|---|")
+    for node in ast.parse(stub.read_text(encoding="utf-8")).body:
         assert isinstance(node, ast.ImportFrom)
-        module = str(node.module)
-        room = module.partition(".")[0]
-        if room != above:
-            above, title = room, ROOMS[room]
-            yield from ("", f"## {title[0].upper()}{title[1:]}", "", "| name | what it is |",
-                        "|---|---|")
+        module = str(node.module).removeprefix("termsel.")
         for name in (alias.name for alias in node.names):
             path = place.joinpath(*module.split("."))
             source = path.with_suffix(".py") if path.with_suffix(".py").exists() else \

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from tests.lint.violations import Violation
 
-STUBS = {"termsel": "__init__.pyi", "termsel.toolkit": "toolkit.pyi"}
-"""Modules whose names stand in a stub."""
+TOOLKIT = "toolkit/*.pyi"
+"""Stubs of the modules for packages; that of `termsel` stands above."""
 
 LISTED = ("simulate/__init__", "testing/__init__", "testing/problems", "check/__init__")
 """Modules whose names stand in ``__all__``."""
@@ -18,10 +18,11 @@ LISTED = ("simulate/__init__", "testing/__init__", "testing/problems", "check/__
 def public_names(package: Path) -> dict[str, set[str]]:
     """Return the public names of the public modules of termsel."""
     names: dict[str, set[str]] = {}
-    for module, stub in STUBS.items():
-        if (package / stub).exists():
-            names[module] = {alias.name for node in _parsed(package / stub).body
-                             if isinstance(node, ast.ImportFrom) for alias in node.names}
+    for stub in sorted([*package.glob("__init__.pyi"), *package.glob(TOOLKIT)]):
+        place = stub.relative_to(package.parent).with_suffix("")
+        names[".".join(place.parts).removesuffix(".__init__")] = {
+            alias.name for node in _parsed(stub).body
+            if isinstance(node, ast.ImportFrom) for alias in node.names}
     for module in LISTED:
         path = package / f"{module}.py"
         name = f"termsel.{module.removesuffix('/__init__').replace('/', '.')}"
@@ -49,7 +50,27 @@ def violations(root: Path) -> Iterator[Violation]:
                 if module.partition(".")[0] == "termsel" and (
                         module not in public or (name and name not in public[module])):
                     yield Violation(path, node.lineno, f"not public: {module} {name}".rstrip()
-                                    + "; take a name of termsel, or add it to termsel.toolkit")
+                                    + "; take a name of termsel, or add it to its toolkit")
+
+
+def users_of_toolkit(root: Path) -> dict[tuple[str, str], set[str]]:
+    """Return which packages import each name of the toolkit, by module and name."""
+    public = public_names(root / "src/termsel")
+    users: dict[tuple[str, str], set[str]] = {
+        (module, name): set() for module, names in public.items()
+        if module.startswith("termsel.toolkit") for name in names
+        if f"{module}.{name}" not in public}
+    for path in sorted((root / "plugins").rglob("*.py")):
+        package = path.relative_to(root / "plugins").parts[0]
+        for node in ast.walk(_parsed(path)):
+            if isinstance(node, ast.ImportFrom):
+                for alias in node.names:
+                    users.get((str(node.module), alias.name), set()).add(package)
+            elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+                # Such as `toolkit.plan`, or `charts.save` of an imported module of the toolkit.
+                for module in ("termsel.toolkit", f"termsel.toolkit.{node.value.id}"):
+                    users.get((module, node.attr), set()).add(package)
+    return users
 
 
 def _parsed(path: Path) -> ast.Module:

@@ -77,10 +77,10 @@ FILES = {
       "src/termsel/testing/problems.py": "__all__ = ['toy']\n"},
      "plugins/termsel-a/tests/test_a.py:2: not public: termsel.testing.problems no"),
     ({"plugins/termsel-a/src/termsel_a/__init__.py": "A = 1\nfrom termsel.toolkit import one\n",
-      "src/termsel/toolkit.pyi": "from .lower.two import two as two\n"},
+      "src/termsel/toolkit/__init__.pyi": "from termsel.lower.two import two as two\n"},
      "plugins/termsel-a/src/termsel_a/__init__.py:2: not public: termsel.toolkit one"),
     ({"plugins/termsel-a/src/termsel_a/__init__.py": "A = 1\nfrom termsel.toolkit import one\n",
-      "src/termsel/toolkit.pyi": "from .lower.one import one as one\n"}, ""),
+      "src/termsel/toolkit/__init__.pyi": "from termsel.lower.one import one as one\n"}, ""),
     ({"CONTRIBUTING.md": "\n| room | what |\n"}, "CONTRIBUTING.md:2: the table of rooms"),
 ])
 def test_each_violation_is_shown_with_its_place(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
+import pkgutil
 import re
 import subprocess
 import sys
@@ -22,6 +24,7 @@ from termsel.core import version
 from termsel.plugins import registry as manager
 from termsel.plugins.registry import Registry
 from termsel.rooms import ROOMS
+from tests.lint.public import users_of_toolkit
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = sorted(ROOT.glob("plugins/*/pyproject.toml"))
@@ -169,10 +172,24 @@ def test_plugins_are_listed_with_the_termsel_that_they_state(
     assert re.search(rf"^polite +polite +1\.0 +{re.escape(shown)} *broken", text, re.MULTILINE)
 
 
-def test_every_name_of_the_toolkit_is_there() -> None:
-    assert len(toolkit.__all__) > 100
-    for name in toolkit.__all__:
-        assert getattr(toolkit, name) is not None, name
+TOOLKIT = ["termsel.toolkit", *(f"termsel.toolkit.{module.name}" for module in pkgutil.iter_modules(
+    toolkit.__path__))]
+
+
+@pytest.mark.parametrize("module", TOOLKIT)
+def test_every_name_of_the_toolkit_is_there(module: str) -> None:
+    names = importlib.import_module(module)
+    assert names.__all__
+    for name in names.__all__:
+        assert getattr(names, name) is not None, name
+
+
+def test_the_toolkit_holds_what_several_packages_need_and_its_modules_what_one_does() -> None:
+    users = users_of_toolkit(ROOT)
+    assert not [name for name, packages in users.items() if not packages]
+    shared = [name for name, packages in users.items() if len(packages) > 1]
+    assert {module for module, _ in shared} == {"termsel.toolkit"}
+    assert len(shared) == len(toolkit.__all__) < 80
 
 
 def test_no_public_name_is_a_room() -> None:

@@ -212,7 +212,7 @@ def ended() -> Iterator[None]:
 @pytest.fixture(scope="module")
 def example(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the files of the tutorial."""
-    from termsel.toolkit import write_example
+    from termsel.toolkit.files import write_example
 
     folder = tmp_path_factory.mktemp("example")
     write_example(folder / "files")

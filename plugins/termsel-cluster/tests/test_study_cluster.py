@@ -19,7 +19,7 @@ import pytest
 
 import termsel
 from termsel import TermselError
-from termsel.toolkit import TIMES, StudyProgress
+from termsel.toolkit.studies import TIMES, StudyProgress
 
 pytest.importorskip("distributed")
 

@@ -15,7 +15,8 @@ pytest.importorskip("termsel_match", reason="termsel-match is not installed: "
 import termsel
 from termsel import TermselError
 from termsel.testing import checks
-from termsel.toolkit import KINDS, registry
+from termsel.toolkit import registry
+from termsel.toolkit.suites import KINDS
 from termsel_match.matchers import Matcher, Matches, Window
 from termsel_match.matchers.phase import Phase
 from termsel_match.matchers.sift import Sift

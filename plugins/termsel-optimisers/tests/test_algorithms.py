@@ -11,7 +11,7 @@ from scipy.stats import ks_2samp
 import termsel
 from termsel import GeneticAlgorithm, search
 from termsel.testing import Check, checks
-from termsel.toolkit import Ledger
+from termsel.toolkit.searches import Ledger
 from termsel_optimisers.deap_algorithms import Deap
 from termsel_optimisers.survivals import AgeMoea2, SmsEmoa, Spea2
 

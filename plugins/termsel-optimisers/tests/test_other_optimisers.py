@@ -32,7 +32,7 @@ import termsel
 from termsel import TermselError, search
 from termsel.testing import problems
 from termsel.testing.problems import Counted
-from termsel.toolkit import SEGMENTS, Ledger
+from termsel.toolkit.searches import SEGMENTS, Ledger
 from termsel_optimisers import from_ask_tell, from_deap, from_pymoo, to_deap
 
 HOW_TO = Path(__file__).parents[3] / "docs" / "how-to"

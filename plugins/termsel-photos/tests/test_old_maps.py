@@ -12,7 +12,8 @@ import pytest
 import termsel
 from termsel import FeatureSet, FitData, Points
 from termsel.testing import invoke
-from termsel.toolkit import Auto, FloatArray, find_blunders
+from termsel.toolkit import FloatArray
+from termsel.toolkit.models import Auto, find_blunders
 from termsel_photos import maps, simulate_map
 
 

@@ -14,7 +14,8 @@ import termsel
 from termsel import Bits, Generation, Genome
 from termsel.testing import problems
 from termsel.testing.problems import Toy
-from termsel.toolkit import BoolArray, FloatArray, gap
+from termsel.toolkit import BoolArray, FloatArray
+from termsel.toolkit.searches import gap
 from termsel_rivals.colony import AntColony, deposit, grafts, renew, settled
 
 

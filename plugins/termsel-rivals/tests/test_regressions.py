@@ -13,7 +13,8 @@ pytest.importorskip("termsel_rivals", reason="termsel-rivals is not installed: "
 
 import termsel
 from termsel import Equations, FeatureSet, Points, Regression, TermRegression
-from termsel.toolkit import LeastSquares, regressions, solve
+from termsel.toolkit import LeastSquares, solve
+from termsel.toolkit.searches import regressions
 from termsel_rivals.lasso import Lasso, PathSegment, lasso_path
 from termsel_rivals.nested import (
     NestedRegression,

@@ -18,7 +18,8 @@ pytest.importorskip("termsel_rpc", reason="termsel-rpc is not installed: "
 import termsel
 from termsel import FeatureSet, Points, Result, Rpc, read_rpc
 from termsel.testing import checks, invoke
-from termsel.toolkit import rpb_text, rpc_items, rpc_txt_text
+from termsel.toolkit import rpc_txt_text
+from termsel.toolkit.files import rpb_text, rpc_items
 from termsel_rpc.belief import KINDS, Belief, grid
 from termsel_rpc.correction import CORRECTIONS
 from termsel_rpc.jitter import CANDIDATE as JITTERED

@@ -28,7 +28,8 @@ from termsel import (
 )
 from termsel.simulate import read_geometry, scene_truth, write_geometry
 from termsel.testing import Check, checks
-from termsel.toolkit import LeastSquares, registry, rpb_text, scaling_of
+from termsel.toolkit import LeastSquares, registry, scaling_of
+from termsel.toolkit.files import rpb_text
 from termsel_rpc import Ce90, PushbroomRefine, RpcAffine, RpcDrift, RpcField, RpcJitter, RpcShift
 from termsel_rpc.simulated import (
     CANDIDATES,

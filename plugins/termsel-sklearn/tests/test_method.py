@@ -11,7 +11,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import PolynomialFeatures
 
 import termsel
-from termsel import FeatureSet
+from termsel import FeatureSet, Method
 from termsel.testing import checks
 from termsel_sklearn import SensorModelRegressor, regressor_method
 
@@ -57,9 +57,9 @@ def test_it_is_chosen_among_methods_by_what_it_predicts(scene: FeatureSet) -> No
 
 
 @pytest.mark.parametrize("strategy", ["auto", "quadratic", LINEAR])
-def test_a_regressor_takes_any_method(scene: FeatureSet, strategy: object) -> None:
+def test_a_regressor_takes_any_method(scene: FeatureSet, strategy: str | Method) -> None:
     points = scene.points
     regressor = SensorModelRegressor(strategy=strategy).fit(points.ground, points.image)
     expected = termsel.fit(replace(scene, crs="local"), termsel.Auto() if strategy == "auto"
-                           else strategy)  # type: ignore[arg-type]
+                           else strategy)
     assert regressor.predict(points.ground) == pytest.approx(expected.project(points.ground))

@@ -25,7 +25,7 @@ from termsel import (
     write_points_csv,
 )
 from termsel.testing import invoke
-from termsel.toolkit import Request, prepared
+from termsel.toolkit.runs import Request, prepared
 from termsel_stability import frequencies as module
 from termsel_stability import stability
 

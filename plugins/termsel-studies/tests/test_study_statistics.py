@@ -13,7 +13,8 @@ import pytest
 from msgspec import structs
 
 import termsel
-from termsel.toolkit import CellRecord, FloatArray
+from termsel.toolkit import FloatArray
+from termsel.toolkit.studies import CellRecord
 from termsel_studies.claims import claims, size_in_words
 from termsel_studies.fronts import front_figures, indicators, non_dominated
 from termsel_studies.groups import Groups, Runs, group
@@ -413,7 +414,7 @@ def test_iohinspector_reads_the_data(study: termsel.Study, tmp_path: Path) -> No
 def test_parquet_and_csv_hold_the_same(study: termsel.Study, tmp_path: Path) -> None:
     pd = pytest.importorskip("pandas")
     pytest.importorskip("pyarrow")
-    from termsel.toolkit import write_outputs
+    from termsel.toolkit.studies import write_outputs
 
     written = write_outputs(study, tmp_path)
     assert [path.name for path in written if path.suffix != ".svg"] == [
@@ -445,7 +446,7 @@ def test_figures_are_those_that_the_runs_allow(study: termsel.Study) -> None:
 def test_the_page_of_a_study_says_what_its_summary_says(study: termsel.Study,
                                                         tmp_path: Path) -> None:
     pytest.importorskip("vl_convert")
-    from termsel.toolkit import write_outputs
+    from termsel.toolkit.studies import write_outputs
 
     write_outputs(study, tmp_path)
     page = unescape((tmp_path / "report.html").read_text())

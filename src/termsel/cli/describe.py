@@ -186,17 +186,10 @@ _FUNCTIONS = {
 
 def _describe_method(entry: Entry) -> None:
     one = entry.object
-<<<<<<< HEAD
-    _pairs({"chosen": "never: it is shown for comparison" if one.only_shown else
-            "by the smallest leave-one-out RMSE, if points are few" if one.for_few else
-            "if it is better by one standard error, or instead of the methods that it contains"
-=======
-    echo(f"\n{entry.summary}")
     _pairs({"chosen": "never: it is fitted where it is asked for" if one.on_request else
             "never: it is shown for comparison" if one.only_shown else
-            "with the smallest leave-one-out RMSE, where points are few" if one.for_few else
-            "where it is better by one standard error, or instead of what it contains"
->>>>>>> bbd1cb4e (Take any method by its name, as an object or as a function)
+            "by the smallest leave-one-out RMSE, if points are few" if one.for_few else
+            "if it is better by one standard error, or instead of the methods that it contains"
             if one.has_prior else
             f"if it is better by {'two' if one.central else 'three'} standard errors and has "
             "the smaller RMSE",

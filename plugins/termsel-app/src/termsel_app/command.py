@@ -63,7 +63,7 @@ def app(image: str | None, maps: tuple[str, ...], points: Path | None, lines: Pa
     """
     show_messages()
 
-    from termsel.toolkit import allowed_drivers, remote_allowed
+    from termsel.toolkit.files import allowed_drivers, remote_allowed
     from termsel_app.page_files import require_page
     from termsel_app.server import serve
     from termsel_app.session import Files, open_session
@@ -146,7 +146,7 @@ def example_files(given: Files, folder: Path | None) -> tuple[Files, Path]:
     """Write the files of the tutorial, unless they are there, and return those of its scene."""
     from dataclasses import replace
 
-    from termsel.toolkit import write_example
+    from termsel.toolkit.files import write_example
 
     place = folder or by_default(EXAMPLE)
     if not (place / "files").exists():

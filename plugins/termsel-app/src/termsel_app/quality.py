@@ -16,6 +16,7 @@ import numpy as np
 
 import termsel
 from termsel import TermselError, toolkit
+from termsel.toolkit import charts
 
 if TYPE_CHECKING:
     from termsel import FeatureSet, Result
@@ -50,7 +51,9 @@ Answer = dict[str, Any]
 
 def prepare() -> None:
     """Load what the first answer needs, before it is asked for."""
-    for name in (termsel.run, termsel.read, toolkit.plan, toolkit.first_screen):
+    from termsel.toolkit.files import plan
+
+    for name in (termsel.run, termsel.read, plan, charts.first_screen):
         assert callable(name)
 
 
@@ -112,7 +115,7 @@ def figures(result: Result) -> Answer:
     residuals = errors(result)
     return {
         "facts": [{"label": fact.label, "text": fact.text}
-                  for fact in toolkit.first_screen(record)],
+                  for fact in charts.first_screen(record)],
         "accuracy": accuracy(result),
         "why": strategy.reason if strategy is not None else "",
         "judgement": result.judgement,
@@ -130,8 +133,8 @@ def accuracy(result: Result) -> Answer | None:
     """Return the surer of the predicted and the independent RMSE with its interval, px and metres.
     """
     record = result.record
-    predicted = toolkit.expected_of(record)
-    if predicted is not None and toolkit.predicted_first(record):
+    predicted = charts.expected_of(record)
+    if predicted is not None and charts.predicted_first(record):
         figure = (predicted.rmse, predicted.low, predicted.high)
         kind = "predicted by cross-validation"
         level = predicted.level
@@ -196,8 +199,10 @@ def prediction_errors(result: Result) -> dict[str, float]:
 
 def _next_places(result: Result) -> Answer:
     """Return where a further point helps most, and whether one is worth while."""
+    from termsel.toolkit.files import plan
+
     try:
-        places = toolkit.plan(result.as_exported(), NEXT)
+        places = plan(result.as_exported(), NEXT)
     except TermselError as error:
         return {"next": [], "enough": {"text": f"{error.what}.", "reached": False}}
     rows = [{"line": line, "sample": sample, "ground": [x, y, None if z != z else z],

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import click
 
 from termsel import TermselError
-from termsel.toolkit import echo, json_text, parse_settings, print_table, say_written, show_messages
+from termsel.toolkit import echo, json_text, print_table, say_written, show_messages
+from termsel.toolkit.commands import parse_settings
 
 if TYPE_CHECKING:
     from termsel_bench.methods.base import Method
@@ -163,7 +164,8 @@ def _run(methods: Sequence[Method], names: Sequence[str], real: Path | None, pro
 
 
 def _write(scored: Sequence[Score], folder: Path, title: str) -> None:
-    from termsel.toolkit import page, refuse_links, write_text
+    from termsel.toolkit import page, write_text
+    from termsel.toolkit.files import refuse_links
     from termsel_bench.page import document
     from termsel_bench.submitted import texts_of
     from termsel_bench.tables import csv_text
@@ -179,7 +181,8 @@ def _write(scored: Sequence[Score], folder: Path, title: str) -> None:
 
 def _write_files(folder: Path, names: Sequence[str], *, overwrite: bool) -> None:
     from termsel import require_replaceable
-    from termsel.toolkit import refuse_links, write_text
+    from termsel.toolkit import write_text
+    from termsel.toolkit.files import refuse_links
     from termsel_bench.scenes.catalogue import METADATA, simulated
     from termsel_bench.scenes.croissant import described
 

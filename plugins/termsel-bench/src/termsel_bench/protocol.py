@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from termsel import TermselError
-from termsel.toolkit import one_blas_thread, quieted, requires, safe_start
+from termsel.toolkit import one_blas_thread, requires, safe_start
+from termsel.toolkit.files import quieted
 from termsel_bench.methods.base import Method
 from termsel_bench.scenes.base import BenchSet
 from termsel_bench.scenes.catalogue import simulated

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from termsel import TermselError, __version__
-from termsel.toolkit import raised, read_text
+from termsel.toolkit import read_text
+from termsel.toolkit.runs import raised
 from termsel_bench.methods.base import METHOD_KINDS, Method
 from termsel_bench.protocol import Score, scores
 from termsel_bench.scenes.catalogue import SETS, checksums

@@ -27,7 +27,8 @@ from termsel import (
     get,
     search,
 )
-from termsel.toolkit import RowSystem, csv_table
+from termsel.toolkit import csv_table
+from termsel.toolkit.searches import RowSystem
 from termsel_block.accuracy import independent_points, rmse
 from termsel_block.block import Block, BlockImage
 from termsel_block.geometry.control import own_control

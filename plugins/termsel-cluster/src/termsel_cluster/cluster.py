@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from termsel import FeatureSet, TermselError
-from termsel.toolkit import AHEAD, DIED, Cell, Outcome, Stop, do, failed, registry, versions
+from termsel.toolkit import registry
+from termsel.toolkit.runs import versions
+from termsel.toolkit.studies import AHEAD, DIED, Cell, Outcome, Stop, do, failed
 
 if TYPE_CHECKING:
     from distributed import Client, Future

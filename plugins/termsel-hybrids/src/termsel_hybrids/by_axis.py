@@ -10,15 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from termsel import Blocks, Option, ParameterProblem, Problem, ProblemData, RationalModel, Recipe
-from termsel.toolkit import (
-    CAP,
-    OBJECTIVES,
-    RECOMMEND,
-    Exponents,
-    graded_exponents,
-    monomial_name,
-    monomials,
-)
+from termsel.toolkit.models import Exponents, graded_exponents, monomial_name, monomials
+from termsel.toolkit.searches import CAP, OBJECTIVES, RECOMMEND
 
 FloatArray = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from termsel.toolkit import (
+from termsel.toolkit.suites import (
     Case,
     Suite,
     declares,

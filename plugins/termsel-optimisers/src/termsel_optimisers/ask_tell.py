@@ -10,7 +10,9 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 
 from termsel import Evaluation, Generation, Problem, Solver, TermselError
-from termsel.toolkit import SEGMENTS, AnySegment, Genes, blamed, of_shape, wrong
+from termsel.toolkit import blamed
+from termsel.toolkit.runs import of_shape, wrong
+from termsel.toolkit.searches import SEGMENTS, AnySegment, Genes
 
 CHECK = "Check your optimiser: ask() and tell()."
 

@@ -13,7 +13,8 @@ from deap import algorithms, base, tools
 from numpy.typing import NDArray
 
 from termsel import Evaluation, Generation, Option, Problem, Solver, TermselError
-from termsel.toolkit import SEGMENTS, OwnChance, blamed, modules_here
+from termsel.toolkit import blamed, modules_here
+from termsel.toolkit.searches import SEGMENTS, OwnChance
 from termsel_optimisers.deap_toolbox import Individual, register, to_deap
 
 ALGORITHMS = ("eaSimple", "eaMuPlusLambda", "eaMuCommaLambda")

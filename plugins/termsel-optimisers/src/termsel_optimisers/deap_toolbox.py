@@ -15,7 +15,8 @@ from deap import base, tools
 from numpy.typing import NDArray
 
 from termsel import Genome, Problem, TermselError
-from termsel.toolkit import WORST, crossover, mutation, unknown_name
+from termsel.toolkit import WORST, unknown_name
+from termsel.toolkit.searches import crossover, mutation
 
 
 class Fitness(base.Fitness):

@@ -14,7 +14,7 @@ from pymoo.core.algorithm import Algorithm
 from pymoo.util.ref_dirs import get_reference_directions
 
 from termsel import Generation, Option, Problem, Solver, TermselError
-from termsel.toolkit import OPTIONS, SEGMENTS, OwnChance, operators, steps
+from termsel.toolkit.searches import OPTIONS, SEGMENTS, OwnChance, operators, steps
 from termsel_optimisers.survivals import RveaSurvival, with_safe_survival
 
 ALGORITHMS = {

@@ -14,7 +14,7 @@ from pymoo.algorithms.moo.spea2 import SPEA2, SPEA2Survival
 from pymoo.core.algorithm import Algorithm
 from pymoo.core.problem import Problem as PymooProblem
 
-from termsel.toolkit import Nsga2
+from termsel.toolkit.searches import Nsga2
 
 FloatArray = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ import numpy as np
 from deap import base
 
 from termsel import Bits, GeneticAlgorithm, Option, Problem, TermselError
-from termsel.toolkit import unit_deviations
+from termsel.toolkit.searches import unit_deviations
 from termsel_papers.arrays import BoolArray, FloatArray
 
 PRESETS = {"case-1": (1.19, 0.15), "case-2": (1.69, 0.0), "case-3": (1.0, 0.0)}

@@ -7,7 +7,14 @@ overridable.
 from __future__ import annotations
 
 from termsel import Recipe
-from termsel.toolkit import OF_BOTH, OF_TERMS, YAVARI, select_both, select_terms, with_defaults
+from termsel.toolkit.searches import (
+    OF_BOTH,
+    OF_TERMS,
+    YAVARI,
+    select_both,
+    select_terms,
+    with_defaults,
+)
 
 PATIENCE = 50
 """Generations without a gain after which a search has converged, where a paper states no number."""

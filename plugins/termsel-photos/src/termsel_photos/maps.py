@@ -20,7 +20,8 @@ import numpy as np
 from numpy.random import Generator
 
 from termsel import DatasetSpec, FeatureSet, Points, TermselError
-from termsel.toolkit import ASSIGNABLE, FloatArray, no_lines
+from termsel.toolkit import FloatArray
+from termsel.toolkit.models import ASSIGNABLE, no_lines
 from termsel_photos.photo import DIGITS
 
 NAME = "old-map"

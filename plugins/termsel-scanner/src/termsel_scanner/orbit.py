@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from termsel.toolkit import rotate
+from termsel.toolkit.models import rotate
 
 FloatArray = NDArray[np.float64]
 

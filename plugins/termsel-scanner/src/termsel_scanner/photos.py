@@ -16,7 +16,7 @@ from termsel import (
     SensorModel,
     Undetermined,
 )
-from termsel.toolkit import pinhole_of, view_of
+from termsel.toolkit.models import pinhole_of, view_of
 from termsel_scanner.candidate import sensor_of
 from termsel_scanner.orbit import axes_at, geocentric
 from termsel_scanner.physical import FloatArray, Physical, RobustFit, known

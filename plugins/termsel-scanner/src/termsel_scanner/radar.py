@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from termsel import FeatureSet, Option, TermselError
-from termsel.toolkit import KnownImage
+from termsel.toolkit.models import KnownImage
 from termsel_scanner.annotation import Annotation, FloatArray, annotation_of
 from termsel_scanner.orbit import geocentric
 from termsel_scanner.physical import Physical, known

@@ -139,7 +139,7 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
                                  "degree 2")
             self.fit_ = fit(features, Structure(
                 flat.name, f"model {flat.name!r}", high, flat,
-                estimator=STRATEGIES[self.strategy]))
+                estimator=STRATEGIES[str(self.strategy)]))
         except TermselError as error:
             raise ValueError(str(error)) from error
         return self

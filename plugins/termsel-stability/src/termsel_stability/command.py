@@ -11,18 +11,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from termsel import TermselError
-from termsel.toolkit import (
-    INTERRUPTED,
-    RunOptions,
-    echo,
-    json_text,
-    print_json,
-    print_table,
-    run_options,
-    say_written,
-    search_bar,
-    show_messages,
-)
+from termsel.toolkit import echo, json_text, print_json, print_table, say_written, show_messages
+from termsel.toolkit.commands import RunOptions, run_options, search_bar
+from termsel.toolkit.runs import INTERRUPTED
 
 if TYPE_CHECKING:
     from termsel import FeatureSet
@@ -56,7 +47,9 @@ def stability(repeats: int, threshold: float, **arguments: Any) -> None:
     show_messages()
 
     from termsel import require_replaceable
-    from termsel.toolkit import STABILITY, claimed, problem_for, write_text
+    from termsel.toolkit import write_text
+    from termsel.toolkit.files import STABILITY, claimed
+    from termsel.toolkit.runs import problem_for
     from termsel_stability import frequencies as module
 
     # All that can be refused is refused before the searches, which take long.
@@ -125,7 +118,8 @@ def _show(repeated: Stability) -> None:
 def _for_stable(problem: str, run_settings: RunOptions, options: Mapping[str, str],
                 off: Sequence[str]) -> dict[str, str]:
     """Return the options of a fit without some terms: not those of the searches alone."""
-    from termsel.toolkit import DATA_OPTIONS, registry
+    from termsel.toolkit import registry
+    from termsel.toolkit.runs import DATA_OPTIONS
 
     names = registry()
     recipe = names.get("problems", problem)
@@ -148,7 +142,9 @@ def _write(repeated: Stability, outputs: tuple[Mapping[str, Path], Path | None],
            options: Mapping[str, str]) -> None:
     """Write the fit of the stable terms: its record with the frequencies, exports, its page."""
     from termsel import run
-    from termsel.toolkit import RECORD, STABILITY, TermFrequencies, write_result
+    from termsel.toolkit import write_result
+    from termsel.toolkit.files import RECORD, STABILITY
+    from termsel.toolkit.models import TermFrequencies
 
     # Exports by format, and the page of the report, as far as they are asked for.
     exported, page = outputs

@@ -13,27 +13,25 @@ from termsel.toolkit import (
     BoolArray,
     FloatArray,
     LeastSquares,
-    Observer,
     Progress,
+    one_blas_thread,
+    plain,
+    scaling_of,
+)
+from termsel.toolkit.models import (
     Rmse,
     Rmses,
-    answered,
     figures,
     guard_points,
     in_role,
-    notebook_observer,
-    one_blas_thread,
-    plain,
     pole_margin,
     pole_violation,
-    prepared,
-    recommended,
-    request_of,
     rmse_record,
-    scaling_of,
     select,
     twins,
 )
+from termsel.toolkit.runs import answered, notebook_observer, prepared, recommended, request_of
+from termsel.toolkit.searches import Observer
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,7 +47,7 @@ def accuracy(source: Path, survey_sigma: float | None, survey_sigma_z: float | N
     import msgspec
 
     from termsel import read_result
-    from termsel.toolkit import prediction_of
+    from termsel.toolkit.files import prediction_of
     from termsel_standards.errors import errors_of, read_errors
     from termsel_standards.statement import prediction_statement, statements_of
 

@@ -14,21 +14,14 @@ import numpy as np
 from termsel import Result, TermselError, open_raster, require_replaceable
 from termsel.toolkit import (
     FloatArray,
-    MapGrid,
-    accuracy_tags,
-    grid_of_image,
     horizontal,
     in_metres,
     is_geographic,
-    map_crs,
-    nearest,
-    outside,
     picture_for,
-    require_tiff_name,
     say_difference,
-    surface_of,
-    write_cog,
 )
+from termsel.toolkit.files import MapGrid, accuracy_tags, grid_of_image, map_crs, surface_of
+from termsel.toolkit.models import nearest, outside, require_tiff_name, write_cog
 
 log = logging.getLogger(__name__)
 

@@ -7,15 +7,8 @@ from typing import Any
 
 import click
 
-from termsel.toolkit import (
-    final_option,
-    progress_option,
-    refuse_stdout,
-    remote_option,
-    say_written,
-    share_bar,
-    show_messages,
-)
+from termsel.toolkit import final_option, remote_option, say_written, share_bar, show_messages
+from termsel.toolkit.commands import progress_option, refuse_stdout
 
 _FILE = click.Path(path_type=Path)
 

@@ -8,16 +8,9 @@ from math import ceil, floor, hypot, log10
 import numpy as np
 from scipy import stats
 
-from termsel.toolkit import (
-    ASPRS_POINTS,
-    NSSDA_POINTS,
-    FloatArray,
-    OnGround,
-    Prediction,
-    counted,
-    distances,
-    nssda,
-)
+from termsel.toolkit import FloatArray, counted
+from termsel.toolkit.files import Prediction
+from termsel.toolkit.models import ASPRS_POINTS, NSSDA_POINTS, OnGround, distances, nssda
 from termsel_standards.errors import GroundErrors
 
 ASPRS = "ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2, " \

@@ -23,7 +23,8 @@ __all__ = ["map_of", "report", "summary"]
 @hookimpl
 def termsel_parts() -> Iterable[Part]:
     """Return what is made of a study."""
-    from termsel.toolkit import Part, StudyOutput
+    from termsel.toolkit import Part
+    from termsel.toolkit.studies import StudyOutput
     from termsel_studies import ioh
     from termsel_studies.outlines import map_of
     from termsel_studies.report import FILES, report, summary, write

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from termsel.toolkit import MEASURES, Row, counted
+from termsel.toolkit import counted
+from termsel.toolkit.studies import MEASURES, Row
 from termsel_studies.groups import Groups
 from termsel_studies.significance import FEWEST, SIGNIFICANCE, Comparison, effect_size
 from termsel_studies.summaries import quantiles

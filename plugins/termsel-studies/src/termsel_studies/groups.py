@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from itertools import chain
 from typing import Any
 
-from termsel.toolkit import WAITING, CellRecord, Row
+from termsel.toolkit.studies import WAITING, CellRecord, Row
 
 METHOD = ("strategy", "model", "criterion", "solver")
 INSTANCE = ("problem", "data", "split")

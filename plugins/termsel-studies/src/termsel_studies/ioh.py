@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from termsel import Study, __version__
-from termsel.toolkit import CellRecord, file_word, write_text
+from termsel.toolkit import write_text
+from termsel.toolkit.studies import CellRecord, file_word
 from termsel_studies.groups import Groups, group, length
 
 FOLDER = "ioh"

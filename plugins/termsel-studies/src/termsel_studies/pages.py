@@ -10,7 +10,9 @@ from itertools import chain
 from typing import Any
 
 from termsel import Study, TableBlock
-from termsel.toolkit import Row, counted, markdown_text, printable
+from termsel.toolkit import counted, printable
+from termsel.toolkit.files import markdown_text
+from termsel.toolkit.studies import Row
 from termsel_studies.claims import claims
 from termsel_studies.fronts import front_figures
 from termsel_studies.groups import Groups, group

@@ -9,20 +9,9 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from termsel import Study, TermselError, read_result
-from termsel.toolkit import (
-    IMAGES,
-    Document,
-    Figure,
-    Section,
-    counted,
-    folders_of,
-    page,
-    require_altair,
-    save,
-    styled,
-    text_of,
-    write_text,
-)
+from termsel.toolkit import Document, Figure, Section, counted, page, require_altair, write_text
+from termsel.toolkit.charts import save, styled, text_of
+from termsel.toolkit.studies import IMAGES, folders_of
 from termsel_studies.figures import figures_of
 from termsel_studies.pages import latex, markdown, remarks_of, tables_of
 from termsel_studies.small import small_map

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.toolkit import TIE
+from termsel.toolkit.searches import TIE
 from termsel_studies.groups import Groups, Runs, length
 
 _HUGE = 1e300

@@ -78,13 +78,9 @@ _OPTIONS = (
                  help="Solver of the second step, with --set steps=features-first or "
                       "terms-first."),
     click.option("--criterion", metavar="NAME", shell_complete=complete("criteria"),
-<<<<<<< HEAD
                  help="Figure that the search minimises; see `termsel list criteria`."),
-=======
-                 help="What is minimised; see `termsel list criteria`."),
     click.option("--method", metavar="NAME", shell_complete=complete("methods"),
                  help="One method in place of the automatic choice; see `termsel list methods`."),
->>>>>>> bbd1cb4e (Take any method by its name, as an object or as a function)
     click.option("--strategy", type=click.Choice(["auto", "as-asked"]),
                  help="`auto` chooses among conventional and regularised models by predicted "
                       "RMSE; `as-asked` runs the problem's solver. auto is the default for "

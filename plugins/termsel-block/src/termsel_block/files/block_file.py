@@ -17,14 +17,8 @@ import msgspec
 import numpy as np
 
 from termsel import FeatureSet, TermselError, get, open_raster, read, read_rpc
-from termsel.toolkit import (
-    LOCAL,
-    normalise,
-    options_of_file,
-    read_toml,
-    require_regular,
-    unguarded,
-)
+from termsel.toolkit import LOCAL, normalise, options_of_file, require_regular, unguarded
+from termsel.toolkit.files import read_toml
 from termsel_block.block import CORRECTIONS, Block, BlockImage, Ties
 from termsel_block.estimation.equations import pairs
 from termsel_block.files.asp import asp_rows, is_asp

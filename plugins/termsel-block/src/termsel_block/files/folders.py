@@ -13,7 +13,8 @@ import msgspec
 import numpy as np
 
 from termsel import FeatureSet, Points, Result, TermselError, require_replaceable, run
-from termsel.toolkit import Predicted, csv_table, one_blas_thread, write_result, write_text
+from termsel.toolkit import csv_table, one_blas_thread, write_result, write_text
+from termsel.toolkit.models import Predicted
 from termsel_block.accuracy import shared_sigma
 from termsel_block.block import BlockImage
 from termsel_block.files.placing import together

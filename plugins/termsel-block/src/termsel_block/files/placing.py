@@ -8,7 +8,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from termsel import TermselError
-from termsel.toolkit import locked, private_folder, sync
+from termsel.toolkit import locked, private_folder
+from termsel.toolkit.files import sync
 
 
 @contextmanager

@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable, Iterator
 
-from termsel.toolkit import Fact
+from termsel.toolkit.charts import Fact
 from termsel_block.estimation.adjustment import WRONG
 from termsel_block.shown.record import BlockRecord, WrongControl, WrongTie
 

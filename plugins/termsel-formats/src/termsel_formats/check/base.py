@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from termsel import TermselError
-from termsel.toolkit import FloatArray, program_environment
+from termsel.toolkit import FloatArray
+from termsel.toolkit.files import program_environment
 
 Places = Callable[[FloatArray, FloatArray], FloatArray]
 """From line and sample (n, 2) and heights (n,) to x and y (n, 2), NaN where there are none."""

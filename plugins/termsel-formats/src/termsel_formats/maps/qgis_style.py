@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from termsel.toolkit import GROUND, ROLE_COLOURS, ROLE_SHAPES
+from termsel.toolkit import ROLE_COLOURS
+from termsel.toolkit.charts import GROUND, ROLE_SHAPES
 
 TABLE = "layer_styles"
 OPTIONS = {"FID": "id"}

@@ -9,19 +9,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from termsel import Option, Result, TermselError, Writer
-from termsel.toolkit import (
-    GIS,
-    FloatArray,
-    TextArray,
-    distinct,
-    errors_on_ground,
-    horizontal,
-    private_folder,
-    reason_of,
-    requires,
-    say_measured,
-    write_bytes,
-)
+from termsel.toolkit import FloatArray, horizontal, private_folder, requires, write_bytes
+from termsel.toolkit.files import TextArray, distinct, reason_of, say_measured
+from termsel.toolkit.models import errors_on_ground
+from termsel.toolkit.runs import GIS
 from termsel_formats.maps.qgis_style import OPTIONS, TABLE, styles
 
 _VERSION = {"VERSION": "1.3"}  # which GDAL 3.6 and QGIS 3.22 read without a warning

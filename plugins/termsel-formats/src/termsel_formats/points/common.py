@@ -9,7 +9,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from termsel import Points, TermselError
-from termsel.toolkit import located, read_text
+from termsel.toolkit import read_text
+from termsel.toolkit.files import located
 
 CORNER = 0.5
 """From the centre of the first pixel to its outer corner, where GDAL and others count from."""

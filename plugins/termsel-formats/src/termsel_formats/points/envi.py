@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from termsel import FeatureSet, Option, Reader, TermselError
-from termsel.toolkit import Table, image_of, read_text
+from termsel.toolkit import read_text
+from termsel.toolkit.files import Table, image_of
 from termsel_formats.points.common import utm
 
 _COLUMNS = {

@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from termsel import FeatureSet, Reader, Result, TermselError
-from termsel.toolkit import Table, cell_text, chosen_points, read_data, read_text, write_text
+from termsel.toolkit import read_data, read_text, write_text
+from termsel.toolkit.files import Table, cell_text, chosen_points
 from termsel_formats.points.written import PointsWriter, say_points
 
 _COLUMNS = {"point id": "id", "x input": "sample", "y input": "line", "x ref": "x", "y ref": "y",

@@ -14,19 +14,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from termsel import FeatureSet, Option, Reader, Result, TermselError, open_raster
-from termsel.toolkit import (
-    atomic_path,
-    encoded,
-    gcps_of,
-    normalise,
-    picture_for,
-    private_folder,
-    reason_of,
-    vrt_text,
-    with_dataset,
-    write_text,
-    xml_attribute,
-)
+from termsel.toolkit import normalise, picture_for, private_folder, with_dataset, write_text
+from termsel.toolkit.files import atomic_path, encoded, gcps_of, reason_of, vrt_text, xml_attribute
 from termsel_formats.points.common import CORNER, points_of, what_lacks, xml_root
 from termsel_formats.points.written import IMAGE, PointsWriter, say_by_gdal
 

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from termsel import FeatureSet, Option, Points, Reader, TermselError, open_raster
-from termsel.toolkit import read_head, refuse_empty_giant
+from termsel.toolkit import refuse_empty_giant
+from termsel.toolkit.files import read_head
 from termsel_formats.points.common import CORNER
 
 FloatArray = NDArray[np.float64]

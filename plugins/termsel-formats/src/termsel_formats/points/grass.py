@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from termsel import FeatureSet, Reader, TermselError
-from termsel.toolkit import Table, is_number, read_text
+from termsel.toolkit import read_text
+from termsel.toolkit.files import Table, is_number
 
 _TITLE = b"Ground Control Points File"
 _PLANE = ("source east", "source north", "east", "north", "status")

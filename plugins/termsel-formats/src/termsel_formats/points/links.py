@@ -18,7 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from termsel import FeatureSet, Reader, TermselError
-from termsel.toolkit import Table, is_number, read_text
+from termsel.toolkit import read_text
+from termsel.toolkit.files import Table, is_number
 from termsel_formats.points.common import CORNER
 
 _MEANINGS = {"sample": "X Source", "line": "Y Source", "x": "X Map", "y": "Y Map"}

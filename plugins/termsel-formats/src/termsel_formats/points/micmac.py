@@ -20,15 +20,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from termsel import FeatureSet, Option, Points, Reader, Result, TermselError
-from termsel.toolkit import (
-    IMAGE_NAME,
-    atomic_path,
-    encoded,
-    image_of,
-    located,
-    write_text,
-    xml_document,
-)
+from termsel.toolkit import write_text, xml_document
+from termsel.toolkit.files import IMAGE_NAME, atomic_path, encoded, image_of, located
 from termsel_formats.points.common import xml_root
 from termsel_formats.points.written import (
     IMAGE,

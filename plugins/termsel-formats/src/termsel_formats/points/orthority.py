@@ -9,15 +9,8 @@ from typing import ClassVar
 import numpy as np
 
 from termsel import Option, Result, TermselError, Writer
-from termsel.toolkit import (
-    LOCAL,
-    chosen_points,
-    normalise,
-    printable,
-    say_measured,
-    to_wgs84,
-    write_text,
-)
+from termsel.toolkit import LOCAL, normalise, printable, to_wgs84, write_text
+from termsel.toolkit.files import chosen_points, say_measured
 
 
 class OrthorityGeojson(Writer):

@@ -14,7 +14,8 @@ from typing import ClassVar
 import numpy as np
 
 from termsel import FeatureSet, Option, Reader, Result, TermselError
-from termsel.toolkit import Table, chosen_points, read_text, write_text
+from termsel.toolkit import read_text, write_text
+from termsel.toolkit.files import Table, chosen_points
 from termsel_formats.points.common import CORNER, utm
 from termsel_formats.points.written import IMAGE, PointsWriter, image_name, on_wgs84, say_by_gdal
 

@@ -18,7 +18,8 @@ from typing import ClassVar
 import numpy as np
 
 from termsel import FeatureSet, Option, Reader, Result, TermselError
-from termsel.toolkit import Table, chosen_points, guarded, read_text, write_text
+from termsel.toolkit import read_text, write_text
+from termsel.toolkit.files import Table, chosen_points, guarded
 from termsel_formats.points.common import CORNER
 from termsel_formats.points.written import PointsWriter, say_points
 

@@ -19,7 +19,8 @@ from typing import ClassVar
 import numpy as np
 
 from termsel import FeatureSet, Option, Reader, Result, TermselError
-from termsel.toolkit import (
+from termsel.toolkit import is_geographic, read_text, unguarded, write_text
+from termsel.toolkit.files import (
     IMAGE_NAME,
     Table,
     atomic_path,
@@ -27,10 +28,6 @@ from termsel.toolkit import (
     chosen_points,
     encoded,
     image_of,
-    is_geographic,
-    read_text,
-    unguarded,
-    write_text,
 )
 from termsel_formats.points.common import CORNER
 from termsel_formats.points.written import IMAGE, PointsWriter, image_name, say_points

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from termsel import FeatureSet, Option, Reader, TermselError, open_raster
-from termsel.toolkit import read_head
+from termsel.toolkit.files import read_head
 from termsel_formats.points.common import CORNER, points_of
 
 _MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+",  # TIFF, BigTIFF

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from termsel import Option, Points, Result, TermselError, Writer
-from termsel.toolkit import GDALWARP, LOCAL, FloatArray, horizontal, say_nearest, to_wgs84
+from termsel.toolkit import LOCAL, FloatArray, horizontal, to_wgs84
+from termsel.toolkit.files import GDALWARP, say_nearest
 from termsel_formats.points.common import utm
 
 log = logging.getLogger("termsel.formats")

@@ -11,7 +11,7 @@ import shapely
 
 from termsel import write_points_csv, write_rpc
 from termsel.simulate import write_geometry
-from termsel.toolkit import new_folder
+from termsel.toolkit.files import new_folder
 from termsel_match.simulated.world import CRS, SPACING, World
 
 log = logging.getLogger("termsel.match")

@@ -20,7 +20,8 @@ from termsel import (
     Spread,
     Undetermined,
 )
-from termsel.toolkit import BoolArray, Pinhole, camera_next_to
+from termsel.toolkit import BoolArray
+from termsel.toolkit.models import Pinhole, camera_next_to
 from termsel_photos.known.interior import Interior, interior_of
 from termsel_photos.known.lens import FloatArray
 from termsel_photos.known.model import TAILS, KnownFrame

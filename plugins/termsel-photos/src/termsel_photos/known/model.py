@@ -17,15 +17,8 @@ from termsel import (
     Undetermined,
     image_equations,
 )
-from termsel.toolkit import (
-    LOCAL,
-    Cameras,
-    Measured,
-    Pinhole,
-    camera_of,
-    cameras_of,
-    to_ecef,
-)
+from termsel.toolkit import LOCAL, to_ecef
+from termsel.toolkit.models import Cameras, Measured, Pinhole, camera_of, cameras_of
 from termsel_photos.known.interior import Interior
 from termsel_photos.known.lens import FloatArray, Lens
 

@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from termsel import Option, Result, TermselError
-from termsel.toolkit import LOCAL, Prediction, horizontal, plain, prediction_of, require_regular
+from termsel.toolkit import LOCAL, horizontal, plain, require_regular
+from termsel.toolkit.files import Prediction, prediction_of
 from termsel_standards.outline import outline_of
 
 RMSEP = "47"

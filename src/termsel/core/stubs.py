@@ -1,0 +1,27 @@
+"""Public modules whose names are imported when first used: their stubs say from where."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import lazy_loader
+
+
+def lazily(file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a module with a stub next to it.
+
+    Parameters
+    ----------
+    file : str
+        The module's ``__file__``. Its stub imports every name from where it is defined.
+    """
+    names: dict[str, list[str]] = {}
+    for node in ast.parse(Path(file).with_suffix(".pyi").read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.ImportFrom):
+            place = str(node.module).removeprefix("termsel.")
+            names.setdefault(place, []).extend(alias.name for alias in node.names)
+    attached: tuple[Any, Any, list[str]] = lazy_loader.attach("termsel", submod_attrs=names)
+    return attached

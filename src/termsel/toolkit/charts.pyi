@@ -1,0 +1,16 @@
+from termsel.report.accuracy import expected_of as expected_of
+from termsel.report.accuracy import predicted_first as predicted_first
+from termsel.report.blocks import Fact as Fact
+from termsel.report.charts.search import with_unit as with_unit
+from termsel.report.first_screen import first_screen as first_screen
+from termsel.report.plots import save as save
+from termsel.report.text import text_of as text_of
+from termsel.report.theme import BLUNDER as BLUNDER
+from termsel.report.theme import EDGE as EDGE
+from termsel.report.theme import GROUND as GROUND
+from termsel.report.theme import METHODS as METHODS
+from termsel.report.theme import ROLE_SHAPES as ROLE_SHAPES
+from termsel.report.theme import spread_scale as spread_scale
+from termsel.report.theme import styled as styled
+from termsel.report.view import View as View
+from termsel.report.view import nice as nice

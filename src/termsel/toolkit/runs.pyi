@@ -1,0 +1,14 @@
+from termsel.core.errors import GIS as GIS
+from termsel.core.errors import raised as raised
+from termsel.core.interrupts import INTERRUPTED as INTERRUPTED
+from termsel.core.interrupts import answered as answered
+from termsel.core.isolation.arrays import of_shape as of_shape
+from termsel.core.isolation.faults import wrong as wrong
+from termsel.runs.notebook import notebook_observer as notebook_observer
+from termsel.runs.provenance import versions as versions
+from termsel.runs.recommend import recommended as recommended
+from termsel.runs.request import DATA_OPTIONS as DATA_OPTIONS
+from termsel.runs.request import Request as Request
+from termsel.runs.request import problem_for as problem_for
+from termsel.runs.request import request_of as request_of
+from termsel.runs.task import prepared as prepared

@@ -1,0 +1,9 @@
+from termsel.plugins.kinds import KINDS as KINDS
+from termsel.testing.cases import Case as Case
+from termsel.testing.cases import Suite as Suite
+from termsel.testing.cases import declares as declares
+from termsel.testing.cases import instance as instance
+from termsel.testing.cases import label as label
+from termsel.testing.cases import pickled as pickled
+from termsel.testing.cases import require as require
+from termsel.testing.cases import require_unchanged as require_unchanged
