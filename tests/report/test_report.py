@@ -21,7 +21,7 @@ from termsel.cli.main import cli
 from termsel.data.record.base import plain
 from termsel.report import library
 from termsel.report.plots import KINDS
-from termsel.results.repeat import command, not_by_command
+from termsel.report.repeat import command, not_by_command
 
 altair = pytest.importorskip("altair")
 pytest.importorskip("vl_convert")
@@ -310,8 +310,8 @@ def test_a_page_of_a_thousand_features_is_small(tmp_path: Path) -> None:
 def test_of_many_residuals_the_largest_and_some_others_are_shown(
     chosen: termsel.Result, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("termsel.results.shown.DRAWN", 30)
-    monkeypatch.setattr("termsel.results.shown.LARGEST", 10)
+    monkeypatch.setattr("termsel.report.view.DRAWN", 30)
+    monkeypatch.setattr("termsel.report.view.LARGEST", 10)
     count, largest = len(chosen.residuals), sorted(r.distance for r in chosen.residuals)[-10:]
     step = -(-count // 20)
     fresh = replace(chosen)  # what is shown is kept

@@ -1,101 +1,280 @@
-"""What charts and pages show of a result: plain rows, whoever computed them."""
+"""What charts and pages show of a result, as plain rows, each computed when it is first asked for.
+"""
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
+from termsel.data.coordinates.crs import is_geographic
+from termsel.data.coordinates.metres import in_metres
+from termsel.data.coordinates.places import hull
+from termsel.data.features import FeatureSet, FloatArray, select
 from termsel.data.record.record import Record
+from termsel.data.roles import by_roles
+from termsel.fitting.figures import residuals_of
+from termsel.fitting.fit import Fit
+from termsel.fitting.residuals import Residual, Residuals
+from termsel.fitting.scene import errors_on_ground, scene_grid
+from termsel.report.repeat import command, not_by_command
 
 Row = dict[str, Any]
 
+SIGMA_SIDE = 28
+"""Cells along either side of the map of uncertainty."""
+DRAWN, LARGEST = 2000, 1000
+"""Most residuals that are drawn, and how many of them are the largest: nobody can tell more apart,
+and no browser draws a hundred thousand."""
+SMOOTH = 8
+"""Control whose heights a cell of it has, so that it shows the model and not steps of heights."""
 
-class View(Protocol):
+
+@dataclass(frozen=True, eq=False)
+class View:
     """A result as it is shown.
 
     A row of a residual has "id", "kind" ("point" or "line"), "role", "blunder" (its certainty, or
     "") and "distance" [px].
     """
 
-    @property
-    def record(self) -> Record:
-        """The content of result.json."""
+    record: Record
+    fit: Fit
+    features: FeatureSet
+    residuals: Residuals
+    fits_of_front: Callable[[], list[Fit]]
 
-    @property
+    @cached_property
     def image_box(self) -> tuple[float, float, float, float]:
         """First line, first sample, last line, last sample [px]: of the image, or of features."""
+        if self.features.image_size is not None:
+            lines, samples = self.features.image_size
+            return 0.0, 0.0, lines - 1.0, samples - 1.0
+        return _box(self.features.image_vertices())
 
     @property
     def count(self) -> int:
         """Number of residuals, shown or not."""
+        return int(np.isfinite([r.distance for r in self.residuals]).sum())
 
     @property
     def partly(self) -> str:
         """Which residuals are shown, in a sentence; "" where all are."""
+        if self._drawn is self.residuals:
+            return ""
+        return (f"Shown are the {LARGEST:,} largest of {self.count:,} residuals, and one "
+                f"in {self._step:,} of all. The file residuals.csv has all of them.")
 
-    @property
+    @cached_property
     def in_image(self) -> list[Row]:
         """Residuals with their places in the image: line, sample, dl, ds [px]."""
+        rows = []
+        for r, (line, sample) in zip(self._drawn, self._seen, strict=True):
+            if np.isfinite([line, sample, r.distance]).all():
+                rows.append({**self._named(r), "line": _short(line), "sample": _short(sample),
+                             "dl": _short(r.line, 4), "ds": _short(r.sample, 4)})
+        return rows
 
-    @property
+    @cached_property
     def on_ground(self) -> list[Row]:
         """Residuals with their places on the ground: x, y, dx, dy in the unit of the CRS."""
+        offsets = errors_on_ground(self.fit, self._drawn)
+        metres = in_metres(self.features.crs, self._drawn.ground, offsets)
+        rows = []
+        for i, (r, (dx, dy)) in enumerate(zip(self._drawn, offsets.tolist(), strict=True)):
+            if np.isfinite([dx, dy]).all():
+                away = None if metres is None else _short(float(np.hypot(*metres[i])), 4)
+                rows.append({**self._named(r), "x": _short(r.x, 12), "y": _short(r.y, 12),
+                             "dx": _short(dx, 4), "dy": _short(dy, 4), "metres": away})
+        return rows
 
-    @property
+    @cached_property
     def worst(self) -> list[Row]:
         """Features by their largest residual, the largest first."""
+        largest: dict[str, Row] = {}
+        for i in self._by_length[:None if self._drawn is self.residuals else LARGEST]:
+            if np.isfinite(self.residuals[i].distance):
+                largest.setdefault(self.residuals[i].id, self._named(self.residuals[i]))
+        return list(largest.values())
 
-    @property
+    @cached_property
     def lines(self) -> list[Row]:
         """Control lines as measured in the image: line, sample, line2, sample2 [px]."""
+        lines = self.features.lines
+        chosen = set(self.record.selection.features)
+        blunders = {outlier.id for outlier in self.record.outliers}
+        return [{"id": name, "role": "control" if name in chosen else
+                 "rejected" if name in blunders else "left out",
+                 "blunder": name in blunders, "line": _short(l1), "sample": _short(s1),
+                 "line2": _short(l2), "sample2": _short(s2)}
+                for name, ((l1, s1), (l2, s2)) in zip(lines.ids, lines.image.tolist(),
+                                                      strict=True)]
 
-    @property
+    @cached_property
     def ground_box(self) -> tuple[float, float, float, float]:
         """Least x and y, greatest x and y of the features, in the unit of the CRS."""
+        return _box(self._ground[np.isfinite(self._ground[:, :2]).all(axis=1), :2])
 
-    @property
+    @cached_property
     def flattening(self) -> float:
         """Length of a unit of x over that of a unit of y on the ground."""
+        if not is_geographic(self.features.crs):
+            return 1.0
+        return max(float(np.cos(np.radians(np.nanmean(self._ground[:, 1])))), 0.05)
 
-    @property
+    @cached_property
     def units_per_metre(self) -> float | None:
         """Units of y on the ground in a metre; None where that is not known."""
+        middle = np.nanmean(self._ground[:, :2], axis=0, keepdims=True)  # heights may be unknown
+        step = 1e-5 if is_geographic(self.features.crs) else 1.0
+        metres = in_metres(self.features.crs, middle, np.array([[0.0, step]]))
+        return None if metres is None else step / float(metres[0, 1])
 
-    @property
+    @cached_property
     def sigma(self) -> list[Row]:
-        """Standard deviation in cells of the image: line, sample, line2, sample2, sigma [px]."""
+        """Standard deviation of the fit in cells of the image: its ends and sigma [px]."""
+        image, ground = scene_grid(self.fit, SIGMA_SIDE, SMOOTH, self.image_box)
+        sigma = np.linalg.norm(np.hypot(self.fit.sigma(ground),
+                                        self.record.shared_sigma or 0.0), axis=1)
+        half_line, half_sample = ((image[-1] - image[0]) / (SIGMA_SIDE - 1) / 2).tolist()
+        return [{"line": _short(line - half_line), "line2": _short(line + half_line),
+                 "sample": _short(sample - half_sample), "sample2": _short(sample + half_sample),
+                 "sigma": _short(value, 4)}
+                for (line, sample), value in zip(image.tolist(), sigma.tolist(), strict=True)
+                if np.isfinite(value)]
 
-    @property
+    @cached_property
     def control(self) -> list[Row]:
         """Control in use as measured in the image: line, sample [px]."""
+        step = max(1, len(self._in_use) // DRAWN)
+        return [{"line": line, "sample": sample} for line, sample in self._in_use[::step].tolist()]
 
-    @property
+    @cached_property
     def hull(self) -> list[Row]:
-        """Corners of the control's convex hull, the first repeated: i, line, sample [px]."""
+        """Corners of the control's convex hull, the first repeated: i, line, sample [px].
 
-    @property
-    def correlations(self) -> list[Row]:
-        """Correlations of coefficients: one, other, correlation, a row a pair; may be none."""
-
-    @property
-    def members(self) -> list[Row]:
-        """Residuals in the image by all members of the front: dls, dss [`unit`], one a member.
-
-        `uses` has 1 for each member that the feature supports, else 0.
+        None of places on one straight line.
         """
+        around = hull(self._in_use)
+        return [{"i": i, "line": float(self._in_use[v, 0]), "sample": float(self._in_use[v, 1])}
+                for i, v in enumerate(around + around[:1])]
 
-    @property
+    @cached_property
+    def correlations(self) -> list[Row]:
+        """Correlations of coefficients in use: one, other, correlation, a row a pair.
+
+        None where they are not of least squares.
+        """
+        matrix = self.fit.adjustment.correlations
+        if matrix is None or not self.fit.estimator.least_squares:
+            return []
+        names = select(self.fit.model.terms, self.fit.terms)
+        return [{"one": names[i], "other": names[j], "correlation": float(matrix[i, j])}
+                for i in range(len(names)) for j in range(i) if np.isfinite(matrix[i, j])]
+
+    @cached_property
+    def members(self) -> list[Row]:
+        """Residuals in the image by all members of the front: dls, dss [`unit`], one a member."""
+        each = self._by_member
+        unit = self.unit
+        rows = []
+        for i, r, (line, sample) in zip(self._which, self._drawn, self._seen, strict=True):
+            if np.isfinite([line, sample, *(value for member in each for value in (
+                    member[i].line, member[i].sample))]).all():
+                rows.append({**self._named(r), "line": _short(line), "sample": _short(sample),
+                             "dls": [round(member[i].line / unit) for member in each],
+                             "dss": [round(member[i].sample / unit) for member in each],
+                             "uses": [int(member[i].used) for member in each]})
+        return rows
+
+    @cached_property
     def unit(self) -> float:
-        """Unit of the residuals of members [px]."""
+        """Unit of the residuals of members [px]: their median has three digits or four in it.
 
-    @property
+        Whole numbers of it take half the space of numbers in px.
+        """
+        lengths = [r.distance for member in self._by_member for r in member]
+        median = float(np.median([length for length in lengths if np.isfinite(length)] or [0.0]))
+        return float(f"{10.0 ** (np.floor(np.log10(median)) - 2):.0e}") if median > 0 else 1.0
+
+    @cached_property
     def command(self) -> str:
         """The command that repeats the run; "" where none does."""
+        return "" if self.no_command else command(self.record)
 
-    @property
+    @cached_property
     def no_command(self) -> str:
         """Why no command repeats the run; "" where one does."""
+        return not_by_command(self.record)
+
+    @cached_property
+    def _ground(self) -> FloatArray:
+        """Ground positions of the residuals, shape (n, 3)."""
+        return self.residuals.ground
+
+    @cached_property
+    def _by_length(self) -> list[int]:
+        """The residuals, the largest first, unknown ones last."""
+        lengths = np.array([r.distance for r in self.residuals])
+        return [int(i) for i in np.argsort(-lengths, kind="stable")]
+
+    @property
+    def _step(self) -> int:
+        """Every how manieth residual is drawn."""
+        return -(-len(self.residuals) // (DRAWN - LARGEST)) if len(self.residuals) > DRAWN else 1
+
+    @cached_property
+    def _which(self) -> list[int]:
+        """Which residuals are drawn."""
+        every = range(0, len(self.residuals), self._step)
+        return sorted({*every, *self._by_length[:LARGEST]})
+
+    @cached_property
+    def _drawn(self) -> Residuals:
+        """Residuals that are drawn."""
+        return self.residuals if self._step == 1 else Residuals(
+            (self.residuals[i] for i in self._which), self.residuals.crs)
+
+    @cached_property
+    def _seen(self) -> list[list[float]]:
+        """Places of the residuals in the image: as measured, of vertices as computed."""
+        measured = dict(zip(self.features.points.ids, self.features.points.image.tolist(),
+                            strict=True))
+        return [measured[r.id] if r.kind == "point" else computed for r, computed in zip(
+            self._drawn, self.fit.project(self._drawn.ground).tolist(), strict=True)]
+
+    @cached_property
+    def _in_use(self) -> FloatArray:
+        """Places of the control in use in the image, shape (n, 2)."""
+        made = self.fit.made or self.fit
+        return made.control.take(made.used).image_vertices()
+
+    @cached_property
+    def _by_member(self) -> list[Residuals]:
+        roles = by_roles(self.features)
+        return [residuals_of(fitted, roles) for fitted in self.fits_of_front()]
+
+    def _named(self, r: Residual) -> Row:
+        left_out = r.role in ("control", "off") and not r.used
+        return {"id": r.id, "kind": "point" if r.kind == "point" else "line",
+                "role": ("rejected" if r.blunder else "left out") if left_out else r.role,
+                "blunder": r.blunder,
+                "distance": _short(r.distance, 4)}
+
+
+def _box(places: FloatArray) -> tuple[float, float, float, float]:
+    """Return the least, then the greatest of both coordinates, shape (n, 2)."""
+    (a, b) = places.min(axis=0).tolist()
+    (c, d) = places.max(axis=0).tolist()
+    return a, b, c, d
+
+
+def _short(value: float, digits: int = 7) -> float:
+    """Return a number with fewer digits, as data of a page."""
+    return float(f"{value:.{digits}g}")
 
 
 def nice(value: float) -> float:

@@ -52,10 +52,10 @@ from termsel.report.first_screen import next_step, title_of
 from termsel.report.page import page
 from termsel.report.plots import Plots
 from termsel.report.text import first_screen_of, text_of
+from termsel.report.view import View
 from termsel.results.checksums import SEALS, checksums_of
 from termsel.results.extras import further_sections
 from termsel.results.same_fit import adjustment_figures, fit_record, least_squares_of
-from termsel.results.shown import Shown
 from termsel.selection.problems.base import Selection
 
 if TYPE_CHECKING:
@@ -364,9 +364,9 @@ class Result(Glance):
         return json.dumps(plain(self.record), indent=1) + "\n"
 
     @cached_property
-    def view(self) -> Shown:
+    def view(self) -> View:
         """What charts and pages read of the result."""
-        return Shown(self.record, self.fit, self.features, self.residuals,
+        return View(self.record, self.fit, self.features, self.residuals,
                      lambda: [self.fit_of(member) for member in self.front])
 
     @property
