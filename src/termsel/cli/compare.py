@@ -124,12 +124,12 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
     say_written(written)
 
 
-def _asked(files: tuple[Path, ...], given: dict[str, Any]) -> tuple[Path | None, dict[str, Any]]:
+def _asked(files: tuple[Path, ...], options: dict[str, Any]) -> tuple[Path | None, dict[str, Any]]:
     """Return the study file, or what the options say, as the keys of one."""
-    keys = _keys_of(given)
-    points = given["points"]
+    keys = _keys_of(options)
+    points = options["points"]
     if points:  # the shell has written out --points *.csv
-        if files and given["lines"]:
+        if files and options["lines"]:
             raise TermselError(f"{files[0]} is neither an option nor its value",
                                hint="Quote the patterns: --points 'a/*.csv' --lines 'b/*.csv'.")
         keys["data"][0]["points"] = [*points, *map(str, files)]
@@ -137,7 +137,7 @@ def _asked(files: tuple[Path, ...], given: dict[str, Any]) -> tuple[Path | None,
     if len(files) > 1:
         raise TermselError("there are two study files", hint="Give one study file at a time.")
     if files and keys:
-        raise TermselError(f"{files[0]} and the option --{_first(given)} exclude each other",
+        raise TermselError(f"{files[0]} and the option --{_first(options)} exclude each other",
                            hint="Write it into the study file.")
     if not files and not keys:
         raise TermselError("there is nothing to compare",
@@ -145,43 +145,43 @@ def _asked(files: tuple[Path, ...], given: dict[str, Any]) -> tuple[Path | None,
     return (files[0] if files else None), keys
 
 
-def _first(given: dict[str, Any]) -> str:
-    return next("set" if name == "settings" else name for name, value in given.items()
+def _first(options: dict[str, Any]) -> str:
+    return next("set" if name == "settings" else name for name, value in options.items()
                 if value not in (None, ()))
 
 
-def _keys_of(given: dict[str, Any]) -> dict[str, Any]:
+def _keys_of(options: dict[str, Any]) -> dict[str, Any]:
     """Return the keys of a study file that options stand for."""
     lists = {"problems": "problem", "models": "model", "solvers": "solver",
              "criteria": "criterion", "methods": "method", "strategies": "strategy"}
     keys: dict[str, Any] = {
-        key: [word.strip() for word in given[name].split(",")] for key, name in lists.items()
-        if given[name] is not None}
-    files = {kind: list(given[kind]) for kind in ("points", "lines") if given[kind]}
-    if given["dataset"] is not None and files:
+        key: [text.strip() for text in options[name].split(",")] for key, name in lists.items()
+        if options[name] is not None}
+    files = {kind: list(options[kind]) for kind in ("points", "lines") if options[kind]}
+    if options["dataset"] is not None and files:
         raise TermselError("--dataset cannot be combined with files",
                            hint="Give --dataset NAMES, or --points FILES.")
-    if given["crs"] is not None and not files:
+    if options["crs"] is not None and not files:
         raise TermselError("--crs requires --points or --lines",
                            hint="Give --points FILES, or leave --crs out.")
-    if given["dataset"] is not None:
-        keys["data"] = [word.strip() for word in given["dataset"].split(",")]
-    settings = parse_settings(given["settings"])
+    if options["dataset"] is not None:
+        keys["data"] = [text.strip() for text in options["dataset"].split(",")]
+    settings = parse_settings(options["settings"])
     if files:
         from termsel.io.read import read_options
 
         of_reading = {option.name: settings.pop(option.name) for option in read_options()
                       if option.name in settings} if settings else {}
-        keys["data"] = [{**files, **({"crs": given["crs"]} if given["crs"] else {}),
+        keys["data"] = [{**files, **({"crs": options["crs"]} if options["crs"] else {}),
                          **({"options": of_reading} if of_reading else {})}]
-    budget = {name: given[name] for name in ("evaluations", "generations", "patience", "seconds",
+    budget = {name: options[name] for name in ("evaluations", "generations", "patience", "seconds",
                                                   "timeout")
-              if given[name] is not None}
-    more = {"budget": budget, "options": settings,
-            "exports": list(given["exports"]), "seeds": given["seeds"],
-            "splits": given["splits"], "measure": given["measure"],
-            "measures": [word.strip() for word in (given["measures"] or "").split(",") if word]}
-    return {**keys, **{key: value for key, value in more.items() if value}}
+              if options[name] is not None}
+    optional = {"budget": budget, "options": settings,
+            "exports": list(options["exports"]), "seeds": options["seeds"],
+            "splits": options["splits"], "measure": options["measure"],
+            "measures": [text.strip() for text in (options["measures"] or "").split(",") if text]}
+    return {**keys, **{key: value for key, value in optional.items() if value}}
 
 
 def _show_status(folder: Path) -> None:
@@ -210,11 +210,11 @@ def _list_files(study: Path | None, keys: dict[str, Any]) -> None:
     if not files:
         return
     echo(f"Reads {counted(len(files), 'file')}:")
-    here = folder.resolve()
+    own_folder = folder.resolve()
     for file in files[:MOST_LISTED]:
-        place = file.resolve()
-        link = "" if place == file else f"{place}, "
-        elsewhere = "" if place.is_relative_to(here) else \
+        target = file.resolve()
+        link = "" if target == file else f"{target}, "
+        elsewhere = "" if target.is_relative_to(own_folder) else \
             f" ({link}outside of the folder of the study)"
         echo(f"  {printable(str(file), kept='')}{printable(elsewhere, kept='')}")
     if len(files) > MOST_LISTED:

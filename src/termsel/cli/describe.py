@@ -155,8 +155,8 @@ def _describe_solver(entry: Entry) -> None:
         + "as published" * bool(solver.published)})
     if solver.departures:
         echo(f"\nDifferences from the paper, even with --solver {entry.name}:")
-        for one in solver.departures:
-            echo(click.wrap_text(one, 88, "- ", "  "))
+        for departure in solver.departures:
+            echo(click.wrap_text(departure, 88, "- ", "  "))
     _options(solver.declared_options)
     echo("\nOptions of every search:")
     _option_table(SEARCH_OPTIONS)
@@ -168,12 +168,12 @@ def _describe_criterion(entry: Entry) -> None:
 
 
 def _describe_function(entry: Entry) -> None:
-    one = entry.object
+    declared = entry.object
     (made_by, use) = _FUNCTIONS[type(entry.object).__name__]
     # The docstring's first line says what the function returns; the summary says what that is.
-    more = (inspect.getdoc(getattr(one, made_by)) or "").partition("\n")[2].strip("\n")
-    if more:
-        echo(f"\n{more}")
+    details = (inspect.getdoc(getattr(declared, made_by)) or "").partition("\n")[2].strip("\n")
+    if details:
+        echo(f"\n{details}")
     echo(f"\n{use.format(entry.name)}")
 
 
@@ -185,16 +185,16 @@ _FUNCTIONS = {
 
 
 def _describe_method(entry: Entry) -> None:
-    one = entry.object
-    _pairs({"chosen": "never: it is fitted where it is asked for" if one.on_request else
-            "never: it is shown for comparison" if one.only_shown else
-            "by the smallest leave-one-out RMSE, if points are few" if one.for_few else
+    method = entry.object
+    _pairs({"chosen": "never: it is fitted where it is asked for" if method.on_request else
+            "never: it is shown for comparison" if method.only_shown else
+            "by the smallest leave-one-out RMSE, if points are few" if method.for_few else
             "if it is better by one standard error, or instead of the methods that it contains"
-            if one.has_prior else
-            f"if it is better by {'two' if one.central else 'three'} standard errors and has "
+            if method.has_prior else
+            f"if it is better by {'two' if method.central else 'three'} standard errors and has "
             "the smaller RMSE",
-            "contains": ", ".join(one.contains), "needs": ", ".join(one.needs),
-            "tried for": f"up to {one.most:g} features" if one.most < float("inf") else ""})
+            "contains": ", ".join(method.contains), "needs": ", ".join(method.needs),
+            "tried for": f"up to {method.most:g} features" if method.most < float("inf") else ""})
     echo(f"\nFit it alone with termsel run --method {entry.name}, in Python with "
          f"termsel.fit(features, {entry.name!r}).")
 

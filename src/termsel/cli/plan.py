@@ -47,14 +47,14 @@ def plan(folder: Path, candidates: Path | None, count: int, output: Path | None,
 
     if output is not None:
         require_replaceable([output], reads=[folder, candidates], overwrite=overwrite)
-    places = ranked(as_exported(read_result(folder), final), count, candidates)
+    positions = ranked(as_exported(read_result(folder), final), count, candidates)
     rows = [(name, f"{line:.1f}", f"{sample:.1f}", f"{x:.8g}", f"{y:.8g}",
              "" if z != z else f"{z:.1f}", f"{sigma:.3g}")
             for name, (line, sample, x, y, z, sigma) in zip(
-                places.ids, places.values.tolist(), strict=True)]
+                positions.ids, positions.values.tolist(), strict=True)]
     print_table(COLUMNS, rows)
-    echo(f"Mean uncertainty over the image: {places.now:.3g} px now, {rows[-1][-1]} px with "
+    echo(f"Mean uncertainty over the image: {positions.now:.3g} px now, {rows[-1][-1]} px with "
          f"{'this place' if len(rows) == 1 else f'these {len(rows)} places'}", err=True)
     if output is not None:
-        write_text(output, places.to_csv())
+        write_text(output, positions.to_csv())
         say_written([output])

@@ -114,7 +114,7 @@ def _fit(record: Record, model: SensorModel, observations: Observations) -> Fit:
     fitted = fit_of_record(
         model, control, scaling, used, coefficients=record.coefficients,
         deviations=record.standard_deviations, figures=record.adjustment, how=how,
-        own=_estimator(record))
+        by_plugin=_estimator(record))
     return in_role(fitted, observations)
 
 
@@ -149,7 +149,7 @@ def _final(record: Record, model: SensorModel, observations: Observations) -> Fi
     return fit_of_record(
         model, control, scaling, used, coefficients=final.coefficients,
         deviations=final.standard_deviations, figures=final.adjustment, how=final.fit,
-        own=_estimator(record))
+        by_plugin=_estimator(record))
 
 
 def _estimator(record: Record) -> Estimator | None:

@@ -26,10 +26,10 @@ def of_features(features: FeatureSet) -> str:
     for sigma in (features.points.sigma, features.lines.sigma):
         if sigma is not None:
             digest.update(sigma.tobytes())
-    for part in (features.points, features.lines):
-        digest.update("\n".join(part.ids).encode())
-        digest.update(part.image.tobytes())
-        digest.update(np.where(np.isnan(part.ground), np.nan, part.ground).tobytes())
+    for content in (features.points, features.lines):
+        digest.update("\n".join(content.ids).encode())
+        digest.update(content.image.tobytes())
+        digest.update(np.where(np.isnan(content.ground), np.nan, content.ground).tobytes())
     return digest.hexdigest()
 
 
@@ -44,16 +44,16 @@ def of_attributes(features: FeatureSet) -> str | None:
     It is not part of `of_features`, so that earlier versions of termsel, which leave these columns
     out, read results with attributes.
     """
-    columns = [{name: cells.tolist() for name, cells in part.attributes.items()}
-               for part in (features.points, features.lines)]
+    columns = [{name: cells.tolist() for name, cells in content.attributes.items()}
+               for content in (features.points, features.lines)]
     return hashlib.sha256(json.dumps(columns).encode()).hexdigest() if any(columns) else None
 
 
 def of_record(record: Mapping[str, Any]) -> str:
     """Return a checksum of the content of result.json, whatever its layout, without checksums."""
-    plain = json.dumps({key: value for key, value in record.items() if key != SEALS},
-                       sort_keys=True)
-    return hashlib.sha256(plain.encode()).hexdigest()
+    text = json.dumps({key: value for key, value in record.items() if key != SEALS},
+                      sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def checksums_of(content: Mapping[str, Any], features: FeatureSet) -> Checksums:

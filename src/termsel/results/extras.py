@@ -72,8 +72,10 @@ sources: list[Callable[[], Iterable[ReportSection]]] = []
 
 def further_sections(result: Any) -> tuple[Section, ...]:
     """Return the sections that plugins add; of one that fails, a note with the reason."""
-    made = [section_of(one, result) for source in sources for one in source()]
-    return tuple(section for section in made if section.blocks)
+    sections = []
+    for source in sources:
+        sections += [section_of(declared, result) for declared in source()]
+    return tuple(section for section in sections if section.blocks)
 
 
 def section_of(declared: ReportSection, result: Any) -> Section:
@@ -88,18 +90,20 @@ def _made(declared: ReportSection, result: Any) -> Section:
     with blamed(declared.blocks, "blocks"):
         blocks = tuple(islice(declared.blocks(result), _MOST))
         section = Section(declared.title, blocks)
-        if all(isinstance(getattr(one, "block", one), _BLOCKS) for one in blocks):
+        unknown = [block for block in blocks
+                   if not isinstance(getattr(block, "block", block), _BLOCKS)]
+        if not unknown:
             # Rows that do not fit, or are no text, show now and not in the middle of a page.
             text_of(Document("", "", (), (section,)))
             return section
-    other = next(one for one in blocks if not isinstance(getattr(one, "block", one), _BLOCKS))
-    raise wrong(declared.blocks, "blocks", f"returned an object of type {type(other).__name__}; "
-                "expected text, or blocks such as TableBlock and Note")
+    kind = type(unknown[0]).__name__
+    raise wrong(declared.blocks, "blocks", f"returned an object of type {kind}; expected text, or "
+                "blocks such as TableBlock and Note")
 
 
 def measured(measure: Measure, result: Any) -> float | None:
     """Return the figure of a result, None where there is none; refuse what is no number."""
     with blamed(measure.compute, "compute"):
-        found = measure.compute(result)
-        value = float(found)
+        computed = measure.compute(result)
+        value = float(computed)
     return value if math.isfinite(value) else None

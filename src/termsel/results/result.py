@@ -246,8 +246,8 @@ class Result(Glance):
             standard_deviations=self.fit.standard_deviations, fit=fit_record(self.fit),
             adjustment=adjustment_figures(self.fit, self.diagnosis.orientation_spread),
             significance=self.diagnosis.significance,
-            correlations=tuple(Correlation((one, other), value)
-                               for one, other, value in self.diagnosis.correlations),
+            correlations=tuple(Correlation((first, second), value)
+                               for first, second, value in self.diagnosis.correlations),
             scaling=self.fit.scaling.numbers(),
             plugins=convert(plain(self.plugins), dict[str, PluginRecord]))
 
@@ -296,10 +296,10 @@ class Result(Glance):
             return replace(self, final=None, predicted_final=None)
         observations = by_roles(self.features)
         # Of independent points, the outliers stay out of the final fit; twins of others are in it.
-        taken = set(observations.independent.ids) - {outlier.id for outlier in self.outliers}
+        in_use = set(observations.independent.ids) - {outlier.id for outlier in self.outliers}
         return replace(self, fit=self.final, final=None, residuals=residuals_of(
             in_role(self.final, observations), observations, self.outliers, check_used=True,
-            independent_used=taken))
+            independent_used=in_use))
 
     @property
     def exported(self) -> Fit:
@@ -396,12 +396,12 @@ class Result(Glance):
         if not overwrite and is_there(path):
             raise TermselError("this file already exists", file=path,
                                hint="Choose another name, or pass overwrite=True.")
-        shown = self
+        depicted = self
         picture = ""
         if image is not None:
             picture, size = thumbnail(image, self.features.image_size)
-            shown = self.of_image(size)
-        write_text(path, page(document(shown.view.record, shown.view, picture,
+            depicted = self.of_image(size)
+        write_text(path, page(document(depicted.view.record, depicted.view, picture,
                                        further_sections(self))))
 
     def summary(self, *, verbose: bool = False) -> str:
@@ -429,17 +429,17 @@ class Result(Glance):
     def _glance(self) -> tuple[str, Mapping[str, str]]:
         counts = self.data.counts
         record = self.record
-        features = [counted(n, word) for n, word in (
+        features = [counted(n, noun) for n, noun in (
             (counts.control, "control point"), (counts.lines, "control line"),
             (counts.check, "selection point"), (counts.independent, "independent check point"))
             if n]
         used = len(record.selection.features) + counts.check * bool(self.strategy)
-        out = [outlier.id for outlier in self.outliers if outlier.excluded]
+        left_out_ids = [outlier.id for outlier in self.outliers if outlier.excluded]
         title = title_of(record) + f" ({self.model})" * bool(self.strategy)
         return f"Result: {title}, {counted(len(self.selection.terms), 'term')}", {
             "data": f"{self.data.source}; {', '.join(features)}",
             "fitted to": f"{used} {counts.word}" + (
                 f"; exported: fitted to {len(self.final.control)}" if self.final else ""),
-            "blunders left out": ", ".join(out) or "none",
+            "blunders left out": ", ".join(left_out_ids) or "none",
             "accuracy": accuracy_of(record),
             "see": "summary(), plot.residuals(), report('report.html')"}

@@ -28,12 +28,12 @@ from termsel.models.poles import guard_points, pole_margin, pole_violation
 
 def fit_record(fitted: Fit) -> FitRecord:
     """Return how the coefficients of a fit were found."""
-    made = fitted.made or fitted
-    errors = None if made.stored_held_out is None else made.stored_held_out.errors
+    original = fitted.made or fitted
+    errors = None if original.stored_held_out is None else original.stored_held_out.errors
     held_out = None if errors is None else errors.tolist()
-    return FitRecord(made.estimator.name, made.estimator.options,
-                     None if made.trace is None else finite_or_none(made.trace), held_out,
-                     None if fitted.made is None else made.control.ids)
+    return FitRecord(original.estimator.name, original.estimator.options,
+                     None if original.trace is None else finite_or_none(original.trace), held_out,
+                     None if fitted.made is None else original.control.ids)
 
 
 def adjustment_figures(fitted: Fit, orientation_spread: float | None = None) -> AdjustmentFigures:
@@ -48,14 +48,14 @@ def adjustment_figures(fitted: Fit, orientation_spread: float | None = None) -> 
 def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, used: BoolArray,
                   coefficients: Mapping[str, float], deviations: Mapping[str, float | None],
                   figures: AdjustmentFigures, how: FitRecord,
-                  own: Estimator | None = None) -> Fit:
+                  by_plugin: Estimator | None = None) -> Fit:
     """Return the fit that a record describes, of the features in use among the control.
 
-    The estimator is that of a plugin's candidate, `own`, where it has the name in the record.
+    The estimator is that of a plugin's method, `by_plugin`, where it has the name in the record.
     Refuses a name that no estimator has, and errors held out that are not those of the features in
     use.
     """
-    estimator = own if own is not None and own.name == how.estimator \
+    estimator = by_plugin if by_plugin is not None and by_plugin.name == how.estimator \
         else estimators.estimator(how.estimator, **how.options)
     model = model.prepared(scaling, control.crs)
     terms = np.array([name in coefficients for name in model.terms], dtype=bool)
@@ -63,8 +63,8 @@ def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, use
     correlations = None
     if estimator.least_squares:
         iterated = getattr(estimator, "iterated", True)
-        made = LeastSquares(iterated).fit(model, control, scaling, terms, used)
-        correlations = made.adjustment.correlations
+        refit = LeastSquares(iterated).fit(model, control, scaling, terms, used)
+        correlations = refit.adjustment.correlations
     trace = how.effective
     held_out = None
     if how.held_out is not None:
@@ -78,9 +78,9 @@ def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, use
     if trace is None and not estimator.least_squares:
         trace = np.nan
         if estimator.repeatable:  # a record of termsel 0.2 or earlier
-            again = estimator.fit(model, control, scaling, terms, used)
-            trace = again.trace
-            held_out = again.stored_held_out
+            repeated = estimator.fit(model, control, scaling, terms, used)
+            trace = repeated.trace
+            held_out = repeated.stored_held_out
     # The figures of the record, whatever the rounding of this machine.
     adjustment = Adjustment(
         values,
@@ -106,10 +106,10 @@ def least_squares_of(model: SensorModel, control: FeatureSet, scaling: Scaling, 
     solution it began with, which the search judged, is taken: of the scene that control and check
     points span. `iterated` says whether the iteration was taken, where it is known.
     """
-    chosen = LeastSquares(iterated is not False).fit(model, control, scaling, terms, used)
-    if iterated is None and has_pole(chosen, check):
+    fitted = LeastSquares(iterated is not False).fit(model, control, scaling, terms, used)
+    if iterated is None and has_pole(fitted, check):
         return LeastSquares(False).fit(model, control, scaling, terms, used)
-    return chosen
+    return fitted
 
 
 def has_pole(fitted: Fit, check: Points) -> bool:

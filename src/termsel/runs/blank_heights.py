@@ -22,19 +22,20 @@ def to_leave_out(features: FeatureSet) -> tuple[str, ...]:
     missing = [name for name in features.without_height() if name not in off]
     if not missing:
         return ()
-    rest = features.take(~np.isin(features.ids, [*missing, *off]))
+    with_heights = features.take(~np.isin(features.ids, [*missing, *off]))
     # Independent points must not decide what is fitted.
-    judged = rest.with_(points=rest.points.take(
-        [role != "independent" for role in rest.points.roles]))
-    return tuple(missing) if len(rest) > len(missing) and len(judged) \
-        and not carriers(FitData.of(judged, heights=False)) else ()
+    deciding = with_heights.with_(points=with_heights.points.take(
+        [role != "independent" for role in with_heights.points.roles]))
+    return tuple(missing) if len(with_heights) > len(missing) and len(deciding) \
+        and not carriers(FitData.of(deciding, heights=False)) else ()
 
 
 def note_on_blank(ids: Sequence[str], features: FeatureSet) -> str:
     """Return the note on features, of those as read, that were left out for want of a height."""
     named = first_of(ids)
-    one = len(ids) == 1
-    return (f"{counted(len(ids), features.word[:-1])} without a height "
-            f"{'takes' if one else 'take'} no part, as the model uses heights: {named}. Give "
-            f"{'its height' if one else 'their heights'}, or take {'it' if one else 'them'} from a "
-            "raster (--dem FILE). A plane model (--model poly2d) requires none.")
+    is_one = len(ids) == 1
+    takes, heights, them = ("takes", "its height", "it") if is_one else (
+        "take", "their heights", "them")
+    return (f"{counted(len(ids), features.word[:-1])} without a height {takes} no part, as the "
+            f"model uses heights: {named}. Give {heights}, or take {them} from a raster (--dem "
+            "FILE). A plane model (--model poly2d) requires none.")

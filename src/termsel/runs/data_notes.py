@@ -51,13 +51,13 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
     if jumps(read):
         yield ("The longitudes jump by a full turn between points. They were made continuous: on "
                "one side they go on beyond 180 degrees.")
-    both = observations.together
+    features = observations.together
     independent = observations.independent
-    yield from _on_two_groups(both)
-    yield from _on_twins(both.points, independent)
-    yield from _on_one_line(both)
-    if heights and len(both) > 1 and not both.without_height():
-        yield from _on_carriers(both, observations.carriers)
+    yield from _on_two_groups(features)
+    yield from _on_twins(features.points, independent)
+    yield from _on_one_line(features)
+    if heights and len(features) > 1 and not features.without_height():
+        yield from _on_carriers(features, observations.carriers)
         yield from (_on_flat(observations.joint, independent) if fitted is None else _on_flat(
             FitData.of(fitted, False), observations.check.rejoin(independent)))
 
@@ -69,56 +69,56 @@ def notes_on_dem(features: FeatureSet, fitted: Fit) -> Iterator[str]:
         yield difference.sentence(pixels_of(difference, fitted.control, fitted.project))
 
 
-def _on_two_groups(both: FeatureSet) -> Iterator[str]:
+def _on_two_groups(features: FeatureSet) -> Iterator[str]:
     """Yield that points lie as if in two datums, with the other one's name if PROJ knows it."""
-    groups = two_groups(both)
+    groups = two_groups(features)
     if groups is None:
         return
     datum = ""
-    if is_in_degrees(both.crs) and body_of(both.crs) == EARTH:
-        lon, lat = both.points.ground[:, :2].mean(axis=0).tolist()
-        datum = datum_of(groups, both.crs, (lon, lat))
+    if is_in_degrees(features.crs) and body_of(features.crs) == EARTH:
+        lon, lat = features.points.ground[:, :2].mean(axis=0).tolist()
+        datum = datum_of(groups, features.crs, (lon, lat))
     likely = f" Coordinates in {datum} are as far off there." if datum else ""
     yield (f"{groups.sentence()}: {first_of(groups.second)}.{likely} Transform them to the CRS of "
            "the others.")
 
 
-def _on_one_line(both: FeatureSet) -> Iterator[str]:
+def _on_one_line(features: FeatureSet) -> Iterator[str]:
     """Yield where the features lie on one straight line, in the image or on the ground."""
-    where = " and ".join(name for name, places in (
-        ("in the image", both.image_vertices()), ("on the ground", _in_plan(both)))
-        if _is_narrow(places))
-    if where:
-        yield (f"All {both.word} lie close to one straight line {where}. Nothing tells what the "
-               "model does away from it: measure points there.")
+    views = " and ".join(name for name, positions in (
+        ("in the image", features.image_vertices()), ("on the ground", _in_plan(features)))
+        if _is_narrow(positions))
+    if views:
+        yield (f"All {features.word} lie close to one straight line {views}. Nothing tells what "
+               "the model does away from it: measure points there.")
 
 
-def _in_plan(both: FeatureSet) -> FloatArray:
+def _in_plan(features: FeatureSet) -> FloatArray:
     """Return where features are on the ground, with one unit along all axes."""
-    ground = both.ground_vertices()
-    plan = plan_of(both.crs, ground)
+    ground = features.ground_vertices()
+    plan = plan_of(features.crs, ground)
     return ground[~np.isnan(ground[:, 2])] if plan is None else plan
 
 
-def _is_narrow(places: FloatArray) -> bool:
+def _is_narrow(positions: FloatArray) -> bool:
     """Return whether three or more places lie on a line, and not all at one place."""
-    if len(places) <= 2:
+    if len(positions) <= 2:
         return False
-    along, across, *_ = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
-    return bool(along > 0.0 and across <= NARROW * along)
+    length, width, *_ = np.linalg.svd(positions - positions.mean(axis=0), compute_uv=False)
+    return bool(length > 0.0 and width <= NARROW * length)
 
 
-def _on_carriers(both: FeatureSet, carrying: tuple[str, ...]) -> Iterator[str]:
+def _on_carriers(features: FeatureSet, carrying: tuple[str, ...]) -> Iterator[str]:
     """Yield which features heights rest on, where they are one or two."""
-    if len(carrying) == 1 and len(both) < SOME:
-        yield (f"With {len(both)} {both.word} nothing tells what a height does from an error, so "
-               "the model is plane.")
+    if len(carrying) == 1 and len(features) < SOME:
+        yield (f"With {len(features)} {features.word} nothing tells what a height does from an "
+               "error, so the model is plane.")
     elif carrying:
         yield (f"All heights but that of {' and that of '.join(carrying)} lie on a plane. What a "
                "height does cannot be told from an error there, so the model is plane.")
 
 
-def _on_flat(control: FitData, others: Points) -> Iterator[str]:
+def _on_flat(control: FitData, points: Points) -> Iterator[str]:
     """Yield that heights tell nothing, and what they may do at other points."""
     vertices = control.features.ground_vertices()
     carrying = carriers(control)
@@ -135,13 +135,13 @@ def _on_flat(control: FitData, others: Points) -> Iterator[str]:
     unit = height_unit(control.features.crs)
     above, does = off_plane(control, vertices[:1] + np.array([0.0, 0.0, HIGH / unit]))
     if does[0] > 0.0:
-        low, high = (f"{round(float(one) * unit, 1) + 0.0:g}" for one in (z.min(), z.max()))
+        low, high = (f"{round(float(height) * unit, 1) + 0.0:g}" for height in (z.min(), z.max()))
         covered = f"the height {low} m alone" if low == high else \
             f"heights from {low} to {high} m on one plane"
-        each = _rounded(HIGH / unit * does[0] / above[0])
-        yield (f"The control covers {covered}. Expect about {each} px error per "
+        error = _rounded(HIGH / unit * does[0] / above[0])
+        yield (f"The control covers {covered}. Expect about {error} px error per "
                f"{HIGH:g} m outside it.")
-    off, effect = off_plane(control, others.ground)
+    off, effect = off_plane(control, points.ground)
     far = effect > MEASURED
     if far.any():
         yield (f"{counted(int(far.sum()), 'other point')} {'is' if far.sum() == 1 else 'are'} up "
@@ -153,21 +153,21 @@ def _rounded(size: float) -> str:
     return f"{size:.2g}" if size < 99.5 else f"{float(f'{size:.2g}'):,.0f}"
 
 
-def _on_twins(both: Points, independent: Points) -> Iterator[str]:
+def _on_twins(points: Points, independent: Points) -> Iterator[str]:
     """Yield what is to be said of points that repeat each other."""
-    found = groups(both.ids, twins(both.ground))
-    if found:
+    close_points = groups(points.ids, twins(points.ground))
+    if close_points:
         yield (f"Points too close to each other to tell anything apart share a role and a fold: "
-               f"{_listed(found)}.")
-    every = both.rejoin(independent)
-    apart = set(independent.ids)
-    shared = [group for group in groups(every.ids, twins(every.ground, both.ground))
-              if 0 < len(apart.intersection(group)) < len(group)]
+               f"{_listed(close_points)}.")
+    all_points = points.rejoin(independent)
+    independent_ids = set(independent.ids)
+    shared = [group for group in groups(all_points.ids, twins(all_points.ground, points.ground))
+              if 0 < len(independent_ids.intersection(group)) < len(group)]
     if shared:
         yield ("Independent check points at the places of control or selection points do not test "
                f"the model: {_listed(shared)}.")
 
 
-def _listed(found: list[tuple[str, ...]]) -> str:
-    named = ", ".join(" and ".join(group) for group in found[:NAMED])
-    return f"{named} and {len(found) - NAMED} more groups" if len(found) > NAMED else named
+def _listed(id_groups: list[tuple[str, ...]]) -> str:
+    texts = ", ".join(" and ".join(group) for group in id_groups[:NAMED])
+    return f"{texts} and {len(id_groups) - NAMED} more groups" if len(id_groups) > NAMED else texts

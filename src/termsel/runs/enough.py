@@ -61,8 +61,8 @@ def require_enough(observations: Observations, recipe: Recipe, criterion: Criter
 
 def _given(control: FeatureSet) -> str:
     """Return how many control features there are, such as "1 control point"."""
-    word = control.word.removesuffix("s")
-    return _number(len(control), f"control {word}")
+    noun = control.word.removesuffix("s")
+    return _number(len(control), f"control {noun}")
 
 
 def _number(number: int, noun: str) -> str:

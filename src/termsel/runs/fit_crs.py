@@ -74,9 +74,9 @@ def with_fit_crs(choice: str, observations: Observations, model: SensorModel) ->
                 hint="Give heights and choose a model with heights, such as --model poly3d; or "
                      "fit in geodetic or projected coordinates.")
     # What cannot be transformed is said now.
-    for known in (control.ground_vertices(), observations.check.ground,
+    for ground in (control.ground_vertices(), observations.check.ground,
                   observations.independent.ground):
-        transformation(features.crs, fit_crs)(known)
+        transformation(features.crs, fit_crs)(ground)
     if fit_crs == normalise(features.crs) or WGS84.issuperset((fit_crs, normalise(features.crs))):
         fit_crs = ""
     return observations.fitted_in(fit_crs)
@@ -112,14 +112,15 @@ def fit_crs_of(choice: str, control: FeatureSet) -> str:
 
 def _around(control: FeatureSet) -> str:
     """Return the CRS in metres around the middle of the control."""
-    lon, lat = _places(control)[:, :2].T
-    return metric_crs(control.crs, *(float(part.min() + part.max()) / 2 for part in (lon, lat)))
+    angles = _places(control)[:, :2]
+    lon, lat = ((angles.min(axis=0) + angles.max(axis=0)) / 2).tolist()
+    return metric_crs(control.crs, lon, lat)
 
 
 def _places(control: FeatureSet) -> FloatArray:
     """Return longitudes without a jump, latitudes and heights of the control."""
-    place = transformation(control.crs, geodetic_of(control.crs))(control.ground_vertices())
-    return np.column_stack([continuous(place[:, 0]), place[:, 1:]])
+    geodetic = transformation(control.crs, geodetic_of(control.crs))(control.ground_vertices())
+    return np.column_stack([continuous(geodetic[:, 0]), geodetic[:, 1:]])
 
 
 def note_on_pole(features: FeatureSet, control: FeatureSet) -> str:
@@ -127,10 +128,10 @@ def note_on_pole(features: FeatureSet, control: FeatureSet) -> str:
     crs = normalise(features.crs)
     if features.fit_crs or not is_in_degrees(features.crs) or kind_of(crs) != "geographic":
         return ""
-    places = _places(control)
-    if not is_polar(places):
+    geodetic = _places(control)
+    if not is_polar(geodetic):
         return ""
-    polar = polar_crs(features.crs, float(np.median(places[:, 1])))
+    polar = polar_crs(features.crs, float(np.median(geodetic[:, 1])))
     name = f" ({polar})" if len(polar) < LONG else ""
     return ("The control lies around a pole, where degrees of longitude are no plane coordinates: "
             f"--fit-crs polar{name} or --fit-crs auto fits in metres.")
@@ -142,12 +143,13 @@ def with_polar(observations: Observations) -> Observations:
     Only where no CRS is asked for, and the best of the plain and regularised models predicts better
     there, by leave-one-out over control and check, than in the coordinates as they are.
     """
-    both = observations.together
-    if both.fit_crs or both.rpc is not None or not note_on_pole(both, observations.control):
+    features = observations.together
+    if features.fit_crs or features.rpc is not None \
+            or not note_on_pole(features, observations.control):
         return observations
     polar = fit_crs_of(POLAR, observations.control)
-    as_given = Auto().choose(FitData.of(both, observations.heights))
-    in_polar = Auto().choose(FitData.of(replace(both, fit_crs=polar), observations.heights))
+    as_given = Auto().choose(FitData.of(features, observations.heights))
+    in_polar = Auto().choose(FitData.of(replace(features, fit_crs=polar), observations.heights))
     if in_polar is None or (as_given is not None
                             and as_given.chosen.held_out_rmse <= in_polar.chosen.held_out_rmse):
         return observations
@@ -156,25 +158,26 @@ def with_polar(observations: Observations) -> Observations:
 
 def _best(observations: Observations, spatial: bool) -> str:
     """Return the CRS in which the best of the plain and regularised models predicts best."""
-    both = observations.together
+    features = observations.together
     predicted: dict[str, float] = {}
     for system in SYSTEMS:
-        if system == "geocentric" and not (spatial and body_of(both.crs) == EARTH):
+        if system == "geocentric" and not (spatial and body_of(features.crs) == EARTH):
             continue
         if system == POLAR and not is_polar(_places(observations.control)):
             continue
         try:
             fit_crs = fit_crs_of(system, observations.control)
-            choice = Auto().choose(FitData.of(replace(both, fit_crs=fit_crs), observations.heights))
+            choice = Auto().choose(FitData.of(
+                replace(features, fit_crs=fit_crs), observations.heights))
         except TermselError as error:  # such as no zone of UTM: it is no candidate here
             log.info("%s coordinates are left out: %s.", system, error.what)
             continue
         predicted[fit_crs] = np.inf if choice is None else choice.chosen.held_out_rmse
     if not predicted:
-        return normalise(both.crs)
+        return normalise(features.crs)
     best = min(predicted, key=lambda crs: predicted[crs])
     if not np.isfinite(predicted[best]):
-        return normalise(both.crs)
+        return normalise(features.crs)
     log.info("Fitted in %s; by leave-one-out %s pixel.", best, ", ".join(
         f"{crs} {value:.3f}" for crs, value in predicted.items()))
     return best

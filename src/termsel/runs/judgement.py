@@ -51,26 +51,26 @@ def judge(conventional: str, criterion: str, rmse: Rmses,
         return ("This selection does not satisfy all conditions, and no better one was found. It "
                 "has undetermined or too many terms, an axis without terms, or a pole in the "
                 "scene. Do not use it: measure more control points or choose a smaller model.")
-    mine = rmse["independent"]
-    if mine is None:
+    measured = rmse["independent"]
+    if measured is None:
         return ("There are no independent check points, so the accuracy of this selection is not "
                 f"known. The search minimised {criterion}.")
     best = next((b for b in baselines if b.name == reference), None)
     # Better than what fails is nothing to be proud of.
-    poor = best is not None and _ratio(mine.total, _independent(best)) > POOR
+    poor = best is not None and _ratio(measured.total, _independent(best)) > POOR
     if poor or not baselines[0].converged:
-        first = f"The RMSE of the selection is {_px(mine.total)}"
+        first = f"The RMSE of the selection is {_px(measured.total)}"
         if not baselines[0].converged:
             first += f" (the fit of {conventional} did not converge)"
     else:
-        first = _compare("The selection is", mine.total, _independent(baselines[0]), conventional,
-                         determined=baselines[0].determined)
-    sentences = [f"{first} at {counted(mine.n, 'independent check point')}."]
+        first = _compare("The selection is", measured.total, _independent(baselines[0]),
+                         conventional, determined=baselines[0].determined)
+    sentences = [f"{first} at {counted(measured.n, 'independent check point')}."]
     method = method or BY_NAME.get(reference)
     if best is not None and method is not None:
         removed = ", outliers removed" if blunders else ""
         title = f"{method.title} fitted to control and selection points{removed}"
-        ratio = _ratio(mine.total, _independent(best))
+        ratio = _ratio(measured.total, _independent(best))
         size = _px(_independent(best))
         if ratio > ALIKE and (blunders or not method.is_plain):
             sentences.append(f"The automatic choice, {title}, is {_times(ratio)} better ({size}): "
@@ -89,7 +89,7 @@ def judge(conventional: str, criterion: str, rmse: Rmses,
     return " ".join(sentences)
 
 
-def judge_choice(chosen: Method, predicted: float | None, rmse: Rmses,
+def judge_choice(method: Method, predicted: float | None, rmse: Rmses,
                  baselines: tuple[Baseline, ...], noise: float | None, *,
                  is_asked_for: bool = False) -> str:
     """Return some sentences on what the choice of a strategy, or a method asked for, is worth.
@@ -103,7 +103,7 @@ def judge_choice(chosen: Method, predicted: float | None, rmse: Rmses,
     measured = rmse["independent"]
     expected = "" if predicted is None else f", with a predicted RMSE of {_px(predicted)}"
     subject = "The method that was asked for" if is_asked_for else "The automatic choice"
-    sentences = [f"{subject} is {chosen.title}{expected}."]
+    sentences = [f"{subject} is {method.title}{expected}."]
     if measured is None:
         sentences.append("It is not verified: there are no independent check points.")
     else:
@@ -111,7 +111,7 @@ def judge_choice(chosen: Method, predicted: float | None, rmse: Rmses,
                          f"took no part, is {_px(measured.total)}.")
     rivals = [(b.predicted, b, candidate.title) for b in baselines if b.predicted is not None
               and (candidate := registry().known("methods", b.name))
-              and candidate.is_plain and candidate is not chosen]
+              and candidate.is_plain and candidate is not method]
     if rivals:
         by_points = measured is not None and (predicted is None
                                               or measured.n >= MANY_INDEPENDENT)
@@ -131,19 +131,19 @@ def judge_choice(chosen: Method, predicted: float | None, rmse: Rmses,
     return " ".join(sentences)
 
 
-def best_conventional(chosen: Method, baselines: tuple[Baseline, ...]) -> str:
+def best_conventional(method: Method, baselines: tuple[Baseline, ...]) -> str:
     """Return the name of the conventional model that cross-validation prefers; "" for none."""
     rivals = {row.name: row.predicted for row in baselines if row.predicted is not None
               and (candidate := registry().known("methods", row.name))
-              and candidate.is_plain and candidate is not chosen}
+              and candidate.is_plain and candidate is not method}
     return min(rivals, key=lambda name: rivals[name], default="")
 
 
-def _in_hindsight(mine: float, named: Baseline,
-                  plain: list[tuple[Baseline, str]]) -> Iterator[str]:
+def _in_hindsight(rmse: float, named: Baseline,
+                  conventional: list[tuple[Baseline, str]]) -> Iterator[str]:
     """Yield which conventional model is better at the independent points, if one but `named` is."""
-    best, title = min(plain, key=lambda rival: _independent(rival[0]))
-    ratio = _ratio(mine, _independent(best))
+    best, title = min(conventional, key=lambda rival: _independent(rival[0]))
+    ratio = _ratio(rmse, _independent(best))
     if ratio > ALIKE and best is not named:
         yield (f"At these points {title} is {_times(ratio)} better ({_px(_independent(best))}), "
                "which only these points show.")
@@ -167,9 +167,9 @@ def _independent(baseline: Baseline) -> float:
     return float("inf") if value is None else value.total
 
 
-def _ratio(one: float, other: float) -> float:
+def _ratio(error: float, reference: float) -> float:
     """Return how many times one error is the other; below `_ROUNDING` all are alike."""
-    return max(one, _ROUNDING) / max(other, _ROUNDING)
+    return max(error, _ROUNDING) / max(reference, _ROUNDING)
 
 
 def _px(value: float) -> str:
@@ -180,10 +180,10 @@ def _times(ratio: float) -> str:
     return f"{ratio:.1f} times" if ratio < 10 else f"{ratio:,.0f} times"
 
 
-def _compare(start: str, mine: float, theirs: float, title: str, *, determined: bool) -> str:
-    figures = f"({_px(mine)} against {_px(theirs)}"
+def _compare(start: str, rmse: float, reference: float, title: str, *, determined: bool) -> str:
+    figures = f"({_px(rmse)} against {_px(reference)}"
     figures += ")" if determined else ", which is rank-deficient)"
-    ratio = _ratio(theirs, mine)
+    ratio = _ratio(reference, rmse)
     if ratio > ALIKE:
         return f"{start} {_times(ratio)} better than {title} {figures}"
     if ratio > 1 / ALIKE:
@@ -191,48 +191,48 @@ def _compare(start: str, mine: float, theirs: float, title: str, *, determined: 
     return f"{start} {_times(1 / ratio)} worse than {title} {figures}"
 
 
-def notes_on(observations: Observations, criterion: Criterion, found: SearchResult,
-             chosen: Fit) -> Iterator[str]:
+def notes_on(observations: Observations, criterion: Criterion, search: SearchResult,
+             fitted: Fit) -> Iterator[str]:
     """Yield what else the reader of a result must know."""
-    yield from found.notes
+    yield from search.notes
     if len(observations.control.lines) and not len(observations.control.points):
         idle = len(observations.off)
         if idle:
             yield (f"{counted(idle, 'control point')} of the file {'is' if idle == 1 else 'are'} "
                    "unused: lines are the control; --set mixed=true uses both.")
-    lines = chosen.control.take(chosen.used).lines
+    lines = fitted.control.take(fitted.used).lines
     if len(lines) and not len(observations.control.points):
         spread = orientation_spread(lines)
         if spread < PARALLEL:
             yield (f"The lines in use run nearly alike (orientation spread {spread:.2g} of 1): "
                    "the model is hardly determined along them.")
-    prior = chosen.model.equations(chosen.scaled_control).prior
-    if prior is not None and prior[chosen.terms].any() and chosen.estimator.least_squares:
+    prior = fitted.model.equations(fitted.scaled_control).prior
+    if prior is not None and prior[fitted.terms].any() and fitted.estimator.least_squares:
         yield (f"Pseudo-observations of weight {prior.max()**2:.3g} hold coefficients of "
                "denominators near zero (--set ridge=...); they do not count as redundancy.")
-    if chosen.model.start(chosen.scaled_control.take(chosen.used)) is not None:
+    if fitted.model.start(fitted.scaled_control.take(fitted.used)) is not None:
         yield ("The model is not linear in its terms. The search judged each selection by one "
                "linear solution about the fit of all terms; the selection itself took "
-               f"{counted(chosen.adjustment.steps or 0, 'step')}.")
-    if found.interrupted:
+               f"{counted(fitted.adjustment.steps or 0, 'step')}.")
+    if search.interrupted:
         yield "The search was interrupted; this is the best selection so far."
-    check = chosen.rmse(observations.check)
-    independent = chosen.rmse(observations.independent)
+    check = fitted.rmse(observations.check)
+    independent = fitted.rmse(observations.independent)
     if (criterion.needs_check and check and independent
             and independent.total > 1.5 * check.total):
         yield (f"The independent RMSE is {independent.total / check.total:.1f} times the check "
                "RMSE: the selection is fitted to the selection points.")
-    yield from warnings_of(observations.control, chosen.used, observations.check)
-    seen = found.objectives[0]
-    if (criterion.name == "check-rmse" and check and chosen.estimator.least_squares
-            and found.violation == 0 and abs(check.total - seen) > 0.005 * check.total):
-        first = fit(chosen.model, chosen.control, chosen.scaling, chosen.terms, chosen.used,
+    yield from warnings_of(observations.control, fitted.used, observations.check)
+    objective = search.objectives[0]
+    if (criterion.name == "check-rmse" and check and fitted.estimator.least_squares
+            and search.violation == 0 and abs(check.total - objective) > 0.005 * check.total):
+        first = fit(fitted.model, fitted.control, fitted.scaling, fitted.terms, fitted.used,
                     iterated=False).rmse(observations.check)
-        if first and abs(first.total - seen) <= 0.005 * seen:
-            yield (f"The search saw a check RMSE of {seen:.4g} px, with equations to first order; "
-                   "the fit was then iterated.")
+        if first and abs(first.total - objective) <= 0.005 * objective:
+            yield (f"The search saw a check RMSE of {objective:.4g} px, with equations to first "
+                   "order; the fit was then iterated.")
         else:
-            yield (f"The search minimised an RMSE of {seen:.4g} px over the points that the "
+            yield (f"The search minimised an RMSE of {objective:.4g} px over the points that the "
                    "problem judges by, which are not the selection points alone.")
-    if chosen.adjustment.redundancy == 0:
+    if fitted.adjustment.redundancy == 0:
         yield "The adjustment has no redundancy: its residuals are no measure of accuracy."

@@ -61,12 +61,12 @@ def task_of_method(request: Request, auto: Auto) -> Task:
     TermselError
         If the features are too few, or their heights not those of the RPC.
     """
-    least = fewest_features(request.features, auto)
-    observations = observe(request, least)
-    part = part_of_rpc(observations.together)
-    if part is not None:
-        request = with_part(request, part)
-        observations = observe(request, least)
+    fewest = fewest_features(request.features, auto)
+    observations = observe(request, fewest)
+    image_part = part_of_rpc(observations.together)
+    if image_part is not None:
+        request = with_part(request, image_part)
+        observations = observe(request, fewest)
     return Task(request, with_polar(observations))
 
 

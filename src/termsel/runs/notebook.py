@@ -27,8 +27,8 @@ def notebook_observer(title: str) -> Callable[[Progress], None] | None:
 
     def observe(progress: Progress) -> None:
         share = "" if progress.share is None else f" {100 * progress.share:.0f} %,"
-        found = progress.violation == 0 and math.isfinite(progress.best)
-        best = f"{progress.best:.4g}" if found else "-"
+        values = progress.violation == 0 and math.isfinite(progress.best)
+        best = f"{progress.best:.4g}" if values else "-"
         show(f"{progress.what or title}:{share} best {best}, {progress.evaluations} evaluations",
              progress.share is not None and progress.share >= 1)
 

@@ -42,29 +42,31 @@ def with_selected_lines(control: FitData, choice: Choice, auto: Auto,
     count = len(control.features.points)
     if count < FOLDS_WITH_LINES or not len(lines):
         return choice, None
-    others = choice.chosen.held_out().squares[:count]
+    squares_alone = choice.chosen.held_out().squares[:count]
     selected = _selected(control, seed)
-    found = None if selected is None else auto.choose(selected)
-    if selected is None or found is None:
+    with_lines = None if selected is None else auto.choose(selected)
+    if selected is None or with_lines is None:
         return choice, None
-    gain = gain_of(found.chosen.held_out().squares[:count], others)
-    said = (f"OWDIS selects {len(selected.features.lines)} of {len(lines)} lines. With these the "
-            f"points are predicted {'better' if gain > 0 else 'worse'} by {abs(gain):.2g} standard "
-            "errors")
+    gain = gain_of(with_lines.chosen.held_out().squares[:count], squares_alone)
+    comparison = (
+        f"OWDIS selects {len(selected.features.lines)} of {len(lines)} lines. With these the "
+        f"points are predicted {'better' if gain > 0 else 'worse'} by {abs(gain):.2g} standard "
+        "errors")
     if gain <= CLEARLY:
-        return replace(choice, reason=f"{choice.reason} {said}; it must be better by more than "
-                                      f"{CLEARLY:g}."), None
+        return replace(choice, reason=f"{choice.reason} {comparison}; it must be better by more "
+                                      f"than {CLEARLY:g}."), None
     errors = _held_out(control, auto, seed)
     if errors is None:
         return choice, None
     squares = (errors**2).sum(axis=1)
-    honest = gain_of(squares, others)
-    said += (f", and {'better' if honest > 0 else 'worse'} by {abs(honest):.2g} where it selects "
-             "without them")
-    if honest <= CLEARLY or squares.sum() >= others.sum():
-        return replace(choice, reason=f"{choice.reason} {said}; both must be more than "
+    honest = gain_of(squares, squares_alone)
+    comparison += (f", and {'better' if honest > 0 else 'worse'} by {abs(honest):.2g} where it "
+                   "selects without them")
+    if honest <= CLEARLY or squares.sum() >= squares_alone.sum():
+        return replace(choice, reason=f"{choice.reason} {comparison}; both must be more than "
                                       f"{CLEARLY:g}, and the RMSE smaller."), None
-    return replace(found, reason=f"{found.reason} {said}, so these lines are used."), errors
+    reason = f"{with_lines.reason} {comparison}, so these lines are used."
+    return replace(with_lines, reason=reason), errors
 
 
 def _selected(control: FitData, seed: int) -> FitData | None:
@@ -95,10 +97,10 @@ def _held_out(control: FitData, auto: Auto, seed: int) -> FloatArray | None:
     errors = np.empty((len(points), 2))
     order = spatial_order(points.ground[:, :2])
     for fold in range(FOLDS_WITH_LINES):
-        out = np.isin(np.arange(len(control)), order[fold::FOLDS_WITH_LINES])
-        selected = _selected(control.take(~out), seed)
+        is_out = np.isin(np.arange(len(control)), order[fold::FOLDS_WITH_LINES])
+        selected = _selected(control.take(~is_out), seed)
         choice = None if selected is None else auto.choose(selected, whole=False)
         if choice is None:
             return None
-        errors[out[:len(points)]] = choice.chosen.errors(points.take(out[:len(points)]))
+        errors[is_out[:len(points)]] = choice.chosen.errors(points.take(is_out[:len(points)]))
     return errors

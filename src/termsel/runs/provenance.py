@@ -45,16 +45,16 @@ def _read(request: Request, observations: Observations) -> WhatWasRead:
     points = request.features.points
     difference = read.dem_difference
     # Blunders among control and check included: they may be one of the groups.
-    apart = {*observations.independent.ids, *select(
+    excluded = {*observations.independent.ids, *select(
         points.ids, [role == "off" for role in points.roles])}
     groups = two_groups(request.features.with_(
-        points=points.take([name not in apart for name in points.ids])))
-    stay = set(request.features.lines.ids)
+        points=points.take([name not in excluded for name in points.ids])))
+    lines_in_use = set(request.features.lines.ids)
     off = [name for name in (*select(points.ids, [role == "off" for role in points.roles]),
-                             *read.lines.features) if name not in stay]
+                             *read.lines.features) if name not in lines_in_use]
     control = observations.control
     idle = set(observations.off).difference(off)
-    why = {"without a height": request.blank,
+    reasons = {"without a height": request.blank,
            "marked off": [name for name in off if name not in request.blank],
            "points, as lines are the control": [
                name for name in points.ids if name in idle and not len(control.points)],
@@ -63,7 +63,7 @@ def _read(request: Request, observations: Observations) -> WhatWasRead:
     lattice = observations.lattice
     return WhatWasRead(
         len(read.points), len(read.lines.features), len(read.without_height()), place_of(read),
-        swapped(read), {reason: tuple(ids) for reason, ids in why.items() if ids}, read.z_unit,
+        swapped(read), {reason: tuple(ids) for reason, ids in reasons.items() if ids}, read.z_unit,
         difference.sentence() if difference is not None and difference.contradicts else "",
         "" if groups is None else groups.sentence(), read.image_origin,
         None if lattice is None else (lattice.lines, lattice.columns),
@@ -81,7 +81,7 @@ def _packages() -> dict[str, str]:
     return {name: version(name) for name in ("termsel", "numpy", "scipy", "numba", "deap", "pymoo")}
 
 
-def plugins_of(request: Request, **chosen: Any) -> dict[str, dict[str, str]]:
+def plugins_of(request: Request, **replaced: Any) -> dict[str, dict[str, str]]:
     """Return the parts of a run that plugins provide, for the record.
 
     They are by "problem", "model", "solver", "criterion", "then" and "method": ``name`` as
@@ -90,24 +90,26 @@ def plugins_of(request: Request, **chosen: Any) -> dict[str, dict[str, str]]:
     "session" and its ``class``, as "module.Class". `chosen` has the model and the method of the
     strategy "auto".
     """
-    parts = {"problem": request.recipe, "model": type(request.model),
-             "solver": type(request.solver), "criterion": type(request.criterion), **chosen}
+    components = {"problem": request.recipe, "model": type(request.model),
+             "solver": type(request.solver), "criterion": type(request.criterion), **replaced}
     if request.then is not None:
-        parts["then"] = type(request.then)
-    return {word: found for word, thing in parts.items() if (found := _origin(thing))}
+        components["then"] = type(request.then)
+    return {role: origin for role, component in components.items()
+            if (origin := _origin(component))}
 
 
-def _origin(thing: Any) -> dict[str, str]:
+def _origin(component: Any) -> dict[str, str]:
     """Return what identifies a thing; nothing for one of termsel itself."""
-    if isinstance(thing, type) and is_own(thing):  # without a look at all the others
+    if isinstance(component, type) and is_own(component):  # without a look at all the others
         return {}
-    entry = registry().origin(thing)
+    entry = registry().origin(component)
     if entry is not None and entry.provided_by != SESSION:
         return {} if entry.provided_by == PROJECT else {
             "name": entry.full_name, "version": registry().version(entry.provided_by)}
-    made_by = thing if isinstance(thing, type) else getattr(thing, "build", type(thing))
+    made_by = component if isinstance(component, type) else getattr(
+        component, "build", type(component))
     name = getattr(made_by, "__qualname__", type(made_by).__qualname__)
-    return {"name": f"{SESSION}:{thing.name}", "version": "",
+    return {"name": f"{SESSION}:{component.name}", "version": "",
             "class": f"{made_by.__module__}.{name}"}
 
 

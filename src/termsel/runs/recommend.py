@@ -15,32 +15,32 @@ from termsel.selection.solvers.proofs.exact import gap_of
 from termsel.selection.solvers.search import SearchResult
 
 
-def recommended(task: Task, found: SearchResult) -> SearchResult:
+def recommended(task: Task, search: SearchResult) -> SearchResult:
     """Return the search with the recommended member of its front as its selection.
 
     The rule is the problem's option "recommend". With a single objective the number of genes is the
     second one. A search without a front is returned as it is.
     """
     rule = task.options["problem"].get("recommend", "best")
-    alone = len(task.problem.objectives) < 2
-    if alone and rule == "best":
-        return found
-    if not found.front:
-        return replace(found, notes=(*found.notes, "This search has no front from which to "
-                                     f"recommend by the rule {rule}.")) if alone else found
-    genes = np.array(found.front)
+    has_one_objective = len(task.problem.objectives) < 2
+    if has_one_objective and rule == "best":
+        return search
+    if not search.front:
+        note = f"This search has no front from which to recommend by the rule {rule}."
+        return replace(search, notes=(*search.notes, note)) if has_one_objective else search
+    genes = np.array(search.front)
     evaluation = task.problem.evaluate(genes)
     first = evaluation.objectives[:, 0]
-    second = (task.problem.genome.chosen(genes).sum(axis=1).astype(float) if alone
+    second = (task.problem.genome.chosen(genes).sum(axis=1).astype(float) if has_one_objective
               else evaluation.objectives[:, 1])
     index = int(np.argmin(first))
     if rule == "one-standard-error":
         # That of an RMSE of normal errors, RMSE / sqrt(2 f), f = 2 n for n points or lines.
-        judged = (task.observations.check if task.criterion.needs_check
+        judges = (task.observations.check if task.criterion.needs_check
                   else task.observations.control)
-        bound = first[index] * (1 + 1 / np.sqrt(4 * len(judged)))
-        within = np.flatnonzero(first <= bound)
-        index = int(within[np.lexsort((first[within], second[within]))[0]])
+        bound = first[index] * (1 + 1 / np.sqrt(4 * len(judges)))
+        within_bound = np.flatnonzero(first <= bound)
+        index = int(within_bound[np.lexsort((first[within_bound], second[within_bound]))[0]])
     elif rule == "knee" and np.ptp(first) > 0 and np.ptp(second) > 0:
         # Farthest below the straight line between the front's ends, both objectives scaled to
         # [0, 1]; the criterion in logarithms, as it spans orders of magnitude.
@@ -51,9 +51,9 @@ def recommended(task: Task, found: SearchResult) -> SearchResult:
         # Where no member has one, the best criterion.
         by_ebic = task.problem.judged_by(Ebic()).evaluate(genes)
         index = int(np.lexsort((first, by_ebic.objectives[:, 0], by_ebic.violation))[0])
-    return replace(found, genes=found.front[index], objectives=evaluation.objectives[index],
+    return replace(search, genes=search.front[index], objectives=evaluation.objectives[index],
                    violation=float(evaluation.violation[index]),
-                   certificate=_of_member(found.certificate, first[index], first.min()))
+                   certificate=_of_member(search.certificate, first[index], first.min()))
 
 
 def _of_member(certificate: Mapping[str, Any] | None, value: float,

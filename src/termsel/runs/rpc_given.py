@@ -31,30 +31,30 @@ def part_of_rpc(control: FeatureSet) -> ImagePart | None:
         return None
     points = control.points.take(np.isfinite(control.points.ground).all(axis=1))
     try:
-        places = to_wgs84(control.crs)(points.ground)
+        positions = to_wgs84(control.crs)(points.ground)
     except TermselError as error:
         raise TermselError(f"the RPC takes ellipsoidal heights, and {error.what}",
                            hint=error.hint) from error
-    _refuse_feet(rpc, places, points.image)
+    _refuse_feet(rpc, positions, points.image)
     with np.errstate(all="ignore"):
-        return recognised(rpc.project(places), points.image)
+        return recognised(rpc.project(positions), points.image)
 
 
-def _refuse_feet(rpc: Rpc, places: FloatArray, image: FloatArray) -> None:
+def _refuse_feet(rpc: Rpc, positions: FloatArray, image: FloatArray) -> None:
     """Refuse heights that the RPC holds as feet alone, and sees the points by much better.
 
     As metres they move the points, and another part of the image would seem to explain that.
     """
-    if not len(places):
+    if not len(positions):
         return
     middle, half = rpc.ground_offset[2], rpc.ground_scale[2]
-    in_metres = places * [1.0, 1.0, UNITS[FOOT]]
-    metres, feet = (float(np.median(heights)) for heights in (in_metres[:, 2], places[:, 2]))
+    in_metres = positions * [1.0, 1.0, UNITS[FOOT]]
+    metres, feet = (float(np.median(heights)) for heights in (in_metres[:, 2], positions[:, 2]))
     if abs(feet - middle) <= _OUTSIDE * half or abs(metres - middle) > half:
         return
     with np.errstate(all="ignore"):
         distances = [np.linalg.norm(rpc.project(ground) - image, axis=1)
-                     for ground in (places, in_metres)]
+                     for ground in (positions, in_metres)]
         as_read, converted = (float(np.nanmedian(lengths)) for lengths in distances)
     if converted < as_read * _NEARER:
         raise TermselError(
@@ -64,8 +64,9 @@ def _refuse_feet(rpc: Rpc, places: FloatArray, image: FloatArray) -> None:
             f"{as_read:,.0f} px", hint="State the unit of z: --set z_unit=ft (or us-ft).")
 
 
-def with_part(request: Request, part: ImagePart) -> Request:
+def with_part(request: Request, image_part: ImagePart) -> Request:
     """Return a request whose RPC is that of the part."""
     rpc = request.features.rpc
     assert rpc is not None
-    return replace(request, features=replace(request.features, rpc=part.rpc(rpc)), rpc_part=part)
+    features = replace(request.features, rpc=image_part.rpc(rpc))
+    return replace(request, features=features, rpc_part=image_part)

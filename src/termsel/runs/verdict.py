@@ -52,7 +52,8 @@ class Verdict:
 
     def without(self, in_use: Collection[str]) -> tuple[Outlier, ...]:
         """Return the outliers, as excluded those that are not in use."""
-        return tuple(changed(one, excluded=one.id not in in_use) for one in self.outliers)
+        return tuple(changed(outlier, excluded=outlier.id not in in_use)
+                     for outlier in self.outliers)
 
 
 def judge_features(observations: Observations, auto: Auto,
@@ -65,73 +66,79 @@ def judge_features(observations: Observations, auto: Auto,
         return Verdict()
     roles: dict[str, Role] = dict.fromkeys(observations.together.ids, "control")
     roles.update(dict.fromkeys(observations.check.ids, "check"))
-    points, carriers = observations.together.points, observations.carriers
+    points = observations.together.points
+    carriers = observations.carriers
     if auto.fewest(observations.pool) == 1:
         carriers = ()  # what is known of the image says what heights do
     high = with_twins(points, carriers).union(carriers)
     # Where no plane is determined without them, they are judged like others.
-    if held := _held_against_others(observations, roles, high):
+    if off_plane_outliers := _held_against_others(observations, roles, high):
         observations = leave_out(observations, high)
-    verdict = Verdict(held, high=high if held else frozenset())
-    both, pool = observations.pool.features, observations.pool
-    found = _that_can_be_seen(auto.suspects(pool) or find_blunders(pool, auto))
-    limit = None if found is None else finite_or_none(float(median(found.limits)))
+    verdict = Verdict(off_plane_outliers, high=high if off_plane_outliers else frozenset())
+    pool = observations.pool
+    features = pool.features
+    suspects = _that_can_be_seen(auto.suspects(pool) or find_blunders(pool, auto))
+    limit = None if suspects is None else finite_or_none(float(median(suspects.limits)))
     verdict = replace(verdict, test=BlunderTest(
-        len(both), limit, float(np.ptp(both.image_vertices(), axis=0).max())))
-    if found is None or not (found.blunders | found.undecided).any():
+        len(features), limit, float(np.ptp(features.image_vertices(), axis=0).max())))
+    if suspects is None or not (suspects.blunders | suspects.undecided).any():
         exchange = exchange_of(pool)
         if exchange is not None:
-            return replace(verdict, outliers=(*held, *_unlike_any_view(pool, exchange, roles)),
-                           notes=(_on_exchange(both, exchange),))
-    if found is None:
+            unlike_any_view = _unlike_any_view(pool, exchange, roles)
+            return replace(verdict, outliers=(*off_plane_outliers, *unlike_any_view),
+                           notes=(_on_exchange(features, exchange),))
+    if suspects is None:
         return verdict
-    wrong = select(both.ids, found.blunders)
-    return replace(verdict, outliers=(*held, *_outliers(both, roles, found)),
+    wrong = select(features.ids, suspects.blunders)
+    return replace(verdict, outliers=(*off_plane_outliers, *_outliers(features, roles, suspects)),
                    blunders=with_twins(points, wrong).union(wrong),
-                   notes=tuple(_limits(both, found)))
+                   notes=tuple(_limits(features, suspects)))
 
 
-def _that_can_be_seen(found: Suspects | None) -> Suspects | None:
+def _that_can_be_seen(suspects: Suspects | None) -> Suspects | None:
     """Return suspects without those whose errors are too small to be measured."""
-    if found is None:
+    if suspects is None:
         return None
-    seen = found.errors > UNSEEN
-    return replace(found, blunders=found.blunders & seen, probable=found.probable & seen,
-                   undecided=found.undecided & seen)
+    is_visible = suspects.errors > UNSEEN
+    return replace(suspects, blunders=suspects.blunders & is_visible,
+                   probable=suspects.probable & is_visible,
+                   undecided=suspects.undecided & is_visible)
 
 
 def _unlike_any_view(pool: FitData, exchange: Exchange,
                      roles: dict[str, Role]) -> tuple[Outlier, ...]:
     """Return the points that reverse triangles, or are exchanged, as possible blunders."""
     errors = errors_by_others(pool)
-    which, nothing = np.zeros(len(pool), dtype=bool), np.zeros(len(pool), dtype=bool)
-    which[list(exchange.points)] = True
-    return _outliers(pool.features, roles, Suspects(nothing, nothing, which, errors, errors))
+    is_wrong = np.zeros(len(pool), dtype=bool)
+    is_named = is_wrong.copy()
+    is_named[list(exchange.points)] = True
+    return _outliers(pool.features, roles, Suspects(is_wrong, is_wrong, is_named, errors, errors))
 
 
-def _on_exchange(both: FeatureSet, exchange: Exchange) -> str:
+def _on_exchange(features: FeatureSet, exchange: Exchange) -> str:
     """Return what tells that points are wrong, and which."""
-    named = [both.ids[i] for i in exchange.points]
-    said = "No view of a plane reverses some triangles of points and others not, as these do"
+    ids = [features.ids[i] for i in exchange.points]
+    opening = "No view of a plane reverses some triangles of points and others not, as these do"
     if exchange.is_pair:
-        return (f"{said}. {named[0]} and {named[1]} are likely exchanged: with the image place of "
+        return (f"{opening}. {ids[0]} and {ids[1]} are likely exchanged: with the image place of "
                 "each at the other one, all triangles agree. Exchange them, and run again.")
-    if len(named) == 1:
-        return f"{said}, but for {named[0]}: look at it in the image."
-    return (f"{said}. At least one of {', '.join(named)} is wrong, or two are exchanged: look at "
+    if len(ids) == 1:
+        return f"{opening}, but for {ids[0]}: look at it in the image."
+    return (f"{opening}. At least one of {', '.join(ids)} is wrong, or two are exchanged: look at "
             "them in the image.")
 
 
 def _held_against_others(observations: Observations, roles: dict[str, Role],
                          high: frozenset[str]) -> tuple[Outlier, ...]:
     """Return features whose height alone is off a plane, as the others predict them."""
-    both = observations.pool.features
-    which = np.isin(both.ids, list(high))
-    test = Division(observations.pool, ~which).test() if which.any() else None
+    features = observations.pool.features
+    is_high = np.isin(features.ids, list(high))
+    test = Division(observations.pool, ~is_high).test() if is_high.any() else None
     if test is None:
         return ()
-    nothing = np.zeros_like(which)
-    return _outliers(both, roles, Suspects(nothing, nothing, which, test.errors, test.errors))
+    is_wrong = np.zeros_like(is_high)
+    return _outliers(features, roles,
+                     Suspects(is_wrong, is_wrong, is_high, test.errors, test.errors))
 
 
 def judge_independent(observations: Observations, choice: Choice | None,
@@ -143,79 +150,86 @@ def judge_independent(observations: Observations, choice: Choice | None,
     beforehand, as a vendor's RPC does, it knows of a single point whether it is wrong.
     """
     points = observations.independent
-    found = None
+    suspects = None
     if observations.lattice is not None:
         return Verdict(), observations
-    known = None if choice is None else \
+    by_geometry = None if choice is None else \
         _by_what_is_known(choice.chosen, points, observations.heights, auto)
-    if known is not None:
-        found = known
+    if by_geometry is not None:
+        suspects = by_geometry
     elif choice is not None:
         if not choice.method.from_one:
             # Where nothing tells what a height does, it contradicts nothing.
             control = FitData.of(choice.chosen.control, observations.heights)
             points = points.take(off_plane(control, points.ground)[1] <= MEASURED)
-        found = judge_others(choice.chosen, observations.heights, points, auto.memory)
-    found = _that_can_be_seen(found)
-    if found is None or not found.blunders.any():
+        suspects = judge_others(choice.chosen, observations.heights, points, auto.memory)
+    suspects = _that_can_be_seen(suspects)
+    if suspects is None or not suspects.blunders.any():
         return Verdict(), observations
-    if found.blunders.mean() > MOST and known is None:
-        said = ("The independent check point contradicts" if len(points) == 1 else
-                f"{int(found.blunders.sum())} of {len(points)} independent check points contradict")
+    if suspects.blunders.mean() > MOST and by_geometry is None:
+        count = int(suspects.blunders.sum())
+        subject = ("The independent check point contradicts" if len(points) == 1 else
+                   f"{count} of {len(points)} independent check points contradict")
         return Verdict(notes=(
-            f"{said} control and check. Either {'it was' if len(points) == 1 else 'they were'} "
+            f"{subject} control and check. Either {'it was' if len(points) == 1 else 'they were'} "
             "measured differently, or the model does not hold there.",)), observations
-    wrong = frozenset(select(points.ids, found.blunders))
-    decided = replace(found, undecided=np.zeros_like(found.undecided))
+    wrong = frozenset(select(points.ids, suspects.blunders))
+    decided = replace(suspects, undecided=np.zeros_like(suspects.undecided))
     outliers = _outliers(FeatureSet(points), dict.fromkeys(points.ids, "independent"), decided)
-    rest = observations.independent
+    independent = observations.independent
     return Verdict(outliers, wrong), replace(
-        observations, independent=rest.take([name not in wrong for name in rest.ids]))
+        observations, independent=independent.take([name not in wrong for name in independent.ids]))
 
 
-def _by_what_is_known(chosen: Fit, others: Points, heights: bool,
+def _by_what_is_known(fitted: Fit, points: Points, heights: bool,
                       auto: Auto) -> Suspects | None:
     """Return which other points contradict what the chosen model knows of the image, if it does."""
-    if not method_of(chosen).from_one or not len(others):
+    if not method_of(fitted).from_one or not len(points):
         return None
-    control = chosen.control
-    every = FitData.of(control.with_(points=control.points.join(others)), heights)
-    found: Suspects | None = auto.ask(method_of(chosen), "suspects", every)
-    if found is None:
+    control = fitted.control
+    data = FitData.of(control.with_(points=control.points.join(points)), heights)
+    suspects: Suspects | None = auto.ask(method_of(fitted), "suspects", data)
+    if suspects is None:
         return None
-    mine = slice(len(control.points), len(control.points) + len(others))
-    return Suspects(found.blunders[mine], found.probable[mine], found.undecided[mine],
-                    found.errors[mine], found.limits[mine])
+    of_points = slice(len(control.points), len(control.points) + len(points))
+    return Suspects(suspects.blunders[of_points], suspects.probable[of_points],
+                    suspects.undecided[of_points], suspects.errors[of_points],
+                    suspects.limits[of_points])
 
 
 def _outliers(features: FeatureSet, roles: dict[str, Role],
-              found: Suspects) -> tuple[Outlier, ...]:
+              suspects: Suspects) -> tuple[Outlier, ...]:
     """Return what is found of features, the worst first; nothing is excluded."""
     lines = frozenset(features.lines.features)
-    which = found.blunders | found.undecided
-    return tuple(
-        Outlier(name, "line" if name in lines else "point", roles[name], float(found.errors[i]),
-                "possible" if found.undecided[i] else
-                "probable" if found.probable[i] else "certain", False)
-        for i in np.argsort(-found.errors, kind="stable").tolist() if which[i]
-        for name in (features.ids[i],))
+    is_outlier = suspects.blunders | suspects.undecided
+    outliers = []
+    for i in np.argsort(-suspects.errors, kind="stable").tolist():
+        if not is_outlier[i]:
+            continue
+        name = features.ids[i]
+        certainty = "possible" if suspects.undecided[i] else \
+            "probable" if suspects.probable[i] else "certain"
+        outliers.append(Outlier(name, "line" if name in lines else "point", roles[name],
+                                float(suspects.errors[i]), certainty, excluded=False))
+    return tuple(outliers)
 
 
-def _limits(both: FeatureSet, found: Suspects) -> Iterator[str]:
+def _limits(features: FeatureSet, suspects: Suspects) -> Iterator[str]:
     """Yield which errors cannot be found, where features are few."""
-    if len(both) >= FEW:
+    if len(features) >= FEW:
         return
-    worst, half = int(np.argmax(found.limits)), float(median(found.limits))
-    extent = float(np.ptp(both.image_vertices(), axis=0).max())
-    if half > extent:
-        yield (f"With {len(both)} {both.word} no blunder can be found for certain: any may be "
-               "one.")
+    index = int(np.argmax(suspects.limits))
+    median_limit = float(median(suspects.limits))
+    extent = float(np.ptp(features.image_vertices(), axis=0).max())
+    if median_limit > extent:
+        yield (f"With {len(features)} {features.word} no blunder can be found for certain: any "
+               "may be one.")
         return
-    at_worst = (f"{_size(found.limits[worst])} px at {both.ids[worst]}"
-                if found.limits[worst] <= extent else
-                f"at {both.ids[worst]} none can be found for certain")
-    yield (f"With {len(both)} {both.word} an error must exceed {_size(half)} px to be found for "
-           f"certain at half of them, and {at_worst}.")
+    at_worst = (f"{_size(suspects.limits[index])} px at {features.ids[index]}"
+                if suspects.limits[index] <= extent else
+                f"at {features.ids[index]} none can be found for certain")
+    yield (f"With {len(features)} {features.word} an error must exceed {_size(median_limit)} px "
+           f"to be found for certain at half of them, and {at_worst}.")
 
 
 def _size(error: float) -> str:

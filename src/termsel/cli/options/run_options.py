@@ -221,8 +221,8 @@ class RunOptions:
         if self.out is None:
             return {}
         files = {to: self.out / f"result{writer_of(to).suffix or f'.{to}'}" for to in self.exports}
-        require_replaceable([part for to, file in files.items()
-                             for part in writer_of(to).files(file)],
+        require_replaceable([written for to, file in files.items()
+                             for written in writer_of(to).files(file)],
                             reads=self.reads, overwrite=self.overwrite, makes_folder=True)
         return files
 
@@ -261,18 +261,18 @@ class RunOptions:
             return None, options
         of_reading = {option.name: options.pop(option.name) for option in read_options()
                       if option.name in options} if options else {}
-        given = {"raster": self.raster, "image_lines": self.image_lines,
+        arguments = {"raster": self.raster, "image_lines": self.image_lines,
                  "columns": self.columns}
-        known = {option.name for reader in readers_of(self.files, self.formats)
+        accepted = {option.name for reader in readers_of(self.files, self.formats)
                  for option in reader.declared_options}
         # Options of readers are theirs alone.
-        of_readers = {key: options.pop(key) for key in list(options) if key in known}
+        of_readers = {key: options.pop(key) for key in list(options) if key in accepted}
         for key in of_readers:
-            if given.get(key) is not None:
+            if arguments.get(key) is not None:
                 raise TermselError(f"{key} is given twice", hint="Give it once.")
         return read(self.points, self.lines, areas=self.areas, crs=self.crs, format=self.formats,
                     dem=self.dem, rpc=self.rpc, image=self.image, **of_reading,
-                    **{**given, **of_readers}), options
+                    **{**arguments, **of_readers}), options
 
     def command(self, problem: str, solver: str, criterion: str,
                 settings: Mapping[str, str]) -> str:
@@ -285,8 +285,8 @@ class RunOptions:
                 "--solver": solver, "--criterion": criterion,
                 "--set": tuple(f"{key}={value}" for key, value in settings.items())}
         for name, value in data.items():
-            for one in value if isinstance(value, tuple) else [value]:
-                words += [] if one is None else [name, str(one)]
+            for option in value if isinstance(value, tuple) else [value]:
+                words += [] if option is None else [name, str(option)]
         return shlex.join([*words, "--allow-remote"] if remote_allowed() else words)
 
 
@@ -294,7 +294,7 @@ _IMAGES = {".tif", ".tiff", ".jp2", ".img", ".png", ".jpg", ".jpeg", ".vrt", ".n
 _RPCS = {".rpb", ".rpc"}
 
 
-def with_files(files: Sequence[Path], given: Mapping[str, Any]) -> dict[str, Any]:
+def with_files(files: Sequence[Path], arguments: Mapping[str, Any]) -> dict[str, Any]:
     """Return what is given, with files named without an option: image, RPC, lines or points.
 
     Raises
@@ -302,7 +302,7 @@ def with_files(files: Sequence[Path], given: Mapping[str, Any]) -> dict[str, Any
     TermselError
         If two files are of one kind.
     """
-    options = dict(given)
+    options = dict(arguments)
     for path in files:
         kind = _kind_of(path)
         if options[kind] is not None:
@@ -328,7 +328,7 @@ def _kind_of(path: Path) -> str:
     return "lines" if "line1" in header else "points"
 
 
-def parse_settings(settings: tuple[str, ...], **own: str | None) -> dict[str, str]:
+def parse_settings(settings: tuple[str, ...], **named: str | None) -> dict[str, str]:
     """Return the options of ``--set KEY=VALUE``, with those that commands have as their own."""
     options: dict[str, str] = {}
     for setting in settings:
@@ -339,7 +339,7 @@ def parse_settings(settings: tuple[str, ...], **own: str | None) -> dict[str, st
         if key.strip() in options:
             raise TermselError(f"--set {key.strip()} is given twice", hint="Give it once.")
         options[key.strip()] = value.strip()
-    for key, given in own.items():
-        if given is not None and options.setdefault(key, given) != given:
+    for key, value in named.items():
+        if value is not None and options.setdefault(key, value) != value:
             raise TermselError(f"{key} is given twice", hint="Give it once.")
     return options
